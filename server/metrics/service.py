@@ -88,7 +88,7 @@ class _Handler(WSGIRequestHandler):
     timeout = REQUEST_S
 
     def handle(self) -> None:
-        """Answer one request in REQUEST_S; `timeout` is for each piece of it, and clients are answered in turn."""
+        """Answer one request within REQUEST_S. `timeout` alone limits each read, so a slow client could block others."""
         cut_off = threading.Timer(REQUEST_S, self._cut_off)
         cut_off.start()
         try:
@@ -97,7 +97,7 @@ class _Handler(WSGIRequestHandler):
             cut_off.cancel()
 
     def _cut_off(self) -> None:
-        with contextlib.suppress(OSError):  # the client has gone
+        with contextlib.suppress(OSError):  # the client has closed
             self.connection.shutdown(socket.SHUT_RDWR)
 
     def log_message(self, *_: Any) -> None:

@@ -83,11 +83,11 @@ class Readers:
                 return
 
     def _count(self, file: int, kind: bytes, topic: bytes) -> None:
-        """Count a subscription (1) or its end (0) of the connection with this file descriptor.
+        """Count a subscription (1) or its end (0) for the connection with this file descriptor.
 
-        libzmq passes on the end of a subscription that never was: it must not cancel that of another connection.
+        libzmq also passes on ends of subscriptions that never were. They must not cancel those of other connections.
         """
-        self.front.look()  # the connection was reported before its first frame came
+        self.front.look()  # libzmq reports a connection before its first frame
         number = self.front.connected.get(file)
         if number is None:
             return

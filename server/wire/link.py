@@ -78,7 +78,7 @@ class Link:
         self._since_s = 0.0
         self._pause_s = 0.0
         self._ready = self._waits = False
-        """Whether one has been ready; whether the next cannot be started, which was reported."""
+        """`_ready`: a process has been ready. `_waits`: a restart failed, and was reported."""
         self.restarts = 0
         """How often it was started again."""
         self._news: list[tuple[float, str]] = []
@@ -237,7 +237,7 @@ class Link:
         self._pause_s = min(2.0 * self._pause_s or PAUSE_S, PAUSE_MAX_S)
 
     def _start_next(self) -> bool:
-        """Wait for the pause, and start the next process unless the link ends; return False if it cannot be started."""
+        """Wait for the pause, then start a process unless the link is closing; return False if that fails."""
         due_s = time.monotonic() + self._pause_s
         while time.monotonic() < due_s and not self._ending():
             if self._answering is not None:

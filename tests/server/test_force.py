@@ -1,4 +1,4 @@
-"""The force of all fingers as a service sees it: on, fading, off, and the ticks in between."""
+"""State machine of the force: on, fading, off, and the ticks between these."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from softfinger.server.states import FAST, UNARMED, States
 pytestmark = pytest.mark.plain
 
 TO_ZERO = 17
-"""Ticks in which the slew limit takes a force off."""
+"""Ticks that the slew limit needs to remove a force."""
 TICKS = st.integers(0, 10_000)
 
 
 @given(TICKS)
-def test_a_force_is_off_once_it_has_faded_and_two_more_ticks_have_begun(at: int) -> None:
-    """Disarmed at a tick: it fades for TO_ZERO ticks, then the guard has ARM_TICKS to forget it. No step is earlier."""
+def test_a_force_is_off_after_it_faded_and_arm_ticks_passed(at: int) -> None:
+    """The force fades for TO_ZERO ticks; the guard then needs ARM_TICKS to reset. No step is earlier."""
     force = Force(False, States())
     assert (force.share, force.wanted) == (1.0, True)
     force.keep_off(FAST)
@@ -30,7 +30,7 @@ def test_a_force_is_off_once_it_has_faded_and_two_more_ticks_have_begun(at: int)
 
 @given(TICKS)
 def test_a_force_is_given_once_nothing_keeps_it_off(at: int) -> None:
-    """The last reason counts; ticks that may have begun before it was given say nothing of it: `given_at`."""
+    """The last reason counts. `given_at` excludes ticks that may have begun without the force."""
     force = Force(True, States())
     assert (force.share, force.wanted) == (0.0, False)
     force.keep_off(FAST)
@@ -39,12 +39,12 @@ def test_a_force_is_given_once_nothing_keeps_it_off(at: int) -> None:
     force.allow(FAST)
     assert force.advance(at, TO_ZERO) and force.share == 1.0
     assert force.given_at == at + ARM_TICKS
-    assert not force.advance(at, TO_ZERO)  # there is nothing more to do
+    assert not force.advance(at, TO_ZERO)  # no further step
 
 
 @given(TICKS)
 def test_a_force_that_is_taken_off_comes_back_after_it_was_off(at: int) -> None:
-    """Armed again while it fades: it is not given before the guard has forgotten it."""
+    """Armed while it fades, the force returns only after the guard was reset."""
     force = Force(False, States())
     force.keep_off(FAST)
     force.advance(at, TO_ZERO)
@@ -58,7 +58,7 @@ def test_a_force_that_is_taken_off_comes_back_after_it_was_off(at: int) -> None:
 
 @given(TICKS)
 def test_a_new_loop_waits_for_nothing_of_the_one_before(at: int) -> None:
-    """It began at a share, with ticks of its own: the next step is not held up by what was due before."""
+    """A new loop has its own ticks: `begin` cancels the wait of the previous loop."""
     force = Force(False, States())
     force.keep_off(FAST)
     force.advance(at + 1, TO_ZERO)

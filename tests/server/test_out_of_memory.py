@@ -115,7 +115,7 @@ def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["publisher", "page"])
 def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(kind: str, tmp_path: Path) -> None:
-    """As soon as there are some again; until then the board has a force, and the run goes on."""
+    """It is restarted when descriptors are available again. Until then the run continues with its force."""
     recording = tmp_path / "on.mcap"
     view = ["--view"] if kind == "page" else []
     with pressing(tmp_path, *view, "--record", str(recording)) as (board, process), felt(board) as least:

@@ -1,7 +1,7 @@
-"""Peers at every socket that reads from peers: too large, malformed, slow, and peers that undo what they never did.
+"""Hostile peers at every socket that reads from peers: too large, malformed, slow, inconsistent subscriptions.
 
-One daemon with a page and metrics, and a gateway behind it. Every attack is made at every socket; then the process that
-owns the socket is the same, its memory has not taken the payload in, and it serves the next peer.
+One daemon with a page and metrics, and one gateway. Each attack runs at each socket. Afterwards the owning process is
+still the same one, has not stored the payload, and serves the next peer.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ pytestmark = pytest.mark.real_time
 
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 LARGE = 45_000_000
-"""Bytes of a message that no socket may read into memory; viser by itself reads 50 MB."""
+"""Bytes of a message that no socket may read into memory. viser's own limit is 50 MB."""
 GROWN_MAX = 20_000_000
-"""Bytes that a process may grow by meanwhile: its own work, and nothing of the size of LARGE."""
+"""Largest growth of a process during an attack, bytes: room for its own work, less than half of LARGE."""
 CUT_S = 30.0
-"""A generous bound of a server's own time-outs: 2 s of a ZMTP handshake, 10 s of a browser's."""
+"""Longest wait. The servers' own time-outs are 2 s for a ZMTP handshake and 10 s for a browser's."""
 
 
 class Peers(NamedTuple):
-    """What listens: a socket's address, and the process that owns it, by name."""
+    """Address of each socket, and process id of each owner, by name."""
 
     addresses: dict[str, str]
     owners: dict[str, int]
@@ -63,13 +63,13 @@ OWNERS = {
     "metrics": "daemon",
     "page": "page",
 }
-"""Each socket, and the process that reads it."""
+"""Owner of each socket: the process that reads it."""
 ZMTP = {"telemetry": b"SUB", "commands": b"DEALER", "forwarded telemetry": b"SUB", "forwarded commands": b"DEALER"}
-"""The sockets of ZeroMQ, and what a peer of each is."""
+"""Sockets of ZeroMQ with the socket type of their peers."""
 
 
 def child_of(parent: int, word: bytes) -> int:
-    """Process id of the child with `word` in its command line."""
+    """Return the process id of the child with `word` in its command line."""
     until = time.monotonic() + CUT_S
     while time.monotonic() < until:
         for children in Path(f"/proc/{parent}/task").glob("*/children"):
@@ -82,7 +82,7 @@ def child_of(parent: int, word: bytes) -> int:
 
 
 def after(program: Program, words: str) -> str:
-    """The word that follows `words` in what a program writes to stderr."""
+    """Return the word behind `words` in the stderr of a program."""
     assert program.stderr is not None
     for line in program.stderr:
         if words in line:
@@ -138,7 +138,7 @@ def dialled(address: str) -> socket.socket:
 
 
 def greeted(address: str, kind: bytes) -> socket.socket:
-    """A connection of ZMTP whose handshake is finished."""
+    """Return a ZMTP connection with a finished handshake."""
     made = dialled(address)
     made.sendall(GREETING + frame(b"\x05READY\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind, 4))
     heard = b""
@@ -149,7 +149,7 @@ def greeted(address: str, kind: bytes) -> socket.socket:
 
 
 def browser(address: str) -> ClientConnection:
-    """The page's WebSocket as its own script opens it."""
+    """Open the page's WebSocket as the page's own script does."""
     where = urlsplit(address)
     return connect(
         f"ws://127.0.0.1:{where.port}{where.path}", origin=Origin(f"http://127.0.0.1:{where.port}"), compression=None,
@@ -165,7 +165,7 @@ def refused(peer: socket.socket) -> None:
 
 
 def too_large(name: str, address: str) -> None:
-    """A message of LARGE bytes, which its header announces."""
+    """Send a message of LARGE bytes, announced by its header."""
     with greeted(address, ZMTP[name]) if name in ZMTP else dialled(address) as peer:
         with contextlib.suppress(ConnectionError):
             if name in ZMTP:
@@ -176,7 +176,7 @@ def too_large(name: str, address: str) -> None:
 
 
 def one_byte_too_large(name: str, address: str) -> None:
-    """A frame of the largest size that docs/protocol.md has is read, one with a byte more is refused."""
+    """Send a frame of the largest size in docs/protocol.md, which is read, and one with a byte more, which is not."""
     most = 512 if name.endswith("telemetry") else 262144
     with greeted(address, ZMTP[name]) as peer:
         peer.sendall(frame(bytes(most)))
@@ -189,7 +189,7 @@ def one_byte_too_large(name: str, address: str) -> None:
 
 
 def malformed(name: str, address: str) -> None:
-    """Random bytes, at once and after a handshake."""
+    """Send random bytes, before and after a handshake."""
     chance = random.Random(name)
     for begin in (dialled, *([lambda address: greeted(address, ZMTP[name])] if name in ZMTP else [])):
         with begin(address) as peer:
@@ -199,7 +199,7 @@ def malformed(name: str, address: str) -> None:
 
 
 def slow(name: str, address: str) -> None:
-    """A byte from time to time: no byte is late, the whole is."""
+    """Send a byte every 0.1 s: each is in time, the whole request is not."""
     said = GREETING if name in ZMTP else b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 1000
     with dialled(address) as peer, contextlib.suppress(ConnectionError):
         peer.settimeout(0.1)
@@ -220,14 +220,14 @@ ATTACKS: dict[str, Callable[[str, str], None]] = {
 
 
 def high_water(pid: int) -> int:
-    """Largest memory of a process, bytes, since the last time."""
+    """Return the peak memory (bytes) of a process since the last call, and reset it."""
     (line,) = [line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("VmHWM")]
     Path(f"/proc/{pid}/clear_refs").write_text("5")
     return 1024 * int(line.split()[1])
 
 
 def serves(name: str, address: str) -> bool:
-    """Whether the next peer gets what it comes for."""
+    """Return whether a well-behaved peer is served."""
     if name.endswith("telemetry"):
         with Subscription(address, ("contact",)) as reader:
             return reader.receive(CUT_S) is not None
@@ -240,7 +240,7 @@ def serves(name: str, address: str) -> bool:
 
 @contextlib.contextmanager
 def unharmed(peers: Peers, name: str) -> Iterator[None]:
-    """The owner of a socket does not grow meanwhile, and serves afterwards."""
+    """Assert that the owner of a socket does not grow during the block, and serves afterwards."""
     pid = peers.owners[OWNERS[name]]
     assert serves(name, peers.addresses[name])
     high_water(pid)
@@ -255,7 +255,7 @@ def unharmed(peers: Peers, name: str) -> Iterator[None]:
     [(name, attack) for name in OWNERS for attack in ATTACKS if name in ZMTP or attack != "one byte too large"],
 )
 def test_a_socket_refuses_and_serves_on(name: str, attack: str, peers: Peers) -> None:
-    """Each attack at each socket ends with the server's end of the connection, at no cost of memory."""
+    """Each attack at each socket ends with a connection that the server closes, and costs no memory."""
     with unharmed(peers, name):
         ATTACKS[attack](name, peers.addresses[name])
 
@@ -265,7 +265,7 @@ def test_a_socket_refuses_and_serves_on(name: str, attack: str, peers: Peers) ->
     ids=["2 s", "10 s"],
 )  # fmt: skip
 def test_slow_peers_are_cut_off(names: list[str], peers: Peers) -> None:
-    """All at a time: a byte now and then is an answer in time, and the whole is not. Each socket serves meanwhile."""
+    """All at the same time. Each socket serves another peer during the attack."""
     with ThreadPoolExecutor() as threads, contextlib.ExitStack() as owners:
         for name in names:
             owners.enter_context(unharmed(peers, name))
@@ -278,7 +278,7 @@ def test_slow_peers_are_cut_off(names: list[str], peers: Peers) -> None:
 @pytest.mark.parametrize("message", [bytes(LARGE), [bytes(32768)] * 1300, bytes(65537)],
                          ids=["one frame", "fragments", "a byte too many"])  # fmt: skip
 def test_the_page_refuses_a_large_message_at_its_header(message: Any, peers: Peers) -> None:
-    """In one frame or in fragments, which add up: closed with the code for it, before the payload is in memory."""
+    """In one frame or in fragments, whose sizes add up: the close code says so, and the payload is never in memory."""
     with unharmed(peers, "page"), browser(peers.addresses["page"]) as large:
         large.recv(timeout=CUT_S)
         with contextlib.suppress(ConnectionClosed):  # at the first fragment too many
@@ -290,7 +290,7 @@ def test_the_page_refuses_a_large_message_at_its_header(message: Any, peers: Pee
 
 
 def test_the_page_has_a_bounded_number_of_browsers(peers: Peers) -> None:
-    """One too many is told so; when another goes, the next comes in. None of them reads, and nothing piles up."""
+    """One browser too many is closed with a reason. When another one closes, the next is accepted."""
     address = peers.addresses["page"]
     with contextlib.ExitStack() as opened:
         first = browser(address)
@@ -306,22 +306,22 @@ def test_the_page_has_a_bounded_number_of_browsers(peers: Peers) -> None:
 
 
 @pytest.mark.parametrize("name", ["telemetry", "forwarded telemetry"])
-def test_who_unsubscribes_from_what_it_never_had_counts_nothing(name: str, peers: Peers) -> None:
-    """Fifty times, from everything and from what others read: `health.subscribers` counts connections all the same."""
+def test_ends_of_subscriptions_that_never_were_count_nothing(name: str, peers: Peers) -> None:
+    """Fifty ends, of the empty topic and of one that others read, leave `health.subscribers` unchanged."""
     with Subscription(peers.addresses["telemetry"], ("health",)) as reader:
         assert reader.receive(CUT_S) is not None  # its own connection is counted by the next
         before = reader.receive(CUT_S)
-        assert before is not None and before.data.subscribers >= 2  # this one, the gateway, the page
+        assert before is not None and before.data.subscribers >= 2  # this one and the gateway
         with greeted(peers.addresses[name], b"SUB") as peer:
             peer.sendall((frame(b"\0") + frame(b"\0health")) * 50 + frame(b"\1contact"))
-            assert peer.recv(1000)  # a tick: so all before was read
+            assert peer.recv(1000)  # a tick, so all frames before were read
             counted = [reader.receive(CUT_S) for _ in range(2)]
         more = before.data.subscribers + (name == "telemetry")
         assert [each.data.subscribers for each in counted if each is not None][-1] == more
 
 
 def test_subscribers_are_the_connections_that_subscribe() -> None:
-    """Of four peers that subscribe, unsubscribe and go by chance, at any time those that have a subscription."""
+    """Up to four peers subscribe, unsubscribe and close at random; those with a subscription are counted throughout."""
     chance, asked = random.Random(7), list[bytes]()
     bound = listen("tcp://127.0.0.1:*", "endpoint")
     with zmq.Context() as context, bound.files, contextlib.ExitStack() as ends:
@@ -359,7 +359,7 @@ def test_subscribers_are_the_connections_that_subscribe() -> None:
 
 
 def test_topics_of_one_peer_are_counted_up_to_a_bound() -> None:
-    """More topics than TOPICS_MAX cost no more memory, and the peer is one subscriber."""
+    """Topics beyond TOPICS_MAX are not stored; the peer is one subscriber."""
     asked = list[bytes]()
     bound = listen("tcp://127.0.0.1:*", "endpoint")
     with zmq.Context() as context, bound.files:

@@ -1,7 +1,7 @@
-"""Devices that fall silent under a force: what the emulated device of each driver was given, with the silences of the
-shipped rigs, which are those of docs/reference/faults.md.
+"""Devices that fall silent under a force: what the emulated device of each driver receives.
 
-The scene of `test_injected_faults.py`, whose loop of 20 s is compiled once for both.
+The time-outs are the defaults, as in docs/reference/faults.md. The scene is that of `test_injected_faults.py`, so its
+loop is compiled once for both.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ pytestmark = pytest.mark.real_time
 
 DRIVERS = {"serial": "serial", "hid": "hid", "falcon": "falcon", "haply": "haply", "haply-2diy": "serial",
            "hapkit": "serial"}  # fmt: skip
-"""Devices that can fall silent, and the driver of each."""
+"""Driver of each device that can fall silent."""
 PRESSED_TICKS = 200
-"""Before the silence: the ramp, and what shows that the hand presses."""
+"""Ticks before the silence: the ramp, and enough to see that the hand presses."""
 ANSWERS = 2
-"""Ticks by which an answer that was under way may end the silence's first moment."""
+"""Ticks by which an answer under way may delay the begin of the silence."""
 
 
 def silences(driver: str) -> dict[str, float]:
-    """The keys of silences of a driver, with their defaults."""
+    """Return a driver's time-outs with their defaults."""
     key = "kick_s" if driver in ("falcon", "hid") else "quiet_s"
     stale = {"stale_s": default(HaplyOptions, "stale_s")} if driver == "haply" else {}
     return {key: QUIET_S[driver], "timeout_s": GIVEN_UP_S[driver], **stale}
@@ -43,8 +43,10 @@ def silences(driver: str) -> dict[str, float]:
 def test_a_device_that_falls_silent_is_given_zero_and_then_given_up(
     name: str, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
-    """Within QUIET_S of its driver the far end is given zero, and no force from there on; the run ends after
-    GIVEN_UP_S. A machine that stands still makes a tick long, so both are counted in ticks."""
+    """The far end receives zero within QUIET_S of its driver, and no force afterwards. The run ends after GIVEN_UP_S.
+
+    Both are counted in ticks: a stall of the machine makes a tick long.
+    """
     driver = DRIVERS[name]
     with FAR_ENDS[name](tmp_path, **silences(driver)) as far:
         assert far.hush is not None

@@ -108,8 +108,8 @@ class Stalled:
 def test_how_long_a_stall_is_goes_by_whether_a_hand_is_there(
     held: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On any of the devices. The look that sees the last tick, and so many more, each after a rest; the words have their
-    time and the tick."""
+    """On any of the devices. The look that sees the last tick, and so many more, each after a rest; the message has
+    their time and the tick."""
     rests: list[float] = []
     monkeypatch.setattr(supervising.time, "sleep", rests.append)
     servo, errors = Stalled(*held), list[HapticError]()

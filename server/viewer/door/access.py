@@ -32,10 +32,10 @@ log: Final = logging.getLogger(__name__)
 
 TOKEN_BYTES: Final = 16
 MESSAGE_MAX: Final = 65536
-"""Bytes of a message of a browser: the longest, an answer of 64 characters, has some 300. A longer one is refused at
-the header of its frame; viser itself would read 50 MB."""
+"""Largest message of a browser, bytes. The page's own have less than 1000. A larger one is refused at the header of its
+frame; viser's own limit is 50 MB."""
 BROWSERS_MAX: Final = 32
-"""Browsers at a time: each has its own copy of what waits to be sent."""
+"""Largest number of browsers at a time. Each has its own send buffer."""
 SAID_MAX: Final = 200
 """Characters of an error that the log repeats."""
 ADVICE: Final = "open the page by the address that `softfinger view` or `softfinger run --view` printed last\n"
@@ -147,7 +147,7 @@ class Access:
 
 
 def cut_off(talk: Talk) -> Talk:
-    """`talk` with at most BROWSERS_MAX browsers; it ends with a line in the log if one sends no message of the page."""
+    """Return `talk` for at most BROWSERS_MAX browsers; an invalid message of one ends it with a line in the log."""
     browsers = set[ServerConnection]()
 
     async def until(connection: ServerConnection) -> None:

@@ -72,7 +72,7 @@ class Shown:
         self._words += [] if role == Role.OPERATOR else ["--role", role.value]
         self._loudness, self._tell, self._restarts = loudness, tell, 0
         self._over = self._waits = False
-        """Whether none follows; whether the next cannot be started, which was reported."""
+        """`_over`: no restart follows. `_waits`: a restart failed, and was reported."""
         self._process = self._started("")
         try:
             self._address = self._said()
@@ -110,7 +110,7 @@ class Shown:
             ender.cancel()
 
     def look(self) -> None:
-        """Start a page that has died again, or report, once, that it has ended."""
+        """Restart a page that has died, or report once that it has ended."""
         if self._over or (code := self._process.poll()) is None:
             return
         said = f"the page has ended, with exit code {code}; the servo goes on"
@@ -126,8 +126,10 @@ class Shown:
             self._tell(said)
 
     def _restart(self) -> bool:
-        """Start it at its old port, with its old token, without another window of a browser; return False if the system
-        has no file descriptor, process or memory left: the next `look` tries again."""
+        """Restart the page at its port, with its token, without opening a browser.
+
+        Returns False if the system has no file descriptor, process or memory left; the next `look` tries again.
+        """
         where = urlsplit(self._address)
         try:
             self._process = self._started(where.path.strip("/"), "--port", str(where.port), "--no-open")
