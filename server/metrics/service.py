@@ -88,7 +88,7 @@ class _Handler(WSGIRequestHandler):
     timeout = REQUEST_S
 
     def handle(self) -> None:
-        """Answer one request within REQUEST_S. `timeout` alone limits each read, so a slow client could block others."""
+        """Answer one request within REQUEST_S. `timeout` limits each read alone, and clients are served in turn."""
         cut_off = threading.Timer(REQUEST_S, self._cut_off)
         cut_off.start()
         try:
