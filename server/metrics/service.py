@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import socket
+import threading
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +24,7 @@ log: Final = logging.getLogger(__name__)
 
 KEY: Final = "[metrics] endpoint"
 REQUEST_S: Final = 1.0
-"""How long a client may take for a piece of its request, or an answer."""
+"""Longest time for a client: for its whole request and for taking the answer."""
 POLL_S: Final = 0.25
 DASHBOARD: Final = Path(softfinger.server.metrics.__file__).with_name("grafana.json")
 DASHBOARD_PATH: Final = "/dashboard.json"
@@ -83,6 +86,19 @@ class _Server(WSGIServer):
 
 class _Handler(WSGIRequestHandler):
     timeout = REQUEST_S
+
+    def handle(self) -> None:
+        """Answer one request within REQUEST_S. `timeout` limits each read alone, and clients are served in turn."""
+        cut_off = threading.Timer(REQUEST_S, self._cut_off)
+        cut_off.start()
+        try:
+            super().handle()
+        finally:
+            cut_off.cancel()
+
+    def _cut_off(self) -> None:
+        with contextlib.suppress(OSError):  # the client has closed
+            self.connection.shutdown(socket.SHUT_RDWR)
 
     def log_message(self, *_: Any) -> None:
         """Nothing: a scrape every few seconds is no news."""

@@ -31,7 +31,7 @@ EVENTS_AT_ONCE: Final = 1024
 _REFUSED: Final = (
     zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 )
-_WATCHED: Final = zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | _REFUSED
+_WATCHED: Final = zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | _REFUSED
 
 
 class Open(Protocol):
@@ -77,9 +77,9 @@ class Front:
         self.renewed = 0
         """How often all were cut off: then `socket` and `monitor` are others."""
         self._context, self._kind, self._bound, self._options = gate.context, kind, bound, options
-        self._connected: set[int] = set()
-        self._let_in = 0
-        """Handshakes that were finished, less connections that went after that."""
+        self.connected: Final[dict[int, int]] = {}
+        """Number of each open connection, unique for this process, by its file descriptor, which the next may reuse."""
+        self._accepted = 0
         self._open()
 
     def _open(self) -> None:
@@ -102,15 +102,9 @@ class Front:
         """Whether there is something to be received."""
         return bool(cast(int, self.socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
 
-    @property
-    def peers(self) -> int:
-        """Connections that have finished their handshake."""
-        return min(self._let_in, len(self._connected))
-
     def renew(self) -> None:
         """Cut everybody off; who may still come in connects again by himself."""
-        self._connected.clear()
-        self._let_in = 0
+        self.connected.clear()
         self.socket.linger = 0
         self.close()
         self._open()
@@ -124,15 +118,12 @@ class Front:
             seen = recv_monitor_message(self.monitor)
             if seen["event"] & _REFUSED:
                 self.refused += 1
-                self._let_in += 1  # its end is told, too
             elif seen["event"] == zmq.EVENT_ACCEPTED:
-                self._connected.add(seen["value"])
-            elif seen["event"] == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-                self._let_in += 1
+                self._accepted += 1
+                self.connected[seen["value"]] = self._accepted
             elif seen["event"] == zmq.EVENT_DISCONNECTED:
-                self._connected.discard(seen["value"])
-                self._let_in -= 1
-        self.most = max(self.most, len(self._connected))
+                self.connected.pop(seen["value"], None)
+        self.most = max(self.most, len(self.connected))
 
     def look_at_keys(self) -> None:
         """Read the folder of keys anew; whose key is gone is cut off, and the others with it."""
@@ -143,6 +134,7 @@ class Front:
         """Cut everybody off. Any number of times."""
         if not self.socket.closed:
             self.socket.disable_monitor()
+            self.monitor.close()
             self.socket.close()
 
 

@@ -18,6 +18,8 @@ SUBSCRIPTION_MAX: Final = 512
 """Longest frame of a subscriber, bytes."""
 SUBSCRIPTIONS_PER_S: Final = 256
 """Of one key, new topics: above, the key is barred. A program has one or two for each connection."""
+TOPICS_MAX: Final = 256
+"""Topics of one connection that are counted: the memory for a peer that subscribes without end is bounded."""
 AT_ONCE: Final = 256
 
 
@@ -36,15 +38,15 @@ class Readers:
         self.lost = 0
         """Messages at which a subscriber was found to be too slow; what it lost after them libzmq does not tell."""
         self._asked = asked
-        self._topics = self._renewed = 0
-        """Subscriptions that there are, since all were cut off for the last time."""
+        self._topics: dict[int, Counter[bytes]] = {}
+        """Subscriptions of each connection, by the number that `Front.connected` gives it."""
         self._new: Counter[bytes] = Counter()
         self._since_s = 0.0
 
     @property
     def subscribers(self) -> int:
-        """Connections that subscribe to something: libzmq does not say whose a subscription is."""
-        return min(self.front.peers, self._topics) if self._renewed == self.front.renewed else 0
+        """Number of connections that subscribe to at least one topic."""
+        return sum(bool(self._topics.get(number)) for number in self.front.connected.values())
 
     def send(self, topic: bytes, body: bytes) -> None:
         """To everybody who has subscribed to it; waits for nobody."""
@@ -63,18 +65,39 @@ class Readers:
         now = time.monotonic()
         if now - self._since_s >= 1.0:
             self._since_s, self._new = now, Counter()
-        if self._renewed != self.front.renewed:
-            self._renewed, self._topics = self.front.renewed, 0
+            connected = set(self.front.connected.values())
+            self._topics = {number: topics for number, topics in self._topics.items() if number in connected}
         for _ in range(AT_ONCE):
             if not self.front.has_come:
                 return
             frame = self.front.socket.recv(zmq.NOBLOCK, copy=False)
+            try:
+                file = int(frame.get(zmq.SRCFD))
+            except zmq.ZMQError:  # from libzmq itself, for a connection that has closed
+                continue
             said = frame.bytes
-            self._topics += {b"\1": 1, b"\0": -1}.get(said[:1], 0)
+            self._count(file, said[:1], said[1:])
             if said[:1] == b"\1" and self._asked is not None:
                 self._asked(said[1:])
             if self.front.lock is not None and self._floods(frame):
                 return
+
+    def _count(self, file: int, kind: bytes, topic: bytes) -> None:
+        """Count a subscription (1) or its end (0) for the connection with this file descriptor.
+
+        libzmq also passes on ends of subscriptions that never were. They must not cancel those of other connections.
+        """
+        self.front.look()  # libzmq reports a connection before its first frame
+        number = self.front.connected.get(file)
+        if number is None:
+            return
+        topics = self._topics.setdefault(number, Counter())
+        if kind == b"\1" and (topic in topics or len(topics) < TOPICS_MAX):
+            topics[topic] += 1
+        elif kind == b"\0" and topic in topics:
+            topics[topic] -= 1
+            if not topics[topic]:
+                del topics[topic]
 
     def _floods(self, frame: zmq.Frame) -> bool:
         lock = self.front.lock

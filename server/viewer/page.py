@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 import viser
 from numpy.typing import NDArray
+from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 from softfinger.config import schema
 from softfinger.config.load import build
@@ -51,6 +52,26 @@ PANEL: Final = 380
 """Width of the controls, pixels."""
 WIDE: Final = 640
 """Of a page of prompts alone."""
+
+
+_push: Final = AsyncMessageBuffer.push
+
+
+def push_from_any_thread(buffer: AsyncMessageBuffer, message: Any) -> None:
+    """Queue a message for browsers although one connects or closes in the event loop's thread at the same time.
+
+    viser 1.1.1 sets an `asyncio.Event` in the caller's thread, which raises RuntimeError if its waiters change then.
+    The message is queued by that time, so only the event loop has to be woken.
+    """
+    try:
+        _push(buffer, message)
+    except RuntimeError as error:
+        if "mutated" not in str(error):
+            raise
+        buffer.event_loop.call_soon_threadsafe(buffer.message_event.set)
+
+
+AsyncMessageBuffer.push = push_from_any_thread  # type: ignore[method-assign]
 
 
 class Page:

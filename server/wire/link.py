@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Final, NamedTuple
 
 import msgspec
@@ -76,7 +77,8 @@ class Link:
         self._logged, self._logged_s = Figures(), -LOG_PERIOD_S
         self._since_s = 0.0
         self._pause_s = 0.0
-        self._ready = False
+        self._ready = self._waits = False
+        """`_ready`: a process has been ready. `_waits`: a restart failed, and was reported."""
         self.restarts = 0
         """How often it was started again."""
         self._news: list[tuple[float, str]] = []
@@ -130,16 +132,18 @@ class Link:
     # --- the thread -------------------------------------------------------------------------------------
 
     def _start(self) -> tuple[subprocess.Popen[bytes], Channel]:
-        ours, its = socket.socketpair()
-        # A session of its own: Ctrl-C and the end of a terminal are for the daemon, and this ends with the channel.
-        process = subprocess.Popen(
-            [sys.executable, "-m", MODULE, str(its.fileno())],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            start_new_session=True,
-            pass_fds=[its.fileno(), *self._files],
-        )
-        its.close()
+        with ExitStack() as undo:
+            ours, its = map(undo.enter_context, socket.socketpair())
+            # A session of its own: Ctrl-C and the end of a terminal are for the daemon, and this ends with the channel.
+            process = subprocess.Popen(
+                [sys.executable, "-m", MODULE, str(its.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+                pass_fds=[its.fileno(), *self._files],
+            )
+            its.close()
+            undo.pop_all()
         self._since_s = time.monotonic()
         channel = Channel(ours)
         channel.say(Kind.SETUP, body=msgspec.msgpack.encode(self._setup()))
@@ -213,23 +217,45 @@ class Link:
             log.error("telemetry: the publisher has ended with code %d before it was ready", code)
             self.failed = True
             return False
-        sound = time.monotonic() - self._since_s > SOUND_S
-        self._pause_s = 0.0 if sound else min(2.0 * self._pause_s or PAUSE_S, PAUSE_MAX_S)
+        self._channel.close()
+        self._before, self._now = msgspec.structs.replace(self.figures, subscribers=0), Figures()
+        if time.monotonic() - self._since_s > SOUND_S:
+            self._pause_s = 0.0
+        else:
+            self._lengthen_pause()
+        while not self._start_next():
+            self._lengthen_pause()
+        if self._ending():
+            return False
+        self.restarts += 1
+        said = f"the publisher has ended with code {code} and was started again: subscribers and clients connect anew"
+        log.error("%s", said)
+        self._news.append((time.monotonic() + BACK_S, said))
+        return True
+
+    def _lengthen_pause(self) -> None:
+        self._pause_s = min(2.0 * self._pause_s or PAUSE_S, PAUSE_MAX_S)
+
+    def _start_next(self) -> bool:
+        """Wait for the pause, then start a process unless the link is closing; return False if that fails."""
         due_s = time.monotonic() + self._pause_s
         while time.monotonic() < due_s and not self._ending():
             if self._answering is not None:
                 self._answering.each_period()
             time.sleep(PERIOD_S)
         if self._ending():
+            return True
+        try:
+            with self._replacing:
+                self._process, self._channel = self._start()
+        except OSError as error:  # no file descriptor, process or memory is left
+            if not self._waits:
+                self._waits = True
+                said = f"the publisher cannot be started: {error}; it is tried again every {PAUSE_MAX_S:g} s or sooner"
+                log.error("%s", said)
+                self._event(said)
             return False
-        self._channel.close()
-        self._before, self._now = msgspec.structs.replace(self.figures, subscribers=0), Figures()
-        with self._replacing:
-            self._process, self._channel = self._start()
-        self.restarts += 1
-        said = f"the publisher has ended with code {code} and was started again: subscribers and clients connect anew"
-        log.error("%s", said)
-        self._news.append((time.monotonic() + BACK_S, said))
+        self._waits = False
         return True
 
     def _tell(self, now_s: float) -> None:

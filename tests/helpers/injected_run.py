@@ -40,12 +40,21 @@ class Seen(NamedTuple):
     times: np.ndarray
 
 
-def run(device: Device, faults: list[dict[str, Any]], ticks: int, rate_hz: float, folder: Path) -> Seen:
+def run(
+    device: Device,
+    faults: list[dict[str, Any]],
+    ticks: int,
+    rate_hz: float,
+    folder: Path,
+    each: Callable[[int], object] = lambda _: None,
+) -> Seen:
     """Run so many ticks on the paper's plane, with everything that watches over them; the device is closed in the end.
 
     folder  for the recording
+    each    called with the ticks done so far, whenever some are
     """
-    injected = Injected(device, build(Faults, {"fault": faults}, "faults"), rate_hz)
+    never = [{"kind": "stale", "at_tick": ticks + 1}]
+    injected = Injected(device, build(Faults, {"fault": faults or never}, "faults"), rate_hz)
     guard = load_rig("replay", {"guard.ramp_s": RAMP_S, "guard.frozen_s": FROZEN_S}).guard
     servo = s.Servo([injected], make_tuning(load_scene("paper-plane"), guard, [injected.info]), rate_hz, ticks)
     servo.compile()
@@ -59,7 +68,7 @@ def run(device: Device, faults: list[dict[str, Any]], ticks: int, rate_hz: float
     path = folder / "run.mcap"
     recorder = Recorder(path.open("wb", buffering=0), [""], {}, lambda *_: None, GUARD_NAMES)
     supervisor = Supervisor(servo, fail, lambda kind, name, **_: told.append(name))
-    reader = threading.Thread(target=_hand_on, args=(servo, recorder.take))
+    reader = threading.Thread(target=_hand_on, args=(servo, recorder.take, each))
     try:
         servo.start()
         supervisor.start()
@@ -81,12 +90,13 @@ def run(device: Device, faults: list[dict[str, Any]], ticks: int, rate_hz: float
     return Seen(error, events + told, done, recorded, recorded[:, AT.timestamp] - epoch_s)
 
 
-def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None]) -> None:
+def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None], each: Callable[[int], object]) -> None:
     out = np.empty((1024, RECORD_SIZE))
     running = True
     while running:
         servo.records.wait()
         running = servo.running
+        each(servo.ticks)
         while (count := servo.records.take(out)) > 0:
             take(out[:count])
 

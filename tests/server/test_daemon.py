@@ -34,6 +34,7 @@ from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.services import base
 from softfinger.server.services.records import Sink
+from softfinger.tools.pages.hazards import starved_s
 
 pytestmark = pytest.mark.real_time
 
@@ -388,13 +389,17 @@ def test_a_pose_that_stays_unusable_ends_the_run_as_a_fault_of_the_device(faulty
 
 
 def test_repeated_stalls_end_the_run(faulty):
-    """Reads that hang for 0.24 s, each too short for the supervisor: a safety stop that says where the time went."""
-    rig = faulty_rig(fault="stall", at=200, count=20, stall_us=240_000)
+    """Reads that hang for 0.24 s, each too short for the supervisor: a safety stop that says where the time went, by
+    the read that the fault model says."""
+    hang_s = 0.24
+    rig = faulty_rig(fault="stall", at=200, count=20, stall_us=round(1e6 * hang_s))
     with Daemon(rig, load_scene("paper-plane"), 5000) as running:
         running.start()
         with pytest.raises(SafetyStop, match=r"lost more than 50% .* in the device's exchange|no tick for"):
             running.wait(60.0)
     assert not faulty.device.wrenches[-1].any()
+    reads = round(starved_s(hang_s) / (hang_s + 1e-3))
+    assert not faulty.device.wrenches[200 + reads :].any()
 
 
 HOG = """

@@ -164,6 +164,15 @@ def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: st
         assert len(norms) <= seen.ticks + 2  # a tick that failed may have been written, and the zero of the stop
 
 
+def test_wrenches_that_are_not_taken_count_from_the_last_one_that_was(tmp_path: Path) -> None:
+    """Twice for longer than half of HELD_MAX_S, one wrench that is taken in between: the run goes on."""
+    held = HELD * 3 // 4
+    faults = [{"kind": "held", "at_tick": at, "ticks": held} for at in (50, 50 + held + 1)]
+    with FAR_ENDS["replay"](tmp_path) as far:
+        seen = run(far.device, faults, 100 + 2 * held, RATE_HZ, tmp_path)
+    assert seen.error is None and seen.ticks == 100 + 2 * held
+
+
 EVERYWHERE = {
     "nan": "a pose that is not finite, out of range or short",
     "infinite": "a pose that is not finite, out of range or short",

@@ -22,6 +22,7 @@ from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.services import rendering
 from softfinger.server.services.records import Sink
+from softfinger.server.states import COMMANDED, UNARMED
 
 pytestmark = pytest.mark.real_time
 
@@ -248,6 +249,49 @@ def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver)
         assert force.max() <= SLEW / rate * (1.0 + 1e-9)
         assert not device.wrenches[-1].any()
     assert kept.all[:, 0].tolist() == list(range(running.servo.ticks))
+
+
+def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_without(driver):
+    """With arming by command. Another scene on the same device has the force and the zero of before; on another device
+    nothing presses until somebody arms, and it is where it says. Another rate alone opens the device anew."""
+    newest, (first, second) = [], scenes()
+    rig = faulty_rig(**{"guard.arm": "command"})
+    with Daemon(
+        rig, first, sinks=[Sink("newest", lambda records, drops: newest.append(records[-1].copy()))]
+    ) as running:
+        rendering, devices = running.rendering, driver.devices
+        running.start()
+
+        def pressed() -> bool:
+            return float(np.abs(devices[-1].wrenches[-5:]).max(initial=0.0)) > 0.1
+
+        def idle(ticks: int) -> bool:
+            return eventually(lambda: running.servo.ticks > begun + ticks)
+
+        begun = running.servo.ticks
+        assert idle(100) and not devices[0].wrenches.any()
+        rendering.disarm(COMMANDED)
+        assert eventually(lambda: rendering.forceless and newest)
+        z = newest[-1][AT.probe_position + 2]
+        rendering.move(0, (0.0, 0.0, z - 0.0005), newest[-1])
+        moved = rendering.offsets
+        assert moved[0][2] == pytest.approx(-0.0005, rel=1e-6)
+        rendering.arm(UNARMED, COMMANDED)
+        assert eventually(pressed)
+        running.replace(second)
+        assert len(devices) == 1 and rendering.force.wanted and rendering.offsets == moved
+        assert eventually(pressed)
+        for changes in ({"device.at": 7}, {"device.at": 7, "servo.rate_hz": 500.0}):
+            count = len(devices)
+            running.replace(second, faulty_rig(**{"guard.arm": "command"} | changes))
+            assert len(devices) == count + 1 and not rendering.force.wanted
+            assert rendering.offsets == ((0.0, 0.0, 0.0),)
+            begun = running.servo.ticks
+            assert idle(100) and not devices[-1].wrenches.any()
+            rendering.arm(UNARMED)
+            assert eventually(pressed)
+        running.stop()
+        assert running.wait(60.0)
 
 
 def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):

@@ -84,9 +84,9 @@ class Stalled:
 
     looping, armed, looks = True, True, 0
 
-    def __init__(self, holds_a_force: bool) -> None:
-        info = SimpleNamespace(holds_a_force=holds_a_force)
-        self.devices = (SimpleNamespace(info=info, stop=lambda: None),)
+    def __init__(self, *hold_a_force: bool) -> None:
+        infos = [SimpleNamespace(holds_a_force=each) for each in hold_a_force]
+        self.devices = tuple(SimpleNamespace(info=info, stop=lambda: None) for info in infos)
 
     @property
     def ticks(self) -> int:
@@ -94,14 +94,25 @@ class Stalled:
         return 7
 
 
-@pytest.mark.parametrize(("held", "looks"), [(True, STALL_POLLS), (False, STALL_POLLS_WITHOUT_HAND)])
+@pytest.mark.parametrize(
+    ("held", "looks"),
+    [
+        ((True,), STALL_POLLS),
+        ((True, False), STALL_POLLS),
+        ((False, True), STALL_POLLS),
+        ((True, True), STALL_POLLS),
+        ((False, False), STALL_POLLS_WITHOUT_HAND),
+        ((False,), STALL_POLLS_WITHOUT_HAND),
+    ],
+)
 def test_how_long_a_stall_is_goes_by_whether_a_hand_is_there(
-    held: bool, looks: int, monkeypatch: pytest.MonkeyPatch
+    held: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The look that sees the last tick, and so many more, each after a rest; the words have their time and the tick."""
+    """On any of the devices. The look that sees the last tick, and so many more, each after a rest; the message has
+    their time and the tick."""
     rests: list[float] = []
     monkeypatch.setattr(supervising.time, "sleep", rests.append)
-    servo, errors = Stalled(held), list[HapticError]()
+    servo, errors = Stalled(*held), list[HapticError]()
     Supervisor(cast(Any, servo), errors.append, lambda *words, **fields: None).work()
     assert servo.looks == 1 + looks and rests == [STALL_POLL_S] * (1 + looks)
     assert f"no tick for {looks * STALL_POLL_S:.2f} s after tick 7:" in str(errors[0])

@@ -17,13 +17,13 @@ from typing import Any, Final
 from softfinger.config.materials import flat, papers
 from softfinger.drivers import registry
 from softfinger.proxy.record import CAUSE_NAMES, FIELDS, MODE_NAMES, Field
-from softfinger.server.faults import HAZARDS, SEEN_IN, Hazard
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.offline import feels
 from softfinger.server.verbs import schema, shipped
 from softfinger.server.wire import commands, protocol
 from softfinger.server.wire.protocol import Key
 from softfinger.tools.pages import states
+from softfinger.tools.pages.hazards import HAZARDS, SEEN_IN, Hazard
 
 WIDTH: Final = 120
 MADE: Final = "<!-- made by `make reference`; change the program, not this file -->"

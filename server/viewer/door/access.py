@@ -31,6 +31,11 @@ from softfinger.config.errors import ConfigError
 log: Final = logging.getLogger(__name__)
 
 TOKEN_BYTES: Final = 16
+MESSAGE_MAX: Final = 65536
+"""Largest message of a browser, bytes. The page's own have less than 1000. A larger one is refused at the header of its
+frame; viser's own limit is 50 MB."""
+BROWSERS_MAX: Final = 32
+"""Largest number of browsers at a time. Each has its own send buffer."""
 SAID_MAX: Final = 200
 """Characters of an error that the log repeats."""
 ADVICE: Final = "open the page by the address that `softfinger view` or `softfinger run --view` printed last\n"
@@ -129,6 +134,7 @@ class Access:
 
         def serve(talk: Talk, *words: Any, process_request: Answer, **options: Any) -> Any:
             taken.append(True)
+            options["max_size"] = MESSAGE_MAX
             return plain(cut_off(talk), *words, process_request=self.guarded(process_request), **options)
 
         setattr(websockets_server, name, serve)
@@ -141,15 +147,22 @@ class Access:
 
 
 def cut_off(talk: Talk) -> Talk:
-    """`talk` with a browser, which ends with a line in the log where that says what is no message of the page."""
+    """Return `talk` for at most BROWSERS_MAX browsers; an invalid message of one ends it with a line in the log."""
+    browsers = set[ServerConnection]()
 
     async def until(connection: ServerConnection) -> None:
+        if len(browsers) >= BROWSERS_MAX:
+            await connection.close(CloseCode.TRY_AGAIN_LATER, f"the page is open in {BROWSERS_MAX} browsers: close one")
+            return
+        browsers.add(connection)
         try:
             await talk(connection)
         except Exception as error:  # of a dozen classes: viser takes the bytes apart by what is written in them
             said = " ".join(f"{type(error).__name__}: {error}".split())[:SAID_MAX]
             log.warning("a browser of the page was cut off: it said what the page does not know (%s)", said)
             await connection.close(CloseCode.INVALID_DATA, "no message of this page: load it anew")
+        finally:
+            browsers.discard(connection)
 
     return until
 

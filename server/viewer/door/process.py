@@ -70,7 +70,9 @@ class Shown:
             raise ConfigError("--view: the page asks by commands what is rendered: leave --commands off out")
         self._words = ["view", "--endpoint", telemetry, "--commands", commands]
         self._words += [] if role == Role.OPERATOR else ["--role", role.value]
-        self._loudness, self._tell, self._restarts, self._over = loudness, tell, 0, False
+        self._loudness, self._tell, self._restarts = loudness, tell, 0
+        self._over = self._waits = False
+        """`_over`: no restart follows. `_waits`: a restart failed, and was reported."""
         self._process = self._started("")
         try:
             self._address = self._said()
@@ -108,28 +110,40 @@ class Shown:
             ender.cancel()
 
     def look(self) -> None:
-        """Start a page again that has died, or say, once, that it has ended."""
+        """Restart a page that has died, or report once that it has ended."""
         if self._over or (code := self._process.poll()) is None:
             return
         said = f"the page has ended, with exit code {code}; the servo goes on"
-        follows = bool(self._address) and code not in ASKED and self._restarts < RESTARTS
-        if follows:
-            self._restarts += 1
+        self._over = not self._address or code in ASKED or self._restarts >= RESTARTS
+        if self._over:
+            said += f"; to see it again: {program()} {shlex.join(self._words)}"
+        elif self._restart():
             said += f"; it is started again, {self._restarts} of {RESTARTS} times, at the same address"
         else:
-            said += f"; to see it again: {program()} {shlex.join(self._words)}"
+            return
         log.warning("%s", said)
         if code not in ASKED:
             self._tell(said)
-        self._over = not follows
-        if follows:
-            self._restart()
 
-    def _restart(self) -> None:
-        """At its old port, with its old token, and without another window of a browser."""
+    def _restart(self) -> bool:
+        """Restart the page at its port, with its token, without opening a browser.
+
+        Returns False if the system has no file descriptor, process or memory left; the next `look` tries again.
+        """
         where = urlsplit(self._address)
-        self._process = self._started(where.path.strip("/"), "--port", str(where.port), "--no-open")
+        try:
+            self._process = self._started(where.path.strip("/"), "--port", str(where.port), "--no-open")
+        except OSError as error:
+            if not self._waits:
+                self._waits = True
+                said = f"the page cannot be started: {error}; it is tried again as long as the run goes on"
+                log.error("%s", said)
+                self._tell(said)
+            return False
+        self._waits = False
+        self._restarts += 1
         threading.Thread(target=self._listen_again, name="page", daemon=True).start()
+        return True
 
     def _listen_again(self) -> None:
         """Not by whoever looks after the servo, for the page takes a second."""

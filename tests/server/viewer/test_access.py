@@ -138,6 +138,22 @@ def test_another_host_is_refused(page: Page, host: str) -> None:
         assert upgraded(page, path(page), f"http://{host}", host) == 403
 
 
+@pytest.mark.parametrize("second", ["evil.example", "localhost", ""])
+@pytest.mark.parametrize("first", [True, False])
+def test_a_request_for_two_hosts_is_refused(page: Page, second: str, first: bool) -> None:
+    """Though one of them is the page's, whichever comes first, and if both are: servers differ in which they use."""
+    hosts = [own(page), second or own(page)]
+    connection = HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)
+    try:
+        connection.putrequest("GET", path(page), skip_host=True)
+        for host in hosts if first else reversed(hosts):
+            connection.putheader("Host", host)
+        connection.endheaders()
+        assert connection.getresponse().status in (400, 403)
+    finally:
+        connection.close()
+
+
 @pytest.mark.parametrize("origin", [EVIL, "null", None, "", "http://localhost", "http://localhost:1"])
 def test_a_websocket_from_elsewhere_is_refused(page: Page, origin: str | None) -> None:
     """With the token, too: another site, a page without one, and a program that does not say."""

@@ -1,30 +1,88 @@
-"""The fault model: every hazard that is provided for, what is done about it, and the test that injects it.
+"""The fault model: every hazard that is provided for, the reaction, and the test that injects it.
 
-`docs/reference/faults.md` is made from it.
+`docs/reference/faults.md` is made from it. Each number is computed from the constant of the program that sets it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from math import ceil, floor, log
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from softfinger.config.errors import DeviceError, HapticError, SafetyStop
+from softfinger.config.schema.guard import Guard
+from softfinger.drivers.falcon.options import Options as FalconOptions
+from softfinger.drivers.haply.options import Options as HaplyOptions
+from softfinger.drivers.hid.options import Options as HidOptions
+from softfinger.drivers.openhaptics.exchange import TIMEOUT_NS
+from softfinger.drivers.serial.options import Options as SerialOptions
+from softfinger.server.loop import health, limits
+from softfinger.server.services import device_warnings, swapping
+from softfinger.server.viewer.door import process
+from softfinger.server.wire import link
 
 SEEN_IN: Final = Path(__file__).with_name("faults_seen.json")
 """What `make faults-seen` has seen of the tests below."""
+TICK_S: Final = 0.001
+"""Period of the rates that the table is for, 1 kHz."""
 
-ADVICE: Final = {
-    "not_finite": "the scene gave no finite force: softfinger check names values that do not go together",
-    "pose_refused": "the device gave no usable pose: see to its sensors and its cable",
-    "pose_jumped": "the pose jumped, farther than a hand comes: see to sensors and cable; if it was a hand, raise "
-    "guard.speed_max_m_per_s",
-    "pose_frozen": "the pose repeats bit for bit under a force: move the handle; if it rests, disarm",
-    "too_fast": "the handle was faster than guard.handle_speed_max_m_per_s: hold it, and arm if the rig asks for that; "
-    "if nobody moved it so, take a softer scene, or turn to the sign of the force",
-    "motor_hot": "the force is lowered until the motors have cooled: let go for a while, or take a softer scene",
-    "energy_spent": "the rendering gave the hand more than guard.energy_max_j, and its force fades: take a softer "
-    "scene or [passivity]; for an object that is meant to push, raise that limit",
-    "workspace_edge": "the handle is at the edge of guard.workspace: come back from it",
+
+def default(options: type[Any], key: str) -> float:
+    """Return the default (SI) of a numeric key of a table."""
+    return float(next(field.default for field in msgspec.structs.fields(options) if field.name == key))
+
+
+QUIET_S: Final = {
+    "falcon": default(FalconOptions, "kick_s"),
+    "haply": default(HaplyOptions, "quiet_s"),
+    "hid": default(HidOptions, "kick_s"),
+    "openhaptics": TIMEOUT_NS * 1e-9,
+    "serial": default(SerialOptions, "quiet_s"),
 }
-"""What to do, by the name of a guard's event; those not here need nothing."""
+"""Silence after which each driver removes the force. A call of Force Dimension's library that does not return is a loop
+that stalls."""
+GIVEN_UP_S: Final = {
+    "falcon": default(FalconOptions, "timeout_s"),
+    "haply": default(HaplyOptions, "timeout_s"),
+    "hid": default(HidOptions, "timeout_s"),
+    "openhaptics": TIMEOUT_NS * 1e-9,
+    "serial": default(SerialOptions, "timeout_s"),
+}
+"""Silence after which each driver gives the device up."""
+
+
+def by_driver(seconds: Mapping[str, float]) -> str:
+    """Return spans of time in text, each with its drivers."""
+    spans = sorted({*seconds.values()})
+    return "; ".join(
+        f"{span:g} s of {', '.join(name for name, each in seconds.items() if each == span)}" for span in spans
+    )
+
+
+def starved_s(gap_s: float, period_s: float = TICK_S) -> float:
+    """Return the time (s) after which stalls of `gap_s`, one after the other with a tick between, end the run.
+
+    Notes
+    -----
+    `health.examine` adds `gap_s - LOST_SHARE * (gap_s + period_s)` for each.
+    """
+    lost = gap_s - health.LOST_SHARE * (gap_s + period_s)
+    return (floor(health.LOST_MAX_S / lost) + 1) * (gap_s + period_s)
+
+
+def starved() -> tuple[float, float]:
+    """Return the shortest and the longest time (s) of stalls that follow each other, of every length that counts."""
+    times = [starved_s(float(gap)) for gap in np.linspace(health.GAP_MIN_S, health.GAP_MAX_S, 1000)]
+    return min(times), max(times)
+
+
+def ticks_to_exceed(limit: float, speed: float, period_s: float = TICK_S) -> int:
+    """Return the ticks until a handle that starts with `speed` (m/s) exceeds `limit` (m/s), as `limits.smoothed`."""
+    return floor(log(1.0 - limit / speed) / log(limits.SPEED_S / (limits.SPEED_S + period_s))) + 1
 
 
 class Hazard(NamedTuple):
@@ -52,46 +110,61 @@ class Hazard(NamedTuple):
 
 FAILED: Final = "state faulted"
 """The event of an error that ends a run; its cause is the error."""
-_ENDS: Final = "zero; the run ends"
+_LOST: Final = f"zero; the run ends, exit code {DeviceError.exit_code}"
+_STOPPED: Final = f"zero; the run ends, exit code {SafetyStop.exit_code}"
 _START: Final = "start again"
 _NONE: Final = "none needed"
+_RAMP: Final = f"the ramp; {health.SILENCE_MAX_S:g} s of it end the run"
+_JUMPS: Final = floor(health.SILENCE_MAX_S / (health.JUMP_S + TICK_S)) + 1
 _FROZEN: Final = 120
 """`frozen_s = 0.1` of the tests' rig, and a fifth more."""
-_HELD: Final = 252
-"""`HELD_MAX_S`, and the tick in which it ends."""
-_STALLED: Final = 350
-"""`STALL_MAX_S`, which says why."""
+_HELD: Final = round(health.HELD_MAX_S / TICK_S) + 2
+"""And the tick in which it ends."""
+_STALLED: Final = round(health.STALL_MAX_S / TICK_S)
+_QUIET: Final = round(max(QUIET_S.values()) / TICK_S)
+_STARVED: Final = starved()
+_FAST: Final = default(Guard, "handle_speed_max_m_per_s")
+_FASTER: Final = 1.5 * _FAST
+_CAUGHT: Final = f"{ticks_to_exceed(_FAST, _FASTER)} ticks at {_FASTER:g} m/s"
+_STILL: Final = f"{default(Guard, 'frozen_s'):g} s by default"
+_GAPS: Final = (
+    f"{health.LOST_MAX_S:g} s lost above {health.LOST_SHARE:.0%} of the time, in gaps of {health.GAP_MIN_S:g} s or more"
+)
+_TRIED: Final = f"every {link.PAUSE_MAX_S:g} s or sooner while memory or file descriptors are missing"
 _INJECTED: Final = "tests/server/test_injected_faults.py::test_an_injected_fault_leaves_no_force_that_it_may_not"
 _EVERYWHERE: Final = "tests/server/test_injected_faults.py::test_on_every_driver"
 _PROCESS: Final = "tests/server/test_process_faults.py"
+_NO_FILES: Final = (
+    "tests/server/test_out_of_memory.py::test_a_process_that_ends_while_no_descriptor_is_left_is_started_again"
+)
 
 HAZARDS: Final = (
     Hazard(
         "a wall that is unstable", "energy given in contacts, `energy_max_j`", "at once",
-        "the force fades to zero at twice the limit", "by itself, over 1 s", ("guard energy_spent",),
+        "the force fades, to zero in the end", f"by itself, over {limits.FORGET_S:g} s", ("guard energy_spent",),
         ("tests/server/test_limits.py::test_an_unstable_wall_fades",),
     ),
     Hazard(
-        "a force that is not finite", "the guard", "0 ticks", "zero", "the ramp; 0.5 s of it end the run",
+        "a force that is not finite", "the guard", "0 ticks", "zero", _RAMP,
         ("guard not_finite", FAILED),
         ("tests/server/test_guard.py::test_what_is_not_finite_becomes_zero_and_ramps_anew",
          "tests/server/test_health.py::test_half_a_second_without_a_force_is_a_fault"),
     ),
     Hazard(
         "a pose that is not finite, out of range or short", "before the contact step", "0 ticks", "zero",
-        "the ramp; 0.5 s of it end the run", ("guard pose_refused", FAILED), (_INJECTED, _EVERYWHERE), within=0,
+        _RAMP, ("guard pose_refused", FAILED), (_INJECTED, _EVERYWHERE), within=0,
     ),
     Hazard(
         "a pose that jumps", "`speed_max_m_per_s`, `turn_max_rad_per_s`", "0 ticks", "zero",
-        "the ramp; five in a row end the run", ("guard pose_jumped", FAILED), (_INJECTED, _EVERYWHERE), within=0,
+        f"the ramp; {_JUMPS} in a row end the run", ("guard pose_jumped", FAILED), (_INJECTED, _EVERYWHERE), within=0,
     ),
     Hazard(
-        "a pose that stands still under a force", "`frozen_s`", "5 s by default", "zero", "once it moves, the ramp",
+        "a pose that stands still under a force", "`frozen_s`", _STILL, "zero", "once it moves, the ramp",
         ("guard pose_frozen",), (_INJECTED, _EVERYWHERE), within=_FROZEN,
     ),
     Hazard(
-        "a handle that runs away", "`handle_speed_max_m_per_s`", "12 ticks at 3 m/s", "zero",
-        "slow for 0.5 s, or `arm`, as `arm` in the rig says", ("guard too_fast", FAILED),
+        "a handle that runs away", "`handle_speed_max_m_per_s`", _CAUGHT,
+        "zero", f"slow for {limits.SLOW_S:g} s, or `arm`, as `arm` in the rig says", ("guard too_fast", FAILED),
         ("tests/server/test_limits.py::test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says",
          "tests/server/test_arming.py::test_a_handle_that_is_too_fast_gets_its_force_back_by_itself",
          "tests/server/test_arming.py::test_a_handle_that_is_too_fast_waits_for_whoever_arms"),
@@ -102,7 +175,8 @@ HAZARDS: Final = (
         ("tests/server/test_limits.py::test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears",),
     ),
     Hazard(
-        "a device that warns", "the driver, twice a second", "0.5 s", "as before", "as its message says",
+        "a device that warns", f"the driver, every {device_warnings.PERIOD_S:g} s",
+        f"{device_warnings.PERIOD_S:g} s", "as before", "as its message says",
         ("fault device_warning",), ("tests/server/test_device_warnings.py::test_each_warning_is_told_once",),
     ),
     Hazard(
@@ -111,22 +185,32 @@ HAZARDS: Final = (
         ("tests/server/test_limits.py::test_the_soft_wall_pushes_back_by_the_depth_behind_it",),
     ),
     Hazard(
-        "a device that is lost, silent, or breaks its protocol", "status of the driver", "0 ticks, 1 of a write",
-        f"{_ENDS}, exit code 4", _START, (FAILED,),
+        "a device that is lost or breaks its protocol", "status of the driver", "0 ticks, 1 of a write", _LOST, _START,
+        (FAILED,),
         (_INJECTED, _EVERYWHERE, "tests/server/test_daemon.py::test_device_failure_is_named_and_force_is_zero"),
         within=1,
     ),
     Hazard(
-        "a device that takes no force", "status of the driver", "0.25 s", f"{_ENDS}, exit code 4; until then the force "
-        "of before", _START, (FAILED,), (_INJECTED, _EVERYWHERE), within=_HELD,
+        "a device that is silent, or sends what cannot be read",
+        "the driver: `quiet_s`, `kick_s` of falcon and hid, then `timeout_s`", by_driver(QUIET_S),
+        f"{_LOST}, after {by_driver(GIVEN_UP_S)}; until then the force of before",
+        "the ramp; start again after the end", ("guard ramping", FAILED),
+        ("tests/server/test_silent_devices.py::test_a_device_that_falls_silent_is_given_zero_and_then_given_up",
+         "tests/drivers/test_openhaptics_exchange.py::test_a_silent_library_is_given_up"),
+        within=_QUIET,
     ),
     Hazard(
-        "a device that removes its force", "status of the driver", "0 ticks", f"{_ENDS}, exit code 6", _START,
+        "a device that takes no force", "status of the driver", f"{health.HELD_MAX_S:g} s",
+        f"{_LOST}; until then the force of before", _START, (FAILED,), (_INJECTED, _EVERYWHERE), within=_HELD,
+    ),
+    Hazard(
+        "a device that removes its force", "status of the driver", "0 ticks", _STOPPED, _START,
         (FAILED,), (_INJECTED, _EVERYWHERE), within=0,
     ),
     Hazard(
-        "a loop that stalls", "supervisor: no tick", "0.25 to 0.35 s",
-        f"{_ENDS}, exit code 6; until then the last force", _START, ("fault stalled", FAILED),
+        "a loop that stalls", "supervisor: no tick",
+        f"{health.STALL_POLLS * health.STALL_POLL_S:.2f} to {health.STALL_MAX_S:.2f} s",
+        f"{_STOPPED}; until then the last force", _START, ("fault stalled", FAILED),
         (_INJECTED, _EVERYWHERE,
          "tests/server/test_supervisor.py::test_a_stall_is_told_and_every_device_stopped_whatever_fails"),
         within=_STALLED,
@@ -136,8 +220,13 @@ HAZARDS: Final = (
         ("servo missed",), (_INJECTED, _EVERYWHERE, "tests/server/test_servo.py::test_a_stall_is_no_licence_to_jump"),
     ),
     Hazard(
-        "a machine that starves the loop", "more than half of the time lost", "0.5 s",
-        f"{_ENDS}, exit code 6", _START, (FAILED,), ("tests/server/test_daemon.py::test_repeated_stalls_end_the_run",),
+        "a machine that starves the loop",
+        _GAPS,
+        f"{floor(10 * _STARVED[0]) / 10} to {ceil(10 * _STARVED[1]) / 10} s of nothing but gaps, later with fewer",
+        f"{_STOPPED}; until then the force of before in each gap", _START, (FAILED,),
+        ("tests/server/test_daemon.py::test_repeated_stalls_end_the_run",
+         "tests/server/test_health.py::test_gaps_of_every_length_end_the_run_when_the_fault_model_says"),
+        within=ceil(_STARVED[1] / TICK_S),
     ),
     Hazard(
         "a machine that slept, a process that was stopped", "the time since the last tick, and that of CLOCK_BOOTTIME",
@@ -150,7 +239,8 @@ HAZARDS: Final = (
         within=1,
     ),
     Hazard(
-        "a commanding program that is gone", "`heartbeat_s`", "`heartbeat_s` and 0.1 s", "zero, along the slew limit",
+        "a commanding program that is gone", "`heartbeat_s`",
+        f"`heartbeat_s` and {link.REST_MAX_S:g} s", "zero, along the slew limit",
         "the next heartbeat, or `arm`", ("command heartbeat_missed", FAILED),
         ("tests/server/test_commands.py::test_without_a_heartbeat_there_is_no_force_until_the_next",),
     ),
@@ -167,12 +257,12 @@ HAZARDS: Final = (
          "tests/server/test_world.py::test_bodies_that_take_too_long_are_let_go"),
     ),
     Hazard(
-        "an exception in the servo's thread", "the thread's end", "0 ticks", f"{_ENDS}, exit code 1",
-        "report it", (FAILED,),
+        "an exception in the servo's thread", "the thread's end", "0 ticks",
+        f"zero; the run ends, exit code {HapticError.exit_code}", "report it", (FAILED,),
         ("tests/server/test_servo.py::test_exception_in_the_servo_thread_zeroes_the_device",),
     ),
     Hazard(
-        "a supervisor that fails", "the thread's end", "at once", f"{_ENDS}, exit code 6", _START, (FAILED,),
+        "a supervisor that fails", "the thread's end", "at once", _STOPPED, _START, (FAILED,),
         ("tests/server/test_supervisor.py::test_a_supervisor_that_fails_ends_the_run",),
     ),
     Hazard(
@@ -181,16 +271,17 @@ HAZARDS: Final = (
         ("tests/server/test_signals.py::test_watcher_takes_the_force_off_a_killed_daemon",),
     ),
     Hazard(
-        "a publisher that is killed or gets no more memory", "the daemon", "none", "as before", "it is started again",
+        "a publisher that ends, also while no memory or file descriptor is left", "the daemon", "none",
+        "as before; with `heartbeat_s`, zero until heartbeats come again", f"it is started again, {_TRIED}",
         ("fault publisher",),
         ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",
-         "tests/server/test_out_of_memory.py::test_a_publisher_without_memory_is_started_again"),
+         "tests/server/test_out_of_memory.py::test_a_publisher_without_memory_is_started_again", _NO_FILES),
     ),
     Hazard(
-        "a page that is killed or gets no more memory", "the daemon", "none", "as before",
-        "it is started again at the same address, three times in a run", ("fault page",),
+        "a page that ends, also while no memory or file descriptor is left", "the daemon", "none", "as before",
+        f"it is started again at the same address, {process.RESTARTS} times in a run", ("fault page",),
         ("tests/server/viewer/test_page_process.py::test_a_page_that_dies_is_started_again_at_the_same_address",
-         "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_started_again"),
+         "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_started_again", _NO_FILES),
     ),
     Hazard(
         "a publisher that stands still, a network that is lost", "none needed: nobody waits for it", "none",
@@ -217,7 +308,8 @@ HAZARDS: Final = (
          "tests/server/test_cli.py::test_endpoint_in_use_has_its_own_exit_code"),
     ),
     Hazard(
-        "memory of the daemon in swap", "VmSwap, at the start and once a second", "1 s", "as before",
+        "memory of the daemon in swap", f"VmSwap, at the start and every {swapping.PERIOD_S:g} s",
+        f"{swapping.PERIOD_S:g} s", "as before",
         "end what fills the memory, or let the daemon lock its own", ("fault swapped",),
         ("tests/server/test_swapping.py::test_memory_in_swap_is_told_once",),
     ),
@@ -233,7 +325,8 @@ HAZARDS: Final = (
     ),
     Hazard(
         "commands that cannot be taken", "an error in their thread", "none",
-        "as before; with `heartbeat_s` the run ends, exit code 6", _START, ("fault commands", FAILED),
+        f"as before; with `heartbeat_s` the run ends, exit code {SafetyStop.exit_code}", _START,
+        ("fault commands", FAILED),
         ("tests/server/test_service_faults.py::test_commands_that_fail_end_a_run_that_needs_heartbeats",),
     ),
 )  # fmt: skip
