@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import logging
 import os
 import time
 from typing import Final
@@ -22,6 +23,8 @@ from softfinger.drivers.serial.block import AT, CHUNK, MODEL_SIZE, TEXT, Model
 from softfinger.drivers.serial.options import Frames, Options, OutputFrame
 from softfinger.drivers.serial.port import close_port, count_unsent, open_port
 from softfinger.proxy.kernels.jit.pack import flatten
+
+log: Final = logging.getLogger(__name__)
 
 STOP_WAIT_S: Final = 1.0
 """Time in which a port has to send the zero of a stop."""
@@ -158,8 +161,10 @@ class SerialDevice(Device):
         if self._block.word[TALK.fd] < 0:
             return
         # However often it is asked to stop, a port that takes nothing has its time once.
-        until = time.monotonic() + (0.0 if self._zero_failure else STOP_WAIT_S)
-        self._zero_failure = self._stop(until)
+        told = bool(self._zero_failure)
+        self._zero_failure = self._stop(time.monotonic() + (0.0 if told else STOP_WAIT_S))
+        if self._zero_failure and not told:
+            log.error("%s: no zero has reached it: %s", self.info.name, self._zero_failure)
 
     def _stop(self, until: float) -> str:
         """Why no zero has gone out by then (s, monotonic clock); empty if it has."""

@@ -225,7 +225,8 @@ def _zero(handle: int) -> int:
 
 @busy.of(Serial)
 def _busy(driver: Serial, handle: int, deaf: bool) -> bool:
-    return deaf or _asked(handle) or is_blocked(handle)
+    blocked = is_blocked(handle)  # looked at in each tick, so that it is known for how long
+    return deaf or blocked or _asked(handle)
 
 
 @send_zero.of(Serial)
