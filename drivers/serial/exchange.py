@@ -23,8 +23,8 @@ from softfinger.drivers.kinematics.mechanism import LIMITED, NONSENSE, SINGULAR,
 from softfinger.drivers.serial import packets
 from softfinger.drivers.serial.block import AT, CHUNK, MODEL_LIKE, TEXT, Model
 from softfinger.drivers.serial.frames import ANGLES, INFO, LOOKBACK, POSITION, encode, take
-from softfinger.drivers.serial.queue import count_write, drop_frames, is_blocked
-from softfinger.drivers.system.libc import EAGAIN, read_waiting, write_now
+from softfinger.drivers.serial.queue import count_write, drop_frames, is_blocked, is_waiting
+from softfinger.drivers.system.libc import EAGAIN, monotonic_ns, read_waiting, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
 from softfinger.proxy.kernels.jit.pack import unpack_at
@@ -225,14 +225,24 @@ def _zero(handle: int) -> int:
 
 @busy.of(Serial)
 def _busy(driver: Serial, handle: int, deaf: bool) -> bool:
-    blocked = is_blocked(handle)  # looked at in each tick, so that it is known for how long
+    blocked = is_blocked(handle)  # looked at in each tick, so that it is known since when
     return deaf or blocked or _asked(handle)
+
+
+@jit
+def _drop_old(handle: int) -> None:
+    """Drop forces that a zero would wait behind: too many of them, or any once the board is silent."""
+    at = int64_at(handle)
+    if at[TALK.loaded] == 0:
+        return
+    silent = monotonic_ns(handle + 8 * TALK.timespec) - at[TALK.heard_at] > at[TALK.quiet]
+    if is_blocked(handle) or (silent and is_waiting(handle)):
+        drop_frames(handle)
 
 
 @send_zero.of(Serial)
 def _send_zero(driver: Serial, handle: int) -> int:
-    if int64_at(handle)[TALK.loaded] != 0 and is_blocked(handle):
-        drop_frames(handle)
+    _drop_old(handle)
     return _zero(handle)
 
 
@@ -264,8 +274,9 @@ def _command(driver: Serial, handle: int, wrench: Any) -> int:
 @wake.of(Serial)
 def _wake(driver: Serial, handle: int) -> int:
     at = int64_at(handle)
-    if is_blocked(handle):
-        return OK if at[TALK.loaded] == 0 else _send_zero(driver, handle)
+    if is_blocked(handle) and at[TALK.loaded] == 0:
+        return OK
+    _drop_old(handle)
     status = _finish(handle)
     if status == OK and at[AT.kind] != TEXT:
         at[AT.kicks] += 1

@@ -50,6 +50,13 @@ def is_blocked(handle: int) -> bool:
 
 
 @jit
+def is_waiting(handle: int) -> bool:
+    """Return whether anything waits."""
+    at = int64_at(handle)
+    return at[AT.countable] != 0 and count_unsent(at[TALK.fd], handle + 8 * AT.waiting) > 0
+
+
+@jit
 def drop_frames(handle: int) -> None:
     """Drop every byte that the port has not sent, also the rest of a frame that it has not taken."""
     at = int64_at(handle)

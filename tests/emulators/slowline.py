@@ -1,9 +1,9 @@
-"""A serial line of some speed between a driver and an emulated board, in real time: bytes each way at a tenth of its baud.
+"""A serial line between a driver and an emulated board, in real time: it carries baud / 10 bytes a second each way.
 
-Written from tty_ioctl(4) and termios(3); nothing here comes from the driver. The driver's port is a pseudo terminal in packet
-mode, by which its far end is told of a flush (TIOCPKT_FLUSHWRITE). What was written is taken at once into the queue that
-a UART's driver has, and carried from there. `stubs/uart.c` gives a program the count of that queue. What it misses: the UART's
-own buffer of 16 bytes, and that of a USB chip, which no program can look into.
+Written from tty_ioctl(4) and termios(3); nothing here comes from the driver. The driver's port is a pseudo terminal in
+packet mode, by which its far end is told of a flush (TIOCPKT_FLUSHWRITE). What was written is taken at once into the
+queue that a UART's driver has, and carried from there. `stubs/uart.c` gives a program the count of that queue. What it
+misses: the UART's own buffer of 16 bytes, and that of a USB chip, which no program can look into.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _WRITTEN, _GONE, _FLUSHED, _HEEDED, _TERMINAL = range(5)
 
 
 class SlowLine:
-    """`path` is what a driver opens, `board` the terminal that the emulated board has; `folder` keeps the shared file."""
+    """`path` is what a driver opens, `board` the terminal of the emulated board; `folder` has the shared file."""
 
     def __init__(self, board: str, baud: int, folder: Path) -> None:
         self._far, near = os.openpty()
@@ -66,6 +66,10 @@ class SlowLine:
     def waiting(self) -> int:
         """Bytes that wait to be carried to the board."""
         return len(self._queue)
+
+    def queued(self) -> bytes:
+        """These bytes; of a line that stalls."""
+        return bytes(byte for _, byte in list(self._queue))
 
     def environment(self, stub: Path) -> dict[str, str]:
         """Of a program that drives the line, with the library of `stubs/uart.c`."""
@@ -119,10 +123,8 @@ class SlowLine:
             data = os.read(self._board, most)
         except BlockingIOError:
             return 0
-        try:
+        with suppress(BlockingIOError):  # lost, as nobody reads
             os.write(self._far, data)
-        except BlockingIOError:
-            pass  # lost, as nobody reads
         return len(data)
 
     def __enter__(self) -> Self:

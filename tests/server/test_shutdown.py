@@ -122,6 +122,22 @@ def test_a_stop_that_fails_is_followed_by_a_plain_zero(error: BaseException) -> 
         assert caught.value is error
 
 
+def test_a_zero_that_is_not_confirmed_is_an_error() -> None:
+    """It names the device and the reason, and says what to do; a device that confirms raises nothing."""
+
+    class Quiet(Motor):
+        why = ""
+
+        def zero_failure(self) -> str:
+            return self.why
+
+    sound, dead = Quiet(), Quiet()
+    shutdown.confirm_zero([device(sound), device(dead)])
+    dead.why = "8 bytes have not gone out"
+    with pytest.raises(DeviceError, match=r"^Motor: .* not confirmed \(8 bytes have not gone out\): .*switch it off"):
+        shutdown.confirm_zero([device(sound), device(dead)])
+
+
 def test_an_error_without_words_is_told_by_its_class() -> None:
     """`Motor could not be closed (RuntimeError)`, of a close."""
     with pytest.raises(DeviceError, match=r"could not be closed \(RuntimeError\)"):

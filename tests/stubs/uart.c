@@ -1,6 +1,6 @@
-// What a UART's driver says of its queue, for a program whose serial port is the pseudo terminal of `emulators/slowline.py`:
-// loaded in front of the C library (LD_PRELOAD). Of a pseudo terminal TIOCOUTQ is always 0, and a flush leaves what the
-// other side has not read yet. Here, as tty_ioctl(4) and termios(3) have it of a UART:
+// What a UART's driver says of its queue, for a program whose serial port is the pseudo terminal of
+// `emulators/slowline.py`: loaded in front of the C library (LD_PRELOAD). Of a pseudo terminal TIOCOUTQ is always 0, and
+// a flush leaves what the other side has not read yet. Here, as tty_ioctl(4) and termios(3) have it of a UART:
 //
 //   TIOCOUTQ                bytes written to the port that the line has not carried
 //   TCFLSH, tcflush(3)      drop them; done when the call returns
