@@ -34,9 +34,9 @@ def test_shipped_rigs_fit(rig: str) -> None:
         ({"baud": 9600}, 160.0, ""),
         (
             {"baud": 9600}, 161.0,
-            r"rig\.baud = 9600: the line carries 960 bytes/s each way, as a byte takes 10 bits \(8N1: .*\); a tick sends "
-            r"4 bytes and receives 6, so servo\.rate_hz = 161 needs 644 bytes/s to the board and 966 from it, .*: set baud "
-            r"to 19200 or more, .*lower servo\.rate_hz, .*, to 160 Hz, or shorten the frames",
+            r"rig\.baud = 9600: the line carries 960 bytes/s each way, as a byte takes 10 bits \(8N1: .*\); a tick "
+            r"sends 4 bytes and receives 6, so servo\.rate_hz = 161 needs 644 bytes/s to the board and 966 from it, "
+            r".*: set baud to 19200 or more, .*lower servo\.rate_hz, .*, to 160 Hz, or shorten the frames",
         ),
         ({"baud": 115200}, 1920.0, ""),
         ({"baud": 115200}, 1921.0, "set baud to 230400 or more"),

@@ -279,8 +279,8 @@ ENDS = (stopped, disarmed)
 def test_no_old_force_is_played_and_the_last_is_zero(
     rig: str, kind: str, line: Callable[[Run], None], end: Callable[[Run], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On every board and port, whatever the line does: no force comes that waited behind two others, but for three that a
-    chip has and gives nobody back; after the end at most those come, and then zero."""
+    """On every board and port, whatever the line does: no force comes that waited behind two others, but for three that
+    a chip has and gives nobody back; after the end at most those come, and then zero."""
     run = Run(rig, kind, 1.5 * BOARDS[rig].bytes, monkeypatch)
     run.ticks(20)
     assert run.reader.pushes
@@ -344,8 +344,8 @@ def test_an_unplugged_port_is_lost_and_its_zero_not_confirmed(monkeypatch: pytes
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three are in the port; then two zeros take their place, where they can, and nothing more is written. The force comes
-    again once the port has sent everything; where it does not, the board is given up after its time."""
+    """Three are in the port; then two zeros take their place, where they can, and nothing more is written. The force
+    comes again once the port has sent everything; where it does not, the board is given up after its time."""
     run = Run("hapkit", kind, 10.0, monkeypatch)
     run.ticks(20)
     assert set(run.statuses) == {OK} and run.device.warning() == ""
