@@ -103,7 +103,7 @@ class HidDevice(Device):
         if self.pump is not None and not self.pump.flush(self.counts()["written"], until):
             self._tell_no_zero(told)
         elif self._block.word[TALK.loaded]:
-            self._zero_failure = "its node is gone"
+            self._zero_failure = "its node takes no report"
 
     def _tell_no_zero(self, told: bool) -> None:
         """Log it once: the loop, the daemon and `close` each stop the device."""

