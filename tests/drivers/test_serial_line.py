@@ -1,4 +1,4 @@
-"""A rig whose frames do not fit its line: refused with figures and remedies, by `check` and before a port is opened."""
+"""Refusal of rigs whose frames do not fit the baud rate, by `check` and before a port is opened."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SERIAL = [name for name in shipped(Rig) if 'driver = "serial"' in find(name, Rig
 
 @pytest.mark.parametrize("rig", SERIAL)
 def test_shipped_rigs_fit(rig: str) -> None:
-    """At their own rate, whatever their port is called."""
+    """Every shipped serial rig fits its line at its own rate."""
     config = load_rig(rig)
     registry.check(config.device, config.servo.rate_hz)
 
@@ -52,7 +52,7 @@ def test_shipped_rigs_fit(rig: str) -> None:
     ],
 )  # fmt: skip
 def test_what_fits_a_line(changes: dict[str, object], rate_hz: float, says: str) -> None:
-    """A hapkit's frames against baud / 10, each way by itself; ports without a line rate are not refused."""
+    """Compare a hapkit's frames with baud / 10 in each direction; accept ports without a line rate."""
     if not says:
         line.check(rig_options("hapkit", **changes), rate_hz, "rig")
         return
@@ -61,21 +61,21 @@ def test_what_fits_a_line(changes: dict[str, object], rate_hz: float, says: str)
 
 
 def test_a_link_is_followed_to_its_port(tmp_path: Path) -> None:
-    """As those of /dev/serial/by-id."""
+    """A link such as those in /dev/serial/by-id has the line rate of its target."""
     link = tmp_path / "usb-board"
     link.symlink_to("/dev/ttyACM0")
     line.check(rig_options("hapkit", baud=9600, path=str(link)), 1000.0, "rig")
 
 
 def test_no_speed_is_offered_where_none_is_enough() -> None:
-    """256 bytes at 8 kHz are more than 2 MBd."""
+    """64 bytes at 8 kHz need more than 2 MBd."""
     text = rig_options("woodenhaptics-v3", vendor_id=None, product_id=None)
     with pytest.raises(ConfigError, match=r"arrive late: lower servo\.rate_hz"):
         line.check(text, 8000.0, "rig")
 
 
 def test_check_and_run_refuse_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`check` with exit code 2, and what opens a device before it looks for the port, at whatever rate it is told."""
+    """`check` returns exit code 2, and opening raises before it looks for the port, also for a changed rate."""
     text = find("hapkit", Rig).read_text()
     slow, fits = tmp_path / "slow.toml", tmp_path / "fits.toml"
     slow.write_text(re.sub(r"^baud = 115200", "baud = 9600", text, flags=re.MULTILINE))

@@ -1,8 +1,8 @@
-"""Forces that wait in a port: what the board is given of them, on lines and chips by a script, at every end.
+"""Forces that wait in a serial port: frames that a simulated board receives, for each board, port, line fault and exit.
 
-The port is a model of what the system says of one (tty_ioctl(4), and the drivers of Linux): bytes of a UART, a buffer
-for each write of a USB modem, and a USB chip's driver, which cannot flush. Boards read what the line has carried by
-parsers of their own. In real time, with a whole daemon: `test_serial_boards_loop`.
+The simulated port follows tty_ioctl(4) and the Linux drivers: a UART counts bytes, a USB modem one buffer per write, and
+the driver of a USB chip ignores a flush. The simulated boards parse frames with their own code. The test with a
+real daemon and a real clock is in `test_serial_boards_loop`.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ pytestmark = BY_CALL
 PUSH = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 ZERO = (0.0,) * 6
 WRITE_BYTES = 1280
-"""Of cdc-acm at full speed: its buffer for each write."""
+"""Buffer size of cdc-acm at full speed."""
 KINDS = ("uart", "modem", "chip")
 
 
 class Port:
-    """A port of a kind whose line carries `per_ms` bytes each way, with a board behind it."""
+    """Simulated port with a line of `per_ms` bytes per millisecond to `board`."""
 
     def __init__(self, kind: str, per_ms: float, board: Any) -> None:
         self.kind, self.per_ms, self.board = kind, per_ms, board
         self.waiting: list[tuple[int, int, int]] = []
-        """Of each byte: when it was written (ns), the number of the write, the byte."""
+        """Queued bytes: time of the write (ns), number of the write, value."""
         self.comes, self.error, self.stalled, self.writes = b"", 0, False, 0
         self._credit, self._sent_ms = 0.0, 0
 
     def advance(self, now: int) -> None:
-        """A millisecond has gone by."""
+        """Advance by one millisecond."""
         self._credit += self.per_ms
         while self.waiting and self._credit >= 1.0 and not self.stalled:
             written, _, byte = self.waiting.pop(0)
@@ -89,14 +89,14 @@ class Port:
 
 
 class Reader:
-    """What a board has been given: of each frame whether it has a force, and its age when it came (ms)."""
+    """Frame parser of a board. `given` has one entry per frame: whether it has a force, and its age at arrival (ms)."""
 
     def __init__(self) -> None:
         self.given: list[tuple[bool, float]] = []
         self.rest = b""
 
     def take(self, byte: int, age_ms: float) -> bytes:
-        """Take a byte; what the board answers."""
+        """Parse one byte and return the answer of the board."""
         self.rest += bytes([byte])
         return self.parse(age_ms)
 
@@ -104,7 +104,7 @@ class Reader:
         raise NotImplementedError
 
     def streams(self) -> bytes:
-        """What it sends by itself in a millisecond."""
+        """Return the bytes that the board sends unasked in one millisecond."""
         return b""
 
     @property
@@ -122,7 +122,7 @@ def crc8(data: bytes) -> int:
 
 
 class Hapkit(Reader):
-    """As the sketch: byte by byte until a frame fits; it streams, whether it reads or not."""
+    """Parser of the sketch: shift by one byte until a frame fits. The board streams even if it does not read."""
 
     bytes = 4
 
@@ -141,7 +141,7 @@ class Hapkit(Reader):
 
 
 class Haply2diy(Reader):
-    """As its firmware: a command, then as many bytes as it has; other bytes mean nothing."""
+    """Parser of the firmware: a command byte, then its payload; ignore other bytes."""
 
     bytes = 10
 
@@ -157,7 +157,7 @@ class Haply2diy(Reader):
 
 
 class Woody(Reader):
-    """Lines; one of another length than a frame is none."""
+    """Parser of text frames: ignore lines of another length."""
 
     bytes = 64
 
@@ -174,7 +174,7 @@ BOARDS: dict[str, type[Any]] = {"hapkit": Hapkit, "haply-2diy": Haply2diy, "wood
 
 
 class Run:
-    """A driver on a port, tick by tick, that is asked for a newton in each."""
+    """Driver on a simulated port and clock; each tick commands 1 N."""
 
     def __init__(self, rig: str, kind: str, per_ms: float, patch: pytest.MonkeyPatch, **options: Any) -> None:
         self.reader = BOARDS[rig]()
@@ -210,7 +210,7 @@ class Run:
         self.port.advance(self.clock.now)
 
     def ticks(self, count: int, wrench: tuple[float, ...] = PUSH) -> None:
-        """So many, or up to a failure."""
+        """Run `count` ticks, or fewer if one fails."""
         for _ in range(count):
             self.sleep(0.001)
             status = self.driver.block.call(exchange.read, np.zeros(SAMPLE_SIZE))
@@ -221,7 +221,7 @@ class Run:
                 return
 
     def end(self) -> None:
-        """As every end of a loop: a zero, then the stop; the line goes on, whatever it did."""
+        """Exit as the servo does: write zero, then stop the device."""
         self.driver.write(*ZERO)
         self.device.stop()
 
@@ -232,25 +232,25 @@ class Run:
 
 
 def old_forces(run: Run) -> int:
-    """Forces that were older when they came than three frames take on the line: two that waited, and their own."""
+    """Count the forces older at arrival than the transmission time of three frames: two queued ones and their own."""
     longest = 3 * run.reader.bytes / run.port.per_ms + 2.0
     return sum(pushes and age > longest for pushes, age in run.reader.given)
 
 
 def slow(run: Run) -> None:
-    """The line carries a fifth of what is written to it."""
+    """Slow the line down to a fifth of the required rate."""
     run.port.per_ms = 0.2 * run.reader.bytes
     run.ticks(100)
 
 
 def dead(run: Run) -> None:
-    """The board sends, if it sends by itself, and reads no more."""
+    """Stop the board from reading; it may still stream."""
     run.port.stalled = True
     run.ticks(100)
 
 
 def stalls(run: Run) -> None:
-    """The board does not read for a while, and then does."""
+    """Stop the board from reading for 100 ms."""
     dead(run)
     run.port.stalled = False
     run.ticks(100)
@@ -279,8 +279,8 @@ ENDS = (stopped, disarmed)
 def test_no_old_force_is_played_and_the_last_is_zero(
     rig: str, kind: str, line: Callable[[Run], None], end: Callable[[Run], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On every board and port, whatever the line does: no force comes that waited behind two others, but for three that
-    a chip has and gives nobody back; after the end at most those come, and then zero."""
+    """No board receives a force that waited behind two others, and the last force after an exit is zero. A USB chip
+    cannot drop what it has accepted, so at most three old forces arrive there."""
     run = Run(rig, kind, 1.5 * BOARDS[rig].bytes, monkeypatch)
     run.ticks(20)
     assert run.reader.pushes
@@ -301,8 +301,8 @@ def test_no_old_force_is_played_and_the_last_is_zero(
 def test_a_stop_says_why_its_zero_is_not_confirmed(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Bytes that do not go out, a port that takes nothing, a port that is gone; told once, and no longer than once is
-    waited. A stop after which the zero has gone takes it back."""
+    """A stop reports bytes that do not leave, a full port and a lost port. It logs once, and only the first attempt
+    waits 1 s. A later stop that succeeds clears the reason."""
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
     run.port.stalled = True
@@ -327,7 +327,7 @@ def test_a_stop_says_why_its_zero_is_not_confirmed(
 
 
 def test_an_unplugged_port_is_lost_and_its_zero_not_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the next tick; the stop behind it waits for nothing."""
+    """The next read returns LOST, and the stop does not wait."""
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
     run.port.error = EIO
@@ -341,8 +341,8 @@ def test_an_unplugged_port_is_lost_and_its_zero_not_confirmed(monkeypatch: pytes
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three are in the port; then two zeros take their place, where they can, and nothing more is written. The force
-    comes again once the port has sent everything; where it does not, the board is given up after its time."""
+    """With three frames in the port, two zeros replace them if the port can drop frames, and nothing else is written.
+    Forces resume once the port is empty. After `timeout_s` the write returns TIMEOUT."""
     run = Run("hapkit", kind, 10.0, monkeypatch)
     run.ticks(20)
     assert set(run.statuses) == {OK} and run.device.warning() == ""
@@ -368,7 +368,7 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
 
 
 def test_a_port_that_counts_nothing_is_no_queue(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a pseudo terminal, or a descriptor that is no terminal."""
+    """A descriptor without TIOCOUTQ never withholds a force."""
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.word[AT.countable] = 0
     run.port.stalled = True
@@ -377,7 +377,7 @@ def test_a_port_that_counts_nothing_is_no_queue(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_zero_behind_a_cut_frame_is_sent_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Text has no checksum: the board takes the first for the rest of the line that was cut, and refuses both."""
+    """The board appends the first zero to the cut line and rejects the result, so a second zero has to follow."""
     run = Run("woodenhaptics-v3", "uart", 20.0, monkeypatch)
     run.ticks(10)
     while not 0 < len(run.port.waiting) < 64:  # in the middle of a frame
@@ -392,7 +392,7 @@ def test_a_zero_behind_a_cut_frame_is_sent_twice(monkeypatch: pytest.MonkeyPatch
 
 
 def test_who_writes_is_not_flushed_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stop beside a write disarms, and tries again."""
+    """`discard` disarms while another thread writes, and returns 0 so that the caller tries again."""
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
     run.word[TALK.lock] = 1

@@ -1,9 +1,9 @@
-"""A serial line between a driver and an emulated board, in real time: it carries baud / 10 bytes a second each way.
+"""Real-time serial line between a driver and an emulated board: baud / 10 bytes per second each way.
 
-Written from tty_ioctl(4) and termios(3); nothing here comes from the driver. The driver's port is a pseudo terminal in
-packet mode, by which its far end is told of a flush (TIOCPKT_FLUSHWRITE). What was written is taken at once into the
-queue that a UART's driver has, and carried from there. `stubs/uart.c` gives a program the count of that queue. What it
-misses: the UART's own buffer of 16 bytes, and that of a USB chip, which no program can look into.
+Written from tty_ioctl(4) and termios(3), independent of the driver. The driver's port is a pseudo terminal in packet
+mode, so that its far end sees a flush (TIOCPKT_FLUSHWRITE). A thread moves written bytes into a queue, as a UART driver
+does, and from there to the board. `stubs/uart.c` reports the length of that queue to the program under test. Not
+modelled: the hardware buffers of UARTs and USB chips.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from pathlib import Path
 from typing import Self
 
 BITS = 10
-"""Of a byte on the line: start, eight of data, stop."""
+"""Bits per byte: start, eight of data, stop."""
 QUEUE_BYTES = 4096
-"""As much as a UART's driver takes (UART_XMIT_SIZE); then the port takes no more."""
+"""Capacity of a UART driver's queue (UART_XMIT_SIZE)."""
 STEP_S = 0.0005
 _WORDS = struct.Struct("5q")
 _WRITTEN, _GONE, _FLUSHED, _HEEDED, _TERMINAL = range(5)
 
 
 class SlowLine:
-    """`path` is what a driver opens, `board` the terminal of the emulated board; `folder` has the shared file."""
+    """Line from `path`, which the driver opens, to the terminal `board`. `folder` contains the shared file."""
 
     def __init__(self, board: str, baud: int, folder: Path) -> None:
         self._far, near = os.openpty()
@@ -50,29 +50,29 @@ class SlowLine:
         self._words[_TERMINAL] = os.fstat(near).st_rdev
         self._rate = baud / BITS
         self._queue: deque[tuple[float, int]] = deque()
-        """When each byte for the board was written (s, monotonic clock), and the byte."""
+        """Bytes for the board with the time of their write (s, monotonic clock)."""
         self._back = bytearray()
         self.stalled = threading.Event()
-        """Set: nothing is carried to the board any more, as of a USB board that does not read."""
+        """If set, the line carries nothing to the board, like a USB board that does not read."""
         self.oldest_s = 0.0
-        """Age of the oldest byte that has been carried."""
+        """Largest age of a byte at its arrival."""
         self.longest = 0
-        """Most bytes that have waited."""
+        """Largest length of the queue."""
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     @property
     def waiting(self) -> int:
-        """Bytes that wait to be carried to the board."""
+        """Length of the queue to the board."""
         return len(self._queue)
 
     def queued(self) -> bytes:
-        """These bytes; of a line that stalls."""
+        """Copy of the queue; for a stalled line."""
         return bytes(byte for _, byte in list(self._queue))
 
     def environment(self, stub: Path) -> dict[str, str]:
-        """Of a program that drives the line, with the library of `stubs/uart.c`."""
+        """Return the environment of the program under test; `stub` is the compiled `stubs/uart.c`."""
         return {**os.environ, "LD_PRELOAD": str(stub), "SLOW_LINE": str(self.shared)}
 
     def _run(self) -> None:
@@ -86,7 +86,7 @@ class SlowLine:
                 self._take(now)
                 credit -= self._carry(int(credit), now)
                 credit_back -= self._carry_back(int(credit_back))
-            except OSError:  # an end is gone, and the line with it
+            except OSError:  # one end was closed
                 return
             credit, credit_back = min(credit, 1.0 + credit % 1.0), min(credit_back, 1.0 + credit_back % 1.0)
 
@@ -96,7 +96,7 @@ class SlowLine:
                 packet = os.read(self._far, 1 + QUEUE_BYTES - len(self._queue))
             except BlockingIOError:
                 break
-            if packet[0] & termios.TIOCPKT_FLUSHWRITE:  # what was written before is still to be read; its writer waits
+            if packet[0] & termios.TIOCPKT_FLUSHWRITE:  # older bytes may still be unread; the writer waits
                 with suppress(BlockingIOError):
                     while os.read(self._far, QUEUE_BYTES):
                         pass
@@ -123,7 +123,7 @@ class SlowLine:
             data = os.read(self._board, most)
         except BlockingIOError:
             return 0
-        with suppress(BlockingIOError):  # lost, as nobody reads
+        with suppress(BlockingIOError):  # nobody reads
             os.write(self._far, data)
         return len(data)
 

@@ -127,7 +127,7 @@ def test_a_stop_that_fails_is_followed_by_a_plain_zero(error: BaseException) -> 
 
 
 def test_a_zero_that_is_not_confirmed_is_an_error() -> None:
-    """It names the device and the reason, and says what to do; a device that confirms raises nothing."""
+    """The error names device, reason and remedy; confirmed devices raise nothing."""
 
     class Quiet(Motor):
         why = ""
@@ -143,7 +143,7 @@ def test_a_zero_that_is_not_confirmed_is_an_error() -> None:
 
 
 def test_a_watcher_drops_what_waits_before_its_zero() -> None:
-    """Of a port that is full of forces the board reads those that it had already, then three zeros."""
+    """A board behind a full port reads the bytes that it already had, then three zeros."""
     far, near = os.openpty()
     tty.setraw(near)
     os.set_blocking(near, False)

@@ -1,11 +1,11 @@
-// What a UART's driver says of its queue, for a program whose serial port is the pseudo terminal of
-// `emulators/slowline.py`: loaded in front of the C library (LD_PRELOAD). Of a pseudo terminal TIOCOUTQ is always 0, and
-// a flush leaves what the other side has not read yet. Here, as tty_ioctl(4) and termios(3) have it of a UART:
+// UART semantics for the pseudo terminal of `emulators/slowline.py`, loaded with LD_PRELOAD. On a pseudo terminal
+// TIOCOUTQ is always 0, and a flush keeps bytes that the other side has not read. Here, after tty_ioctl(4) and
+// termios(3):
 //
 //   TIOCOUTQ                bytes written to the port that the line has not carried
-//   TCFLSH, tcflush(3)      drop them; done when the call returns
+//   TCFLSH, tcflush(3)      drop these bytes before the call returns
 //
-// The file that SLOW_LINE names is shared with the emulator, and says which terminal it is.
+// SLOW_LINE names the file shared with the emulator; it contains the device number of the terminal.
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <fcntl.h>
