@@ -1,4 +1,4 @@
-"""Forces that wait in a serial port: frames that a simulated board receives, for each board, port, line fault and exit.
+"""Forces that wait in a serial port: frames that a simulated board receives, by board, port, line fault and exit.
 
 The simulated port follows tty_ioctl(4) and the Linux drivers: a UART counts bytes, a USB modem one buffer per write, and
 the driver of a USB chip ignores a flush. The simulated boards parse frames with their own code. The test with a
