@@ -1,7 +1,7 @@
 """Forces that wait in a serial port: frames that a simulated board receives, by board, port, line fault and exit.
 
-The simulated port follows tty_ioctl(4) and the Linux drivers: a UART counts bytes, a USB modem one buffer per write, and
-the driver of a USB chip ignores a flush. The simulated boards parse frames with their own code. The test with a
+The simulated port follows tty_ioctl(4) and the Linux drivers: a UART counts bytes, a USB modem one buffer per write,
+and the driver of a USB chip ignores a flush. The simulated boards parse frames with their own code. The test with a
 real daemon and a real clock is in `test_serial_boards_loop`.
 """
 
