@@ -70,12 +70,22 @@ def options(config: DeviceConfig, where: str = "[device]") -> Any:
     return build(load(config.driver).Options, config.options, where)
 
 
+def check(config: DeviceConfig, rate_hz: float, where: str = "[device]") -> Any:
+    """Return the Options of a [device] table; ConfigError if its driver refuses them, or with them the rate (Hz)."""
+    given = options(config, where)
+    refuse = getattr(load(config.driver), "check", None)
+    if refuse is not None:
+        refuse(given, rate_hz, where)
+    return given
+
+
 def open_device(config: DeviceConfig, rate_hz: float, where: str = "[device]") -> Device:
     """Open the device a rig names; ConfigError for options its driver does not know, at `where` in its file.
 
     It is zeroed before the process stops by a signal, and closed when one ends the process from another thread.
     """
-    device: Device = load(config.driver).open_device(options(config, where), rate_hz)
+    driver, given = load(config.driver), check(config, rate_hz, where)
+    device: Device = driver.open_device(given, rate_hz)
     opened.devices.add(device)
     return device
 

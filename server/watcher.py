@@ -47,17 +47,29 @@ class Watcher:
 
 
 def take_force_off(node: str, fd: int, zero: bytes) -> str:
-    """Write the zero to a device; what came of it in words."""
+    """Drop what waits in a device's port and write the zero to it; what came of it in words."""
     until, done, said = time.monotonic() + TRY_S, 0, "it took a part of it"
+    with contextlib.suppress(OSError, termios.error):  # no serial port, or gone
+        termios.tcflush(fd, termios.TCOFLUSH)
     while done < WRITES and time.monotonic() < until:
         try:
             done += os.write(fd, zero) == len(zero)
         except OSError as error:
             said = error.strerror or str(error)
         time.sleep(PAUSE_S)
+    while done and _unsent(fd) and time.monotonic() < until:
+        time.sleep(PAUSE_S)
+    waits = f", but {count} bytes of it wait in the port: switch the device off" if (count := _unsent(fd)) else ""
     with contextlib.suppress(OSError):  # no serial port, or gone
         fcntl.ioctl(fd, termios.TIOCNXCL)  # as a daemon that closes it does: the next one may have another user
-    return f"zero force was written to {node}" if done else f"zero force could not be written to {node}: {said}"
+    return f"zero force was written to {node}{waits}" if done else f"zero force could not be written to {node}: {said}"
+
+
+def _unsent(fd: int) -> int:
+    """Bytes that wait in a serial port; 0 for what is none."""
+    with contextlib.suppress(OSError):
+        return int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
+    return 0
 
 
 def main() -> int:

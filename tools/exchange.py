@@ -342,7 +342,9 @@ class Exchange:
             self.ended = shutdown.Ended(shutdown.CRASHED, 0, error)
         first = None if self.ended is None else self.ended.error
         undo = [] if applied is None else [applied.undo]
-        failed = shutdown.every(lambda: shutdown.stop(self.device), *undo, first=first)
+        failed = shutdown.every(
+            lambda: shutdown.stop(self.device), lambda: shutdown.confirm_zero([self.device]), *undo, first=first
+        )
         if self.ended is None and failed is not None:
             self.ended = shutdown.Ended(shutdown.CRASHED, 0, failed)
         self._over.set()

@@ -34,6 +34,8 @@ PAUSE_S: Final = 0.001
 """Between exchanges of homing, and between tries to stop."""
 
 _TRANSFER_BULK: Final = 2
+_COMPLETED: Final = 0
+"""Status of a transfer that has gone through, or was never under way."""
 
 
 class Transfer(ctypes.Structure):
@@ -59,7 +61,7 @@ class Falcon(Device):
     """An open device on a line behind which firmware runs; it owns the line from now on. No force until `arm`."""
 
     def __init__(self, options: Options, line: usb.Line) -> None:
-        self._options, self._line = options, line
+        self._options, self._line, self._zero_failure = options, line, ""
         self._block = Block(AT)
         self._word = self._block.word
         self.info = DeviceInfo(
@@ -164,8 +166,17 @@ class Falcon(Device):
             self._word[AT.armed] = 1
 
     def stop(self) -> None:
+        if not self._word[AT.open]:
+            return
+        self._zero_failure = ""
         if not self._until_done(exchange.silence):
+            self._zero_failure = f"it has taken no packet for {STOP_WAIT_S:g} s"
             log.error("%s: takes no packet for %g s, so no zero either: switch it off", self.info.name, STOP_WAIT_S)
+        elif self._word[AT.pushes] or Transfer.from_address(int(self._word[AT.transfer_out])).status != _COMPLETED:
+            self._zero_failure = self.reason() or "its last packet did not go through"
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
 
     def close(self) -> None:
         if not self._word[AT.transfer_in]:

@@ -64,7 +64,7 @@ class ForceDimension(Device):
 
     def __init__(self, options: Options, rate_hz: float) -> None:
         _check_watchdog(options.watchdog_s, rate_hz)
-        self._library = finding.load(options.library_file)
+        self._library, self._zero_failure = finding.load(options.library_file), ""
         self._options = options
         self._block = Block(AT)
         self._word = self._block.word
@@ -95,7 +95,11 @@ class ForceDimension(Device):
         self._word[AT.stopped] = 1  # before the lock: no force of the loop's follows the zero
         self._word[AT.armed] = 0
         if self._word[AT.open]:
+            self._zero_failure = "the library has not answered"
             self._alone(self._take_force_off)
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
 
     def close(self) -> None:
         self.stop()
@@ -128,13 +132,16 @@ class ForceDimension(Device):
 
     def _take_force_off(self) -> None:
         call = self._library
+        taken = False
         for _ in range(ZERO_TRIES):
             # 1, TIMEGUARD, may mean that it was held back; -1 that the device is gone.
             if call.dhdSetForceAndTorqueAndGripperForce(*ZERO, self._id) in (0, 2):
+                taken = True
                 break
             time.sleep(0.001)
-        call.dhdEnableForce(0, self._id)
-        call.dhdStop(self._id)  # into brake mode
+        off = call.dhdEnableForce(0, self._id) in library.SUCCESS
+        braked = call.dhdStop(self._id) in library.SUCCESS  # into brake mode
+        self._zero_failure = "" if taken or off or braked else f"the library says: {library.error_text(call)}"
         if not self._options.brakes:
             call.dhdSetBrakes(0, self._id)
 

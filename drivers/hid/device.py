@@ -38,7 +38,7 @@ class HidDevice(Device):
     """An open device on the file descriptor `fd`, which it owns from now on: of its node, or of `pump`, with that."""
 
     def __init__(self, options: Options, fd: int, pump: Pump | None = None, node: str = "") -> None:
-        self._options, self.pump, self._node, self._told = options, pump, node, False
+        self._options, self.pump, self._node, self._zero_failure = options, pump, node, ""
         given = options.kinematics
         self._mechanism = make_mechanism(given, options.force_max_n)
         spec = options.reports
@@ -92,22 +92,27 @@ class HidDevice(Device):
         # However often it is asked to stop, a write under way has its time once.
         hung_s = 0.0 if self.pump is None else self.pump.hangs_s()
         until = time.monotonic() + STOP_WAIT_S - hung_s
+        told, self._zero_failure = bool(self._zero_failure), ""
         if self.pump is not None:
             self.pump.disarm(self._zero)
         while not exchange.silence.ctypes(self._block.handle):
             if time.monotonic() > until:
-                self._tell_no_zero()
+                self._tell_no_zero(told)
                 return
             time.sleep(0.0001)
         if self.pump is not None and not self.pump.flush(self.counts()["written"], until):
-            self._tell_no_zero()
+            self._tell_no_zero(told)
+        elif self._block.word[TALK.loaded]:
+            self._zero_failure = "its node takes no report"
 
-    def _tell_no_zero(self) -> None:
-        """Once: the loop, the daemon and `close` each stop the device."""
-        if not self._told:
-            self._told = True
-            why = self.reason() or f"writes have not gone out for {STOP_WAIT_S:g} s"
-            log.error("%s: no zero has reached it: %s", self.info.name, why)
+    def _tell_no_zero(self, told: bool) -> None:
+        """Log it once: the loop, the daemon and `close` each stop the device."""
+        self._zero_failure = self.reason() or f"writes have not gone out for {STOP_WAIT_S:g} s"
+        if not told:
+            log.error("%s: no zero has reached it: %s", self.info.name, self._zero_failure)
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
 
     def close(self) -> None:
         self.stop()

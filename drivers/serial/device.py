@@ -18,16 +18,24 @@ from softfinger.drivers.conversation import TALK, Times, begin, info_of
 from softfinger.drivers.fields import table
 from softfinger.drivers.kinematics.freedom import freedom_rows
 from softfinger.drivers.kinematics.mechanism import NONE, SINGULAR_POSE, kind_of, make_mechanism
-from softfinger.drivers.serial import exchange, frames, packets
-from softfinger.drivers.serial.exchange import AT, CHUNK, TEXT
+from softfinger.drivers.serial import exchange, frames, line, packets
+from softfinger.drivers.serial.block import AT, CHUNK, MODEL_SIZE, TEXT, Model
 from softfinger.drivers.serial.options import Frames, Options, OutputFrame
-from softfinger.drivers.serial.port import close_port, open_port
+from softfinger.drivers.serial.port import close_port, count_unsent, open_port
 from softfinger.proxy.kernels.jit.pack import flatten
 
 log: Final = logging.getLogger(__name__)
 
 STOP_WAIT_S: Final = 1.0
-"""How long a stop waits for a port that takes nothing."""
+"""Time in which a port has to send the zero of a stop."""
+STOP_AGAIN_S: Final = 0.1
+"""The same after a stop that it has not sent."""
+WARN_NS: Final = 1_000_000_000
+"""Time for which a warning of a blocked port remains; warnings are asked for twice a second."""
+BLOCKED: Final = (
+    "too many frames wait in the port: its line is too slow for them, or the board has stopped reading: "
+    "zero is sent in place of the force"
+)
 
 
 class SerialDevice(Device):
@@ -37,7 +45,7 @@ class SerialDevice(Device):
     """
 
     def __init__(self, options: Options, fd: int, path: str) -> None:
-        self._options, self._path = options, path
+        self._options, self._path, self._zero_failure = options, path, ""
         origin, turned = options.mounting.frame()
         given, spec = options.kinematics, options.frames
         self._setup, self._zero = b"", frames.ZERO
@@ -46,7 +54,7 @@ class SerialDevice(Device):
             self._setup = b"" if spec.setup is None else resync + _encoded(spec.setup, spec)
             self._zero = (self._setup or resync) + _encoded(spec.output, spec)
         mechanism = NONE if given is None else make_mechanism(given, options.force_max_n)
-        self._block = self._make_block(fd, exchange.Model(origin, turned, options.force_max_n, mechanism))
+        self._block = self._make_block(fd, Model(origin, turned, options.force_max_n, mechanism))
         ids = "" if options.vendor_id is None else f" {options.vendor_id:04x}:{options.product_id:04x}"
         name = f"serial{ids} at {path}"
         if given is None:
@@ -54,13 +62,16 @@ class SerialDevice(Device):
         else:
             turns = bool(self._block.word[AT.turns])
             self.info = info_of(options, name, sensed_dof=6 if turns else given.dof, actuated_dof=given.dof)
+        with contextlib.suppress(OSError):
+            count_unsent(fd)
+            self._block.word[AT.countable] = 1
         try:
             self._wake(self._setup)
         except BaseException:
             self.close()
             raise
 
-    def _make_block(self, fd: int, model: exchange.Model) -> Block:
+    def _make_block(self, fd: int, model: Model) -> Block:
         block, options = Block(TALK, AT), self._options
         spans = Times(options.quiet_s, options.kick_s, kick_awaiting=options.kick_s, timeout=options.timeout_s)
         spec = options.frames
@@ -71,9 +82,9 @@ class SerialDevice(Device):
         word[AT.asked_at] = -size  # nothing has been asked
         word[AT.newline] = frames.NEWLINE
         word[AT.kind], word[AT.turns] = TEXT, 1
-        word[AT.out_bytes] = word[AT.out_total] = frames.FRAME_BYTES
+        word[AT.out_bytes] = word[AT.out_total] = word[AT.unit] = frames.FRAME_BYTES
         block.octets(AT.incoming, frames.LOOKBACK)[:] = frames.NEWLINE
-        block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(model)
+        block.numbers(AT.model, MODEL_SIZE)[:] = flatten(model)
         if spec is not None:
             self._describe(block, spec)
         filler = 0 if spec is None or spec.resync is None else spec.resync.byte
@@ -96,7 +107,7 @@ class SerialDevice(Device):
             block.point(fields, table_of)
         block.point(AT.stream, np.zeros(2 * spec.input.bytes + CHUNK, np.uint8))
         block.numbers(AT.place, 3)[:] = make_mechanism(given, 0.0).delta.home
-        word[AT.out_bytes] = spec.output.bytes
+        word[AT.out_bytes] = word[AT.unit] = spec.output.bytes
         word[AT.out_total] = spec.output.bytes + (0 if spec.resync is None else spec.resync.count)
 
     def _wake(self, setup: bytes = b"") -> None:
@@ -136,7 +147,8 @@ class SerialDevice(Device):
         """Send bytes that no tick waits for; what the port does not take is lost."""
         if data:
             with contextlib.suppress(OSError):
-                os.write(int(self._block.word[TALK.fd]), data)
+                self._block.word[AT.put] += os.write(int(self._block.word[TALK.fd]), data)
+                self._block.word[AT.writes] += 1
 
     def io(self) -> DeviceIO:
         return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
@@ -147,12 +159,34 @@ class SerialDevice(Device):
         self._wake()
 
     def stop(self) -> None:
-        until = time.monotonic() + STOP_WAIT_S
-        while not exchange.silence.ctypes(self._block.handle):
-            if time.monotonic() > until:
-                log.error("%s: the port has taken nothing for %g s; no zero can follow", self.info.name, STOP_WAIT_S)
-                return
-            time.sleep(0.0001)
+        """Drop what the port has not sent, then send a zero and wait until it has gone out."""
+        if self._block.word[TALK.fd] < 0:
+            return
+        # However often it is asked to stop, a port that sends nothing has its time once.
+        told = bool(self._zero_failure)
+        self._zero_failure = self._stop(STOP_AGAIN_S if told else STOP_WAIT_S)
+        if self._zero_failure and not told:
+            log.error("%s: no zero has reached it: %s", self.info.name, self._zero_failure)
+
+    def _stop(self, wait_s: float) -> str:
+        """Return why no zero has gone out in this time; empty if it has."""
+        until = time.monotonic() + wait_s
+        for step in (exchange.discard, exchange.silence):
+            while not step.ctypes(self._block.handle):
+                if time.monotonic() > until:
+                    return f"the port has taken nothing for {wait_s:g} s"
+                time.sleep(0.0001)
+        try:
+            while unsent := count_unsent(int(self._block.word[TALK.fd])):
+                if time.monotonic() > until:
+                    return f"{unsent} bytes have not gone out for {wait_s:g} s"
+                time.sleep(0.0005)
+        except OSError as error:
+            return f"the port is gone: {error.strerror}"
+        return ""
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
 
     def close(self) -> None:
         self.stop()
@@ -174,6 +208,9 @@ class SerialDevice(Device):
         return f"its last bytes are {last.hex(' ')}"
 
     def warning(self) -> str:
+        blocked_at = self._block.word[AT.blocked_at]
+        if blocked_at and time.monotonic_ns() - blocked_at < WARN_NS:
+            return BLOCKED
         return SINGULAR_POSE if self._block.word[AT.singular] else ""
 
     def last_word(self) -> LastWord:
@@ -196,6 +233,11 @@ def _encoded(frame: OutputFrame, spec: Frames) -> bytes:
 def rows(options: Options) -> list[tuple[str, str]]:
     """What `softfinger check` shows beside the options."""
     return freedom_rows(options.kinematics, options.mounting)
+
+
+def check(options: Options, rate_hz: float, where: str) -> None:
+    """Raise ConfigError if the line does not carry the frames of every tick; `where` is the table of the rig."""
+    line.check(options, rate_hz, where)
 
 
 def open_device(options: Options, rate_hz: float) -> SerialDevice:

@@ -4,38 +4,30 @@ What is the same for any board is in `conversation`. Frames are WoodenHaptics' t
 describes (`packets`). A board that answers each frame it is sent gets the next one once the last has been answered, or
 frames would pile up in its buffers and forces come late; a zero after a force does not wait. A newline wakes
 WoodenHaptics, a zero a described board; where an answer is missing, `resync` bytes go in front of a zero.
+
+If more frames wait in the port than `queue` allows, they are dropped, a zero is sent, and forces are withheld until the
+port has sent everything. After `timeout_after` of that the board is given up.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
-from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, STALE
-from softfinger.drivers.block import address, counter, lay_out, numbers, octets, word
+from numba import types
+
+from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.conversation import TALK, busy, c_functions, command, drain, pose, send_zero, wake
-from softfinger.drivers.fields.table import (
-    BUTTONS,
-    COMMANDED_SIZE,
-    CONSTANT,
-    GRIPPER,
-    SENSED_SIZE,
-)
+from softfinger.drivers.fields.table import BUTTONS, COMMANDED_SIZE, CONSTANT, GRIPPER
 from softfinger.drivers.fields.table import encode as encode_fields
-from softfinger.drivers.kinematics.mechanism import LIMITED, NONE, NONSENSE, SINGULAR, WHOLE, Mechanism, drive, end_of
+from softfinger.drivers.kinematics.mechanism import LIMITED, NONSENSE, SINGULAR, WHOLE, drive, end_of
 from softfinger.drivers.serial import packets
-from softfinger.drivers.serial.frames import (
-    ANGLES,
-    INFO,
-    LOOKBACK,
-    NUMBERS,
-    POSITION,
-    encode,
-    take,
-)
-from softfinger.drivers.system.libc import EAGAIN, read_waiting, write_now
-from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
-from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
+from softfinger.drivers.serial.block import AT, CHUNK, MODEL_LIKE, TEXT, Model
+from softfinger.drivers.serial.frames import ANGLES, INFO, LOOKBACK, POSITION, encode, take
+from softfinger.drivers.serial.queue import count_write, drop_frames, is_blocked, is_waiting
+from softfinger.drivers.system.libc import EAGAIN, monotonic_ns, read_waiting, write_now
+from softfinger.proxy.kernels.jit.decorators import c_function, jit
+from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
+from softfinger.proxy.kernels.jit.pack import unpack_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import (
@@ -48,78 +40,12 @@ from softfinger.proxy.kernels.numerics.rotations import (
     rotate,
 )
 
-CHUNK: Final = 1024
-"""Bytes of one read."""
 DRAIN_MAX: Final = 16
 """Reads in one tick: four times what the kernel keeps for a port; a device that floods cannot hold the loop."""
-TEXT: Final = -1
-"""In the place of a mechanism's kind: a board that knows its own kinematics, and speaks WoodenHaptics' text."""
 
 
 class Serial(NamedTuple):
     """Marks the kernels of this driver."""
-
-
-class Model(NamedTuple):
-    """What turns a frame into a pose and a force into a frame.
-
-    position     (3,) m  device's origin in the world
-    orientation  (4,)    device to world
-    force_max    N
-    mechanism    of a described board
-    """
-
-    position: Vec3
-    orientation: Quaternion
-    force_max: float
-    mechanism: Mechanism
-
-
-_MODEL_LIKE: Final = Model((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0, NONE)
-MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
-
-
-class Words(NamedTuple):
-    """The words of this driver, behind those of the conversation."""
-
-    bytes: Annotated[int, counter("bytes received")]
-    frames: Annotated[int, counter("frames received")]
-    drained: Annotated[int, counter("of these, older ones passed over for a newer")]
-    written: Annotated[int, counter("frames sent")]
-    held: Annotated[int, counter("forces not sent, because the last frame had no answer")]
-    kicks: Annotated[int, counter("newlines sent into a silence")]
-    cut: Annotated[int, counter("forces past the largest")]
-    singular: Annotated[
-        int, counter("forces that were less, and samples without a place, because the mechanism is singular there")
-    ]
-    kind: Annotated[int, word("of the mechanism, or TEXT")]
-    turns: Annotated[int, word("whether an orientation is sensed")]
-    answer: Annotated[int, word("bytes of an answer, whether they can be understood or not; 0: nothing is answered")]
-    asked_at: Annotated[int, word("`bytes` when the last frame was sent; `answer` or more since then are its answer")]
-    newline: Annotated[int, word("what wakes WoodenHaptics")]
-    waiting: Annotated[int, word("bytes that the system has for this driver")]
-    aligned: Annotated[int, word("whether an answer is known by its length alone")]
-    filled: Annotated[int, word("bytes in `stream` that may belong to a frame")]
-    in_shape: Annotated[int, address("a shape of `packets`")]
-    out_shape: Annotated[int, address("the same")]
-    in_rows: Annotated[int, word("fields of a frame")]
-    out_rows: Annotated[int, word("the same")]
-    in_table: Annotated[int, address("(in_rows, ROW) float64")]
-    out_table: Annotated[int, address("(out_rows, ROW) float64")]
-    stream: Annotated[int, address("bytes of frames that are described")]
-    outgoing: Annotated[int, address("resync bytes and the last frame sent")]
-    out_bytes: Annotated[int, word("of a frame sent")]
-    out_total: Annotated[int, word("with the resync bytes in front of it")]
-    scratch_word: Annotated[int, word("of a field being read or written")]
-    model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
-    place: Annotated[int, numbers("m, where a delta was", 3)]
-    scratch: Annotated[int, numbers("of a frame being read", max(NUMBERS, SENSED_SIZE))]
-    values: Annotated[int, numbers("of the newest frame", max(NUMBERS, SENSED_SIZE))]
-    given: Annotated[int, numbers("of the frame being written", COMMANDED_SIZE)]
-    incoming: Annotated[int, octets("text read last, and in front of it what may belong to it", LOOKBACK + CHUNK)]
-
-
-AT: Final = lay_out(Words, after=TALK)
 
 
 @jit
@@ -179,7 +105,7 @@ def _text_pose(values: Any) -> tuple[Vec3, Quaternion]:
 @pose.of(Serial)
 def _pose(driver: Serial, handle: int) -> bool:
     at = int64_at(handle)
-    model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
+    model: Model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     values, kept = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * TALK.sample)
     if at[AT.kind] == TEXT:
         position, turned = _text_pose(values)
@@ -207,6 +133,8 @@ def _put(handle: int, address: int, count: int) -> int:
     taken = write_now(int64_at(handle)[TALK.fd], address, count)
     if taken == -EAGAIN:
         return 0
+    if taken > 0:
+        count_write(handle, taken)
     return taken if taken >= 0 else LOST
 
 
@@ -226,7 +154,7 @@ def _finish(handle: int) -> int:
 def _fill(handle: int, force: Vec3) -> int:
     """Put a force (N, device's frame) into the frame; WHOLE, or why it had to be limited."""
     at = int64_at(handle)
-    model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
+    model: Model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     frame = at[AT.outgoing] + at[AT.out_total] - at[AT.out_bytes]
     if at[AT.kind] == TEXT:
         size = vec3.norm(force)
@@ -259,7 +187,7 @@ def _send(handle: int, force: Vec3) -> int:
     if status != OK:
         return status
     how = _fill(handle, force)
-    count = at[AT.out_total] if _asked(handle) else at[AT.out_bytes]
+    count = at[AT.out_total] if _asked(handle) or at[AT.torn] != 0 else at[AT.out_bytes]
     taken = _put(handle, at[AT.outgoing] + at[AT.out_total] - count, count)
     if taken <= 0:
         return taken if taken < 0 else HELD
@@ -284,14 +212,51 @@ def _asked(handle: int) -> bool:
     return bool(at[AT.bytes] - at[AT.asked_at] < at[AT.answer])
 
 
+@jit
+def _zero(handle: int) -> int:
+    """Send a zero; behind a frame that may be torn two, for the board takes the first one for the rest of that."""
+    at = int64_at(handle)
+    status = _send(handle, (0.0, 0.0, 0.0))
+    if status == OK and at[AT.torn] != 0 and at[TALK.left] == 0:
+        status = _send(handle, (0.0, 0.0, 0.0))
+        at[AT.torn] = 1 if status == HELD else 0
+    return status
+
+
 @busy.of(Serial)
 def _busy(driver: Serial, handle: int, deaf: bool) -> bool:
-    return deaf or _asked(handle)
+    blocked = is_blocked(handle)  # looked at in each tick, so that it is known since when
+    return deaf or blocked or _asked(handle)
+
+
+@jit
+def _drop_old(handle: int) -> None:
+    """Drop forces that a zero would wait behind: too many of them, or any once the board is silent."""
+    at = int64_at(handle)
+    if at[TALK.loaded] == 0:
+        return
+    silent = monotonic_ns(handle + 8 * TALK.timespec) - at[TALK.heard_at] > at[TALK.quiet]
+    if is_blocked(handle) or (silent and is_waiting(handle)):
+        drop_frames(handle)
 
 
 @send_zero.of(Serial)
 def _send_zero(driver: Serial, handle: int) -> int:
-    return _send(handle, (0.0, 0.0, 0.0))
+    _drop_old(handle)
+    return _zero(handle)
+
+
+@jit
+def _withhold(handle: int) -> int:
+    """Put a zero in the place of all forces that wait in the port; WITHHELD, or a status below 0."""
+    at = int64_at(handle)
+    if at[AT.blocked_at] - at[AT.blocked_since] > at[TALK.timeout_after]:
+        return TIMEOUT
+    status = WITHHELD
+    if at[TALK.loaded] != 0:
+        drop_frames(handle)
+        status = _zero(handle)
+    return status if status < 0 else WITHHELD
 
 
 @command.of(Serial)
@@ -300,19 +265,24 @@ def _command(driver: Serial, handle: int, wrench: Any) -> int:
     if _asked(handle):
         at[AT.held] += 1
         return HELD
-    model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
+    if is_blocked(handle):
+        return _withhold(handle)
+    model: Model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     return _send(handle, rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2])))
 
 
 @wake.of(Serial)
 def _wake(driver: Serial, handle: int) -> int:
     at = int64_at(handle)
+    if is_blocked(handle) and at[TALK.loaded] == 0:
+        return OK
+    _drop_old(handle)
     status = _finish(handle)
     if status == OK and at[AT.kind] != TEXT:
         at[AT.kicks] += 1
-        return _send(handle, (0.0, 0.0, 0.0))
+        return _zero(handle)
     if status == OK and at[TALK.loaded] != 0:
-        status = _send(handle, (0.0, 0.0, 0.0))
+        status = _zero(handle)
     if status == OK and at[TALK.left] == 0:
         taken = _put(handle, handle + 8 * AT.newline, 1)
         status = LOST if taken < 0 else OK
@@ -321,3 +291,16 @@ def _wake(driver: Serial, handle: int) -> int:
 
 
 read, write, silence = c_functions(Serial())
+
+
+@c_function(types.int64(types.int64))
+def discard(handle: int) -> int:
+    """Disarm and drop what the port has not sent; 1 when it is done, 0 when it must be tried again."""
+    at = int64_at(handle)
+    at[TALK.armed] = 0
+    if exchange_int64(handle + 8 * TALK.lock, 1) != 0:
+        return 0  # a write is under way
+    if at[TALK.fd] >= 0:
+        drop_frames(handle)
+    exchange_int64(handle + 8 * TALK.lock, 0)
+    return 1

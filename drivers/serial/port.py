@@ -25,6 +25,9 @@ SERIAL_STRUCT_BYTES: Final = 72
 FLAGS_AT: Final = 16
 ASYNC_LOW_LATENCY: Final = 1 << 13
 """Of linux/serial.h and tty_flags.h: struct serial_struct and where its flags are, on 64-bit machines."""
+TIOCSERGETLSR: Final = 0x5459
+TIOCSER_TEMT: Final = 1
+"""Of asm/ioctls.h and linux/serial.h: state of a UART, and its bit for a transmitter that is empty."""
 DRAIN_WAIT_S: Final = 0.2
 """How long what was written has to leave before the port is closed; the system's own close would wait for 30 s."""
 
@@ -56,9 +59,9 @@ def close_port(fd: int) -> None:
     """Let what was written leave, then close; bytes that the device does not take in time are thrown away."""
     until = time.monotonic() + DRAIN_WAIT_S
     with contextlib.suppress(OSError, termios.error):  # gone already
-        while _queued(fd) and time.monotonic() < until:
+        while count_unsent(fd) and time.monotonic() < until:
             time.sleep(0.001)
-        if _queued(fd):  # and only then: a last zero that the system still hands on must not be thrown away
+        if count_unsent(fd):  # and only then: a last zero that the system still hands on must not be thrown away
             termios.tcflush(fd, termios.TCOFLUSH)
         fcntl.ioctl(fd, termios.TIOCNXCL)
     os.close(fd)
@@ -73,9 +76,19 @@ def _set_low_latency(fd: int) -> None:
         fcntl.ioctl(fd, TIOCSSERIAL, bytes(settings))
 
 
-def _queued(fd: int) -> int:
-    """Bytes written that have not left."""
-    return int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
+def count_unsent(fd: int) -> int:
+    """Return the bytes written that have not gone out, 1 for those that only the chip still has.
+
+    Raises OSError if the port is gone. A pseudo terminal counts none; a USB modem more than there are.
+    """
+    queued = int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
+    if queued:
+        return queued
+    try:
+        state = int.from_bytes(fcntl.ioctl(fd, TIOCSERGETLSR, bytes(4)), sys.byteorder)
+    except OSError:  # no UART, or a driver that does not know of one
+        return 0
+    return 0 if state & TIOCSER_TEMT else 1
 
 
 def find(options: Options) -> str:

@@ -18,6 +18,9 @@ EAGAIN: Final = 11
 ETIMEDOUT: Final = 110
 
 _FIONREAD: Final = 0x541B
+_TIOCOUTQ: Final = 0x5411
+_TCFLSH: Final = 0x540B
+_TCOFLUSH: Final = 1
 
 TIMESPEC_WORDS: Final = 2
 INTERRUPTED_MAX: Final = 4
@@ -78,3 +81,23 @@ def read_waiting(fd: int, address: int, size: int, word: int) -> int:
     if count == 0:
         return -EIO
     return 0 if count == -EAGAIN else count
+
+
+@jit
+def count_unsent(fd: int, word: int) -> int:
+    """Return the bytes written to a terminal that the system has not sent, or minus the error's number.
+
+    `word` is the address of one word for the system's count. A USB modem (cdc-acm) counts a whole buffer per write, a
+    pseudo terminal nothing.
+    """
+    at = int64_at(word)
+    at[0] = 0  # the system fills the lower half
+    if _ioctl(fd, _TIOCOUTQ, word) != 0:
+        return -int(errno_location()[0])
+    return int(at[0])
+
+
+@jit
+def drop_unsent(fd: int) -> None:
+    """Drop the bytes written to a terminal that the system has not sent; USB serial chips keep theirs."""
+    _ioctl(fd, _TCFLSH, _TCOFLUSH)

@@ -146,7 +146,12 @@ class Servo:
         except BaseException as error:  # whatever it was, the device must be zeroed and join() must learn of it
             ended = Ended(CRASHED, 0, error)
         self._ended = ended
-        failed = shutdown.every(lambda: shutdown.stop_all(self.devices), *([undo] if undo else []), first=ended.error)
+        failed = shutdown.every(
+            lambda: shutdown.stop_all(self.devices),
+            lambda: shutdown.confirm_zero(self.devices),
+            *([undo] if undo else []),
+            first=ended.error,
+        )
         if failed is not ended.error:
             if ended.ending in (STOPPED, FINISHED):
                 self._ended = Ended(CRASHED, ended.status, failed)
@@ -174,6 +179,7 @@ class Servo:
         if not handover.keeps:
             self._armed = False  # no tick is due until the next devices are armed
             shutdown.stop_all(self.devices)
+            shutdown.confirm_zero(self.devices)
         handover.left.set()
         handover.ready.wait()
         if handover.loop is None:

@@ -62,7 +62,7 @@ def write_zero(write: int, handle: int, wrench: NDArray[np.float64]) -> None:
 
 
 def stop(device: Device) -> None:
-    """Stop a device; DeviceError where that fails, since then nobody knows what force it is left with.
+    """Stop a device; DeviceError if that fails, since then its force is unknown.
 
     A stop that fails is followed by a plain write of zero, the one way left; whoever else may be writing.
     """
@@ -98,6 +98,15 @@ def stop_all(devices: Sequence[Device]) -> None:
 def close_all(devices: Sequence[Device]) -> None:
     """`close` of each, as `stop_all`."""
     _raise_first("be closed", opened.at_once(close, devices))
+
+
+def confirm_zero(devices: Sequence[Device]) -> None:
+    """Raise DeviceError if a device that was stopped does not confirm its zero."""
+    for device in devices:
+        if why := device.zero_failure():
+            raise DeviceError(
+                f"{device.info.name}: zero force is not confirmed ({why}): it may still push: switch it off"
+            )
 
 
 def _raise_first(what: str, failures: Sequence[tuple[Device, BaseException]]) -> None:

@@ -14,7 +14,6 @@ from softfinger.config.errors import ConfigError, DeviceError, HapticError, Reco
 from softfinger.config.load import (
     EXPERIMENTS,
     FaultyConfig,
-    build,
     describe,
     find,
     find_in,
@@ -134,7 +133,7 @@ def examine_file(file: str) -> Finding:
 
                 key_folders(config.security)
             for table, device in config.tables.items():
-                _check_driver(device, table, file)
+                _check_driver(device, config.servo.rate_hz, table, file)
                 _check_recording(device, table, file)
             summary = rig_summary(config)
     except FaultyConfig as error:
@@ -234,15 +233,15 @@ def _exists(file: str) -> bool:
         return False
 
 
-def _check_driver(device: DeviceConfig, table: str, file: str) -> None:
-    """Raise if there is no such driver, or if it does not take the rig's options."""
+def _check_driver(device: DeviceConfig, rate_hz: float, table: str, file: str) -> None:
+    """Raise if there is no such driver, or if it does not take the rig's options, or not at this rate."""
     from softfinger.drivers import registry
 
     try:
-        driver = registry.load(device.driver)
+        registry.load(device.driver)
     except HapticError as error:
         raise ConfigError(f"{file}: {table}.driver = {device.driver!r}: {error}") from error
-    build(driver.Options, device.options, f"{file} [{table}]")
+    registry.check(device, rate_hz, f"{file} [{table}]")
 
 
 def _check_recording(device: DeviceConfig, table: str, file: str) -> None:

@@ -315,6 +315,7 @@ def test_a_device_that_takes_nothing_is_given_up(
     servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     device.close()
     assert "takes no packet" in caplog.text
+    assert device.zero_failure() == "it has taken no packet for 1 s"
     steps = stub["steps"]
     stub["block"] = 0
     assert (stub["flying"], stub["dropped"], stub["steps"]) == (0, 0, steps)

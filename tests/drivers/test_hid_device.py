@@ -300,14 +300,16 @@ def test_a_report_of_another_length_is_a_fault(size: int) -> None:
 
 
 def test_unplugging_is_a_loss() -> None:
-    """Reads and writes of a device that is gone say so, and stop and close raise nothing."""
+    """Reads and writes of a device that is gone say so, stop and close raise nothing, and no zero is confirmed."""
     with woody() as (device, _, answering):
         servo = Servo(device)
         servo.read()
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         answering.unplug()
         assert servo.read()[0] == LOST
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == LOST
         device.stop()
+        assert device.zero_failure() == "its node takes no report"
         device.close()
         assert servo.read()[0] == LOST
 
@@ -326,6 +328,7 @@ def test_every_way_out_ends_with_zero() -> None:
                     raise ZeroDivisionError
             else:
                 getattr(device, way)()
+            assert device.zero_failure() == ""
             assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
             answering.settle(device)
             assert not any(arm.sent[-1]), way

@@ -158,6 +158,7 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
         # the write has its time once; three machine stalls of a second on top
         assert time.monotonic() - begun < STOP_WAIT_S + CLOSE_WAIT_S + 3.0
         assert caplog.text.count("no zero has reached it: a write has been under way for") == 1
+        assert "a write has been under way for" in linked.device.zero_failure()
         assert "hid writer: a call of hidapi hangs" in caplog.text
         assert linked.api.closed == 0, "closed under a call"
         known = len(linked.heard)

@@ -29,7 +29,7 @@ from helpers.drd_stub import Stub, StubBench
 from helpers.hd_stub import SOURCE as HD
 from helpers.hd_stub import HdStub, TouchBench
 from helpers.hid_devices import woody
-from helpers.serial_devices import board, settle
+from helpers.serial_devices import at_rest, board, settle
 from softfinger.config.load import build
 from softfinger.drivers.base import Device
 from softfinger.drivers.replay import device as replay
@@ -220,7 +220,9 @@ def two_diy(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
 
         def received() -> NDArray[np.float64]:
             written = device.counts()["written"]
-            described_boards.settled(lambda: firmware.taken, lambda taken: taken >= written)
+            described_boards.settled(
+                lambda: firmware.taken, lambda taken: taken >= written or at_rest(lambda: firmware.taken)
+            )
             return rows(firmware.given.times, firmware.given)
 
         yield FarEnd(device, received, most=2.0 * TORQUE_MAX, hush=port.mute.set)

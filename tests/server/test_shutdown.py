@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import os
 import threading
 import time
+import tty
+from contextlib import suppress
 from math import nan
 from types import SimpleNamespace
 from typing import Any, cast
@@ -19,6 +22,7 @@ from softfinger.drivers.base import FORCE_OFF, LOST, PROTOCOL, TIMEOUT, Device, 
 from softfinger.server.closing import Closing
 from softfinger.server.loop import health, shutdown
 from softfinger.server.loop.shutdown import READ_FAILED, STOPPED, WRITE_FAILED, Ended
+from softfinger.server.watcher import take_force_off
 
 pytestmark = pytest.mark.plain
 
@@ -120,6 +124,39 @@ def test_a_stop_that_fails_is_followed_by_a_plain_zero(error: BaseException) -> 
         assert "switch it off" in str(caught.value)
     else:
         assert caught.value is error
+
+
+def test_a_zero_that_is_not_confirmed_is_an_error() -> None:
+    """The error names device, reason and remedy; confirmed devices raise nothing."""
+
+    class Quiet(Motor):
+        why = ""
+
+        def zero_failure(self) -> str:
+            return self.why
+
+    sound, dead = Quiet(), Quiet()
+    shutdown.confirm_zero([device(sound), device(dead)])
+    dead.why = "8 bytes have not gone out"
+    with pytest.raises(DeviceError, match=r"^Motor: .* not confirmed \(8 bytes have not gone out\): .*switch it off"):
+        shutdown.confirm_zero([device(sound), device(dead)])
+
+
+def test_a_watcher_drops_what_waits_before_its_zero() -> None:
+    """A board behind a full port reads the bytes that it already had, then three zeros."""
+    far, near = os.openpty()
+    tty.setraw(near)
+    os.set_blocking(near, False)
+    with suppress(BlockingIOError):
+        while os.write(near, b"force"):
+            pass
+    assert take_force_off("the node", near, b"zero!") == "zero force was written to the node"
+    got = os.read(far, 1 << 16)
+    while not got.endswith(b"zero!" * 3):
+        got += os.read(far, 1 << 16)
+    assert len(got) <= 4096 + 3 * 5  # what the far end had, of some 16 kB
+    os.close(near)
+    os.close(far)
 
 
 def test_an_error_without_words_is_told_by_its_class() -> None:
