@@ -25,6 +25,7 @@ import llvmlite.binding as llvm
 import numba
 from numba.core import event
 
+from softfinger.config.files import home_folder
 from softfinger.proxy.kernels.jit.cache import KERNEL_FOLDERS, Folder
 from softfinger.proxy.kernels.jit.compiler.doing import DOING
 from softfinger.proxy.kernels.jit.compiler.numba_internals import (
@@ -49,14 +50,14 @@ _OWN_FILE: Final = "config/package.py"
 
 
 def _cache_root() -> Path | None:
-    """None for a user whose home folder is not known."""
+    """Return the folder of all versions' caches; None for a user without a home folder."""
     named = os.environ.get("SOFTFINGER_CACHE_DIR")
     if named:
         return Path(named).absolute()
-    try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute() / "softfinger"
-    except RuntimeError:
+    cache, home = os.environ.get("XDG_CACHE_HOME"), home_folder()
+    if not cache and home is None:
         return None
+    return Path(cache or f"{home}/.cache").absolute() / "softfinger"
 
 
 def _source_hash(folders: Iterable[str]) -> str:
