@@ -59,7 +59,7 @@ class RigidBodies:
     def __init__(self, world: schema.World) -> None:
         self.world: Final = world
         package = mujoco_module()
-        _, self.model = read_model(world.model)
+        _, self.model = read_model(world.model, world.mass_kg)
         # What diverges is to be seen, and not to be put back where it began without a word.
         self.model.opt.disableflags |= package.mjtDisableBit.mjDSBL_AUTORESET
         self._without_timestep: Final = is_urdf(world.model) and self.model.opt.timestep == URDF_TIMESTEP_S
@@ -208,7 +208,7 @@ def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> Rigid
     if before is None or before.bodies is None:
         return RigidBodies(scene.world)
     owner: RigidBodies = before.bodies.block.owner
-    for key in ("model", "substeps", "budget_us"):
+    for key in ("model", "mass_kg", "substeps", "budget_us"):
         now, given = getattr(owner.world, key), getattr(scene.world, key)
         if now != given:
             raise ConfigError(

@@ -60,7 +60,7 @@ def test_a_script_lifts_the_box() -> None:
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_in_the_middle_of_a_lift_continues(duplicate: Callable[[Any], Any]) -> None:
-    """Copied as planners do and pickled as savers do, with the box in the grasp: the same bits, of memory of its own."""
+    """Copied as planners do, pickled as savers do, with the box in the grasp: the same bits, of memory of its own."""
     env = lift_environment.Lift(step_ticks=10)
     env.reset(seed=0)
     for _ in range(16):
