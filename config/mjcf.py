@@ -76,13 +76,13 @@ def read_model(path: str, mass_kg: Mapping[str, float] = NO_MASSES) -> tuple[muj
         if is_urdf(path):
             complete(spec, Path(path).parent)
         model = spec.compile()
-        _set_masses(model, mass_kg)
+        _set_masses(spec, model, mass_kg)
     except (ValueError, package.FatalError) as error:
         raise ConfigError(f"world.model {name}: {' '.join(str(error).split())}") from error
     return spec, model
 
 
-def _set_masses(model: mujoco.MjModel, mass_kg: Mapping[str, float]) -> None:
+def _set_masses(spec: mujoco.MjSpec, model: mujoco.MjModel, mass_kg: Mapping[str, float]) -> None:
     """Set masses of the compiled model, whatever they came of: geoms, <inertial>, densities, a total.
 
     The inertia is scaled as if the density had changed. MuJoCo then computes what depends on both, but for the damping
@@ -98,6 +98,8 @@ def _set_masses(model: mujoco.MjModel, mass_kg: Mapping[str, float]) -> None:
         model.body_mass[body] = mass
     if mass_kg:
         package.mj_setConst(model, package.MjData(model))
+        if model.nv and np.isnan(spec.stat.meaninertia):  # the compiler alone computes it, unless the file has one
+            model.stat.meaninertia = model.dof_M0.mean()
 
 
 def _check_count(bodies: int, name: str) -> None:
