@@ -25,7 +25,6 @@ import llvmlite.binding as llvm
 import numba
 from numba.core import event
 
-from softfinger.config.files import home_folder
 from softfinger.proxy.kernels.jit.cache import KERNEL_FOLDERS, Folder
 from softfinger.proxy.kernels.jit.compiler.doing import DOING
 from softfinger.proxy.kernels.jit.compiler.numba_internals import (
@@ -50,14 +49,14 @@ _OWN_FILE: Final = "config/package.py"
 
 
 def _cache_root() -> Path | None:
-    """Return the folder of all versions' caches; None for a user without a home folder."""
+    """None for a user whose home folder is not known."""
     named = os.environ.get("SOFTFINGER_CACHE_DIR")
     if named:
         return Path(named).absolute()
-    cache, home = os.environ.get("XDG_CACHE_HOME"), home_folder()
-    if not cache and home is None:
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute() / "softfinger"
+    except RuntimeError:
         return None
-    return Path(cache or f"{home}/.cache").absolute() / "softfinger"
 
 
 def _source_hash(folders: Iterable[str]) -> str:
