@@ -27,6 +27,19 @@ _KINDS: Final = {
 }
 
 
+def home_folder() -> Path | None:
+    """Home folder of this user; None if neither HOME nor passwd has one, as for the user of a container."""
+    try:
+        return Path.home()
+    except RuntimeError:
+        return None
+
+
+def expanded(path: str) -> Path:
+    """Replace a leading ~ by the home folder; a user without one gets the path as it is."""
+    return Path(os.path.expanduser(path))
+
+
 def open_input(path: str | Path, size_max: int | None = None) -> IO[bytes]:
     """A regular file to read from, of at most `size_max` bytes; OSError for anything else, without waiting for it."""
     fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)

@@ -84,6 +84,7 @@ MESH_SIZE_M: Final = Range(1e-6, 1e3, "the contact model is tested between these
 MESH_TRIANGLES: Final = Range(1, 20_000_000, "they take 2.5 GB as they are rendered")
 MESH_BYTES: Final = Range(1, 1 << 31, "20 million triangles have 1 GB as binary STL, and less as PLY or OBJ")
 SUBSTEPS: Final = Range(1, 16, "each costs a whole step; 16 at 1 kHz leave 60 us")
+BODY_MASS_KG: Final = Range(1e-6, 1e4, "a grain of sand; more than any body that fingers move")
 STEP_BUDGET_US: Final = Range(1.0, 1e5, "a step of one body takes some microseconds; a tick of 10 Hz lasts 0.1 s")
 GEOM_GROUP: Final = Range(0, 1000, "MuJoCo's groups are small numbers from 0")
 GEOM_MATERIALS: Final = Range(0, 256, "as many as there may be objects")

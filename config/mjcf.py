@@ -8,7 +8,7 @@ name of a geom takes its place.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 SIZE_MAX: Final = 1 << 24
 BODIES_MAX: Final = 1000
+NO_MASSES: Final[Mapping[str, float]] = {}
 SQUARE: Final = 1e-6
 """Difference of the sides of a pixel, as a share, that is rounding of sizes in a file: at most 1 pixel in a million."""
 
@@ -47,10 +48,20 @@ def mujoco_module() -> Any:
     return mujoco
 
 
-def read_model(path: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """The model of a file, as it was written and as it is simulated.
+def read_model(path: str, mass_kg: Mapping[str, float] = NO_MASSES) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """Return the model of a file, as it was written and as it is simulated.
 
-    Raises ConfigError with the file and what is wrong with it.
+    Parameters
+    ----------
+    path
+        MJCF or URDF file.
+    mass_kg
+        Other masses of bodies, by name, for the simulated model.
+
+    Raises
+    ------
+    ConfigError
+        With the file and what is wrong with it, or for a body that has no mass.
     """
     package, name = mujoco_module(), repr(path)[1:-1]
     try:
@@ -65,9 +76,30 @@ def read_model(path: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
         if is_urdf(path):
             complete(spec, Path(path).parent)
         model = spec.compile()
+        _set_masses(spec, model, mass_kg)
     except (ValueError, package.FatalError) as error:
         raise ConfigError(f"world.model {name}: {' '.join(str(error).split())}") from error
     return spec, model
+
+
+def _set_masses(spec: mujoco.MjSpec, model: mujoco.MjModel, mass_kg: Mapping[str, float]) -> None:
+    """Set masses of the compiled model, whatever they came of: geoms, <inertial>, densities, a total.
+
+    The inertia is scaled as if the density had changed. MuJoCo then computes what depends on both, but for the damping
+    of actuators with `dampratio`: a drive stays tuned to the model's own mass.
+    """
+    package = mujoco_module()
+    for name, mass in mass_kg.items():
+        body = package.mj_name2id(model, package.mjtObj.mjOBJ_BODY, name)
+        if body <= 0 or not model.body_mass[body] > 0.0:
+            names = ", ".join(model.body(each).name for each in range(1, model.nbody) if model.body_mass[each] > 0.0)
+            raise ValueError(f"mass_kg: {name!r} is no body with a mass; it has {names or 'none'}")
+        model.body_inertia[body] *= mass / model.body_mass[body]
+        model.body_mass[body] = mass
+    if mass_kg:
+        package.mj_setConst(model, package.MjData(model))
+        if model.nv and np.isnan(spec.stat.meaninertia):  # the compiler alone computes it, unless the file has one
+            model.stat.meaninertia = model.dof_M0.mean()
 
 
 def _check_count(bodies: int, name: str) -> None:
@@ -129,7 +161,7 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
 def taken(world: schema.World) -> Iterator[Taken]:
     """How each geom of the model is taken, in their order. ConfigError for a model that cannot be used."""
     package = mujoco_module()
-    spec, model = read_model(world.model)
+    spec, model = read_model(world.model, world.mass_kg)
     data = package.MjData(model)
     package.mj_kinematics(model, data)
     for geom in spec.geoms:

@@ -6,6 +6,7 @@ MuJoCo does not document `_address` of its objects, which this file alone uses; 
 from __future__ import annotations
 
 import ctypes
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -47,6 +48,10 @@ class Block(ReadOnly):
         super().__init__(words)
         self.owner: Final = owner
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle the simulation: a copy has addresses of its own."""
+        return attrgetter("block"), (self.owner,)
+
 
 class RigidBodies:
     """A world: MuJoCo's `model` and `data`. Raises ConfigError for a model that cannot be simulated."""
@@ -54,7 +59,7 @@ class RigidBodies:
     def __init__(self, world: schema.World) -> None:
         self.world: Final = world
         package = mujoco_module()
-        _, self.model = read_model(world.model)
+        _, self.model = read_model(world.model, world.mass_kg)
         # What diverges is to be seen, and not to be put back where it began without a word.
         self.model.opt.disableflags |= package.mjtDisableBit.mjDSBL_AUTORESET
         self._without_timestep: Final = is_urdf(world.model) and self.model.opt.timestep == URDF_TIMESTEP_S
@@ -62,17 +67,30 @@ class RigidBodies:
         self.moving: Final = [body for body in range(1, self.model.nbody) if moves(self.model, body)]
         """Numbers of the bodies that can move, and their names, or numbers where they have none."""
         self.names: Final = [self.model.body(body).name or str(body) for body in self.moving]
-        self._library: Final = _library(package)
+        self._fault: Final = np.zeros(2, np.int64)
+        self._last: Final = (np.zeros_like(self.data.xpos), np.zeros_like(self.data.xquat))
+        self._said = ""
+        self._connect()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy continues from, with the same bits; MuJoCo copies and pickles its data with the model."""
+        own = ("world", "data", "moving", "names", "_without_timestep", "_fault", "_last", "_said")
+        return {name: vars(self)[name] for name in own}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, model=state["data"].model)
+        self._connect()
+
+    def _connect(self) -> None:
+        """Look up MuJoCo's functions, route its errors to `rescue`, and take the addresses for the kernels."""
+        self._library = _library(mujoco_module())
         self._library.mju_setLogConfig(_LogConfig())  # warnings are counted: a servo thread writes no file
         if not PLAIN:  # Python's own calls of MuJoCo raise as before
             self._library.mju_setLogHandler.argtypes = (ctypes.c_void_p,)
             self._library.mju_setLogHandler(jump_on_error.address)
-        self._fault: Final = np.zeros(2, np.int64)
-        self._last: Final = (np.zeros_like(self.data.xpos), np.zeros_like(self.data.xquat))
-        self._memory: Final = np.zeros(RESCUE_BYTES + RESCUE_ALIGNMENT, np.uint8)
-        self._rescue: Final = -(-self._memory.ctypes.data // RESCUE_ALIGNMENT) * RESCUE_ALIGNMENT
-        self._said = ""
-        self.block: Final = Block(self._words(self._library), self)
+        self._memory = np.zeros(RESCUE_BYTES + RESCUE_ALIGNMENT, np.uint8)
+        self._rescue = -(-self._memory.ctypes.data // RESCUE_ALIGNMENT) * RESCUE_ALIGNMENT
+        self.block = Block(self._words(self._library), self)
 
     def _words(self, library: ctypes.CDLL) -> Any:
         data, words = self.data, np.zeros(at.BLOCK_SIZE, np.int64)
@@ -190,7 +208,7 @@ def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> Rigid
     if before is None or before.bodies is None:
         return RigidBodies(scene.world)
     owner: RigidBodies = before.bodies.block.owner
-    for key in ("model", "substeps", "budget_us"):
+    for key in ("model", "mass_kg", "substeps", "budget_us"):
         now, given = getattr(owner.world, key), getattr(scene.world, key)
         if now != given:
             raise ConfigError(

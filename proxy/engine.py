@@ -178,12 +178,15 @@ class Engine:
             raise ConfigError(f"rate_hz = {rate_hz}: must be a number from {1 / DT_MAX_S:g} to {1 / DT_MIN_S:g} Hz")
         self.dt = 1.0 / rate_hz
         begin_bodies(self.scene, self.dt)
-        self._values = flatten(self.scene)
         self._start = flatten(start_state(self.scene))
         self._state = self._start.copy()
         self._tick = 0
+        self._make_buffers()
+
+    def _make_buffers(self) -> None:
+        """Allocate what `step` passes to the kernel, and the arrays that it returns."""
+        self._values = flatten(self.scene)
         self._advance: Callable[..., None] | None = None
-        # What `step` hands to the kernel, and gets back.
         self._poses, self._records = (np.zeros((1, 1, size)) for size in (7, RECORD_SIZE))
         self._pose, self._record = self._poses[0, 0], self._records[0, 0]
         self._position, self._orientation = self._pose[:3], self._pose[3:]
@@ -192,6 +195,14 @@ class Engine:
         objects = ", ".join(thing.name for thing in self.config.object)
         fingers = f"fingers {', '.join(self.fingers)}; " if len(self.fingers) > 1 else ""
         return f"<Engine: {fingers}objects {objects}; {1.0 / self.dt:g} Hz, after {self._tick} ticks>"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy continues from, with the same bits: scene, contact, bodies of a [world]."""
+        return {name: vars(self)[name] for name in ("config", "scene", "fingers", "dt", "_start", "_state", "_tick")}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        vars(self).update(state)
+        self._make_buffers()
 
     def reset(self) -> None:
         """Forget the contact, and put the bodies of a [world] back: the next step is the first."""

@@ -1,4 +1,4 @@
-"""`softfinger report`: what somebody needs who is to find out what went wrong, in one archive, without private words.
+"""`softfinger report`: write an archive for an issue, without names, folders and serial numbers.
 
 report.json   versions, system, what `doctor` says
 rig.json, scene.json
@@ -66,14 +66,17 @@ def run(args: argparse.Namespace) -> int:
     if args.boxes < 0:
         raise ConfigError(f"--boxes {args.boxes}: must be 0 or more")
     rig, scene = load_rig(args.rig), load_scene(args.scene)
-    found = blackbox.files(blackbox.folder())
+    place = blackbox.folder()
+    if place is None:
+        log.warning("no black boxes: this user has no home folder; set HOME or SOFTFINGER_BLACKBOX_DIR")
+    found = [] if place is None else blackbox.files(place)
     boxes = found[len(found) - min(args.boxes, len(found)) :]
     cleaner = privacy.Privacy(device.serial for device in discovery.attached())
     told = {
         "softfinger": version("softfinger"),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "packages": machine.versions(),
-        "doctor": examine(rig, Path(args.rig).name, Path(args.scene).name, args.seconds, None),
+        "doctor": examine(rig, scene, Path(args.rig).name, Path(args.scene).name, args.seconds, None),
     }
     parts = {
         "report.json": _json(cleaner.clean(told)),
@@ -108,7 +111,7 @@ def archive(file: Any, parts: Mapping[str, bytes]) -> None:
 
 
 def private_rig(rig: dict[str, Any]) -> dict[str, Any]:
-    """A rig as `describe` has it, whose device options name no folder and no whole serial number."""
+    """Return the mapping of a rig without [security], and without folders and serial numbers in device options."""
     named = rig | {key: privacy.options(rig[key]) for key in ("device", "devices") if rig.get(key)}
     return {key: value for key, value in named.items() if key != "security"}
 

@@ -27,6 +27,9 @@ class GeomMaterial(Table, frozen=True, kw_only=True):
             yield "name", msgspec.UNSET, "is missing, and group and default are too: give one, or use world.material"
 
 
+BodyMass = Annotated[float, msgspec.Meta(ge=limits.BODY_MASS_KG.low, le=limits.BODY_MASS_KG.high)]
+
+
 class World(Table, frozen=True, kw_only=True):
     """Bodies of a MuJoCo model: they move as MuJoCo says, and fingers touch their geoms. Needs softfinger[world]."""
 
@@ -44,6 +47,10 @@ class World(Table, frozen=True, kw_only=True):
         ]
         | None
     ) = None
+    mass_kg: Annotated[
+        dict[str, BodyMass],
+        said("other masses than the model's, by name of the body; its inertia is scaled alike", {"box": 0.2}),
+    ] = msgspec.field(default_factory=dict)
     material: Annotated[
         Material | None,
         said("material of every geom that [[world.geom]] gives none; without it those geoms are not touched"),

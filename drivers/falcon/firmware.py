@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from softfinger.config.errors import DeviceError
-from softfinger.config.files import read_input
+from softfinger.config.files import expanded, read_input
 from softfinger.drivers.falcon import packets, usb
 from softfinger.drivers.falcon.usb import Line
 
@@ -92,7 +91,7 @@ def _file(path: str | None) -> bytes:
             "table; the maker's drivers have the file (docs/devices/falcon.md), and it may not come with this program"
         )
     try:
-        data = read_input(Path(path).expanduser(), 1 << 20)
+        data = read_input(expanded(path), 1 << 20)
     except OSError as error:
         raise DeviceError(f"firmware = {path} cannot be read: {error.strerror}: correct the path in the rig") from error
     if len(data) not in FILE_BYTES:

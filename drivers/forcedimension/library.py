@@ -13,6 +13,7 @@ from ctypes import POINTER, c_bool, c_byte, c_char_p, c_double, c_int, c_ubyte, 
 from pathlib import Path
 from typing import Any, Final
 
+from softfinger.config.files import home_folder
 from softfinger.drivers.system import makers_library
 from softfinger.drivers.system.makers_library import MakersLibrary
 
@@ -76,11 +77,12 @@ PROTOTYPES: Final[Mapping[str, tuple[Any, tuple[Any, ...]]]] = {
 
 
 def patterns(environ: Mapping[str, str]) -> list[Path]:
-    """Where the library may be, in the order in which it is looked for; the last part is a pattern."""
+    """Return the places of the library in the order of the search; the last part of each is a pattern."""
     build = Path("lib") / "release" / f"lin-{platform.machine()}-gcc" / "libdrd.so*"
     kits = [Path(environ[name]) / build for name in ("FDSDK", "FORCEDIM_SDK") if environ.get(name)]
-    home = Path(environ.get("HOME") or Path.home())
-    return [*kits, home / ".local" / "lib" / "libdrd.so*", Path("/usr/local/lib/libdrd.so*")]
+    home = environ.get("HOME") or home_folder()
+    own = [Path(home) / ".local" / "lib" / "libdrd.so*"] if home else []
+    return [*kits, *own, Path("/usr/local/lib/libdrd.so*")]
 
 
 LIBRARY: Final = MakersLibrary(

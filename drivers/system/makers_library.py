@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
+from softfinger.config.files import expanded
 
 
 class MakersLibrary(NamedTuple):
@@ -40,7 +41,7 @@ def load(library: MakersLibrary, named: str | None, patterns: Sequence[Path], no
     cannot be used.
     """
     if named is not None:
-        path = Path(named).expanduser()
+        path = expanded(named)
         if not os.path.isfile(path):  # also where this user may not look
             raise DeviceNotFound(f"library_file = '{named}': there is no such file; {library.advice}")
         return _opened(library, str(path))

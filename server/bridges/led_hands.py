@@ -14,6 +14,7 @@ from softfinger.config.load import SceneSource, load_rig, load_scene
 from softfinger.drivers.simulated.options import Options, simulation
 from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Intention
 from softfinger.proxy.bodies import begin_bodies, check_bodies
+from softfinger.proxy.engine import PoseError
 from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
@@ -77,8 +78,17 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         return self._observed(records), {"records": records}
 
     def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Lead the hands for `step_ticks`; what is out of the action's range is brought into it."""
-        records = self._run(self._way(np.clip(np.asarray(action, np.float64), -1.0, 1.0)))
+        """Lead the hands for `step_ticks`; numbers beyond -1 and 1 are clamped.
+
+        Raises PoseError if the action is not made of six finite numbers.
+        """
+        try:
+            wanted = np.asarray(action, np.float64)
+        except (TypeError, ValueError):
+            wanted = np.zeros(0)
+        if wanted.shape != (6,) or not np.isfinite(wanted).all():
+            raise PoseError(f"action {action!r}: must be 6 finite numbers, each from -1 to 1")
+        records = self._run(self._way(np.clip(wanted, -1.0, 1.0)))
         self._steps += 1
         over = self._steps >= self.setup.episode_steps
         return self._observed(records), self.reward(records), self.terminated(records), over, {"records": records}

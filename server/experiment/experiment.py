@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -157,7 +156,6 @@ class Experiment:
             daemon.start()
             client = opened.enter_context(Client(daemon.publisher.endpoint, daemon.commands_endpoint))
             log.info("telemetry on %s, commands on %s", daemon.publisher.endpoint, daemon.commands_endpoint)
-            models = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="softfinger-models-")))
             looks = list[Callable[[], None]]()
             if running.view:
                 loudness = [] if log.isEnabledFor(logging.INFO) else ["-q"]
@@ -166,7 +164,7 @@ class Experiment:
                 opened.callback(page.close)
                 looks.append(page.look)
             haptics = Haptics(
-                client, self.file, self._scene, models, lambda: _check(daemon.wait, looks),
+                client, self.file, self._scene, lambda: _check(daemon.wait, looks),
                 lambda changed: daemon.replace(rig=load_rig(rig, {**values, **changed})),
                 daemon.recordings.kept_to,
             )  # fmt: skip

@@ -42,7 +42,6 @@ class Haptics:
     """Presents stimuli on a daemon.
 
     scene_of  where a scene is that the experiment names
-    models    folder for models of bodies with other masses
     running   raises what ended the daemon, or Stopped where it was asked to end
     change_rig  has the daemon go on, from zero force, with these values of the rig and its own for all others
     kept_to     the last tick that the recording has; raises RecordingError where that has ended on its own
@@ -53,13 +52,12 @@ class Haptics:
         client: Client,
         experiment: ExperimentFile,
         scene_of: Callable[[str], str | Path],
-        models: Path,
         running: Callable[[], None],
         change_rig: Callable[[Mapping[str, Any]], Any],
         kept_to: Callable[[], int],
     ) -> None:
         self.client: Final = client
-        self._experiment, self._scene_of, self._models, self._running = experiment, scene_of, models, running
+        self._experiment, self._scene_of, self._running = experiment, scene_of, running
         self._change_rig: Final = change_rig
         self._kept_to: Final = kept_to
         self._rig, self._set = rigs.split(experiment.overrides, "overrides")
@@ -139,7 +137,7 @@ class Haptics:
         ramp_s = 0.0
         whole = None in back.values() or any(isinstance(value, str | dict) for value in changed.values())
         if stimulus.scene != self._scene or whole or split(changed)[0]:
-            scene = scene_with(self._scene_of(name), wanted, f"trial {stimulus.trial}", self._models)
+            scene = scene_with(self._scene_of(name), wanted, f"trial {stimulus.trial}")
             self.client.set_scene(as_file(scene), name=Path(name).stem[:64])
             self._led = self._hands()
         elif changed:

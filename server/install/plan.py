@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from softfinger.config.errors import ConfigError
+from softfinger.config.files import home_folder
 from softfinger.config.load import find, load_rig, load_scene, shipped
 from softfinger.config.schema import Rig, Scene
 from softfinger.drivers.system.rules import GROUP, program, udev_rules
@@ -46,12 +48,18 @@ SYSTEM: Final = Places(
 )
 
 
-def places_of_user(environment: Mapping[str, str], home: Path) -> Places:
-    """As the XDG base directories have them."""
+def places_of_user(environment: Mapping[str, str], home: Path | None) -> Places:
+    """Return the XDG base directories' places. ConfigError if one of them needs a home folder and there is none."""
 
     def folder(name: str, otherwise: str) -> Path:
         named = environment.get(name, "")
-        return Path(named) if named.startswith("/") else home / otherwise
+        if named.startswith("/"):
+            return Path(named)
+        if home is None:
+            raise ConfigError(
+                f"this user has no home folder, neither in HOME nor in passwd: set HOME or {name}, or add --system"
+            )
+        return home / otherwise
 
     data = folder("XDG_DATA_HOME", ".local/share")
     return Places(
@@ -64,7 +72,7 @@ def places_of_user(environment: Mapping[str, str], home: Path) -> Places:
 
 
 def places(system: bool) -> Places:
-    return SYSTEM if system else places_of_user(os.environ, Path.home())
+    return SYSTEM if system else places_of_user(os.environ, home_folder())
 
 
 def files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -> list[File]:

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.files import check_owner
+from softfinger.config.files import check_owner, home_folder
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.recording.writer import RecordingFile, with_whole_numbers
 from softfinger.server.wire.events import RecordEvents
@@ -38,14 +38,16 @@ ENDING: Final = ".mcap"
 PART: Final = ".part"
 
 
-def folder() -> Path:
-    """Where files are kept: $SOFTFINGER_BLACKBOX_DIR, or in the user's state folder (XDG); whether it is there or not.
-    RuntimeError where no home folder is known."""
+def folder() -> Path | None:
+    """Return the folder of the files, which need not exist: $SOFTFINGER_BLACKBOX_DIR, or one in the user's state folder
+    (XDG). None for a user without a home folder."""
     named = os.environ.get("SOFTFINGER_BLACKBOX_DIR")
     if named:
         return Path(named).absolute()
-    state = os.environ.get("XDG_STATE_HOME", "")
-    return (Path(state) if state.startswith("/") else Path.home() / ".local" / "state") / "softfinger" / "blackbox"
+    state, home = os.environ.get("XDG_STATE_HOME", ""), home_folder()
+    if not state.startswith("/") and home is None:
+        return None
+    return Path(state if state.startswith("/") else f"{home}/.local/state") / "softfinger" / "blackbox"
 
 
 def files(place: Path) -> list[Path]:

@@ -56,9 +56,8 @@ class BlackBoxes(Worker):
         """The file that a fault of now will be in; empty where none can be made. From any thread."""
         with self._lock:
             if self._due is None:
-                try:
-                    place = folder()
-                except RuntimeError:
+                place = folder()
+                if place is None:
                     return ""
                 self._number += 1
                 self._due = time.monotonic() + AFTER_S, place / name_of(fault, self._number)

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.drd_stub import Stub, StubBench, bench, plugged_in, stub, stub_library
+from helpers.forgotten import forget_user
 from helpers.programs import Program
 
 from softfinger.config.errors import (
@@ -393,6 +394,14 @@ def test_library_is_found_where_the_sdk_puts_it(variable: str, stub_library: Pat
     (folder / "libdrd.so.3.9.0").write_text("older")
     found = library.load(None, {"HOME": "/nowhere", variable: str(tmp_path)})
     assert found._name == str(folder / "libdrd.so.3.17.5")
+
+
+def test_a_user_without_a_home_is_told_the_other_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the library and of a file with ~: neither is there, and nothing else is wrong."""
+    forget_user(monkeypatch)
+    for named in (None, "~/libdrd.so"):
+        with pytest.raises(DeviceNotFound, match=r"looked for /usr/local/lib|'~/libdrd.so': there is no such file"):
+            library.load(named, {})
 
 
 def test_unusable_library_is_named(tmp_path: Path) -> None:

@@ -84,6 +84,9 @@ def remember(probe: Probe, outcome: Outcome) -> FingerState:
 @jit
 def report(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
     """What telemetry says of this tick, and the wrench."""
+    # A proxy that friction displaces on a curved surface lies below the tangent plane of its rest: the depth is the
+    # rest's. It is 0 in the tick in which the proxy, as it slips, comes to where the probe is outside.
+    depth = max(vec3.dot(vec3.sub(outcome.center, probe.position), outcome.normal), 0.0)
     to_fingertip, normal = rotations.conjugate(probe.orientation), outcome.normal
     inward = rotations.rotate(to_fingertip, normal)
     return Contact(
@@ -92,7 +95,7 @@ def report(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
         cause=outcome.cause,
         velocity=probe.velocity,
         center=outcome.shown,
-        penetration=vec3.dot(vec3.sub(outcome.shown, probe.position), normal),
+        penetration=depth,
         point=point_under(finger.form, finger.radius, probe.orientation, outcome.shown, normal),
         normal=normal,
         finger_point=point_on(finger.form, finger.radius, inward),

@@ -51,6 +51,10 @@ class ReadOnly:
     def __len__(self) -> int:
         return len(self.array)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle the numbers: a copy has an address of its own."""
+        return ReadOnly, (self.array,)
+
 
 class ReadOnlyType(types.Type):  # type: ignore[misc]
     """What `ReadOnly` is to the compiler: an address, and what kind of number is there."""

@@ -59,6 +59,16 @@ class Packed(NamedTuple):
     like: Any
     values: np.ndarray
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle with the addresses of the copied arrays."""
+        return repacked, (self.like, self.values)
+
+
+def repacked(like: Any, values: np.ndarray) -> Packed:
+    """Return `values` as the leaves of `like`, with the addresses of its arrays."""
+    rows = [flatten(unflatten(like, row)) for row in np.atleast_2d(values)]
+    return Packed(like, np.reshape(rows, values.shape))
+
 
 def packed(tree: Any) -> Packed:
     """The tree with its own leaves."""

@@ -40,6 +40,9 @@ class Rows(ReadOnly):
     def __len__(self) -> int:
         return len(self.trees)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Rows, (self.trees,)
+
 
 class RowsType(ReadOnlyType):
     """What `Rows` is to the compiler: an address, what type of tree is there, and how many."""

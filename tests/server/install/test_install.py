@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from helpers.forgotten import forget_user
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.cli import main
@@ -234,6 +235,19 @@ def test_a_users_folders_are_those_of_xdg() -> None:
     """Named by the environment, where that is an absolute path."""
     named = places_of_user({"XDG_CONFIG_HOME": "/c", "XDG_DATA_HOME": "relative"}, Path("/h"))
     assert named.units == Path("/c/systemd/user") and named.manuals == Path("/h/.local/share/man/man1")
+
+
+def test_a_user_without_a_home_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line with the remedies; folders that XDG names need no home."""
+    forget_user(monkeypatch)
+    assert main(["install", "--dry-run"]) == 2
+    assert "no home folder" in capsys.readouterr().err
+    for name in ("CONFIG", "DATA", "STATE"):
+        monkeypatch.setenv(f"XDG_{name}_HOME", str(tmp_path / name))
+    assert main(["install", "--dry-run"]) == 0
+    assert str(tmp_path / "CONFIG") in capsys.readouterr().out
 
 
 # --- what the system is told ------------------------------------------------------------------------
