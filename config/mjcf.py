@@ -7,7 +7,6 @@ name of a geom takes its place.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -19,13 +18,12 @@ from softfinger.config import limits, schema
 from softfinger.config.arrays.grids import Grid
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
-from softfinger.config.urdf import complete, is_urdf, places
+from softfinger.config.mjcf_size import SIZE_MAX, check_files
+from softfinger.config.urdf import complete, is_urdf
 
 if TYPE_CHECKING:
     import mujoco
 
-SIZE_MAX: Final = 1 << 24
-BODIES_MAX: Final = 1000
 NO_MASSES: Final[Mapping[str, float]] = {}
 SQUARE: Final = 1e-6
 """Difference of the sides of a pixel, as a share, that is rounding of sizes in a file: at most 1 pixel in a million."""
@@ -69,10 +67,9 @@ def read_model(path: str, mass_kg: Mapping[str, float] = NO_MASSES) -> tuple[muj
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError(f"world.model {name}: cannot be read: {reason}") from error
-    _check_folders(text, Path(path), name, set())
+    check_files(text, Path(path), name)
     try:
         spec = package.MjSpec.from_file(path)
-        _check_count(len(spec.bodies) - 1, name)  # the world is one of them
         if is_urdf(path):
             complete(spec, Path(path).parent)
         model = spec.compile()
@@ -100,49 +97,6 @@ def _set_masses(spec: mujoco.MjSpec, model: mujoco.MjModel, mass_kg: Mapping[str
         package.mj_setConst(model, package.MjData(model))
         if model.nv and np.isnan(spec.stat.meaninertia):  # the compiler alone computes it, unless the file has one
             model.stat.meaninertia = model.dof_M0.mean()
-
-
-def _check_count(bodies: int, name: str) -> None:
-    """MuJoCo takes a minute to read ten thousand bodies: they are counted before."""
-    if bodies > BODIES_MAX:
-        raise ConfigError(f"world.model {name}: has {bodies} bodies; at most {BODIES_MAX} can be stepped in time")
-
-
-def _check_folders(text: str, path: Path, name: str, seen: set[Path]) -> None:
-    """A model reads the files beside it and below, and no others; so do those that it includes, and theirs.
-
-    path  of the model, in whose folder MuJoCo looks for the files of all of them
-    seen  included files that were checked already
-    """
-    from xml.etree import ElementTree
-
-    if "<!ENTITY" in text:
-        raise ConfigError(f"world.model {name}: declares entities, and MuJoCo knows none: write them out")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise ConfigError(f"world.model {name}: is no XML: {error}") from error
-    _check_count(sum(element.tag in ("body", "link") for element in root.iter()), name)
-    home = path.resolve().parent
-    keys = ("file", "filename", "meshdir", "texturedir", "assetdir")
-    for element in root.iter():
-        for key in keys:
-            given = element.get(key)
-            outside = [
-                way for way in places(given or "") if not Path(os.path.realpath(home / way)).is_relative_to(home)
-            ]
-            if outside:
-                raise ConfigError(
-                    f"world.model {name}: <{element.tag} {key}={given!r}> is outside of its folder: put the file "
-                    "beside the model"
-                )
-            if given and element.tag == "include" and (part := home / given) not in seen:
-                seen.add(part)
-                try:
-                    inner = read_input(part, SIZE_MAX).decode("utf-8-sig")
-                except (OSError, ValueError):
-                    continue  # MuJoCo says what is wrong with it
-                _check_folders(inner, path, f"{name}, {given}", seen)
 
 
 def with_geoms(scene: schema.Scene) -> schema.Scene:

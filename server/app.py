@@ -37,6 +37,7 @@ from softfinger.server.states import State, States, Trigger
 from softfinger.server.wire.doors import doors_of
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.events import event_map
+from softfinger.server.wire.native.switch import SharedSwitch
 from softfinger.server.wire.publisher import Publisher
 
 if TYPE_CHECKING:  # an HTTP server takes time to import, and is off by default
@@ -90,6 +91,7 @@ class Daemon:
         doors = doors_of(rig)
         opened: list[Callable[[], None]] = [doors.close]
         try:
+            switch = SharedSwitch()
             self.publisher: Final = Publisher(
                 doors,
                 rig.telemetry.every,
@@ -97,13 +99,14 @@ class Daemon:
                 fingers=fingers,
                 priority=0 if rig.servo.realtime == "off" else PUBLISHER_PRIORITY,
                 bodies=scene.world is not None,
+                switch=switch,
             )
             opened.append(self.publisher.close)
             metrics = None
             if rig.metrics.endpoint is not None:
                 metrics = self._metrics(rig.metrics.endpoint)
                 opened.append(metrics.stop)
-            self.rendering: Final = Rendering(rig, scene, ticks, self._prepare, faults, self.states)
+            self.rendering: Final = Rendering(rig, scene, ticks, self._prepare, faults, self.states, switch.words)
         except BaseException as error:
             shutdown.every(*reversed(opened), first=error)
             raise

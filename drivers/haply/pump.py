@@ -20,9 +20,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
+from softfinger.drivers import turns
 from softfinger.drivers.base import LOST, PROTOCOL, TIMEOUT
 from softfinger.drivers.block import Block
-from softfinger.drivers.haply import turns
 from softfinger.drivers.haply.exchange import AT, COUNTERS, NUMBER, POSE, WRENCH, WRITTEN
 from softfinger.drivers.haply.messages import Malformed, Missing, Seen, command, read_state
 from softfinger.drivers.haply.opening import Found

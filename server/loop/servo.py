@@ -1,7 +1,8 @@
 """The servo's loop: one nopython function, from the reads of the devices to their writes.
 
-It takes no GIL, allocates nothing and waits for nobody. It shares with Python: a stop word, a slot of parameters, a
-ring of records and an eventfd that tells the reader a record is there. `servo_thread.py` runs it.
+It takes no GIL, allocates nothing and waits for nobody. It shares with Python: a stop word, the switch of the force, a
+slot of parameters, a ring of records and an eventfd that tells the reader a record is there. `servo_thread.py` runs
+it.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from softfinger.server.loop.all_devices import (
 )
 from softfinger.server.loop.bodies import move_bodies
 from softfinger.server.loop.clock import NS_PER_S, Pace, first_pace, next_pace, now_ns, sleep_until, with_suspension
+from softfinger.server.loop.force_switch import is_on, note_given, switched_all
 from softfinger.server.loop.health import HEALTHY, examine
 from softfinger.server.loop.inputs.ramp import Way, advance, head_for, stay
 from softfinger.server.loop.shared.ring import Ring, push
@@ -53,12 +55,13 @@ class Schedule(NamedTuple):
 
 class Shared(NamedTuple):
     """Memory the loop shares with Python: stop word, ticks and misses so far, of the loops before it too, and whether
-    it was woken late when it ended for want of time, parameter slot, ring of records, eventfd that wakes its reader,
-    slot of the motion of bodies (query.bodies). The ring has a row a tick: the records of all fingers, one after the
-    other."""
+    it was woken late when it ended for want of time, switch of the force (`force_switch.py`), parameter slot, ring of
+    records, eventfd that wakes its reader, slot of the motion of bodies (query.bodies). The ring has a row a tick: the
+    records of all fingers, one after the other."""
 
     stop: NDArray[np.int64]
     progress: NDArray[np.int64]
+    switch: NDArray[np.int64]
     tuning: Slot
     ring: Ring
     wake_fd: int
@@ -144,7 +147,10 @@ def servo_loop(
             ending, finger = FINISHED if status == END else READ_FAILED, place
             break
         memory = Memory(memory.world, befores)
-        memory = tick(tuning, start, memory, samples_of(lines), dt, nominal, number, records_of(lines))
+        on = is_on(shared.switch, woke)
+        guards = switched_all(tuning.guards, befores, on)
+        now = Tuning(tuning.scene, guards, tuning.passivity, tuning.tools, tuning.offsets)
+        memory = tick(now, start, memory, samples_of(lines), dt, nominal, number, records_of(lines))
         hands, statuses_out = write_all(ios, lines, tuning.tools, start.fingers, befores, memory.fingers)
         wrote = now_ns(timespec)
         move_bodies(tuning.scene.bodies, number, wrote, shared.motion, scratch.motion, timespec)
@@ -153,6 +159,7 @@ def servo_loop(
             ending, status, finger = WRITE_FAILED, status_out, place
             break
         memory = Memory(memory.world, hands)
+        note_given(shared.switch, hands, on)
 
         stamp = stamp_of(schedule, pace, woke, wrote, busy)
         stamp_all(lines, stamp, statuses, statuses_out)

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from softfinger.config.errors import SafetyStop
 from softfinger.drivers.base import Device
@@ -23,6 +24,7 @@ from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.all_devices import Io, make_line
 from softfinger.server.loop.clock import NS_PER_S, period_ns
+from softfinger.server.loop.force_switch import make_switch
 from softfinger.server.loop.handover import Handover, Loop
 from softfinger.server.loop.health import HELD_MAX_S
 from softfinger.server.loop.inputs.ramp import leaves, make_way
@@ -52,6 +54,7 @@ class Servo:
     rate_hz  tick rate
     ticks    how many ticks to run, None until stopped
     ramp_s   over which parameters that `tune` changes, and that act on the force, go to their new values; 0: at once
+    switch   of the force (`force_switch.py`); by default one of its own, which is on
     prepare  called in the servo thread before the first tick (real-time settings); what it returns is
              called in the same thread after the last
 
@@ -68,6 +71,7 @@ class Servo:
         ticks: int | None = None,
         prepare: Callable[[], Callable[[], None]] | None = None,
         ramp_s: float = 0.0,
+        switch: NDArray[np.int64] | None = None,
     ) -> None:
         self._ticks, self._prepare, self._ramp_s = -1 if ticks is None else ticks, prepare, ramp_s
         self._tuned: list[Tuning] = []
@@ -78,7 +82,8 @@ class Servo:
         self._done = threading.Event()
         # CLOCK_MONOTONIC is slewed with the wall clock but never stepped, so one offset serves the whole run.
         self._epoch_ns = _epoch_offset_ns()
-        self._words = np.zeros(8, np.int64), np.zeros(8, np.int64)
+        self.switch: Final = make_switch() if switch is None else switch
+        self._words = np.zeros(8, np.int64), np.zeros(8, np.int64), self.switch
         self._missed_before = 0
         self.records: Final = Rings()
         self._loop = self.loop(devices, tuning, rate_hz)
@@ -126,6 +131,12 @@ class Servo:
         for kernel, given in kernels:
             kernel.compile(tuple(numba.typeof(argument) for argument in given))
         return all(not kernel.stats.cache_misses for kernel, _ in kernels)
+
+    @staticmethod
+    def retuned(loop: Loop, tuning: Tuning) -> Loop:
+        """Return a loop that has not begun yet, with other parameters of the same parts."""
+        publish(loop.shared.tuning, leaves(tuning))
+        return loop._replace(tuning=tuning)
 
     @staticmethod
     def compiled_for(tuning: Tuning) -> bool:

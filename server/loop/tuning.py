@@ -142,11 +142,6 @@ def with_armed(tuning: Tuning, share: float) -> Tuning:
     return tuning._replace(guards=tuple(guard._replace(armed=share) for guard in tuning.guards))
 
 
-def fading_out(tuning: Tuning) -> Tuning:
-    """The tuning with which each guard brings its force to zero along its slew limit."""
-    return tuning._replace(guards=tuple(guard._replace(force_max=0.0, torque_max=0.0) for guard in tuning.guards))
-
-
 def seconds_to_zero(tuning: Tuning) -> float:
     """How long, s, the guards' slew limits take to bring the largest force and torque to zero."""
     guards: tuple[Guard, ...] = tuning.guards

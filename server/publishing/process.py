@@ -19,6 +19,7 @@ from typing import Any, Final
 import msgspec
 import zmq
 
+from softfinger.server.publishing.brake import Brake, takes_force_off
 from softfinger.server.publishing.channel import Channel, Said
 from softfinger.server.publishing.clients import Clients
 from softfinger.server.publishing.front import LINGER_MS, Front, Gate, Lock, bound_resources
@@ -49,6 +50,7 @@ class Publishing:
 
     def __init__(self, channel: Channel, setup: Setup, files: ExitStack) -> None:
         self._channel, self._out = channel, 0
+        self._brake = Brake(setup.switch)
         self._rows = Rows(setup.memory, setup.begin, setup.bell)
         self._messages = Messages(setup.ticks, setup.shown)
         self._ticking = {topic.encode() for topic in (*setup.ticks.topics, setup.ticks.state)}
@@ -75,8 +77,12 @@ class Publishing:
         number = bytes((len(self._clients),))
 
         def ask(kind: Kind, client: bytes, body: bytes) -> None:
-            self._out += 1
-            self._channel.say(kind, number + client, body)
+            off = kind == Kind.REQUEST and takes_force_off(body)
+            self._brake.count(int(off))
+            if self._channel.say(kind, number + client, body):
+                self._out += 1
+            else:  # the daemon will not hear of it
+                self._brake.count(-int(off))
 
         self._clients.append(Clients(gate, entrance, lock, ask))
 

@@ -93,6 +93,7 @@ class Setup(Struct, frozen=True):
 
     memory   file of the ticks; begin: the row to begin with
     bell     eventfd that is rung when there is a new one
+    switch   file of the words that take the force off (`brake.py`)
     backlog  messages kept for a subscriber that falls behind
     priority of SCHED_FIFO that it asks for; 0: for none
     """
@@ -100,6 +101,7 @@ class Setup(Struct, frozen=True):
     memory: int
     begin: int
     bell: int
+    switch: int
     backlog: int
     priority: int
     ticks: Ticks

@@ -46,7 +46,6 @@ class Arming:
             self._rendering.force.note_guard(FAST, fast)
         elif by == "button" and pressed:
             self._rendering.arm(UNARMED, FAST)
-        self._rendering.advance()
         self._states.fire(Trigger.TICK, "the first tick")
         self._rendering.force.tell()
 

@@ -1,15 +1,19 @@
-"""Commands as a service: what each method does to the daemon. The thread that looks after the publisher answers; it
-never waits long.
+"""Commands as a service: what each method does to the daemon.
 
-`set_scene` is answered from another thread, when it is done; everything else is answered at once, meanwhile too.
+The thread that looks after the publisher receives requests, and answers AT_ONCE what takes the force off or keeps it
+on: it reads no file and waits for nobody. A thread of its own answers the others in the order of their arrival, so
+that none of them delays `disarm`. `set_scene` is read, compiled and answered by a third one (`compilation.py`).
 The file is as long as the list of methods.
 """
 
 from __future__ import annotations
 
 import logging
+import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
+from queue import SimpleQueue
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -20,10 +24,13 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import build, completed, describe, load_scene, numbered, overridden, shipped, value_at
 from softfinger.config.words import near, shown
+from softfinger.drivers import turns
 from softfinger.drivers.simulated.lead import Wanted, hand_of
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import shutdown
+from softfinger.server.publishing.brake import SHORT
+from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.compilation import Change, NotCompiled, SceneChanges, Superseded
 from softfinger.server.services.description import described
 from softfinger.server.services.prompts import Prompts
@@ -42,6 +49,14 @@ EVENT_BYTES_MAX: Final = 1024
 """Most that a request puts into an event: the publisher keeps 40 000 messages for whoever is slow."""
 
 LOG_PERIOD_S: Final = 10.0
+
+AT_ONCE: Final = frozenset({"get_state", "heartbeat", "arm", "disarm", "zero", "stop"})
+"""Methods that overtake all others. Requests longer than SHORT are none of these; they take milliseconds to decode, and
+wait for their turn first."""
+WAITING_MAX: Final = 100
+"""Requests of one client that may wait for their turn; more are busy."""
+REST_MAX_S: Final = 0.1
+"""Longest rest after a request: those that wait their turn get half of the time of one processor at most."""
 
 
 class Doing(NamedTuple):
@@ -79,25 +94,42 @@ class Commands:
         self.endpoint: Final = endpoint
         self._rendering, self._doing, self._scene_name = rendering, doing, scene_name
         self._heartbeat_s = rendering.rig.commands.heartbeat_s
+        self._started = False
         self._heard_s = 0.0
         self._logged_s = -LOG_PERIOD_S
         self._newest: NDArray[np.float64] | None = None
         self._led: Final = set[int]()
         """Fingers whose hands a program leads."""
         self._scenes = SceneChanges(doing.replace)
+        self._turns: Final = SimpleQueue[tuple[bytes, Request | bytes, bool] | None]()
+        self._waiting: Final = Counter[bytes]()
+        """Requests of each client in `_turns`, or being answered; under `_counting`."""
+        self._counting = threading.Lock()
+        self._thread = threading.Thread(target=self._take_turns, name="commands", daemon=True)
         prompts = Prompts(self._tell, lambda: rendering.servo.ticks)
         self._get_prompt, self._set_prompt, self._answer = prompts.get, prompts.set, prompts.answer
         self.sink: Final = Sink("commands", self._keep)
 
     def start(self) -> None:
+        turns.shorten()
+        self._started = True
         self._scenes.start()
-        self._heard_s = time.monotonic()
+        self._thread.start()
+        self._note_alive()
         self._doing.serve(Answering(self._take, self._each_period))
 
     def stop(self) -> None:
-        failed = shutdown.every(self._scenes.stop, lambda: self._doing.serve(None))
+        failed = shutdown.every(self._scenes.stop, self._stop_turns, lambda: self._doing.serve(None))
+        if self._started:
+            self._started = False
+            turns.restore()
         if failed is not None:
             raise failed
+
+    def _stop_turns(self) -> None:
+        self._turns.put(None)
+        if self._thread.ident is not None:
+            self._thread.join(JOIN_S)
 
     def _keep(self, records: NDArray[np.float64], drops: int) -> None:
         self._newest = records[-1].copy()
@@ -105,19 +137,74 @@ class Commands:
     # --- what comes in --------------------------------------------------------------------------------
 
     def _take(self, client: bytes, body: bytes | None, too_much: bool) -> bytes | None:
+        """Answer a request, or have it wait for its turn; never waits itself."""
         command_id = ""
         try:
-            request = parse(body)
-            command_id = request.command_id
-            if too_much:
-                raise Declined("busy", "too many requests from this client: ask more slowly")
-            self._heard_s = time.monotonic()
-            if request.method in ("set_scene", "reset_world"):
-                (self._set_scene if request.method == "set_scene" else self._reset_world)(client, request)
+            if body is not None and len(body) > SHORT:
+                self._wait_turn(client, body, too_much)
                 return None
-            return answered(command_id, getattr(self, f"_{request.method}")(request))
+            request = self._heard(body, too_much)
+            command_id = request.command_id
+            if request.method in AT_ONCE:
+                return self._done(request)
+            self._wait_turn(client, request, too_much)
+            return None
         except Exception as error:
             return declined(self._declined(error), command_id)
+
+    def _heard(self, body: bytes | None, too_much: bool) -> Request:
+        """The request, which is a sign of life. Raises Declined."""
+        request = parse(body)
+        if too_much:
+            raise Declined("busy", "too many requests from this client: ask more slowly", request.command_id)
+        self._look_after()  # a heartbeat that was missed before it stays missed
+        self._note_alive()
+        return request
+
+    def _note_alive(self) -> None:
+        self._heard_s = time.monotonic()
+        if self._heartbeat_s is not None:
+            self._rendering.force.end_at(round(1e9 * (self._heard_s + self._heartbeat_s)))
+
+    def _wait_turn(self, client: bytes, given: Request | bytes, too_much: bool) -> None:
+        with self._counting:
+            if self._waiting[client] >= WAITING_MAX:
+                raise Declined("busy", "too many requests of this client wait for their turn: wait for answers first")
+            self._waiting[client] += 1
+        self._turns.put((client, given, too_much))
+
+    def _take_turns(self) -> None:
+        """The thread that answers what waits, one request after the other."""
+        while (turn := self._turns.get()) is not None:
+            begun = time.monotonic()
+            client, given, too_much = turn
+            answer = self._answer_in_turn(client, given, too_much)
+            if answer is not None:
+                self._doing.reply(client, answer)
+            with self._counting:
+                self._waiting[client] -= 1
+                if not self._waiting[client]:
+                    del self._waiting[client]
+            time.sleep(min(time.monotonic() - begun, REST_MAX_S))
+
+    def _answer_in_turn(self, client: bytes, given: Request | bytes, too_much: bool) -> bytes | None:
+        command_id = ""
+        try:
+            request = self._heard(given, too_much) if isinstance(given, bytes) else given
+            command_id = request.command_id
+            if request.method == "set_scene":
+                self._set_scene(client, request)
+                return None
+            if request.method == "reset_world":
+                self._reset_world(client, request)
+                return None
+            return self._done(request)
+        except Exception as error:
+            return declined(self._declined(error), command_id)
+
+    def _done(self, request: Request) -> bytes:
+        """Do what is asked; returns the answer."""
+        return answered(request.command_id, getattr(self, f"_{request.method}")(request))
 
     def _declined(self, error: Exception) -> Declined:
         """What became of a request, as its answer has it."""
@@ -143,26 +230,22 @@ class Commands:
         try:
             self._look_after()
         except Exception as error:
-            self._failed(error)
-
-    def _failed(self, error: Exception) -> None:
-        """Nobody can command. That ends the run where a heartbeat is needed, for nobody would miss it any more."""
-        log.exception("commands failed")
-        self._doing.serve(None)
-        self._doing.event("fault", "commands", message=str(error))
-        if self._heartbeat_s is not None:
+            log.exception("commands failed")
+            self._doing.serve(None)
+            self._doing.event("fault", "commands", message=str(error))
             self._doing.fail(SafetyStop(f"commands cannot be taken: {error}; nobody would see the heartbeat end"))
 
     def _look_after(self) -> None:
-        self._rendering.advance()
-        silent_s = time.monotonic() - self._heard_s
-        if (
-            self._heartbeat_s is not None
-            and silent_s > self._heartbeat_s
-            and not self._rendering.force.kept_off(SILENT)
-        ):
+        """Note that no heartbeat has come in time: the loop has taken the force off by then, and the next request alone
+        does not bring it back."""
+        if self._heartbeat_s is None or time.monotonic() - self._heard_s <= self._heartbeat_s:
+            return
+        if not self._rendering.force.kept_off(SILENT):
             self._rendering.disarm(SILENT)
-            log.warning("commands: none for %.2f s: the force is taken off until the next heartbeat", silent_s)
+            log.warning(
+                "commands: none for %.2f s: the force is taken off until the next heartbeat",
+                time.monotonic() - self._heard_s,
+            )
             self._tell("heartbeat_missed", "", {"after_s": self._heartbeat_s})
 
     def _tell(self, name: str, command_id: str, what: Mapping[str, Any]) -> None:
@@ -197,32 +280,44 @@ class Commands:
 
     def _set_scene(self, client: bytes, request: Request) -> None:
         asked: wire.SetScene = request.params
-        if isinstance(asked.scene, str):
-            if asked.scene not in shipped(schema.Scene):
-                raise Declined(
-                    "bad_params",
-                    f"no scene is called {shown(asked.scene)}{near(asked.scene, shipped(schema.Scene))}; shipped are "
-                    f"{', '.join(shipped(schema.Scene))}; one of your own is given whole",
-                )
-            scene = load_scene(asked.scene)
-        else:
-            scene = completed(build(schema.Scene, asked.scene, "set_scene"))
-        if asked.overrides:
-            scene = overridden(scene, asked.overrides, "set_scene")
-        self._rendering.check(scene, self._rendering.rig)  # before it is compiled
         name = asked.name or (asked.scene if isinstance(asked.scene, str) else "unnamed")
-        self._go_on_with(scene, name, client, request, lambda tick: wire.SceneSet(name, tick))
+        if isinstance(asked.scene, str) and asked.scene not in shipped(schema.Scene):
+            raise Declined(
+                "bad_params",
+                f"no scene is called {shown(asked.scene)}{near(asked.scene, shipped(schema.Scene))}; shipped are "
+                f"{', '.join(shipped(schema.Scene))}; one of your own is given whole",
+            )
+
+        def read() -> schema.Scene:
+            if isinstance(asked.scene, str):
+                scene = load_scene(asked.scene)
+            else:
+                scene = completed(build(schema.Scene, asked.scene, "set_scene"))
+            return overridden(scene, asked.overrides, "set_scene") if asked.overrides else scene
+
+        self._go_on_with(read, name, client, request, lambda tick: wire.SceneSet(name, tick))
 
     def _reset_world(self, client: bytes, request: Request) -> None:
         scene = self._rendering.scene
         if scene.world is None:
             raise Declined("refused", "the scene has no [world]: there is nothing to be put back")
-        self._go_on_with(scene, self._scene_name, client, request, wire.Applied)
+        self._go_on_with(lambda: scene, self._scene_name, client, request, wire.Applied)
 
     def _go_on_with(
-        self, scene: schema.Scene, name: str, client: bytes, request: Request, result: Callable[[int], Any]
+        self,
+        read: Callable[[], schema.Scene],
+        name: str,
+        client: bytes,
+        request: Request,
+        result: Callable[[int], Any],
     ) -> None:
-        """Have a scene compiled and rendered from zero force on, and answer with the `result` of its first tick."""
+        """Have a scene read, compiled and rendered from zero force on, and answer with the `result` of its first
+        tick."""
+
+        def checked() -> schema.Scene:
+            scene = read()
+            self._rendering.check(scene, self._rendering.rig)  # before it is compiled
+            return scene
 
         def done(outcome: int | Exception) -> None:
             if isinstance(outcome, Exception):
@@ -232,7 +327,7 @@ class Commands:
             self._tell(request.method, request.command_id, {"scene": name, "tick": outcome})
             self._doing.reply(client, answered(request.command_id, result(outcome)))
 
-        self._scenes.ask(Change(scene, name, done))
+        self._scenes.ask(Change(checked, name, done))
 
     def _drive(self, request: Request) -> wire.Applied:
         asked: wire.Drive = request.params

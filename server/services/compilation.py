@@ -44,9 +44,10 @@ class NotCompiled(HapticError):
 
 
 class Change(NamedTuple):
-    """A scene to be put in, and what it is called; `done` is called with its first tick or with what went wrong."""
+    """A scene to be put in, and what it is called: `read` returns it, checked; `done` is called with its first tick or
+    with what went wrong."""
 
-    scene: schema.Scene
+    read: Callable[[], schema.Scene]
     name: str
     done: Callable[[int | Exception], None]
 
@@ -83,8 +84,9 @@ class SceneChanges(Worker):
     def work(self) -> None:
         while (change := self._taken()) is not None:
             try:
-                self._compile(change.scene, change.name)
-                outcome: int | Exception = self._replace(change.scene, change.name)
+                scene = change.read()
+                self._compile(scene, change.name)
+                outcome: int | Exception = self._replace(scene, change.name)
             except Exception as error:
                 outcome = error
             change.done(outcome)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -47,13 +46,24 @@ class Replacing(HapticError):
     """What cannot be changed at the moment, since another change is on its way."""
 
 
+@contextmanager
+def _held(lock: threading.Lock) -> Iterator[None]:
+    """Hold a lock; raises Replacing if another holds it for long."""
+    if not lock.acquire(timeout=CHANGE_WAIT_S):
+        raise Replacing("the rendering is being replaced or paused: nothing was changed; try again")
+    try:
+        yield
+    finally:
+        lock.release()
+
+
 class Rendering:
     """A servo and its devices, opened when made: stopped, the servo has ended, and the devices are closed regardless.
 
     All that changes what the servo renders while it runs is here: it knows the scene and whether there is force.
 
     rig, scene      validated configuration
-    ticks, prepare  as of `Servo`
+    ticks, prepare  as of `Servo`, and so is `switch`
     faults          to be injected between the devices and the loop
     states          go by what keeps the force off
 
@@ -69,6 +79,7 @@ class Rendering:
         prepare: Callable[[], Callable[[], None]],
         faults: schema.Faults | None = None,
         states: States | None = None,
+        switch: NDArray[np.int64] | None = None,
     ) -> None:
         self._rig, self._scene = rig, scene
         self.faults: Final = faults
@@ -77,20 +88,24 @@ class Rendering:
         self._pauses = 0
         """A handler that pauses may be interrupted by another; with the last of them force comes back."""
         self._replacing = threading.Lock()
+        self._changing = threading.Lock()
+        """Held while parameters of the scene are changed, which takes as long as their files take to read."""
         self._handing_over = threading.Lock()
-        """Held by whoever changes the tuning of the loop, or the loop."""
-        self.force: Final = Force(rig.guard.arm != "automatic", states or States())
+        """Held by whoever changes the tuning of the loop, or the loop; within `_changing` if both are."""
         self._moved = 0
         """How many ticks had begun when an offset was set last."""
         devices = self._open(scene, rig)
         try:
             self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
             with making("kernels that call the device"):
-                begun = self.force.applied(self._tuning)
-                self.servo: Final = Servo(devices, begun, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s)
+                self.servo: Final = Servo(
+                    devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s, switch
+                )
         except BaseException as error:
             shutdown.every(lambda: shutdown.close_all(devices), first=error)
             raise
+        unarmed = rig.guard.arm != "automatic"
+        self.force: Final = Force(unarmed, states or States(), self.servo.switch, lambda: self.servo.ticks)
 
     def start(self) -> None:
         self._started = True
@@ -122,20 +137,24 @@ class Rendering:
             keeps = [each.device for each in moved] == [each.device for each in before]
             keeps = keeps and rig.servo.rate_hz == self._rig.servo.rate_hz
             # With the devices of now: what is compiled does not depend on which they are.
-            servo.compile(self._loop(asked, rig))
-            with self._handing_over:
-                scene = scene or self._scene  # whose parameters may have changed meanwhile
+            compiled = self._loop(asked, rig)
+            servo.compile(compiled)
+
+            def make() -> Loop:
+                if not keeps:
+                    return self._opened(asked, rig)
+                # Parameters of the scene that runs on may have changed meanwhile, and the offset of a device.
+                return self._loop(asked, rig) if scene is None else self._with_offsets(compiled)
+
+            with self._changing, self._handing_over:
+                asked = scene or self._scene
                 if not keeps and rig.guard.arm != "automatic":  # it may be another hand
                     self.force.keep_off(UNARMED)
-                self._fade_out()
-                first = servo.replace(
-                    (lambda: self._loop(scene, rig)) if keeps else (lambda: self._opened(scene, rig)), keeps
-                )
+                with self.force.suspended():
+                    self._await_no_force()
+                    first = servo.replace(make, keeps)
                 self._since = first
-                self.force.begin(servo.tuning.guards[0].armed)
-                self._rig, self._scene = rig, scene
-                self._tuning = with_armed(servo.tuning, 1.0)
-            self.advance()
+                self._rig, self._scene, self._tuning = rig, asked, servo.tuning
             if self._stopped:  # and did not wait until the devices were open
                 shutdown.close_all(servo.devices)
             return first
@@ -166,20 +185,18 @@ class Rendering:
         Returns the scene before and after, and how many ticks had begun without them at the least. `where` is named
         in messages. Raises ConfigError where a value is out of its range, or would need another loop; Replacing.
         """
-        with self._change():
+        with _held(self._changing):
             before, after = self._scene, overridden(self._scene, changes, where)
             if pair(after, self._rig) != pair(before, self._rig):
                 raise ConfigError(f"{where}: a finger's name and device are no parameters: set the whole scene")
             tuning = with_scene(self._tuning, after)
             if not self.servo.fits(tuning):
                 raise ConfigError(f"{where}: {other_model(before, changes)}: set the whole scene")
-            self._tuning, self._scene = tuning, after
-            return before, after, self._tune()
-
-    @property
-    def forceless(self) -> bool:
-        """Whether the force has been taken off, and all hands feel none."""
-        return self.force.is_off(self.servo.ticks)
+            with _held(self._handing_over):
+                # An offset may have been set meanwhile.
+                self._tuning = self._tuning._replace(scene=tuning.scene, passivity=tuning.passivity)
+                self._scene = after
+                return before, after, self._tune()
 
     @property
     def offsets(self) -> tuple[Vec3, ...]:
@@ -192,8 +209,8 @@ class Rendering:
 
         Returns how many ticks had begun without it at the least. Raises Replacing, also where there is force.
         """
-        with self._change():
-            if not self.forceless:
+        with _held(self._handing_over):
+            if not self.force.is_off:
                 raise Replacing("the force is on its way off: nothing was changed; try again")
             if position is not None and seen[AT.tick] < self._moved + 2:
                 raise Replacing("where the probe is now is not known yet: nothing was changed; try again")
@@ -211,59 +228,42 @@ class Rendering:
 
         Raises NoHand where none is computed, ConfigError for what its device does not reach or sense, Replacing.
         """
-        with self._change():
+        with _held(self._handing_over):
             lead(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], wanted)
 
     def hold(self, finger: int) -> Pose:
         """Have a finger's hand, which is computed, stay where it wants to be, and say where; raises as `lead`."""
-        with self._change():
+        with _held(self._handing_over):
             return hold(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger])
 
     def disarm(self, why: str) -> None:
         """Take the force off along the slew limit, and keep it off; never waits."""
         self.force.keep_off(why)
-        self.advance()
         self.force.tell()
 
     def arm(self, *why: str) -> None:
         """Take back reasons of `disarm`: with the last of them the force fades in, along the guard's ramp."""
         self.force.allow(*why)
-        self.advance()
         self.force.tell()
-
-    def advance(self) -> None:
-        """What is next in taking the force off or giving it back; to be called at times, never waits."""
-        if not self._handing_over.acquire(blocking=False):
-            return
-        try:
-            if self.force.advance(self.servo.ticks, self._ticks_to_zero()):
-                self._tune()
-        finally:
-            self._handing_over.release()
-
-    @contextmanager
-    def _change(self) -> Iterator[None]:
-        if not self._handing_over.acquire(timeout=CHANGE_WAIT_S):
-            raise Replacing("the rendering is being replaced or paused: nothing was changed; try again")
-        try:
-            yield
-        finally:
-            self._handing_over.release()
 
     def _tune(self) -> int:
         """Hand the tuning over as it is to be now; returns how many ticks had begun without it at the least."""
         ticks = self.servo.ticks
-        self.servo.tune(self.force.applied(self._tuning))
+        self.servo.tune(self._tuning)
         return ticks
 
     def _loop(self, scene: schema.Scene, rig: schema.Rig, given: Sequence[Device] = ()) -> Loop:
         """A loop on the devices given, or on the present ones."""
         devices = given or self.servo.devices
         infos = [device.info for device in devices]
-        tuning = with_armed(make_tuning(scene, rig.guard, infos, tools(scene, rig)), float(self.force.wanted))
+        tuning = make_tuning(scene, rig.guard, infos, tools(scene, rig))
         if not given:  # an offset is of a device, and stays with it
             tuning = with_offsets(tuning, self._tuning.offsets)
         return self.servo.loop(devices, tuning, rig.servo.rate_hz)
+
+    def _with_offsets(self, loop: Loop) -> Loop:
+        """The loop with the offsets of now."""
+        return self.servo.retuned(loop, with_offsets(loop.tuning, self._tuning.offsets))
 
     def _opened(self, scene: schema.Scene, rig: schema.Rig) -> Loop:
         """A loop on devices that are opened in place of the present ones."""
@@ -283,21 +283,14 @@ class Rendering:
             shutdown.every(lambda: shutdown.close_all(devices), first=error)
             raise
 
-    def _fade_out(self) -> None:
-        """Take the force off as fast as the guard lets it change."""
-        before = self.force.share
-        if before == 0.0:
-            return
-        self.force.share = None
-        count = self._ticks_to_zero()
-        self._tune()
-        if not self._ticked(count, 2.0 * count * self.servo.period_ns / NS_PER_S + PAUSE_WAIT_S):
-            self.force.share = before
-            self._tune()
-            raise SafetyStop(f"nothing was replaced: the servo did not tick {count} times to take the force off")
-
-    def _ticks_to_zero(self) -> int:
-        return math.ceil(seconds_to_zero(self._tuning) * NS_PER_S / self.servo.period_ns) + PAUSE_TICKS
+    def _await_no_force(self) -> None:
+        """Wait until the loop has taken the force off. Raises SafetyStop if it does not tick."""
+        to_zero_s = seconds_to_zero(self._tuning) + PAUSE_TICKS * self.servo.period_ns / NS_PER_S
+        until = time.monotonic() + 2.0 * to_zero_s + PAUSE_WAIT_S
+        while self.servo.looping and not self.force.is_off:
+            if time.monotonic() > until:
+                raise SafetyStop("nothing was replaced: the servo did not tick until the force was off")
+            time.sleep(POLL_S)
 
     def pause(self) -> Callable[[], None]:
         """Take the force off, before the process is stopped; call the result to have it fade in anew.

@@ -59,8 +59,8 @@ def run(args: argparse.Namespace) -> int:
     if args.method == "set_scene" and isinstance(scene, str) and scene.endswith(".toml"):
         # Read here, as this user: the daemon opens no file that a client names.
         params = {"name": Path(scene).stem[:64]} | params | {"scene": read_toml(scene)}
-    waiting = f"{args.method}: the daemon compiles the scene, or loads what is kept of it"
-    shown_wait = progress(waiting if args.method == "set_scene" else f"{args.method}: waiting for the daemon")
+    compiles = ", which may have to compile the scene" if args.method == "set_scene" else ""
+    shown_wait = progress(f"{args.method}: waiting for the daemon{compiles}")
     lock = keys.of_options(args)
     asked_s = BUSY_S if args.timeout is None else args.timeout
     found = addresses_of(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=asked_s)

@@ -10,6 +10,7 @@ message and counts the ticks that did not arrive.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -113,6 +114,11 @@ class Subscription(Closing):
         self.endpoint = endpoint
         self.topics: Final = tuple(topics)
         self.timeout_s = timeout_s
+        self._keys = keys
+        self._connect()
+
+    def _connect(self) -> None:
+        self._process = os.getpid()
         self._ticks: dict[str, int] = {}
         self._wait_ms = -1
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context.instance()
@@ -120,17 +126,18 @@ class Subscription(Closing):
         self._socket.linger = 0
         self._socket.rcvhwm = _RECEIVE_BACKLOG
         self._socket.maxmsgsize = _LARGEST_FRAME
-        self._socket.ipv6 = "[" in endpoint
-        if keys is not None:
-            keys.put_on(self._socket)
-        for topic in topics:
+        self._socket.ipv6 = "[" in self.endpoint
+        if self._keys is not None:
+            self._keys.put_on(self._socket)
+        for topic in self.topics:
             self._socket.subscribe(topic)
         try:
-            self._socket.connect(endpoint)
+            self._socket.connect(self.endpoint)
         except zmq.ZMQError as error:
             self.close()
             raise ConfigError(
-                f"cannot connect to endpoint {endpoint!r}: {error}; it looks like {DEFAULT_ENDPOINT} or ipc:///path"
+                f"cannot connect to endpoint {self.endpoint!r}: {error}; it looks like {DEFAULT_ENDPOINT} or "
+                "ipc:///path"
             ) from error
 
     def __repr__(self) -> str:
@@ -141,6 +148,8 @@ class Subscription(Closing):
 
         Raises ProtocolError for a message that is not ours; the next call reads on behind it.
         """
+        if self._process != os.getpid():  # a socket does not survive a fork: libzmq would wait without end
+            self._connect()
         wait_ms = milliseconds(timeout_s)
         if wait_ms != self._wait_ms:  # the socket's own time-out: to poll first would take half as long again
             self._socket.rcvtimeo = self._wait_ms = wait_ms

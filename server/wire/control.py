@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import time
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from functools import wraps
@@ -21,9 +22,12 @@ from typing import Any, Concatenate, ParamSpec, Self
 import zmq
 import zmq.asyncio
 
+from softfinger.config.errors import CommandRefused
 from softfinger.server.closing import Closing
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.asking import (
+    TIMEOUT_S,
+    NoAnswer,
     R,
     answer_in,
     asking,
@@ -78,15 +82,19 @@ class Control(Closing):
     def __init__(
         self, endpoint: str | None = None, timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
-        self.endpoint, self.timeout_s = endpoint or default_commands(), timeout_s
+        self.endpoint, self.timeout_s, self._keys = endpoint or default_commands(), timeout_s, keys
+        self._connect()
+
+    def _connect(self) -> None:
+        self._process = os.getpid()
         self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
-        connected(self._socket, self.endpoint, keys)
+        connected(self._socket, self.endpoint, self._keys)
 
     def _move(self, endpoint: str) -> None:
         """Command what is at another endpoint."""
         self._socket.close()
-        self.endpoint, self._socket = endpoint, zmq.Context.instance().socket(zmq.DEALER)
-        connected(self._socket, endpoint, None)
+        self.endpoint, self._keys = endpoint, None
+        self._connect()
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: commands on {self.endpoint}>"
@@ -96,7 +104,11 @@ class Control(Closing):
         return self._ask(method, params, METHODS[method].result if method in METHODS else dict)
 
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
+        if self._process != os.getpid():  # a socket does not survive a fork: libzmq would wait without end
+            self._connect()
         wait_s = time_for(method, self.timeout_s)
+        if wait_s > TIMEOUT_S and self.timeout_s is None:
+            self._check_answers(method)
         until = time.monotonic() + wait_s
         command_id, frames = asking(method, params, wait_s)
         sent = False
@@ -111,6 +123,15 @@ class Control(Closing):
             if answer.get("command_id") == command_id:  # and none that came too late for an earlier request
                 return result_of(answer, kind)
         raise no_answer(method, self.endpoint, wait_s)
+
+    def _check_answers(self, method: str) -> None:
+        """Raise NoAnswer if nobody answers a short request: no need then to wait for as long as `method` takes."""
+        try:
+            self._ask("get_state", Empty(), State)
+        except CommandRefused:  # which is an answer, too
+            return
+        except NoAnswer as error:
+            raise no_answer(method, self.endpoint, TIMEOUT_S) from error
 
     def get_state(self) -> State:
         """The newest tick in few numbers, of several fingers the first: position, velocity, force, contact."""
@@ -241,9 +262,13 @@ class AsyncControl:
     def __init__(
         self, endpoint: str | None = None, timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
-        self.endpoint, self.timeout_s = endpoint or default_commands(), timeout_s
+        self.endpoint, self.timeout_s, self._keys = endpoint or default_commands(), timeout_s, keys
+        self._connect()
+
+    def _connect(self) -> None:
+        self._process = os.getpid()
         self._socket: zmq.asyncio.Socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
-        connected(self._socket, self.endpoint, keys)
+        connected(self._socket, self.endpoint, self._keys)
         self._waiting: dict[str, asyncio.Future[dict[str, Any]]] = {}
         self._reader: asyncio.Task[None] | None = None
 
@@ -252,7 +277,12 @@ class AsyncControl:
         return await self._ask(method, params, METHODS[method].result if method in METHODS else dict)
 
     async def _ask(self, method: str, params: Any, kind: type[R]) -> R:
+        if self._process != os.getpid():  # as in Control
+            self._connect()
+            self._reader = asyncio.create_task(self._read())
         wait_s = time_for(method, self.timeout_s)
+        if wait_s > TIMEOUT_S and self.timeout_s is None:
+            await self._check_answers(method)
         command_id, frames = asking(method, params, wait_s)
         answer = self._waiting[command_id] = asyncio.get_running_loop().create_future()
         try:
@@ -263,6 +293,15 @@ class AsyncControl:
             raise no_answer(method, self.endpoint, wait_s) from None
         finally:
             del self._waiting[command_id]
+
+    async def _check_answers(self, method: str) -> None:
+        """Raise NoAnswer as in Control."""
+        try:
+            await self._ask("get_state", Empty(), State)
+        except CommandRefused:
+            return
+        except NoAnswer as error:
+            raise no_answer(method, self.endpoint, TIMEOUT_S) from error
 
     async def _read(self) -> None:
         while True:
@@ -302,6 +341,8 @@ class AsyncControl:
         self._socket.close()
 
     async def __aenter__(self) -> Self:
+        if self._process != os.getpid():
+            self._connect()
         self._reader = asyncio.create_task(self._read())
         return self
 

@@ -1,6 +1,6 @@
 """The publisher's process as the daemon has it: started, told, heard, and started again when it has ended.
 
-One thread looks after it, and answers what its peers ask. Nobody waits for it: what is said to it while it is away, or
+One thread looks after it, and receives what its peers ask. Nobody waits for it: what is said to it while it is away, or
 while it does not read, is kept in a bounded queue or left out.
 """
 
@@ -27,8 +27,8 @@ log: Final = logging.getLogger(__name__)
 
 PERIOD_S: Final = 0.02
 """How often `each_period` is called where nobody asks anything."""
-REST_MAX_S: Final = 0.1
-"""Longest rest after requests were answered."""
+REST_MAX_S: Final = 0.002
+"""Longest rest after requests were received: what takes longer waits for its turn in another thread."""
 SOUND_S: Final = 10.0
 """One that has run for so long is started again at once."""
 PAUSE_S: Final = 0.1
@@ -47,7 +47,7 @@ class Answering(NamedTuple):
     """Who answers requests; both are called in the thread of the link, and raise nothing.
 
     answer       is given a client, its request (None: not two frames), and whether it asks too much; returns the
-                 answer, or None if that comes later, by `reply`
+                 answer, or None if that comes later, by `reply`; waits for nobody
     each_period  is called every PERIOD_S or sooner
     """
 
@@ -62,6 +62,7 @@ class Link:
     last   says what has to be said to each new one, after that
     files  that it needs, by number
     event  called with what has happened to it, in words
+    obeyed called with each request that was answered, or waits for its turn
     """
 
     def __init__(
@@ -70,8 +71,10 @@ class Link:
         last: Callable[[Callable[[Kind, bytes, bytes], object]], None],
         files: list[int],
         event: Callable[[str], None],
+        obeyed: Callable[[bytes], None],
     ) -> None:
         self._setup, self._last, self._files, self._event = setup, last, list(files), event
+        self._obeyed = obeyed
         self._answering: Answering | None = None
         self._before, self._now = Figures(), Figures()
         self._logged, self._logged_s = Figures(), -LOG_PERIOD_S
@@ -202,6 +205,8 @@ class Link:
                     answer = answering.answer(said.key, body, said.kind == Kind.TOO_MUCH)
                 if answer is None or not self._channel.say(Kind.ANSWER, said.key, answer):
                     self._channel.say(Kind.LATER, said.key)
+                if said.kind == Kind.REQUEST:
+                    self._obeyed(said.body)
                 return True
         return False
 

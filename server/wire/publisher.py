@@ -23,6 +23,7 @@ from softfinger.server.wire.health import Health, together
 from softfinger.server.wire.link import Answering, Link
 from softfinger.server.wire.native.memory import LAYOUT
 from softfinger.server.wire.native.relay import Relay, Source
+from softfinger.server.wire.native.switch import SharedSwitch
 from softfinger.server.wire.protocol import (
     EVENT,
     HEALTH,
@@ -61,6 +62,7 @@ class Publisher(Closing):
     backlog   messages kept for a subscriber that stalls
     priority  of SCHED_FIFO that the process asks for; 0: for none
     bodies    whether `world` may be called
+    switch    by which the process takes the force off; it is closed with this
     """
 
     def __init__(
@@ -70,10 +72,10 @@ class Publisher(Closing):
         *,
         guard_names: Sequence[str] = (),
         fingers: Sequence[str] = ("",),
-        commands: str | None = None,
         backlog: int = BACKLOG,
         priority: int = 0,
         bodies: bool = False,
+        switch: SharedSwitch | None = None,
     ) -> None:
         if every < 1:
             raise ConfigError(f"[telemetry] every = {every} is below 1: 1 publishes each tick, 10 one in ten")
@@ -86,9 +88,9 @@ class Publisher(Closing):
         self._events = [RecordEvents(guard_names, finger, place == 0) for place, finger in enumerate(fingers)]
         self._health = [Health() for _ in fingers]
         self._closed, self._state = False, ""
+        alone = isinstance(doors, str)
         self._doors: Final = door(doors) if isinstance(doors, str) else doors
         self.endpoint: Final = self._doors.telemetry
-        alone = isinstance(doors, str)
         content = {
             "schema": SCHEMA,
             "timestamp": now_s(),
@@ -100,10 +102,17 @@ class Publisher(Closing):
         self._starts = 0
         with ExitStack() as undo:
             undo.callback(self._doors.close)
+            self._switch: Final = SharedSwitch() if switch is None else switch
+            undo.callback(self._switch.close)
             self._relay: Final = Relay(len(fingers))
             undo.callback(self._relay.close)
-            files = [self._relay.file, self._relay.bell, *(entrance.fd for entrance in self._doors.entrances)]
-            self._link: Final = Link(self._setup, self._last, files, self._restarted)
+            files = [
+                self._relay.file,
+                self._relay.bell,
+                self._switch.file,
+                *(entrance.fd for entrance in self._doors.entrances),
+            ]
+            self._link: Final = Link(self._setup, self._last, files, self._restarted, self._switch.obeyed)
             undo.pop_all()
         self.tap: Final = self._relay.tap
         """The records that were handed on, for one thread of this process."""
@@ -112,10 +121,12 @@ class Publisher(Closing):
         # The first one misses none; who was connected to another that has ended has missed what came meanwhile.
         begin = self._relay.rows if self._starts else 0
         self._starts += 1
+        self._switch.restart()
         return Setup(
             self._relay.file,
             begin,
             self._relay.bell,
+            self._switch.file,
             self._backlog,
             self._priority,
             self._ticks,
@@ -239,6 +250,7 @@ class Publisher(Closing):
             self._closed = True
         self._link.close(LINGER_S)
         self._relay.close()
+        self._switch.close()
         self._doors.close()
 
     def _send(self, topic: str, content: dict[str, Any]) -> None:

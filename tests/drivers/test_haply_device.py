@@ -23,8 +23,9 @@ from helpers.haply_devices import ID, Service, fresh, opened, rig_options, settl
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound
 from softfinger.config.errors import DeviceTimeout as NoAnswer
+from softfinger.drivers import turns
 from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
-from softfinger.drivers.haply import exchange, turns
+from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.device import HaplyDevice, identify, open_device
 from softfinger.drivers.system.discovery import Attached
 from softfinger.drivers.system.libc import IO_SIGNATURE

@@ -383,10 +383,58 @@ HOSTILE = {
     ),
     "a folder outside": ('<mujoco><compiler meshdir="/etc"/></mujoco>', "outside of its folder"),
     "another time step": (f"<mujoco><worldbody>{BALL}</worldbody></mujoco>", "0.002 s"),
-    "too many bodies": (f"<mujoco>{OPTION}<worldbody>{BALL * 10000}</worldbody></mujoco>", "10000 bodies"),
+    "too many bodies": (f"<mujoco>{OPTION}<worldbody>{BALL * 6000}</worldbody></mujoco>", "1,001 bodies"),
     "too many bodies in a few words": (
         f'<mujoco>{OPTION}<worldbody><replicate count="1100" offset="1 0 0">{BALL}</replicate></worldbody></mujoco>',
-        "1100 bodies",
+        "1,100 bodies",
+    ),
+    "too many bodies by copies of copies": (
+        f'<mujoco>{OPTION}<worldbody><replicate count="100"><replicate count="100">{BALL}</replicate></replicate>'
+        "</worldbody></mujoco>",
+        "10,000 bodies",
+    ),
+    "too many bodies by an included file": (
+        f'<mujoco>{OPTION}<worldbody><replicate count="2000"><include file="ball.xml"/></replicate></worldbody>'
+        "</mujoco>",
+        "bodies or more; at most 1,000",
+    ),
+    "a file that includes itself": ('<mujoco><include file="hostile.xml"/></mujoco>', "with all that it includes"),
+    "too many bodies by an attached model": (
+        f'<mujoco>{OPTION}<asset><model name="m" file="model.xml"/></asset><worldbody><replicate count="400">'
+        '<attach model="m" prefix="p"/></replicate></worldbody></mujoco>',
+        "bodies or more; at most 1,000",
+    ),
+    "a file outside of an attached model": (
+        '<mujoco><asset><model name="m" file="outer.xml"/></asset></mujoco>',
+        "outside of its folder",
+    ),
+    "too many bodies of a flexible one": (
+        f'<mujoco>{OPTION}<worldbody><flexcomp name="f" type="grid" count="20 20 20" spacing=".1 .1 .1" dim="3"/>'
+        "</worldbody></mujoco>",
+        "8,000 bodies",
+    ),
+    "too fine a flexible body": (
+        f'<mujoco>{OPTION}<worldbody><flexcomp name="f" type="grid" count="60 60 60" spacing=".1 .1 .1" dim="3" '
+        'dof="trilinear"/></worldbody></mujoco>',
+        "count = 216,000; at most 16,000",
+    ),
+    "too many sites by copies": (
+        '<mujoco><worldbody><replicate count="10000"><site size="0.1"/></replicate></worldbody></mujoco>',
+        "10,000 copies of elements or more; at most 5,000",
+    ),
+    "too many elements": (f"<mujoco>{'<site/>' * 500_000}</mujoco>", "more than 20,000 elements"),
+    "a height field of 14 GB": (
+        '<mujoco><asset><hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/></asset></mujoco>',
+        "nrow x ncol = 3,600,000,000; at most 1,048,576",
+    ),
+    "a texture of 10 GB": (
+        '<mujoco><asset><texture name="t" type="2d" builtin="flat" width="60000" height="60000"/></asset></mujoco>',
+        "width x height = 3,600,000,000; at most 16,777,216",
+    ),
+    "numbers of the user for each body": ('<mujoco><size nuser_body="100000"/></mujoco>', "at most 1,000"),
+    "vertices in the model": (
+        f'<mujoco><asset><mesh name="m" vertex="{"0 1 2 " * 200_000}"/></asset></mujoco>',
+        "put it in a file",
     ),
     "bodies that overlap at the start, in too little memory": (
         f'<mujoco><size memory="30K"/>{OPTION}<worldbody>'
@@ -409,6 +457,9 @@ def test_a_model_that_cannot_be_used_is_one_clear_error(name: str, tmp_path: Pat
     path = tmp_path / "hostile.xml"
     path.write_text(text)
     (tmp_path / "inner.xml").write_text('<mujocoinclude><include file="../secret.xml"/></mujocoinclude>')
+    (tmp_path / "ball.xml").write_text(f"<mujocoinclude>{BALL}</mujocoinclude>")
+    (tmp_path / "model.xml").write_text(f"<mujoco><worldbody>{BALL * 3}</worldbody></mujoco>")
+    (tmp_path / "outer.xml").write_text('<mujoco><asset><mesh file="../secret.stl"/></asset></mujoco>')
     with pytest.raises(ConfigError) as error:
         Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
     assert said in str(error.value) and "hostile.xml" in str(error.value)

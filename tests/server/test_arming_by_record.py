@@ -36,9 +36,6 @@ class Asked:
     def arm(self, *reasons: str) -> None:
         self.acts.append(("arm", *reasons))
 
-    def advance(self) -> None:
-        self.acts.append("advance")
-
 
 def batch(*ticks: tuple[int, list[tuple[float, float]]]) -> np.ndarray:
     """Records of ticks: number, and guard's bits and buttons of each finger."""
@@ -55,16 +52,16 @@ def taken(asked: Asked, *batches: np.ndarray) -> list[Any]:
     arming = Arming(cast(Any, asked), States())
     for records in batches:
         arming.take(records, 0)
-    return [act for act in asked.acts if act not in ("advance", "tell")]
+    return [act for act in asked.acts if act != "tell"]
 
 
 def test_each_batch_is_followed_and_the_first_makes_ready() -> None:
-    """The rendering goes on and tells, in this order; the state leaves `starting`."""
+    """The state leaves `starting`, and goes by what keeps the force off."""
     asked, states = Asked("command"), States()
     arming = Arming(cast(Any, asked), states)
     assert arming.sink.name == "arming"
     arming.take(batch((0, [(0, 0)])), 0)
-    assert asked.acts == ["advance", "tell"] and states.now is State.READY
+    assert asked.acts == ["tell"] and states.now is State.READY
 
 
 @pytest.mark.parametrize("fingers", [1, 2])

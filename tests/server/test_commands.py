@@ -545,9 +545,9 @@ def test_what_is_no_request_is_no_sign_of_life():
     reasons: set[str] = set()
     rendering = SimpleNamespace(
         rig=load_rig("replay", {"commands.heartbeat_s": 10.0}),
-        advance=lambda: None,
         disarm=reasons.add,
-        force=SimpleNamespace(kept_off=lambda why: why in reasons),
+        arm=reasons.discard,
+        force=SimpleNamespace(kept_off=lambda why: why in reasons, end_at=lambda time_ns: None, wanted=True),
     )
     doing = SimpleNamespace(replace=None, event=lambda *words, **fields: None)
     good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})

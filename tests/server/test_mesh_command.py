@@ -58,7 +58,7 @@ def commands(folder: Path) -> Iterator[str]:
         {"name": "large", "shape": "heightmap", "file": str(folder / "large.npy"), "pitch_m": 0.001, "level_m": 1.0},
         {"name": "table", "shape": "plane"},
     )
-    rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", ENDS), scene=scene, advance=lambda: None))
+    rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", ENDS), scene=scene))
     doors = doors_of(rendering.rig)
     with Publisher(doors) as publisher:
         doing = cast(Any, SimpleNamespace(replace=None, serve=publisher.serve, reply=publisher.reply))

@@ -239,10 +239,10 @@ HAZARDS: Final = (
         within=1,
     ),
     Hazard(
-        "a commanding program that is gone", "`heartbeat_s`",
-        f"`heartbeat_s` and {link.REST_MAX_S:g} s", "zero, along the slew limit",
+        "a commanding program that is gone", "`heartbeat_s`", "`heartbeat_s` and a tick", "zero, along the slew limit",
         "the next heartbeat, or `arm`", ("command heartbeat_missed", FAILED),
-        ("tests/server/test_commands.py::test_without_a_heartbeat_there_is_no_force_until_the_next",),
+        ("tests/server/test_commands.py::test_without_a_heartbeat_there_is_no_force_until_the_next",
+         "tests/server/test_commands_at_once.py::test_the_force_ends_while_python_does_nothing"),
     ),
     Hazard(
         "a scene that cannot be rendered", "checked and compiled before the swap", "none", "as before",

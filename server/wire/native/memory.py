@@ -110,7 +110,7 @@ def _made(fd: int, size: int) -> NDArray[np.int64]:
     """So many bytes of a new file, as words."""
     # Now, for what the system has no room for would be missing when it is written to.
     os.posix_fallocate(fd, 0, size)
-    return _mapped(fd, size)
+    return mapped(fd, size)
 
 
 def _claimed() -> tuple[int, str]:
@@ -124,7 +124,7 @@ def _claimed() -> tuple[int, str]:
         os.close(fd)
 
 
-def _mapped(fd: int, size: int) -> NDArray[np.int64]:
+def mapped(fd: int, size: int) -> NDArray[np.int64]:
     """A file as words, as long as an array of them is there. Not by `mmap`, which would keep a file of its own open."""
     address = _libc.mmap(None, size, mmap.PROT_READ | mmap.PROT_WRITE, mmap.MAP_SHARED, fd, 0)
     if address == ctypes.c_void_p(-1).value:

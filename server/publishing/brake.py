@@ -1,0 +1,49 @@
+"""Requests that take the force off: the publisher has the loop do so before the daemon has read them.
+
+Both count them, and the loop gives no force while the counts differ (`loop/force_switch.py`).
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from typing import Final
+
+import msgspec
+
+ASKED: Final = 3
+"""Word of the switch that counts such requests, written by the publisher."""
+OBEYED: Final = 4
+"""Word that counts those that the daemon has answered."""
+SHORT: Final = 4096
+"""Bytes: no such request is longer, and longer ones are not looked into."""
+
+
+class _Named(msgspec.Struct):
+    method: str
+
+
+_decoder: Final = msgspec.msgpack.Decoder(_Named)
+
+
+def takes_force_off(body: bytes) -> bool:
+    """Return whether a request, as it came, is one that takes the force off."""
+    if len(body) > SHORT or not (b"disarm" in body or b"stop" in body):
+        return False
+    try:
+        return _decoder.decode(body).method in ("disarm", "stop")
+    except (msgspec.DecodeError, ValueError, RecursionError):
+        return False
+
+
+class Brake:
+    """The publisher's side of the switch; takes over its file."""
+
+    def __init__(self, file: int) -> None:
+        self._memory = mmap.mmap(file, 0)
+        os.close(file)
+        self._words = memoryview(self._memory).cast("q")
+
+    def count(self, requests: int) -> None:
+        """Count requests more, or less."""
+        self._words[ASKED] += requests
