@@ -218,8 +218,6 @@ def check_descriptors() -> None:
 
 def make_parser(verbs: list[str] | None = None) -> argparse.ArgumentParser:
     """The parser, with the options of the named verbs, or of all."""
-    from importlib.metadata import version
-
     from softfinger.server.arguments import Parser
 
     parser = Parser(
@@ -227,8 +225,8 @@ def make_parser(verbs: list[str] | None = None) -> argparse.ArgumentParser:
         description="Real-time haptic rendering: soft-finger contact with rolling and torsion.",
         epilog=(__doc__ or "").partition("\n\n")[2],
     )
-    parser.add_argument("--version", action="version", version=f"softfinger {version('softfinger')}")
     parser.set_defaults(verbose=False, quiet=False)
+    add_version(parser)
     add_completion(parser)
     commands = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for name, verb in VERBS.items():
@@ -238,6 +236,20 @@ def make_parser(verbs: list[str] | None = None) -> argparse.ArgumentParser:
             module.configure(command)
             command.set_defaults(run=module.run)
     return parser
+
+
+def add_version(parser: argparse.ArgumentParser) -> None:
+    """Add `--version`, which alone reads the metadata: most verbs need no import that takes as long."""
+    import argparse
+
+    class Print(argparse.Action):
+        def __call__(self, *_: object) -> None:
+            from importlib.metadata import version
+
+            print(f"softfinger {version('softfinger')}")
+            raise SystemExit(0)
+
+    parser.add_argument("--version", action=Print, nargs=0, help="show program's version number and exit")
 
 
 def add_completion(parser: argparse.ArgumentParser) -> None:
