@@ -171,6 +171,7 @@ def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
 
 
 @pytest.mark.real_time
+@pytest.mark.exhaustive  # 8 s; `make test` runs the numba driver on a daemon, and this one without
 def test_my_driver_python(tmp_path: Path) -> None:
     """1 mm into 1000 N/m, held with 3000 N/m: both give way, and 0.75 N are left; every tick of both runs was done."""
     out = said("my_driver_python.py", "1300", cwd=tmp_path)

@@ -89,7 +89,7 @@ def test_two_replays_and_simulate_are_bit_identical(tmp_path):
     assert not runs[0][len(offline) :].any() and len(runs[0]) > len(offline)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.exhaustive)])
 def test_signal_stops_in_order_with_zero_force(number, tmp_path):
     """Either signal ends the daemon with exit code 0, and the last wrench written is zero."""
     forces = tmp_path / "forces.npz"

@@ -112,7 +112,8 @@ def kill(process: subprocess.Popen[bytes], kind: str, told: Path) -> list[int]:
     return begun + children(process.pid)
 
 
-@pytest.mark.parametrize("kills", [len(VICTIMS), pytest.param(KILLS, marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("kills", [len(VICTIMS), KILLS])
 def test_a_kill_at_any_moment_leaves_nothing_behind(kills: int, tmp_path: Path) -> None:
     """Daemon, publisher and page by turns, at random moments: that a page or a publisher has ended is told. Then the
     daemon, too: no process of it is left, the recording has whole ticks in a row, and the next one gets the same port,

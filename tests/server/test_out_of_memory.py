@@ -91,6 +91,7 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
     assert ticks == list(range(len(ticks))) and "publisher" in [name for name, _ in events]
 
 
+@pytest.mark.exhaustive
 def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
     """Browsers that come make it ask for more: it ends, and another takes its place at the same address. The board has
     a force all the while, and the recording every tick."""

@@ -123,7 +123,7 @@ def clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
-@pytest.mark.parametrize("slept_s", [1, 3600])
+@pytest.mark.parametrize("slept_s", [pytest.param(1, marks=pytest.mark.exhaustive), 3600])
 def test_a_machine_that_was_suspended_wakes_with_zero_force(
     slept_s: int, tmp_path: Path, record_property: Note
 ) -> None:
