@@ -151,6 +151,13 @@ class Device(ABC):
         """
         return ""
 
+    def zero_failure(self) -> str:
+        """Return why the zero of the last `stop` is not confirmed; empty if it is.
+
+        `stop` itself does not raise for a device that is gone or silent.
+        """
+        return ""
+
     def hand(self) -> Led | None:
         """The hand on it, where it is computed and may be led; None where a person's is, or something else leads it."""
         return None

@@ -259,6 +259,12 @@ class Injected(Device):
         said = f"injected: {self._faults[place].kind} in tick {int(self._block.word[AT.newest_tick])}"
         return "; ".join(filter(None, [self._device.reason(), said]))
 
+    def warning(self) -> str:
+        return self._device.warning()
+
+    def zero_failure(self) -> str:
+        return self._device.zero_failure()
+
     def hand(self) -> Led | None:
         return self._device.hand()
 

@@ -62,7 +62,7 @@ def write_zero(write: int, handle: int, wrench: NDArray[np.float64]) -> None:
 
 
 def stop(device: Device) -> None:
-    """Stop a device; DeviceError where that fails, since then nobody knows what force it is left with.
+    """Stop a device; DeviceError if that fails or its zero is not confirmed, since then its force is unknown.
 
     A stop that fails is followed by a plain write of zero, the one way left; whoever else may be writing.
     """
@@ -71,6 +71,8 @@ def stop(device: Device) -> None:
     except BaseException:
         _write_plainly(device)
         raise
+    if why := device.zero_failure():
+        raise DeviceError(f"{device.info.name}: zero force is not confirmed ({why}): it may still push: switch it off")
 
 
 def _write_plainly(device: Device) -> None:
