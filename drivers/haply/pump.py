@@ -109,14 +109,14 @@ class Pump:
             log.exception("the exchange with the Inverse Service failed")
             self._fail(PROTOCOL, repr(error))
         finally:
-            self._leave()
             turns.restore()
+            self._leave()
 
     def _leave(self) -> None:
         """Send a last zero, whatever has ended the exchange, and end the connection."""
-        link, device, key = self._found.link, self._found.device, self._found.key
-        self.ended_by_service = link.close(command(device, key, _ZERO))
-        self._found.lock.close()
+        with self._found.lock:
+            link, device, key = self._found.link, self._found.device, self._found.key
+            self.ended_by_service = link.close(command(device, key, _ZERO))
 
     def _fail(self, status: int, why: str) -> None:
         self.failure = why
