@@ -80,7 +80,7 @@ class Words(NamedTuple):
     held: Annotated[int, counter("forces not taken, because the one before was not sent yet")]
     armed: Annotated[int, word("whether a force may go out")]
     failed: Annotated[int, word("status of what ended the thread, 0 while nothing did")]
-    sent: Annotated[int, word("number of the newest wrench that was sent")]
+    taken: Annotated[int, word("number of the newest wrench that the thread has sent or dropped")]
     answered: Annotated[int, word("number of the newest wrench whose message has been answered")]
     stops: Annotated[int, word("zeros asked for by `stop`")]
     stopped: Annotated[int, word("of these, answered by the service")]
@@ -171,7 +171,7 @@ def _limit(handle: int, wrench: Any, now: int) -> tuple[Vec3, int]:
         return (0.0, 0.0, 0.0), OK
     if at[AT.armed] == 0 or not finite or at[AT.wake] < 0 or now - at[AT.heard_at] > at[AT.quiet]:
         return (0.0, 0.0, 0.0), WITHHELD
-    if at[AT.sent] != at[AT.written]:  # replacing that one would skip the force of a tick
+    if at[AT.taken] != at[AT.written]:  # replacing that one would skip the force of a tick
         at[AT.held] += 1
         return (0.0, 0.0, 0.0), HELD
     model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)

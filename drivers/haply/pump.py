@@ -147,11 +147,11 @@ class Pump:
         self._number, self._stops, self._sent_at = number, stops, now
         self._asked.append(Asked(number, stops))
         message = command(self._found.device, self._found.key, force)
-        self._size = len(message)
+        self._size = max(self._size, len(message))
         link.send(message)
         self._loaded = force != _ZERO
         self._word[AT.messages] += 1
-        self._word[AT.sent] = number
+        self._word[AT.taken] = number
 
     def _force(self) -> Vec3:
         """Return the newest force, or zero if none may be sent."""
@@ -163,8 +163,9 @@ class Pump:
         force = (x, y, z)
         old = not self._word[AT.armed] or time.monotonic_ns() - at > self._word[AT.stale]
         if force != _ZERO and (old or self._unread):
-            if self._loaded or self._unread:
-                self._word[AT.dropped] += 1
+            self._newest[:WRITTEN] = 0.0  # for good: it must not be sent once the service reads again
+            self._word[AT.dropped] += 1
+            self._word[AT.taken] = int(self._newest[NUMBER])
             return _ZERO
         return force
 

@@ -51,7 +51,7 @@ class Device:
         """The loop writes, and the thread sends what it was given before the next call, or not."""
         status = self.block.call(exchange.write, wrench)
         if sends:
-            self.word[AT.sent] = self.word[AT.written]
+            self.word[AT.taken] = self.word[AT.written]
         return status
 
     def given(self) -> list[float]:
@@ -244,7 +244,7 @@ def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
     assert device.write(0.0, 3.0, 0.0, 0.0, 0.0, 0.0, sends=False) == HELD
     device.word[AT.armed] = 0
     assert device.write(0.0, 3.0, 0.0, 0.0, 0.0, 0.0, sends=False) == WITHHELD
-    device.word[AT.armed], device.word[AT.sent] = 1, device.word[AT.written]
+    device.word[AT.armed], device.word[AT.taken] = 1, device.word[AT.written]
     assert device.write(0.0, 4.0, 0.0, 0.0, 0.0, 0.0) == OK
     assert device.given()[0] == pytest.approx(4.0)
     assert device.word[AT.lock] == 0

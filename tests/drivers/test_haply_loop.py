@@ -47,7 +47,7 @@ def rig(service: Service, **changes: Any) -> Rig:
 
 def pushes(service: Service) -> None:
     """Wait until the device pushes up."""
-    until = time.monotonic() + 60.0
+    until = time.monotonic() + 240.0  # a process may have to compile first
     while service.force()[2] < 0.5:
         assert time.monotonic() < until
         time.sleep(0.002)
@@ -123,7 +123,7 @@ def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[
     """Run the daemon as a process of its own, in contact."""
     service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
     running = subprocess.Popen(command_line(service, folder, "a"), stderr=subprocess.PIPE, text=True)
-    timer = threading.Timer(120.0, running.kill)
+    timer = threading.Timer(300.0, running.kill)
     timer.start()
     try:
         pushes(service)

@@ -334,8 +334,8 @@ def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, benc
 
 
 def test_frames_that_are_too_far_apart_are_told(hd: HdStub, bench: TouchBench) -> None:
-    """Frames 40 ms apart, where a force may be 20 ms old: the motors have zero, telemetry says so in every tick but
-    those before the first frame, and a warning names the cause. Frames in time bring the force back."""
+    """Frames 40 ms apart, where a force may be 20 ms old: the motors have zero, telemetry has the same and that it is
+    withheld, and a warning names the cause. Frames in time bring the force back."""
     hd["rate_hz"] = 25
     with bench.open(force_age_max_s=0.02) as device:
         servo = Loop([device], pulling(), RATE_HZ)
@@ -345,10 +345,8 @@ def test_frames_that_are_too_far_apart_are_told(hd: HdStub, bench: TouchBench) -
         assert "force_age_max_s = 0.02 s apart" in device.warning()
         out = np.empty((4096, RECORD_SIZE))
         records = out[: servo.records.take(out)]
-        first = int(np.argmax(records[:, AT.servo_device] == WITHHELD))
-        assert 0 < first < 200
-        assert not records[first:, AT.force : AT.force + 3].any()
-        assert (records[first:, AT.servo_device] >= WITHHELD).all()
+        assert not records[:, AT.force : AT.force + 3].any()
+        assert (records[:, AT.servo_device] == WITHHELD).mean() > 0.9  # the first tick of a ramp has no force
         assert not hd.journal()["force"].any()
         hd["rate_hz"] = 1000
         until(lambda: any(hd.wrench()))
