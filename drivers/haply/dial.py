@@ -20,8 +20,8 @@ MESSAGE_MAX: Final = 262_144
 """Bytes; an inventory has some 2000 for each device."""
 CHUNK: Final = 65536
 SEND_BUFFER: Final = 8192
-"""Bytes of the system's send buffer (Linux doubles it). Small, so that a service that reads nothing fails a send after
-some hundred messages instead of 26 000; the receive buffer is the service's own."""
+"""Bytes of the system's send buffer (Linux doubles it), so that few messages queue here for a service that reads nothing;
+the default takes some 26 000. What the service's own receive buffer holds is beyond reach."""
 _LENGTH: Final = re.compile(rb"\r\ncontent-length: *(\d{1,9})\r\n", re.IGNORECASE)
 
 
