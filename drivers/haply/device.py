@@ -1,5 +1,5 @@
 """A device at the Inverse Service behind the contract: opened with its filters set, and zero force on every shutdown
-path: a zero is sent and its answer seen, then the connection is closed."""
+path: a zero is sent and its answer received, then the connection is closed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["HaplyDevice", "Options", "identify", "open_device", "rows"]
 log: Final = logging.getLogger(__name__)
 
 STOP_WAIT_S: Final = 1.0
-"""How long a stop waits for the service's answer to a zero."""
+"""Time that a stop waits for the service's answer to a zero."""
 POLL_S: Final = 2e-4
 
 
@@ -32,7 +32,7 @@ class HaplyDevice(Device):
     """An open device; the connection of `found` is its own from now on."""
 
     def __init__(self, options: Options, found: opening.Found) -> None:
-        self._options, self._told = options, False
+        self._options, self._zero_failure = options, ""
         self._block = Block(AT)
         word = self._block.word
         self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(Model(*options.mounting.frame(), options.force_max_n))
@@ -66,17 +66,21 @@ class HaplyDevice(Device):
     def stop(self) -> None:
         word = self._block.word
         word[AT.armed] = 0  # from now on the thread sends nothing but zeros
-        if word[AT.wake] < 0 or not self._pump.running:
-            return  # with the connection the session has ended, and with it what it gave
-        wanted = int(word[AT.stops]) + 1
-        word[AT.stops] = wanted
-        os.eventfd_write(int(word[AT.wake]), 1)
-        until = time.monotonic() + STOP_WAIT_S
-        while word[AT.stopped] < wanted and self._pump.running:
-            if time.monotonic() > until:
-                self._tell_no_answer()
-                return
+        if word[AT.wake] < 0:
+            return
+        if word[AT.stopped] == word[AT.stops]:  # else a zero of a stop before is still unanswered
+            word[AT.stops] += 1
+            os.eventfd_write(int(word[AT.wake]), 1)
+        known = bool(self._zero_failure)
+        until = time.monotonic() + (0.0 if known else STOP_WAIT_S)
+        while self._pump.running and word[AT.stopped] < word[AT.stops] and time.monotonic() < until:
             time.sleep(POLL_S)
+        self._zero_failure = self._why_unconfirmed()
+        if self._zero_failure and not known:
+            log.error("%s: no zero is confirmed: %s", self.info.name, self._zero_failure)
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
 
     def close(self) -> None:
         self.stop()
@@ -96,15 +100,17 @@ class HaplyDevice(Device):
         return self._block.counts()
 
     def settled(self) -> bool:
-        """Whether the service has answered the message with the newest wrench, or never will."""
+        """Return whether the service has answered the message with the newest wrench, or never will."""
         word = self._block.word
         return bool(word[AT.answered] >= word[AT.written]) or not self._pump.running
 
-    def _tell_no_answer(self) -> None:
-        """Once: the loop, the daemon and `close` each stop the device."""
-        if not self._told:
-            self._told = True
-            log.error("%s: a zero was sent, and the service has not answered for %g s", self.info.name, STOP_WAIT_S)
+    def _why_unconfirmed(self) -> str:
+        """Return why nothing confirms the zero of a stop; empty if its answer or the end of the connection does."""
+        if self._block.word[AT.stopped] == self._block.word[AT.stops] or self._pump.ended_by_service:
+            return ""
+        if self._pump.running:
+            return f"the Inverse Service has not answered it for {STOP_WAIT_S:g} s"
+        return f"the Inverse Service has not read it ({self._pump.failure})"
 
 
 def _info(options: Options, name: str, sensed_dof: int) -> DeviceInfo:

@@ -1,8 +1,9 @@
 """The servo's side: the newest pose out of the block, the wrench into it, from nopython.
 
-Two sequence locks stand between the servo and the thread that speaks to the service (`pump`), one for each way, so that
-neither waits for the other. A write wakes the thread. What put zero in the place of a force is told by WITHHELD, so
-that the guard fades in again: no state for `quiet`, not armed, a wrench so old that the thread let it go.
+Servo and the thread that speaks to the service (`pump`) exchange data through two sequence locks, one for each
+direction, so that neither waits for the other. A write wakes the thread. WITHHELD reports zero in place of a force, so
+that the guard fades in again: no state for `quiet`, not armed, or the thread dropped the wrench. HELD reports a force
+that was not taken because the one before still waits to be sent.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Annotated, Any, Final, NamedTuple
 from numba import carray
 
 from softfinger.drivers.base import (
+    HELD,
     OK,
     SAMPLE_BUTTONS,
     SAMPLE_GRIPPER,
@@ -67,13 +69,18 @@ class Words(NamedTuple):
     states: Annotated[int, counter("states received")]
     messages: Annotated[int, counter("messages sent")]
     dropped: Annotated[
-        int, counter("forces ended by the thread, because no newer wrench came or the device was disarmed")
+        int,
+        counter(
+            "forces dropped by the thread: no newer wrench came, the device was disarmed, or the service reads nothing"
+        ),
     ]
     unasked: Annotated[int, counter("states that answered no message")]
     written: Annotated[int, counter("wrenches of the loop")]
     cut: Annotated[int, counter("forces past the largest")]
+    held: Annotated[int, counter("forces not taken, because the one before was not sent yet")]
     armed: Annotated[int, word("whether a force may go out")]
     failed: Annotated[int, word("status of what ended the thread, 0 while nothing did")]
+    taken: Annotated[int, word("number of the newest wrench that the thread has sent or dropped")]
     answered: Annotated[int, word("number of the newest wrench whose message has been answered")]
     stops: Annotated[int, word("zeros asked for by `stop`")]
     stopped: Annotated[int, word("of these, answered by the service")]
@@ -95,7 +102,7 @@ class Words(NamedTuple):
     wrench_sequence: Annotated[int, numbers("counter of the wrenches' lock", COUNTERS)]
     wrench: Annotated[int, numbers("the newest", WRENCH)]
     copied: Annotated[int, numbers("the loop's copy of a pose, which may be torn", POSE)]
-    sent: Annotated[int, numbers("the wrench being written", WRENCH)]
+    made: Annotated[int, numbers("the wrench being written", WRENCH)]
     sample: Annotated[int, numbers("the last one", SAMPLE_SIZE)]
 
 
@@ -152,39 +159,50 @@ def read(handle: int, sample: Any) -> int:
     return status
 
 
+@jit
+def _limit(handle: int, wrench: Any, now: int) -> tuple[Vec3, int]:
+    """Return the force to send in the service's frame, at most `force_max`, and the status of the write."""
+    at = int64_at(handle)
+    zero, finite = True, True
+    for k in range(3):  # torque is ignored: no motor turns the handle
+        finite = finite and isfinite(wrench[k])
+        zero = zero and wrench[k] == 0.0
+    if zero:
+        return (0.0, 0.0, 0.0), OK
+    if at[AT.armed] == 0 or not finite or at[AT.wake] < 0 or now - at[AT.heard_at] > at[AT.quiet]:
+        return (0.0, 0.0, 0.0), WITHHELD
+    if at[AT.taken] != at[AT.written]:  # replacing that one would skip the force of a tick
+        at[AT.held] += 1
+        return (0.0, 0.0, 0.0), HELD
+    model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
+    force = rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2]))
+    size = vec3.norm(force)
+    if size <= model.force_max:
+        return force, OK
+    at[AT.cut] += 1
+    return vec3.scale(model.force_max / size, force), STALE
+
+
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
     at = int64_at(handle)
-    finite, zero = True, True
-    for k in range(3):  # no motor turns the handle: torque is taken, and not displayed
-        finite = finite and isfinite(wrench[k])
-        zero = zero and wrench[k] == 0.0
     if at[AT.failed] < 0:
+        zero = wrench[0] == 0.0 and wrench[1] == 0.0 and wrench[2] == 0.0
         return OK if zero else int(at[AT.failed])
     # Never wait here: who holds the lock writes a zero or closes the device, so refusing is right as well.
     if exchange_int64(handle + 8 * AT.lock, 1) != 0:
         return WITHHELD
-    status, now = OK, monotonic_ns(handle + 8 * AT.timespec)
-    sent = carray(float64_at(handle + 8 * AT.sent), (WRENCH,))
-    force = (0.0, 0.0, 0.0)
-    if not zero:
-        if at[AT.armed] == 0 or not finite or at[AT.wake] < 0 or now - at[AT.heard_at] > at[AT.quiet]:
-            status = WITHHELD
-        else:
-            model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
-            force = rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2]))
-            size = vec3.norm(force)
-            if size > model.force_max:
-                at[AT.cut] += 1
-                force = vec3.scale(model.force_max / size, force)
-                status = STALE
-    for k in range(3):
-        sent[k] = force[k]
-    at[AT.written] += 1
-    sent[WRITTEN], sent[NUMBER] = float(now), float(at[AT.written])
-    wrenches = carray(float64_at(handle + 8 * AT.wrench), (WRENCH,))
-    store(Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (COUNTERS,)), wrenches), sent)
-    if at[AT.wake] >= 0:
-        write_now(at[AT.wake], handle + 8 * AT.one, 8)
+    now = monotonic_ns(handle + 8 * AT.timespec)
+    force, status = _limit(handle, wrench, now)
+    if status != HELD:
+        made = carray(float64_at(handle + 8 * AT.made), (WRENCH,))
+        for k in range(3):
+            made[k] = force[k]
+        at[AT.written] += 1
+        made[WRITTEN], made[NUMBER] = float(now), float(at[AT.written])
+        wrenches = carray(float64_at(handle + 8 * AT.wrench), (WRENCH,))
+        store(Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (COUNTERS,)), wrenches), made)
+        if at[AT.wake] >= 0:
+            write_now(at[AT.wake], handle + 8 * AT.one, 8)
     exchange_int64(handle + 8 * AT.lock, 0)
     return status

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import socket
 import time
+from contextlib import ExitStack
 from typing import Any, Final, NamedTuple
 from urllib.parse import quote
 
@@ -10,7 +12,9 @@ import msgspec
 from msgspec import Struct
 
 from softfinger.config.errors import DeviceError, DeviceNotFound, DeviceTimeout
-from softfinger.drivers.haply.link import START, Link, ask, library
+from softfinger.drivers.haply.claim import claim
+from softfinger.drivers.haply.dial import START, ask
+from softfinger.drivers.haply.link import Link, library
 from softfinger.drivers.haply.messages import (
     GRIPS,
     GROUPS,
@@ -50,9 +54,10 @@ class Reply(Struct):
 
 
 class Found(NamedTuple):
-    """An open connection, the device and grip that a rig means, the key of forces, and where the device is."""
+    """An open connection, and the lock, device, grip, key of forces and first pose that belong to it."""
 
     link: Link
+    lock: socket.socket
     device: Which
     grip: Which | None
     key: str
@@ -60,25 +65,26 @@ class Found(NamedTuple):
 
 
 def find(options: Options) -> Found:
-    """Raises DeviceNotFound, DeviceTimeout, DeviceError."""
+    """Find, lock and set up the device of a rig. Raises DeviceNotFound, DeviceBusy, DeviceTimeout, DeviceError."""
     library()  # before a service is looked for
     until = time.monotonic() + OPEN_S
     version = number_of(options.version or _version(options.port, until))
-    link = Link(options.port, until)
-    try:
-        inventory = _inventory(link, until)
-        device, listed = choose_device(inventory, options.device_id)
-        grip = choose_grip(inventory, options.grip)
-        _set(options, version, device, listed.config, inventory.session_id, until)
-        key = force_key(version)
-        link.send(command(device, key, _ZERO, basis=True))
-        return Found(link, device, grip, key, read_state(link.next(until), device, grip))
-    except (Malformed, Missing) as error:
-        link.close()
-        raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
-    except BaseException:
-        link.close()
-        raise
+    with ExitStack() as opened:
+        link = Link(options.port, until)
+        opened.callback(link.close)
+        try:
+            inventory = _inventory(link, until)
+            device, listed = choose_device(inventory, options.device_id)
+            grip = choose_grip(inventory, options.grip)
+            lock = opened.enter_context(claim(options.port, device))
+            _set(options, version, device, listed.config, inventory.session_id, until)
+            key = force_key(version)
+            link.send(command(device, key, _ZERO, basis=True))
+            found = Found(link, lock, device, grip, key, read_state(link.next(until), device, grip))
+        except (Malformed, Missing) as error:
+            raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
+        opened.pop_all()
+        return found
 
 
 def identify(port: int, version: str | None) -> dict[str, Any]:

@@ -1,9 +1,10 @@
-"""The thread that speaks to the service: a message with the newest wrench, then the state that answers it.
+"""The thread that exchanges messages with the service: one with the newest wrench, then the state that answers it.
 
-The service says one state for each message, so a message goes out when the servo has written and the last one is
-answered, and every `KEEP_S` where nobody writes. A zero after a force waits for no answer. The thread itself puts zero
-in the place of a wrench that is older than `stale`, and of every one while the device is not armed, whatever the servo
-does. It never blocks: a service that floods, hangs or closes ends it, and `read` says so.
+The service sends one state for each message. So the thread sends a message when the servo has written and the last one
+is answered, and every `KEEP_S` if nobody writes: one force at most is on its way. A zero after a force waits for no
+answer. The thread sends zero in place of a wrench that is older than `stale`, and of every wrench while the device is
+not armed or the service reads nothing, whatever the servo does. It never blocks: a service that floods, hangs or closes
+ends the thread, and `read` returns why. Its last message is a zero, ahead of any Close frame.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import select
 import threading
 import time
 from collections import deque
-from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -33,6 +33,9 @@ log: Final = logging.getLogger(__name__)
 
 KEEP_S: Final = 0.005
 """From one message to the next where nothing new is to be said, so that poses keep coming."""
+UNREAD_MAX: Final = 2
+"""Messages that may wait for the service to read them; with more, it sends states without reading."""
+UNREAD: Final = "the Inverse Service reads no messages, so forces are withheld: restart it"
 UNASKED_MAX: Final = 100
 """States more than messages, after which this is no Inverse Service."""
 CLOSE_WAIT_S: Final = 1.0
@@ -60,10 +63,12 @@ class Pump:
         self._loaded = False
         self._asked: deque[Asked] = deque()
         self._ending = threading.Event()
+        self._warning = ""
+        self._size, self._unread = 0, False
         self.failure = ""
-        """What ended the thread before it was closed; empty while nothing did."""
-        self.warning = ""
-        """What is not as it should be, by the newest state."""
+        """Reason why the thread ended before it was closed; empty if it did not."""
+        self.ended_by_service = False
+        """Whether the service closed the connection, so that its session is over, and with it what it gave."""
         read(self._wrenches, -1, self._copy)  # compiled now, and not in the thread
         self._publish(found.seen)
         self._thread = threading.Thread(target=self._run, name="haply exchange", daemon=True)
@@ -76,11 +81,16 @@ class Pump:
     def running(self) -> bool:
         return self._thread.is_alive()
 
+    @property
+    def warning(self) -> str:
+        """What is not as it should be, from the newest state and the connection; empty if nothing is."""
+        return "; ".join(filter(None, (self._warning, UNREAD if self._unread else "")))
+
     def close(self) -> None:
         """End the thread and the connection. Any number of times."""
         self._ending.set()
         if self._thread.ident is None:
-            self._found.link.close()
+            self._leave()
             return
         if self._word[AT.wake] >= 0:
             os.eventfd_write(int(self._word[AT.wake]), 1)
@@ -99,14 +109,14 @@ class Pump:
             log.exception("the exchange with the Inverse Service failed")
             self._fail(PROTOCOL, repr(error))
         finally:
-            self._leave()
             turns.restore()
+            self._leave()
 
     def _leave(self) -> None:
-        """A last zero, whatever has ended the exchange, and the connection's end."""
-        with suppress(Exception):  # it may be closed, or take nothing
-            self._found.link.send(command(self._found.device, self._found.key, _ZERO))
-        self._found.link.close()
+        """Send a last zero, whatever has ended the exchange, and end the connection."""
+        with self._found.lock:
+            link, device, key = self._found.link, self._found.device, self._found.key
+            self.ended_by_service = link.close(command(device, key, _ZERO))
 
     def _fail(self, status: int, why: str) -> None:
         self.failure = why
@@ -126,31 +136,36 @@ class Pump:
                     self._take(message)
 
     def _send_if_due(self) -> None:
+        link = self._found.link
+        self._unread = link.queued() > UNREAD_MAX * self._size
         force, now, stops = self._force(), time.monotonic_ns(), int(self._word[AT.stops])
-        if stops > self._stops or (self._loaded and force == _ZERO):
-            due = True
-        else:
-            number = int(self._newest[NUMBER])
-            due = not self._asked and (number != self._number or now - self._sent_at >= KEEP_S * 1e9)
-        if not due:
-            return
-        self._number, self._stops, self._sent_at = int(self._newest[NUMBER]), stops, now
-        self._asked.append(Asked(self._number, stops))
-        self._found.link.send(command(self._found.device, self._found.key, force))
-        self._word[AT.messages] += 1
+        number = int(self._newest[NUMBER])
+        if stops <= self._stops and not (self._loaded and force == _ZERO):
+            new = number != self._number or now - self._sent_at >= KEEP_S * 1e9
+            if self._asked or self._unread or not new:
+                return
+        self._number, self._stops, self._sent_at = number, stops, now
+        self._asked.append(Asked(number, stops))
+        message = command(self._found.device, self._found.key, force)
+        self._size = max(self._size, len(message))
+        link.send(message)
         self._loaded = force != _ZERO
+        self._word[AT.messages] += 1
+        self._word[AT.taken] = number
 
     def _force(self) -> Vec3:
-        """The newest force, or zero where none may go out."""
+        """Return the newest force, or zero if none may be sent."""
         sequence = read(self._wrenches, self._sequence, self._copy)
         if sequence != self._sequence:
             self._sequence = sequence
             self._newest[:] = self._copy
         x, y, z, at = self._newest[: WRITTEN + 1].tolist()
         force = (x, y, z)
-        if force != _ZERO and (not self._word[AT.armed] or time.monotonic_ns() - at > self._word[AT.stale]):
-            if self._loaded:
-                self._word[AT.dropped] += 1
+        old = not self._word[AT.armed] or time.monotonic_ns() - at > self._word[AT.stale]
+        if force != _ZERO and (old or self._unread):
+            self._newest[:WRITTEN] = 0.0  # for good: it must not be sent once the service reads again
+            self._word[AT.dropped] += 1
+            self._word[AT.taken] = int(self._newest[NUMBER])
             return _ZERO
         return force
 
@@ -160,7 +175,7 @@ class Pump:
         if not self._asked:
             self._word[AT.unasked] += 1
             if self._word[AT.unasked] > UNASKED_MAX:
-                raise Malformed(f"the service has said {UNASKED_MAX} states that nobody asked for")
+                raise Malformed(f"the service sent {UNASKED_MAX} states that nobody asked for")
             return
         asked = self._asked.popleft()
         self._word[AT.answered], self._word[AT.stopped] = asked.number, asked.stops
@@ -168,7 +183,7 @@ class Pump:
     def _publish(self, seen: Seen) -> None:
         self._pose[:] = (*seen.position, *seen.orientation, seen.buttons, time.monotonic_ns())
         publish(self._poses, self._pose)
-        self.warning = seen.warning
+        self._warning = seen.warning
         self._word[AT.states] += 1
 
 

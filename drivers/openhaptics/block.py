@@ -54,6 +54,7 @@ class Words(NamedTuple):
     docked: Annotated[int, word("whether the stylus is in the inkwell")]
     temperature: Annotated[int, word("of the warmest motor, 0 cold to 1000 hot")]
     output: Annotated[int, word("whether the motors are switched on; below 0: not known")]
+    late: Annotated[int, word("whether the last frame came more than `age_max` after the one before")]
     loaded: Annotated[int, word("whether the last frame gave a force")]
     silent: Annotated[int, word("whether a frame since `stopped` has given zero")]
     left: Annotated[int, word("whether the callback is not called any more")]
@@ -62,7 +63,10 @@ class Words(NamedTuple):
     internal: Annotated[int, word("the device's own code of that")]
     errors: Annotated[int, counter("errors that the library told in frames")]
     lapses: Annotated[
-        int, counter("forces that the library's thread ended: too old, not armed, stylus docked, a fault")
+        int,
+        counter(
+            "forces that the library's thread ended or did not give: old, late frame, not armed, stylus docked, fault"
+        ),
     ]
     wrench_seen: Annotated[int, word("sequence of the wrench that it has")]
     # told by the servo
@@ -73,7 +77,6 @@ class Words(NamedTuple):
     read_at: Annotated[int, word("ns")]
     silence: Annotated[int, word("ns without a new frame, as far as it was listened")]
     heeded: Annotated[int, word("lapses that the guard has been told of")]
-    kept_back: Annotated[int, word("whether forces were held back for the inkwell")]
     # memory
     frame_timespec: Annotated[int, numbers("for the clock, of the library's thread", TIMESPEC_WORDS)]
     servo_timespec: Annotated[int, numbers("for the clock, of the servo", TIMESPEC_WORDS)]

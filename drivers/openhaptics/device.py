@@ -80,7 +80,7 @@ class OpenHaptics(Device):
         self._block = Block(AT)
         self._word = self._block.word
         self._ending = threading.Lock()
-        self._warm = False
+        self._warm, self._zero_failure = False, ""
         with self._scheduler.still():
             self._device = _initialise(self._library, options.name)
             try:  # before the thread runs again: the current device may be one for all threads
@@ -120,8 +120,11 @@ class OpenHaptics(Device):
         if not word[AT.open]:
             return
         with self._ending:
-            if not word[AT.silent] and not within(STOP_S, lambda: word[AT.silent]):
-                self._over_it(self._zero, HANG_S)
+            if not word[AT.silent] and not within(STOP_S, lambda: word[AT.silent]) and not self._zero_failure:
+                self._zero_failure = self._over_it(self._zero, HANG_S)
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
 
     def close(self) -> None:
         self.stop()
@@ -146,6 +149,11 @@ class OpenHaptics(Device):
             said.append("the motors are hot: give them a rest, or the device takes the force off")
         if self._word[AT.docked]:
             said.append("the stylus is in the inkwell, so there is no force (inkwell = false does not ask for that)")
+        if self._word[AT.late]:
+            said.append(
+                f"frames of the library are more than force_age_max_s = {self._options.force_age_max_s:g} s apart, so "
+                "there is no force: end other programs, try another USB port"
+            )
         return "; ".join(said)
 
     def counts(self) -> dict[str, int]:
@@ -261,8 +269,11 @@ class OpenHaptics(Device):
 
     # --- ending ---------------------------------------------------------------------------------
 
-    def _zero(self) -> None:
-        """Give zero and switch the motors off from here: the library's thread does not call any more."""
+    def _zero(self) -> str:
+        """Give zero and switch the motors off from here, because the library's thread does not call any more.
+
+        Returns why the motors may still be on; empty if the library reports them off.
+        """
         call = self._library
         call.hdBeginFrame(self._device)
         call.hdSetDoublev(library.CURRENT_FORCE, ZERO)
@@ -270,19 +281,28 @@ class OpenHaptics(Device):
             call.hdSetDoublev(library.CURRENT_TORQUE, ZERO)
         call.hdDisable(library.FORCE_OUTPUT)
         call.hdEndFrame(self._device)
+        on, errors = call.hdIsEnabled(library.FORCE_OUTPUT), library.errors(call)
+        return ("; ".join(map(str, errors)) or "the motors stay on") if on else ""
 
-    def _let_go(self) -> None:
+    def _let_go(self) -> str:
         self._scheduler.remove(self._block)
         self._library.hdDisableDevice(self._device)
-        library.errors(self._library)  # so that nobody takes them for those of the next device
+        library.errors(self._library)  # so that they are not taken for errors of the next device
+        return ""
 
-    def _over_it(self, work: Callable[[], object], seconds: float) -> None:
-        """Run what may hang with the library in a thread, and go on without it where it does."""
-        over = threading.Thread(target=work, name="openhaptics stop", daemon=True)
+    def _over_it(self, work: Callable[[], str], seconds: float) -> str:
+        """Run what may hang with the library in a thread, and continue without it if it does; returns what failed."""
+        failed = ["the library hangs"]
+
+        def run() -> None:
+            failed[0] = work()
+
+        over = threading.Thread(target=run, name="openhaptics stop", daemon=True)
         over.start()
         over.join(seconds)
-        if over.is_alive():
-            log.error("%s: the library hangs and may have left a force: switch the device off", self.info.name)
+        if failed[0]:
+            log.error("%s may still push: %s: switch the device off", self.info.name, failed[0])
+        return failed[0]
 
 
 _AGAIN: Final = "check cable and power, run the maker's Touch_Diagnostic, then start again"

@@ -1,9 +1,10 @@
 """What the library's thread calls once a millisecond, and what the servo loop calls; neither waits for the other.
 
-The callback reads the device and gives it the newest force of the servo. It GIVES ZERO BY ITSELF where that force is
-older than the rig allows, where the device is not armed, where the stylus is docked, after an error, and after a pause
-of its own: the motors keep what they were given, so a servo that stands still must not leave a force. The servo then
-learns of a lapse, and the guard fades in anew.
+The callback reads the device and gives it the newest force of the servo. It GIVES ZERO BY ITSELF if that force is
+older than the rig allows, if the device is not armed, if the stylus is docked, after an error, and if the frame itself
+is late: the motors keep what they were given, so a servo that stands still must not leave a force. Each force that is
+not given counts as a lapse; the servo's next write is WITHHELD, as are all while the stylus is docked or frames are
+late, so that the guard fades in anew and telemetry has the force of the motors.
 
 The library's frame has x to the right, y up, z towards the user. World (x, y, z) = (x, -z, y), for positions, forces
 and torques, and for both sides of the orientation, so that a handle at rest is not turned.
@@ -19,6 +20,7 @@ from numba import carray, types
 
 from softfinger.drivers.base import (
     FORCE_OFF,
+    HELD,
     LOST,
     OK,
     PROTOCOL,
@@ -165,18 +167,18 @@ def _act(handle: int, wrench: Any) -> None:
     """Give the device the servo's last whole wrench, or zero."""
     word = int64_at(handle)
     now = monotonic_ns(handle + 8 * AT.frame_timespec)
-    live = word[AT.armed] != 0 and word[AT.stopped] == 0 and word[AT.leave] == 0 and word[AT.status] == OK
-    usable = live and word[AT.docked] == 0 and wrench[HEEDED] == word[AT.lapses]
-    usable = usable and now - word[AT.started_at] - wrench[WRITTEN] <= word[AT.age_max]
-    usable = usable and now - word[AT.framed_at] <= word[AT.age_max]  # else the force is for where the hand was
+    word[AT.late] = int(now - word[AT.framed_at] > word[AT.age_max])
     word[AT.framed_at] = now
-    if not usable and word[AT.loaded] != 0:
-        word[AT.lapses] += 1
-    loaded = 0
+    live = word[AT.armed] != 0 and word[AT.stopped] == 0 and word[AT.leave] == 0 and word[AT.status] == OK
+    heeded = wrench[HEEDED] == word[AT.lapses]
+    usable = live and heeded and word[AT.docked] == 0 and word[AT.late] == 0
+    usable = usable and now - word[AT.started_at] - wrench[WRITTEN] <= word[AT.age_max]
+    given = False
     for k in range(6):
-        if usable and wrench[k] != 0.0:
-            loaded = 1
-    word[AT.loaded] = loaded
+        given = given or wrench[k] != 0.0
+    if not usable and (word[AT.loaded] != 0 or (given and heeded)):
+        word[AT.lapses] += 1
+    word[AT.loaded] = int(usable and given)
     share = 1.0 if usable else 0.0
     _give(handle, hd.CURRENT_FORCE, share * wrench[0], share * wrench[1], share * wrench[2])
     if word[AT.turns] != 0:
@@ -270,26 +272,36 @@ def read(handle: int, sample: Any) -> int:
     return status
 
 
+@jit
+def _status_of_write(handle: int, wrench: Any, now: int) -> int:
+    """Return OK if the library's thread is to give the wrench, WITHHELD if it gives zero instead, HELD if the motors
+    keep their force because its frames have stopped."""
+    word = int64_at(handle)
+    zero, finite = True, True
+    for k in range(6):
+        finite = finite and isfinite(wrench[k])
+        zero = zero and wrench[k] == 0.0
+    lapsed = word[AT.lapses] != word[AT.heeded]
+    word[AT.heeded] = word[AT.lapses]
+    silent = now - word[AT.framed_at] > word[AT.age_max]
+    if silent and word[AT.loaded] != 0 and word[AT.stopped] == 0:
+        return HELD
+    if zero:
+        return OK
+    usable = finite and word[AT.armed] != 0 and word[AT.stopped] == 0
+    if lapsed or silent or not usable or word[AT.docked] != 0 or word[AT.late] != 0:
+        return WITHHELD
+    return OK
+
+
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
     word, made = int64_at(handle), float64_at(handle + 8 * AT.wrench_made)
-    zero, usable = True, word[AT.armed] != 0 and word[AT.stopped] == 0
+    now = monotonic_ns(handle + 8 * AT.servo_timespec)
+    status = _status_of_write(handle, wrench, now)
     for k in range(6):
-        usable = usable and isfinite(wrench[k])
-        zero = zero and wrench[k] == 0.0
-    status = OK if usable or zero else WITHHELD
-    if word[AT.lapses] != word[AT.heeded]:  # the hand has had zero meanwhile
-        word[AT.heeded] = word[AT.lapses]
-        usable, status = False, OK if zero else WITHHELD
-    elif usable and word[AT.docked] != 0:
-        word[AT.kept_back] = 1
-        usable, status = False, OK if zero else STALE  # limited to nothing, as long as it takes
-    elif usable and word[AT.kept_back] != 0:
-        word[AT.kept_back] = 0
-        usable, status = False, OK if zero else WITHHELD
-    for k in range(6):
-        made[k] = wrench[k] if usable else 0.0
-    made[WRITTEN] = float(monotonic_ns(handle + 8 * AT.servo_timespec) - word[AT.started_at])
+        made[k] = wrench[k] if status == OK else 0.0
+    made[WRITTEN] = float(now - word[AT.started_at])
     made[HEEDED] = float(word[AT.heeded])
     given = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
     store(

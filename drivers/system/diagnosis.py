@@ -104,12 +104,12 @@ def needs(claim: Claim, options: Mapping[str, Any], said: Mapping[str, Any] | No
         except HapticError as error:
             return Diagnosis("library", str(error), library.REMEDY)
     if claim.driver == "haply" and said is None:
-        from softfinger.drivers.haply import link, opening
+        from softfinger.drivers.haply import dial, opening
 
         try:
             opening.identify(options.get("port", opening.PORT), options.get("version"))
         except HapticError as error:
-            return Diagnosis("service", str(error), link.START)
+            return Diagnosis("service", str(error), dial.START)
     loaded = said is not None and said.get("firmware", False)
     if claim.driver == "falcon" and not loaded and not os.path.isfile(firmware := options.get("firmware", "")):
         named = f"'{firmware}' is no file" if firmware else "no rig named one (--rig)"

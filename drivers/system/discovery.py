@@ -144,7 +144,7 @@ def holder(node: str) -> Holder | None:
     except OSError:
         return None
     for pid in _lockers(wanted.st_ino):
-        return Holder(pid, _name_of(pid))
+        return process(pid)
     for folder in Path("/proc").glob("[0-9]*/fd"):
         pid = int(folder.parent.name)
         if pid == os.getpid():
@@ -152,7 +152,7 @@ def holder(node: str) -> Holder | None:
         for entry in _listed(folder):
             try:
                 if os.path.samestat(os.stat(folder / entry), wanted):
-                    return Holder(pid, _name_of(pid))
+                    return process(pid)
             except OSError:
                 continue
     return None
@@ -276,5 +276,6 @@ def _lockers(inode: int) -> Iterator[int]:
             continue
 
 
-def _name_of(pid: int) -> str:
-    return _text(Path(f"/proc/{pid}/comm")) or "not to be seen"
+def process(pid: int) -> Holder:
+    """Return a process with its name."""
+    return Holder(pid, _text(Path(f"/proc/{pid}/comm")) or "not to be seen")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, check_pose
 
-from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.exchange import AT, Model
 from softfinger.proxy.kernels.jit.pack import flatten
@@ -47,8 +47,12 @@ class Device:
         sample = np.full(SAMPLE_SIZE, np.nan)
         return self.block.call(exchange.read, sample), sample
 
-    def write(self, *wrench: float) -> int:
-        return self.block.call(exchange.write, wrench)
+    def write(self, *wrench: float, sends: bool = True) -> int:
+        """The loop writes, and the thread sends what it was given before the next call, or not."""
+        status = self.block.call(exchange.write, wrench)
+        if sends:
+            self.word[AT.taken] = self.word[AT.written]
+        return status
 
     def given(self) -> list[float]:
         """The newest wrench in the lock: force (N), time (ns), number."""
@@ -225,6 +229,24 @@ def test_a_force_is_withheld_where_none_may_go_out(device: Device) -> None:
     assert device.counts() == {"written": 3}
     device.word[AT.lock] = 0
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
+    assert device.word[AT.lock] == 0
+
+
+def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
+    """The next one is not taken, so that no force of a tick is skipped; a zero, or what becomes one, is."""
+    assert device.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0, sends=False) == OK
+    first = device.given()
+    assert [device.write(0.0, 2.0, 0.0, 0.0, 0.0, 0.0, sends=False) for _ in range(2)] == [HELD, HELD]
+    assert device.given() == first and len(device.woken.sent) == 1
+    assert device.counts() == {"written": 1, "held": 2}
+    assert device.write(*ZERO, sends=False) == OK
+    assert device.given()[:3] == [0.0, 0.0, 0.0]
+    assert device.write(0.0, 3.0, 0.0, 0.0, 0.0, 0.0, sends=False) == HELD
+    device.word[AT.armed] = 0
+    assert device.write(0.0, 3.0, 0.0, 0.0, 0.0, 0.0, sends=False) == WITHHELD
+    device.word[AT.armed], device.word[AT.taken] = 1, device.word[AT.written]
+    assert device.write(0.0, 4.0, 0.0, 0.0, 0.0, 0.0) == OK
+    assert device.given()[0] == pytest.approx(4.0)
     assert device.word[AT.lock] == 0
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from helpers.by_call import BY_CALL, MS, START_NS, GuardedBlock, by_call, matrix, turned
 
-from softfinger.drivers.base import FORCE_OFF, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import FORCE_OFF, HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.openhaptics import exchange
 from softfinger.drivers.openhaptics.block import AT, WRENCH_SIZE
 
@@ -316,6 +316,53 @@ def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None
     assert library.displays(*PULL)
 
 
+def test_frames_that_are_too_far_apart_give_no_force(library: Library) -> None:
+    """Frames 6 ms apart at a limit of 5 ms: the motors have zero, each force of the servo is withheld for as long as
+    that lasts, and the first frame in time is the end of it."""
+    statuses = []
+    for _ in range(5):
+        for _ in range(6):
+            library.clock.now += MS
+            statuses.append(library.write(*PULL))
+        library.frame(0)
+        assert library.given() == [0.0, 0.0, 0.0] and library.given(TORQUE) == [0.0, 0.0, 0.0]
+        assert library.word[AT.late] == 1
+    assert statuses == [OK] * 5 + [WITHHELD] * 25  # in the first 5 ms nothing was wrong yet
+    library.frame()
+    assert library.word[AT.late] == 0
+    assert library.write(*PULL) == OK
+    assert library.displays(*PULL)
+
+
+def test_a_force_that_never_comes_to_the_motors_is_a_lapse(library: Library) -> None:
+    """Also the first one, which ended none: it is counted once, and the servo withholds."""
+    assert library.write(*PULL) == OK
+    for _ in range(3):
+        library.frame(AGE_MAX + 1)
+        assert library.given() == [0.0, 0.0, 0.0]
+    assert library.counts()["lapses"] == 1
+    library.frame()
+    assert library.write(*PULL) == WITHHELD
+    assert library.displays(*ZERO)
+    assert library.write(*PULL) == OK
+    assert library.displays(*PULL)
+
+
+def test_while_frames_have_stopped_the_motors_keep_their_force(library: Library) -> None:
+    """A force of the servo is not taken, nor is a zero, until a frame comes, which gives zero; without a force in the
+    motors it is withheld."""
+    library.write(*PULL)
+    library.frame()
+    library.clock.now += AGE_MAX
+    assert library.write(*PULL) == OK
+    library.clock.now += 1
+    assert [library.write(*PULL), library.write(*ZERO)] == [HELD, HELD]
+    library.frame(0)
+    assert library.given() == [0.0, 0.0, 0.0]
+    library.clock.now += AGE_MAX + 1
+    assert [library.write(*PULL), library.write(*ZERO)] == [WITHHELD, OK]
+
+
 @pytest.mark.parametrize("place", range(6))
 def test_a_wrench_in_one_place_is_a_force_that_can_lapse(place: int, library: Library) -> None:
     """Also a torque alone."""
@@ -368,39 +415,28 @@ def test_a_device_that_is_closed_is_not_called_for(library: Library) -> None:
 
 
 def test_no_force_in_the_inkwell(library: Library) -> None:
-    """The servo is told that it was ended, then that it is limited to nothing, and undocked once that it starts again.
-    A device without an inkwell is never docked."""
+    """Every force is withheld for as long as it is docked. A device without an inkwell is never docked."""
     library.write(*PULL)
     library.frame()
     library.switch = 0
     assert library.displays(*ZERO)
     assert library.word[AT.docked] == 1 and library.output == 1
-    assert [library.write(*PULL) for _ in range(3)] == [WITHHELD, STALE, STALE]
+    assert [library.write(*PULL) for _ in range(3)] == [WITHHELD] * 3
     assert library.write(*ZERO) == OK
     assert library.write(nan, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert library.displays(*ZERO)
     library.switch = 1
     library.frame()
     assert library.word[AT.docked] == 0
-    assert library.write(nan, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-    assert [library.write(*PULL) for _ in range(2)] == [WITHHELD, OK]
-    assert library.displays(*PULL)
-    library.switch = 0
-    library.frame()
-    assert [library.write(*PULL) for _ in range(2)] == [WITHHELD, STALE]
-    library.switch = 1
-    assert library.displays(*ZERO)  # what was written while it was docked comes to no hand
-    assert library.write(*PULL) == WITHHELD
-    assert library.displays(*ZERO)
     assert library.write(*PULL) == OK
     assert library.displays(*PULL)
     library.switch = 0
     library.frame()
-    library.write(*ZERO)
-    library.write(*ZERO)
+    assert [library.write(*PULL) for _ in range(2)] == [WITHHELD] * 2
     library.switch = 1
-    library.frame()
-    assert [library.write(*ZERO), library.write(*PULL)] == [OK, OK]  # a zero has started it again already
+    assert library.displays(*ZERO)  # what was written while it was docked comes to no hand
+    assert library.write(*PULL) == OK
+    assert library.displays(*PULL)
     library.switch = library.word[AT.has_inkwell] = 0
     library.word[AT.switch] = 0
     library.frame()

@@ -74,13 +74,13 @@ def maker_library(rig: Rig, driver: str) -> Check:
 
 def inverse_service(rig: Rig) -> Check:
     """Haply's service, which has the devices; it is asked what it lists, and nothing is sent to a device."""
-    from softfinger.drivers.haply import link, opening
+    from softfinger.drivers.haply import dial, opening
 
     options = single_device(rig).options
     try:
         said = opening.identify(options.get("port", opening.PORT), options.get("version"))
     except HapticError as error:
-        return Check("Inverse Service", "bad", str(error), "running", link.START)
+        return Check("Inverse Service", "bad", str(error), "running", dial.START)
     state: State = "good" if said["devices"] else "bad"
     shown = f"version {said['service']}, lists {', '.join(said['devices'] + said['grips']) or 'no device'}"
     return Check("Inverse Service", state, shown, "running, with a device", "plug the device in and switch it on")

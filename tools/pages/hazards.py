@@ -204,6 +204,20 @@ HAZARDS: Final = (
         f"{_LOST}; until then the force of before", _START, (FAILED,), (_INJECTED, _EVERYWHERE), within=_HELD,
     ),
     Hazard(
+        "a maker's service that breaks its protocol, closes, or reads nothing (Haply)", "the connection",
+        "before the connection ends",
+        f"{_LOST}. Nothing follows a TCP reset: the session's force ends with the session",
+        _START, (FAILED,),
+        ("tests/drivers/test_haply_ends.py::test_a_zero_comes_before_the_end",
+         "tests/drivers/test_haply_ends.py::test_a_reset_lets_no_zero_through",
+         "tests/drivers/test_haply_ends.py::test_a_service_that_stops_reading_gets_one_more_force"),
+    ),
+    Hazard(
+        "a maker's library that calls too rarely (Touch)", "the time between its frames, `force_age_max_s`",
+        "the next frame", "zero, for as long as it lasts", "the ramp", ("fault device_warning",),
+        ("tests/drivers/test_openhaptics.py::test_frames_that_are_too_far_apart_are_told",),
+    ),
+    Hazard(
         "a device that removes its force", "status of the driver", "0 ticks", _STOPPED, _START,
         (FAILED,), (_INJECTED, _EVERYWHERE), within=0,
     ),
@@ -305,6 +319,7 @@ HAZARDS: Final = (
         "two daemons on one device or endpoint", "the device's lock; the bind", "before the start",
         "the second ends, and says who holds it", "end the first", (),
         ("tests/drivers/test_serial_loop.py::test_the_command_line_on_a_port",
+         "tests/drivers/test_haply_loop.py::test_a_second_daemon_and_a_zero_that_nobody_confirms",
          "tests/server/test_cli.py::test_endpoint_in_use_has_its_own_exit_code"),
     ),
     Hazard(

@@ -1,0 +1,101 @@
+"""TCP connections to the service on this machine, and HTTP requests over them."""
+
+from __future__ import annotations
+
+import io
+import re
+import socket
+import time
+from http.client import HTTPException, HTTPResponse
+from typing import Any, Final, cast
+
+import msgspec
+
+from softfinger.config.errors import DeviceError, DeviceNotFound, DeviceTimeout
+from softfinger.drivers.haply.options import OLD_FORMAT_PORT
+
+HOST: Final = "localhost"
+START: Final = "sudo systemctl start haply-inverse-service, or open the Haply Hub"
+MESSAGE_MAX: Final = 262_144
+"""Bytes; an inventory has some 2000 for each device."""
+CHUNK: Final = 65536
+SEND_BUFFER: Final = 8192
+"""Bytes of the system's send buffer (Linux doubles it), so that few messages queue here for a service that reads
+nothing; the default takes some 26 000. What the service's own receive buffer holds is beyond reach."""
+_LENGTH: Final = re.compile(rb"\r\ncontent-length: *(\d{1,9})\r\n", re.IGNORECASE)
+
+
+def remaining(until: float) -> float:
+    """Time (s) that is left until a time of the monotonic clock; DeviceTimeout where there is none."""
+    left = until - time.monotonic()
+    if left <= 0.0:
+        raise DeviceTimeout(f"the Inverse Service does not answer in time: restart it ({START})")
+    return left
+
+
+def dial(port: int, until: float) -> socket.socket:
+    """A connection with the service. Raises DeviceNotFound, DeviceTimeout, DeviceError."""
+    try:
+        end = socket.create_connection((HOST, port), timeout=remaining(until))
+    except ConnectionRefusedError:
+        raise DeviceNotFound(f"no Inverse Service on port {port} of this machine{_old(port)}: {START}") from None
+    except TimeoutError:
+        raise DeviceTimeout(f"the Inverse Service on port {port} takes no connection: restart it ({START})") from None
+    except OSError as error:
+        raise DeviceError(f"the Inverse Service on port {port} cannot be reached: {error}") from error
+    end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+    return end
+
+
+def ask(port: int, method: str, path: str, body: Any, until: float) -> tuple[int, bytes]:
+    """Status and body of a page; `body` (None: none) is sent as JSON. Raises DeviceError and its kinds."""
+    content = b"" if body is None else msgspec.json.encode(body)
+    head = (
+        f"{method} {path} HTTP/1.1\r\nHost: {HOST}:{port}\r\nConnection: close\r\n"
+        f"Content-Type: application/json\r\nContent-Length: {len(content)}\r\n\r\n"
+    )
+    got = bytearray()
+    try:
+        with dial(port, until) as end:
+            end.sendall(head.encode() + content)
+            while not _whole(got):
+                end.settimeout(remaining(until))
+                part = end.recv(CHUNK)
+                if not part:
+                    break
+                got += part
+                if len(got) > MESSAGE_MAX:
+                    raise DeviceError(f"{method} {path}: the service's answer has more than {MESSAGE_MAX} bytes")
+        response = HTTPResponse(cast(socket.socket, _Got(bytes(got))), method=method)
+        response.begin()
+        return response.status, response.read()
+    except TimeoutError:
+        raise DeviceTimeout(f"{method} {path}: the Inverse Service does not answer in time") from None
+    except (OSError, HTTPException) as error:
+        raise DeviceError(f"{method} {path}: the service's answer cannot be read: {error!r}") from error
+
+
+class _Got:
+    """A page as `HTTPResponse` reads it."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+
+    def makefile(self, _mode: str) -> io.BytesIO:
+        return io.BytesIO(self._data)
+
+
+def _whole(got: bytearray) -> bool:
+    head, found, body = got.partition(b"\r\n\r\n")
+    length = _LENGTH.search(head + b"\r\n") if found else None
+    return length is not None and len(body) >= int(length[1])
+
+
+def _old(port: int) -> str:
+    """What is said where a service of the old format runs."""
+    try:
+        socket.create_connection((HOST, OLD_FORMAT_PORT), timeout=0.2).close()
+    except OSError:
+        return ""
+    return f", but one on port {OLD_FORMAT_PORT}: a service of 3.0, whose format is not public, has to be updated"
