@@ -71,7 +71,7 @@ def push_from_any_thread(buffer: AsyncMessageBuffer, message: Any) -> None:
         buffer.event_loop.call_soon_threadsafe(buffer.message_event.set)
 
 
-AsyncMessageBuffer.push = push_from_any_thread  # type: ignore[method-assign]
+AsyncMessageBuffer.push = push_from_any_thread  # type: ignore[method-assign, assignment]
 
 
 class Page:
