@@ -107,7 +107,6 @@ SET_BY = {
     "a machine that starves the loop": [
         (health, name) for name in ("LOST_MAX_S", "LOST_SHARE", "GAP_MIN_S", "GAP_MAX_S")
     ],
-    "a commanding program that is gone": [(link, "REST_MAX_S")],
     "an exception in the servo's thread": [(HapticError, "exit_code")],
     "a publisher that ends, also while no memory or file descriptor is left": [(link, "PAUSE_MAX_S")],
     "a page that ends, also while no memory or file descriptor is left": [(process, "RESTARTS")],
