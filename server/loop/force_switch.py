@@ -16,7 +16,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.server.loop.guard import Guard, Guarded
-from softfinger.server.publishing.brake import ASKED, OBEYED
+from softfinger.server.loop.switch_words import ASKED, OBEYED
 
 WANTED: Final = 0
 """1: there is to be force."""

@@ -11,10 +11,8 @@ from typing import Final
 
 import msgspec
 
-ASKED: Final = 3
-"""Word of the switch that counts such requests, written by the publisher."""
-OBEYED: Final = 4
-"""Word that counts those that the daemon has answered."""
+from softfinger.server.loop.switch_words import ASKED
+
 SHORT: Final = 4096
 """Bytes: no such request is longer, and longer ones are not looked into."""
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import msgspec
 import numba
 import pytest
 import zmq
@@ -22,6 +23,7 @@ from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.compiler.numba_internals import KernelCache
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.server.progress import described
+from softfinger.server.wire.commands import State
 
 RUN = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off"]
 
@@ -154,7 +156,12 @@ def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
         with asking:
             assert asking.stderr is not None and asking.stdout is not None
             scene = {"active_field": "sphere", "tick": 7}
-            answers = {"describe": {"endpoints": {"telemetry": endpoint}}, "set_scene": scene}
+            state = State(0.0, 1, *[(0.0, 0.0, 0.0)] * 3, "", {})
+            answers = {
+                "describe": {"endpoints": {"telemetry": endpoint}},
+                "get_state": msgspec.to_builtins(state),
+                "set_scene": scene,
+            }
             said, asked = "", ""
             while asked != "set_scene":  # whose address this is, is asked first
                 sender, *_, request = daemon.recv_multipart()
@@ -164,4 +171,4 @@ def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
                 answer = {"command_id": command["command_id"], "success": True, "result": answers[asked]}
                 daemon.send_multipart([sender, b"", msgpack.packb(answer)])
             assert "tick: 7" in asking.stdout.read()
-    assert said.startswith("set_scene: the daemon compiles the scene") and asking.returncode == 0
+    assert said.startswith("set_scene: waiting for the daemon, which may have to compile") and asking.returncode == 0

@@ -271,7 +271,7 @@ def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_with
         begun = running.servo.ticks
         assert idle(100) and not devices[0].wrenches.any()
         rendering.disarm(COMMANDED)
-        assert eventually(lambda: rendering.forceless and newest)
+        assert eventually(lambda: rendering.force.is_off and newest)
         z = newest[-1][AT.probe_position + 2]
         rendering.move(0, (0.0, 0.0, z - 0.0005), newest[-1])
         moved = rendering.offsets

@@ -6,7 +6,8 @@ import os
 from typing import Final
 
 from softfinger.server.loop.force_switch import make_switch
-from softfinger.server.publishing.brake import ASKED, OBEYED, takes_force_off
+from softfinger.server.loop.switch_words import ASKED, OBEYED
+from softfinger.server.publishing.brake import takes_force_off
 from softfinger.server.wire.native.memory import PAGE_BYTES, mapped
 
 
