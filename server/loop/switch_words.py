@@ -1,4 +1,4 @@
-"""Words of the force switch that the publisher process writes. It imports no kernels, so they have a file of their own."""
+"""Words of the force switch that the publisher process writes: in a file of their own, since it imports no kernels."""
 
 from __future__ import annotations
 
