@@ -18,12 +18,6 @@ from softfinger.tools.bench.view import ARGUMENTS, viewer
 
 WAIT_S = 180.0
 """A generous bound: a page drawn in software, on a machine that does much else and stands still at times."""
-SLOW_FRAMES = """
-const frame = window.requestAnimationFrame.bind(window);
-window.requestAnimationFrame = draw => setTimeout(() => frame(draw), 90);
-window.cancelAnimationFrame = clearTimeout;
-"""
-"""Ten frames a second. A page drawn in software paints as often as the processors allow, and starves the servo loop."""
 SIZE = (840, 520)
 """Of the window, pixels: small, since each is painted by a processor."""
 
@@ -154,7 +148,6 @@ def browser() -> Iterator[Any]:
         try:
             page = started.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}, has_touch=True)
             page.set_default_timeout(1e3 * WAIT_S)
-            page.add_init_script(SLOW_FRAMES)
             yield page
         finally:
             started.close()
