@@ -1,4 +1,4 @@
-"""The guard: limits on every force before it reaches the device, and who gives it."""
+"""Guard of a rig: limits on every force before it reaches the device, and arming."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Arming = Literal["automatic", "command", "button"]
 
 
 class Guard(Table, frozen=True, kw_only=True):
-    """Limits on every force before it reaches the device; a limited norm keeps its direction."""
+    """Limits on every force before it reaches the device; limiting a norm preserves the direction."""
 
     arm: Annotated[
         Arming,

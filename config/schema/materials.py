@@ -1,4 +1,4 @@
-"""What an object feels like: its normal force, its friction, its torsion."""
+"""Contact properties of an object: normal force, friction and torsion."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Normal(Table, frozen=True, kw_only=True):
     ) = None
 
     def depth_under(self, force_n: float, stiffness_n_per_m: float) -> float:
-        """Depth, m, at which a slow press has the force."""
+        """Return the depth, m, at which a slow press has the force."""
         relative: float = (force_n / (stiffness_n_per_m * self.depth_m)) ** (1.0 / self.exponent)
         return self.depth_m * relative
 
@@ -118,7 +118,7 @@ class Friction(Table, frozen=True, kw_only=True):
 
 
 class Torsion(Table, frozen=True, kw_only=True):
-    """Torsional friction about the contact normal; without this table there is no such moment."""
+    """Torsional friction about the contact normal; without this table there is no torsional moment."""
 
     stiffness_nm_per_rad: (
         Annotated[
@@ -197,7 +197,7 @@ class Material(Table, frozen=True, kw_only=True):
     """Contact properties of an object."""
 
     library: ClassVar[Library] = MATERIALS
-    """Materials that a scene may name; the values of the named one stand wherever it says nothing itself."""
+    """Materials that a scene may name; an entry supplies the values that the scene leaves out."""
 
     name: (
         Annotated[
@@ -232,13 +232,13 @@ class Material(Table, frozen=True, kw_only=True):
     torsion: Torsion | None = None
 
     def depth_under(self, force_n: float) -> float:
-        """Depth, m, at which a slow press has the force."""
+        """Return the depth, m, at which a slow press has the force."""
         if self.normal is None:
             return force_n / self.stiffness_n_per_m
         return self.normal.depth_under(force_n, self.stiffness_n_per_m)
 
     def stiffness_under(self, force_n: float) -> float:
-        """Slope of the force against the depth, N/m, at that force: what stability goes by."""
+        """Return the slope of the force against the depth, N/m, at that force; it decides stability."""
         exponent = 1.0 if self.normal is None else self.normal.exponent
         return exponent * force_n / self.depth_under(force_n)
 

@@ -1,4 +1,4 @@
-"""Rigid bodies that move as MuJoCo says, and what their geometry feels like."""
+"""Rigid bodies that MuJoCo moves, and the materials of their geoms."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from softfinger.config.schema.materials import Material
 
 
 class GeomMaterial(Table, frozen=True, kw_only=True):
-    """Material of the geoms that have all of what is given here."""
+    """Material of the geoms that match all keys given here."""
 
     name: Annotated[str, sized(limits.NAME_LENGTH, "name of the geom", "box")] | None = None
     group: Annotated[int, within(limits.GEOM_GROUP, "group", 0)] | None = None
@@ -31,7 +31,7 @@ BodyMass = Annotated[float, msgspec.Meta(ge=limits.BODY_MASS_KG.low, le=limits.B
 
 
 class World(Table, frozen=True, kw_only=True):
-    """Bodies of a MuJoCo model: they move as MuJoCo says, and fingers touch their geoms. Needs softfinger[world]."""
+    """Bodies of a MuJoCo model. MuJoCo moves them, and fingers touch their geoms. Needs softfinger[world]."""
 
     model: Annotated[
         str,
