@@ -1,7 +1,7 @@
-"""Ranges that no file and no command-line flag can widen, each with its reason.
+"""Hard limits of all configuration values, each with its reason.
 
-A rig may lower what a device is asked for; it cannot raise it past these. The device's own limits,
-known once it is open, are applied on top.
+No file and no command-line flag can widen them. A rig may lower the limits of a device but cannot raise them past
+these. The limits of the device itself, known once it is open, apply in addition.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ from typing import Final, NamedTuple
 
 
 class Range(NamedTuple):
-    """Closed interval [low, high] in the unit of the key that uses it, and why it ends there."""
+    """Closed interval [low, high] in the unit of the key that uses it, with the reason for its ends."""
 
     low: float
     high: float
     reason: str
 
 
-# What the hand feels: the guard.
+# Guard: force at the hand and motion of the device.
 FORCE_MAX_N: Final = Range(0.0, 40.0, "the strongest desktop devices give 37 N; more can hurt a held finger")
 TORQUE_MAX_NM: Final = Range(0.0, 2.0, "twice what a fingertip grip can hold against")
 FORCE_SLEW_N_PER_S: Final = Range(1.0, 20_000.0, "zero to the highest force in 2 ms; faster is a blow, not a contact")
@@ -33,13 +33,13 @@ ENERGY_MAX_J: Final = Range(1e-3, 1e3, "a spring of 1000 N/m at 12 N holds 0.07 
 WORKSPACE_SIZE_M: Final = Range(1e-3, 10.0, "less is no workspace; no desk has more than 10 m")
 WALL_STIFFNESS_N_PER_M: Final = Range(1.0, 2000.0, "less is not felt; more is no soft wall")
 
-# The loop.
+# Servo loop.
 RATE_HZ: Final = Range(100.0, 8_000.0, "below, walls chatter; above, there is no USB frame short enough")
 PRIORITY: Final = Range(1, 99, "the priorities of SCHED_FIFO")
 CPU: Final = Range(0, 1023, "the size of the kernel's processor mask")
 EVERY: Final = Range(1, 10_000, "one message in every 10 000 ticks is 10 s of silence at 1 kHz")
 
-# What is rendered.
+# Contents of a scene, and communication.
 TOOL_M: Final = Range(-1.0, 1.0, "a tool of more than a metre is no stylus, and its torque none for a grip")
 LENGTH_M: Final = Range(1e-5, 1e3, "the contact model is tested between these")
 FINGERTIP_ASPECT: Final = Range(1.0, 10.0, "a fingertip has about 2; a disc or a needle has edges where it bends")
@@ -98,7 +98,7 @@ PARAMETER_RAMP_S: Final = Range(0.0, 10.0, "0 is at once; past 10 s nobody waits
 HEARTBEAT_S: Final = Range(0.05, 60.0, "sooner a busy peer is taken for a dead one; later nobody waits for it")
 ENDPOINT_LENGTH: Final = Range(1, 256, "longer than any address ZeroMQ takes")
 
-# The simulated device.
+# Simulated device.
 MASS_KG: Final = Range(1e-3, 100.0, "a handle of a gram is lighter than a knob, one of 100 kg is no handle")
 HAND_MASS_KG: Final = Range(0.0, 10.0, "0 is no hand; past 10 kg it is a whole body")
 DEVICE_FRICTION_N: Final = Range(0.0, 40.0, "no more than the strongest desktop device could overcome")

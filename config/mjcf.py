@@ -1,8 +1,8 @@
-"""A model of MuJoCo: read from its file, and its geoms as the objects of a scene.
+"""MuJoCo models: reading of a file, and conversion of its geoms to objects of a scene.
 
-A scene's [world] names the file. Every geom that can collide becomes an object of the same name, of our own exact
-shape: it is touched by the fingers here, and by the other geoms in MuJoCo. An object of the scene file that has the
-name of a geom takes its place.
+[world] of a scene names the file. Every geom that can collide becomes an object of the same name, with one of our exact
+shapes: fingers touch it here, and other geoms touch it in MuJoCo. An object of the scene file with the name of a geom
+replaces the object of that geom.
 """
 
 from __future__ import annotations
@@ -26,11 +26,14 @@ if TYPE_CHECKING:
 
 NO_MASSES: Final[Mapping[str, float]] = {}
 SQUARE: Final = 1e-6
-"""Difference of the sides of a pixel, as a share, that is rounding of sizes in a file: at most 1 pixel in a million."""
+"""Relative difference of the sides of a pixel that counts as rounding of sizes in a file: 1 pixel in a million."""
 
 
 class Taken(NamedTuple):
-    """A geom, and how it was taken: the object, or None and why not; `note` says what differs from MuJoCo's geom."""
+    """Geom and the object made of it; None if it cannot be touched.
+
+    `note` gives the reason, or the difference from MuJoCo's geom.
+    """
 
     name: str
     object: schema.Object | None
@@ -38,7 +41,7 @@ class Taken(NamedTuple):
 
 
 def mujoco_module() -> Any:
-    """The package, which a scene with a [world] alone needs. ConfigError where it is not installed."""
+    """Return the package, needed only for a scene with [world]. Raises ConfigError if it is not installed."""
     try:
         import mujoco
     except ImportError as error:
@@ -47,19 +50,19 @@ def mujoco_module() -> Any:
 
 
 def read_model(path: str, mass_kg: Mapping[str, float] = NO_MASSES) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Return the model of a file, as it was written and as it is simulated.
+    """Read a model and return its specification, as in the file, and the compiled model for the simulation.
 
     Parameters
     ----------
     path
         MJCF or URDF file.
     mass_kg
-        Other masses of bodies, by name, for the simulated model.
+        Masses by name of the body, which replace the model's in the simulation.
 
     Raises
     ------
     ConfigError
-        With the file and what is wrong with it, or for a body that has no mass.
+        With the file and its fault, or for a body that has no mass.
     """
     package, name = mujoco_module(), repr(path)[1:-1]
     try:
@@ -80,10 +83,10 @@ def read_model(path: str, mass_kg: Mapping[str, float] = NO_MASSES) -> tuple[muj
 
 
 def _set_masses(spec: mujoco.MjSpec, model: mujoco.MjModel, mass_kg: Mapping[str, float]) -> None:
-    """Set masses of the compiled model, whatever they came of: geoms, <inertial>, densities, a total.
+    """Set masses of the compiled model, regardless of their origin: geoms, <inertial>, densities, a total.
 
-    The inertia is scaled as if the density had changed. MuJoCo then computes what depends on both, but for the damping
-    of actuators with `dampratio`: a drive stays tuned to the model's own mass.
+    The inertia is scaled as if the density had changed. MuJoCo then computes the quantities that depend on both, except
+    the damping of actuators with `dampratio`: a drive stays tuned to the model's own mass.
     """
     package = mujoco_module()
     for name, mass in mass_kg.items():
@@ -95,12 +98,12 @@ def _set_masses(spec: mujoco.MjSpec, model: mujoco.MjModel, mass_kg: Mapping[str
         model.body_mass[body] = mass
     if mass_kg:
         package.mj_setConst(model, package.MjData(model))
-        if model.nv and np.isnan(spec.stat.meaninertia):  # the compiler alone computes it, unless the file has one
+        if model.nv and np.isnan(spec.stat.meaninertia):  # only the compiler computes it, unless the file gives it
             model.stat.meaninertia = model.dof_M0.mean()
 
 
 def with_geoms(scene: schema.Scene) -> schema.Scene:
-    """The scene with an object for each geom of its [world] that none stands for yet."""
+    """Return the scene with an object for each geom of its [world] that no object replaces."""
     if scene.world is None:
         return scene
     have = {thing.name for thing in scene.object}
@@ -113,7 +116,7 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
 
 
 def taken(world: schema.World) -> Iterator[Taken]:
-    """How each geom of the model is taken, in their order. ConfigError for a model that cannot be used."""
+    """Convert each geom of the model, in their order. Raises ConfigError for an unusable model."""
     package = mujoco_module()
     spec, model = read_model(world.model, world.mass_kg)
     data = package.MjData(model)
@@ -146,7 +149,7 @@ def _material(world: schema.World, geom: Any) -> schema.Material | None:
 
 
 def _no_file_of_ours(mesh: Any) -> str:
-    """Why a mesh cannot be touched; empty where it can."""
+    """Return why a mesh cannot be touched; empty if it can."""
     if not mesh.file.lower().endswith(schema.Mesh.endings):
         return f"is a mesh from no file that ends in {', '.join(schema.Mesh.endings)}"
     if len(set(mesh.scale)) > 1 or mesh.scale[0] <= 0.0:
@@ -157,7 +160,7 @@ def _no_file_of_ours(mesh: Any) -> str:
 
 
 def _source(world: schema.World, spec: Any, model: Any, geom: Any) -> dict[str, Any] | str:
-    """What an object in place of a geom has from a file: nothing for most; or why the geom cannot be touched."""
+    """Return the keys from a file of a geom's object, none for most geoms; or why the geom cannot be touched."""
     kinds = mujoco_module().mjtGeom
     match model.geom_type[geom.id]:
         case kinds.mjGEOM_MESH:
@@ -182,9 +185,9 @@ def _hfield(world: schema.World, model: Any, number: int) -> dict[str, Any] | st
 
 
 def read_hfield(path: str, name: str) -> Grid:
-    """Elevations (rows, columns) of a model's height field, 0 to 1; columns along x, rows along y, the first lowest.
+    """Return the elevations (rows, columns) of a model's height field, 0 to 1, as MuJoCo reads them from any file.
 
-    So MuJoCo has them once it has read them, from whatever file. ConfigError where there is none of that name.
+    Columns run along x, rows along y, lowest coordinate first. Raises ConfigError if no height field has that name.
     """
     _, model = read_model(path)
     for number in range(model.nhfield):
@@ -202,7 +205,7 @@ def _object(name: str, geom: int, material: schema.Material, model: Any, data: A
     body = int(model.geom_bodyid[geom])
     place: dict[str, Any] = {"name": name, "material": material}
     there = model.geom_pos[geom], model.geom_quat[geom]
-    if model.geom_type[geom] == kinds.mjGEOM_MESH:  # whose vertices MuJoCo has about its centre of mass and axes
+    if model.geom_type[geom] == kinds.mjGEOM_MESH:  # MuJoCo stores vertices in the mesh's inertial frame
         number = model.geom_dataid[geom]
         there = _on(there, _inverse((model.mesh_pos[number], model.mesh_quat[number])))
     if moves(model, body):
@@ -232,7 +235,7 @@ def _object(name: str, geom: int, material: schema.Material, model: Any, data: A
 
 
 def moves(model: Any, body: int) -> bool:
-    """Whether a body can be anywhere else than where the model has put it."""
+    """Return whether a body can leave the pose that the model gives it."""
     at = body
     while at != 0:
         if model.body_dofnum[at] > 0 or model.body_mocapid[at] >= 0:
@@ -246,14 +249,14 @@ def _numbers(values: Any) -> Any:
 
 
 def _on(outer: Any, inner: Any) -> Any:
-    """The pose `inner`, given in the frame `outer`, where that frame is given."""
+    """Return the pose `inner`, given in the frame `outer`, in the parent frame of `outer`."""
     package, place, turn = mujoco_module(), np.zeros(3), np.zeros(4)
     package.mju_mulPose(place, turn, outer[0], outer[1], inner[0], inner[1])
     return place, turn
 
 
 def _inverse(pose: Any) -> Any:
-    """The pose of the outer frame in the inner one."""
+    """Return the pose of the outer frame in the inner one."""
     package, place, turn = mujoco_module(), np.zeros(3), np.zeros(4)
     package.mju_negPose(place, turn, pose[0], pose[1])
     return place, turn

@@ -1,7 +1,7 @@
-"""The XML of a model before MuJoCo reads it: only files of its folder, and no more than MuJoCo reads within a second.
+"""Limits of a model's XML, checked before MuJoCo reads it: files of its folder only, and at most a second of reading.
 
-A line of MJCF may stand for a million bodies. MuJoCo cannot be interrupted while it makes them, so they are counted
-here: elements, times the copies that `<replicate>`, `<include>` and `<attach>` make of them.
+A line of MJCF may expand to a million bodies, and MuJoCo cannot be interrupted while it creates them. Therefore the
+elements are counted here, times the copies that `<replicate>`, `<include>` and `<attach>` make of them.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
 SIZE_MAX: Final = 1 << 24
-"""Bytes of a model with all that it includes."""
+"""Largest size of a model with all files that it includes, bytes."""
 BODIES_MAX: Final = 1000
 ELEMENTS_MAX: Final = 20_000
 COPIES_MAX: Final = 5_000
-"""Elements that copies are made of, which takes MuJoCo a time that grows with their square."""
+"""Elements that are copies; MuJoCo's time to make them grows with the square of their number."""
 FILE_BYTES: Final = 4096
-"""Counted for each file that is read, so that one which includes itself has an end."""
+"""Bytes counted for each file that is read, so that a file that includes itself reaches the limit."""
 CHUNK: Final = 1 << 15
-"""Characters that are parsed at a time, which takes a millisecond."""
+"""Characters parsed at a time, which takes a millisecond."""
 DEPTH_MAX: Final = 8
-"""Models attached to models."""
+"""Deepest nesting of models attached to models."""
 FILES: Final = ("file", "filename", "meshdir", "texturedir", "assetdir")
 ROWS_PER_BYTE: Final = 1 / 50
-"""Vertices in a mesh file, at most, if it is written as usual."""
+"""Vertices per byte of a mesh file, at most, in the usual notation."""
 
 
 class Bound(NamedTuple):
-    """Largest product of the numbers of some attributes."""
+    """Largest product of the values of some attributes."""
 
     attributes: tuple[str, ...]
     most: int
@@ -72,15 +72,14 @@ LISTS: Final = ("vertex", "normal", "texcoord", "face", "point", "element", "ele
 
 
 def check_files(text: str, path: Path, name: str) -> None:
-    """Raise ConfigError if a model, whose file has this text, reads other files or is too large."""
+    """Raise ConfigError if a model with this text reads files outside of its folder or is too large."""
     _Model(path.resolve().parent, name).read(text, path, name, 1, 0)
 
 
 class _Model:
-    """What was counted of a model so far.
+    """Counts of a model so far.
 
-    home  its folder
-    name  of its file, for messages
+    home folder of the model name name of its file, for messages
     """
 
     def __init__(self, home: Path, name: str) -> None:
@@ -89,7 +88,7 @@ class _Model:
         self._bytes = 0
 
     def read(self, text: str, path: Path, name: str, times: int, depth: int) -> None:
-        """Count a file `times` times, with what it includes and attaches."""
+        """Count a file `times` times, including the files that it includes and attaches."""
         models, attached = dict[str, Path](), Counter[str]()
         folder, waiting = path.parent, [(self._root(text, name), times, name)]
         while waiting:
@@ -126,7 +125,7 @@ class _Model:
         parser: Any = ElementTree.XMLPullParser(["start"])
         begun: list[Element] = []
         try:
-            for place in range(0, len(text), CHUNK):  # between which other threads have the interpreter
+            for place in range(0, len(text), CHUNK):  # in chunks, since parsing blocks other threads
                 parser.feed(text[place : place + CHUNK])
                 begun += [element for _, element in parser.read_events()]
                 if len(begun) > ELEMENTS_MAX:
@@ -139,7 +138,7 @@ class _Model:
         return begun[0]
 
     def _text(self, path: Path) -> str | None:
-        """The text of a part; None for a file of which MuJoCo says what is wrong."""
+        """Return the text of a part; None if it cannot be read, which MuJoCo reports."""
         try:
             return read_input(path, SIZE_MAX).decode("utf-8-sig")
         except (OSError, ValueError):
@@ -182,7 +181,7 @@ class _Model:
             try:
                 return math.ceil(ROWS_PER_BYTE * (folder / file).stat().st_size)
             except OSError:
-                return 0  # MuJoCo says what is wrong with it
+                return 0  # MuJoCo reports it
         if (points := element.get("point")) is not None:
             return len(points.split()) // 3
         return _product(element, ("count",)) if element.get("count") else 1000
@@ -196,7 +195,7 @@ class _Model:
 
 
 def _product(element: Element, attributes: tuple[str, ...]) -> int:
-    """Product of the whole numbers of attributes, 1 without any; of what is none MuJoCo says so."""
+    """Return the product of the whole numbers in attributes, 1 if there are none; MuJoCo reports other values."""
     product = 1
     for attribute in attributes:
         for word in (element.get(attribute) or "").split():
