@@ -1,7 +1,8 @@
-"""`bench grasp`: two fingertips lift a box and hold it, by this program's contact and by those of other simulators.
+"""`bench grasp`: two fingertips lift and hold a box, with the contact of this program and of other simulators.
 
-The same box of 40 mm and 100 g is taken 8 mm beside its centre of mass with 3 N, lifted by 100 mm and held. Here the
-fingers are soft fingertips; there they are spheres of the same radius: `grasp_mujoco`, and what `--peer` names.
+The box of 40 mm and 100 g is gripped 8 mm off its centre of mass with 3 N, lifted by 100 mm and held. Here the fingers
+are soft fingertips. In the other simulators they are spheres of the same radius: `grasp_mujoco`, and the modules that
+`--peer` names.
 """
 
 from __future__ import annotations
@@ -72,7 +73,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def figures_of(held: Held) -> dict[str, float]:
-    """Largest change of the force in a tick after WEIGHT_S, creep down and round after LOADED_S, turn at the end."""
+    """Return the figures of a grasp.
+
+    They are the largest force change per tick after WEIGHT_S, the creep down and in rotation after LOADED_S, and the
+    turn at the end.
+    """
     first = round(case.LOADED_S / case.DT)
     seconds = case.DT * (len(held.height) - 1 - first)
     changes = np.diff(held.force[round(case.WEIGHT_S / case.DT) :], axis=0)
@@ -85,7 +90,7 @@ def figures_of(held: Held) -> dict[str, float]:
 
 
 def ours(seconds: float) -> Held:
-    """Held by two soft fingertips."""
+    """Return the grasp by two soft fingertips."""
     material = {
         "stiffness_n_per_m": case.STIFFNESS,
         "damping_ns_per_m": case.DAMPING,
@@ -127,7 +132,7 @@ def _poses(side: float, depth: Array, height: float = 0.0) -> Array:
 
 
 def draw(held: dict[str, Held], path: Path) -> None:
-    """Height and turn of each over time."""
+    """Draw height and turn of each grasp over time."""
     drawing = figure(height=4.0)
     above, below = drawing.subplots(2, 1, sharex=True)
     for name, each in held.items():

@@ -1,6 +1,7 @@
-"""Bullet's own contact holds the box: spheres that fixed constraints lead.
+"""Grasp by Bullet's contact: spheres that are moved by fixed constraints.
 
-Their contact has Bullet's spinning friction, and the stiffness of the fingertips here; the rest is as Bullet has it.
+The contact has Bullet's spinning friction and the stiffness of the fingertips here. All other settings are Bullet's
+defaults.
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ from softfinger.tools.bench.grasp_case import Held, Peer
 from softfinger.tools.measure import Array
 
 SERVO_N: Final = 1e3
-"""The most that a constraint pulls with: far above the grip."""
+"""Largest force of a constraint, far above the grip."""
 
 
 def imported() -> Any:
-    """The package pybullet; ConfigError where it is not installed."""
+    """Return the package pybullet; raises ConfigError if it is not installed."""
     return case.peer_module("bullet", "pybullet", "pybullet")
 
 
 class Bullet(Peer):
-    """A world of pybullet."""
+    """World of pybullet."""
 
     def __init__(self) -> None:
         self._bullet: Final = imported()
@@ -46,7 +47,7 @@ class Bullet(Peer):
         return body
 
     def _finger(self, side: float) -> tuple[int, int]:
-        """A sphere, and the constraint that leads it."""
+        """Return a sphere and the constraint that moves it."""
         bullet, place = self._bullet, [case.x_of(side, -case.APART_M), case.BESIDE_M, 0.0]
         body = self._body(case.FINGER_KG, place, bullet.GEOM_SPHERE, radius=case.RADIUS_M)
         bullet.changeDynamics(
@@ -69,7 +70,7 @@ class Bullet(Peer):
     def step(self) -> None:
         place = self._bullet.getBasePositionAndOrientation(self._box, self._world)[0]
         weight, frame = [0.0, 0.0, -self._weight], self._bullet.WORLD_FRAME
-        self._bullet.applyExternalForce(self._box, -1, weight, place, frame, self._world)  # for this step alone
+        self._bullet.applyExternalForce(self._box, -1, weight, place, frame, self._world)  # for this step only
         self._bullet.stepSimulation(self._world)
 
     def box(self) -> Array:
@@ -87,7 +88,7 @@ class Bullet(Peer):
 
 
 def contacts(seconds: float) -> Iterator[tuple[str, Held]]:
-    """How it held the box."""
+    """Yield the name of the contact and the grasp."""
     peer = Bullet()
     try:
         yield "Bullet", case.hold(peer, case.GRIP_N / case.STIFFNESS, seconds)

@@ -1,4 +1,4 @@
-"""The case of `bench grasp`: the box, the grip, the lift, and what is kept of a grasp over time."""
+"""Case of `bench grasp`: the box, the grip, the lift, and the recorded grasp."""
 
 from __future__ import annotations
 
@@ -22,27 +22,31 @@ STIFFNESS: Final = 1000.0
 DAMPING: Final = 2.0
 TORSION: Final = 0.05
 SPIN_LENGTH_M: Final = 0.004
-"""Torsional friction, N m, of each N of grip."""
+"""Torsional friction, N m, per N of grip."""
 SETTLE_S: Final = 0.2
-"""The box is taken without weight for so long, and then has it."""
+"""Time in which the box is gripped without weight; then it gets its weight."""
 WEIGHT_S: Final = 0.3
-"""The weight comes at once; so long after it the lift begins, and the forces are looked at."""
+"""The weight is applied at once. After this time the lift starts, and the forces are evaluated."""
 LIFT_S: Final = 1.0
 LIFT_M: Final = 0.1
 LOADED_S: Final = 1.8
-"""After it was lifted the swing has died away; what moves then is creep."""
+"""Time at which the swing after the lift has decayed; any later motion is creep."""
 DT: Final = 1e-3
 SIDES: Final = {"thumb": -1.0, "index": 1.0}
-"""Of the box along x."""
+"""Side of the box along x."""
 FINGER_KG: Final = 0.05
-"""Of a sphere of a peer's."""
+"""Mass of a sphere in a peer."""
 APART_M: Final = 0.001
-"""They begin so far off the box."""
+"""Initial distance of the spheres from the box."""
 
 
 class Held(NamedTuple):
-    """A grasp over time: height of the box's taken point above the fingers (n,) m, its turn (n,) rad, the thumb's force
-    (n, 3)."""
+    """Grasp over time.
+
+    height  (n,)    m    of the gripped point of the box above the fingers
+    turn    (n,)    rad  of the box
+    force   (n, 3)  N    on the thumb
+    """
 
     height: Array
     turn: Array
@@ -50,49 +54,52 @@ class Held(NamedTuple):
 
 
 def lift(seconds: float) -> Array:
-    """Height of the hands (n,) m, a lift by a minimum-jerk move and a hold: LOADED_S and `seconds`."""
+    """Return the height of the hands (n,) m during LOADED_S + `seconds`: a minimum-jerk lift, then a hold."""
     u = np.clip((np.arange(round((LOADED_S + seconds) / DT)) * DT - WEIGHT_S) / LIFT_S, 0.0, 1.0)
     way: Array = LIFT_M * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
     return way
 
 
 def held_as(states: Array, way: Array, force: Array) -> Held:
-    """States (n, 7) of the box as a Held: the point that is taken goes with the box; `way` (n,) is the hands'."""
+    """Convert states (n, 7) of the box to a Held.
+
+    The gripped point moves with the box; `way` (n,) is the height of the hands.
+    """
     turn = np.unwrap(2.0 * np.arctan2(states[:, 4], states[:, 3]))
     return Held(states[:, 2] - way + BESIDE_M * np.sin(turn), -turn if turn[-1] < 0.0 else turn, force)
 
 
 class Peer(ABC):
-    """A simulator whose own contact holds the box between two spheres of RADIUS_M that are led to places."""
+    """Simulator with its contact model, in which two position-controlled spheres of RADIUS_M hold the box."""
 
     @abstractmethod
     def lead(self, depth: float, height: float) -> None:
-        """Lead the spheres so deep into the sides of the box where it began (m), and so high (m)."""
+        """Move the spheres to a depth (m) in the sides of the box at its initial position, and to a height (m)."""
 
     @abstractmethod
     def weigh(self) -> None:
-        """Give the box its weight, from now on."""
+        """Apply the weight of the box from now on."""
 
     @abstractmethod
     def step(self) -> None:
-        """Go on by DT."""
+        """Step by DT."""
 
     @abstractmethod
     def box(self) -> Array:
-        """Its pose (7,): x, y, z, qw, qx, qy, qz."""
+        """Return the pose (7,) of the box: x, y, z, qw, qx, qy, qz."""
 
     @abstractmethod
     def force(self) -> Array:
-        """Sum of the contacts' forces on the thumb (3,) N, world."""
+        """Return the sum of the contact forces on the thumb (3,) N, world."""
 
 
 def x_of(side: float, depth: Any) -> Any:
-    """Place along x (m) of a sphere so deep (m) in a side of the box."""
+    """Return the position along x (m) of a sphere at a depth (m) in a side of the box."""
     return side * (HALF_M + RADIUS_M - depth)
 
 
 def peer_module(peer: str, module: str, wheel: str) -> Any:
-    """A module of a peer's package; ConfigError where it is not installed, with what to install."""
+    """Import a module of a peer's package; raises ConfigError with the package to install if it is missing."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -101,7 +108,7 @@ def peer_module(peer: str, module: str, wheel: str) -> Any:
 
 
 def take(peer: Peer, squeeze: float) -> Peer:
-    """The box taken, without weight, with a squeeze (m) beyond touch."""
+    """Grip the box, without weight, with a squeeze (m) beyond touch."""
     for tick in range(round(SETTLE_S / DT)):
         peer.lead(-APART_M + (APART_M + squeeze) * min(tick * DT / (0.5 * SETTLE_S), 1.0), 0.0)
         peer.step()
@@ -109,7 +116,7 @@ def take(peer: Peer, squeeze: float) -> Peer:
 
 
 def hold(peer: Peer, squeeze: float, seconds: float) -> Held:
-    """The box taken, lifted and held for so many seconds."""
+    """Grip, lift and hold the box for `seconds`."""
     take(peer, squeeze).weigh()
     way, states, force = lift(seconds), list[Array](), list[Array]()
     for height in way:

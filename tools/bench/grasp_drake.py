@@ -1,7 +1,7 @@
-"""Drake's own contact holds the box: spheres on two prismatic joints each, which position servos move.
+"""Grasp by Drake's contact: spheres on two prismatic joints each, moved by position servos.
 
-Its hydroelastic contact has the pressure over a patch, of whose friction torsion comes; its point contact has none.
-Both are as stiff as the fingertips here, with the settings that Drake has by itself.
+Its hydroelastic contact has a pressure over a patch, and friction of the patch gives torsion; its point contact has no
+torsion. Both are as stiff as the fingertips here, with Drake's default settings.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from softfinger.tools.measure import Array
 
 RAIL_KG: Final = 0.001
 SERVO_N_PER_M: Final = 1e5
-"""A hundred times the contact's: it gives way by 0.03 mm under the grip."""
+"""A hundred times the contact's stiffness: it yields by 0.03 mm under the grip."""
 SERVO_NS_PER_M: Final = 100.0
 MODULUS_PA: Final = 1.36e5
-"""Hydroelastic, of the spheres: at a depth of 3 mm it gives 3 N, as 1000 N/m do."""
+"""Hydroelastic modulus of the spheres: at a depth of 3 mm it gives 3 N, like 1000 N/m."""
 RESOLUTION_M: Final = 0.002
-"""Of the mesh that Drake makes of a sphere."""
+"""Resolution of Drake's mesh of a sphere."""
 CONTACTS: Final = {"Drake, point contact": "point", "Drake, hydroelastic": "hydroelastic"}
 
 
 def drake(module: str) -> Any:
-    """A module of pydrake; ConfigError where it is not installed."""
+    """Return a module of pydrake; raises ConfigError if it is not installed."""
     return case.peer_module("drake", f"pydrake.{module}", "drake")
 
 
 def imported() -> Any:
-    """Drake's plants; ConfigError where it is not installed."""
+    """Return Drake's plants; raises ConfigError if it is not installed."""
     return drake("multibody.plant")
 
 
 class Drake(Peer):
-    """One of CONTACTS."""
+    """Drake with one of CONTACTS."""
 
     def __init__(self, contact: str) -> None:
         self._tree, self._math, self._geometry = (drake(name) for name in ("multibody.tree", "math", "geometry"))
@@ -65,7 +65,7 @@ class Drake(Peer):
         self._register(self._box, self._geometry.Box(*size))
 
     def _add_finger(self, name: str) -> Any:
-        """A sphere without weight that a servo moves along x and one along z."""
+        """Add a weightless sphere that one servo moves along x and one along z."""
         instance, tree = self._plant.AddModelInstance(name), self._tree
         inertia = tree.SpatialInertia.SolidSphereWithMass
         rail = self._plant.AddRigidBody(f"{name}-rail", instance, inertia(RAIL_KG, case.RADIUS_M))
@@ -83,7 +83,10 @@ class Drake(Peer):
         return instance
 
     def _register(self, body: Any, shape: Any) -> None:
-        """A body's shape, with what its contact is like. Of two bodies in series each has twice the stiffness."""
+        """Register a body's shape with its contact properties.
+
+        Two bodies in series each get twice the stiffness.
+        """
         properties, geometry = self._geometry.ProximityProperties(), self._geometry
         stiffness = {} if self._hydroelastic else {"point_stiffness": 2.0 * case.STIFFNESS}
         geometry.AddContactMaterial(friction=self._friction, properties=properties, **stiffness)
@@ -125,7 +128,7 @@ class Drake(Peer):
         for number in range(found.num_point_pair_contacts()):
             each = found.point_pair_contact_info(number)
             names = [self._plant.get_body(index).name() for index in (each.bodyA_index(), each.bodyB_index())]
-            if "thumb" in names:  # its force is that on B
+            if "thumb" in names:  # the force on B
                 total += each.contact_force() if names[1] == "thumb" else -each.contact_force()
         inspector = self._scene.model_inspector()
         for number in range(found.num_hydroelastic_contacts()):
@@ -135,13 +138,13 @@ class Drake(Peer):
                 for shape in (patch.contact_surface().id_M(), patch.contact_surface().id_N())
             ]
             names = [self._plant.GetBodyFromFrameId(frame).name() for frame in frames]
-            if "thumb" in names:  # its force is that on A, which has M
+            if "thumb" in names:  # the force on A, which has M
                 force = patch.F_Ac_W().translational()
                 total += force if names[0] == "thumb" else -force
         return total
 
 
 def contacts(seconds: float) -> Iterator[tuple[str, Held]]:
-    """Each of CONTACTS, and how it held the box."""
+    """Yield each of CONTACTS with its grasp."""
     for name, contact in CONTACTS.items():
         yield name, case.hold(Drake(contact), case.GRIP_N / case.STIFFNESS, seconds)

@@ -1,7 +1,7 @@
-"""MuJoCo's own contact holds the box: fingers are spheres, each welded to a mocap body, the usual way to lead a hand.
+"""Grasp by MuJoCo's contact: the fingers are spheres, each welded to a mocap body, as is usual for hands.
 
-Their contact has torsional friction (condim 4), or rolling friction too (condim 6), with the elliptic cone and the
-impratio that MuJoCo's documentation advises for grasps. The squeeze that gives the grip is searched for.
+Their contact has torsional friction (condim 4), or also rolling friction (condim 6), with the elliptic cone and the
+impratio that MuJoCo's documentation recommends for grasps. A bisection finds the squeeze that gives the grip.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ imported: Final = mujoco_module
 
 
 class MuJoCo(Peer):
-    """One of CONTACTS."""
+    """MuJoCo with one of CONTACTS."""
 
     def __init__(self, contact: str, option: str) -> None:
         fingers = "".join(
@@ -84,7 +84,7 @@ class MuJoCo(Peer):
 
 
 def contacts(seconds: float) -> Iterator[tuple[str, Held]]:
-    """Each of CONTACTS, and how it held the box."""
+    """Yield each of CONTACTS with its grasp."""
     for name, given in CONTACTS.items():
         low, high = 0.0, 0.02
         for _ in range(20):

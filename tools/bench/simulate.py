@@ -1,4 +1,4 @@
-"""`bench simulate`: how many times as fast as real time `simulate` is, from the start of the program to the file."""
+"""`bench simulate`: speed of `simulate` relative to real time, from the start of the program to the file."""
 
 from __future__ import annotations
 
@@ -71,13 +71,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def motion(recording: str, ticks: int) -> Array:
-    """The recording as a loop: (ticks, 8), times and poses."""
+    """Return the recording as a loop: (ticks, 8), times and poses."""
     once = close_loop(resample(load_poses(recording), RATE_HZ), RATE_HZ)
     return np.column_stack((np.arange(ticks) / RATE_HZ, np.resize(once, (ticks, once.shape[1]))))
 
 
 def simulate(scene: str, poses: Path, out: Path) -> tuple[float, float]:
-    """One run of the program, whose file is removed: wall clock and processor, s."""
+    """Run the program once and remove its file; returns wall-clock and processor time, s."""
     words = ["simulate", "--scene", scene, "--poses", str(poses), "--out", str(out)]
     before, begun = children_s(), time.perf_counter()
     ended = subprocess.run(
@@ -91,13 +91,13 @@ def simulate(scene: str, poses: Path, out: Path) -> tuple[float, float]:
 
 
 def children_s() -> float:
-    """Time that ended children of this process have had of processors."""
+    """Return the processor time of finished child processes."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def told(turns: list[tuple[float, float]], ticks: int) -> dict[str, Any]:
-    """The quickest turn, for others share the machine; beside it the median."""
+    """Return the fastest turn, since other programs share the machine, and the median."""
     walls, cpus = zip(*turns, strict=True)
     return {
         "seconds": min(walls),

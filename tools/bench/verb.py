@@ -1,4 +1,4 @@
-"""`bench`: what a step costs, how late the servo wakes, how long a device and telemetry take."""
+"""`bench`: cost of a step, lateness of the servo, and duration of device exchange and telemetry."""
 
 from __future__ import annotations
 
