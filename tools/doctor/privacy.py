@@ -1,6 +1,6 @@
-"""Remove from reports the names of the user and of the machine, folders, and all but the end of serial numbers.
+"""Removal from reports of the names of user and machine, folders, and all but the end of serial numbers.
 
-`doctor --device-report` and `report` call it. Folders of the system and of this program stay.
+`doctor --device-report` and `report` call it. Folders of the system and of this program remain.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ from typing import Any, Final
 from softfinger.config.files import home_folder
 
 KEPT_KEYS: Final = frozenset({"driver", "id"})
-"""Their values are words of this program: a user who is called like a driver does not change them."""
+"""Keys with values from this program, which a user of the same name as a driver does not change."""
 
 FILE_KEYS: Final = frozenset({"file", "model"})
 FOLDER_KEYS: Final = frozenset({"directory"})
-"""Keys of rigs and scenes whose whole value is a path, so that it may have spaces and no ending."""
+"""Keys of rigs and scenes with a path as their value, which may contain spaces and have no suffix."""
 
 _START: Final = r"(?:(?<=ipc://)|(?<![\w./~>])(?!//))(?!/(?:dev|sys|proc|usr|etc|run(?!/media))\b)(?:~[\w-]*|\.{1,2})?/"
 _QUOTED: Final = re.compile(rf"""(?<=['"]){_START}[^'"\n]*(?=['"])""")
 _PATH: Final = re.compile(rf"""{_START}[^\s'"<>,;:()=]+""")
 _RELATIVE: Final = re.compile(r"(?<![\w./~>-])(?!docs/|softfinger/)(?:[\w.+-]+/)+(?=[\w+-]+\.[A-Za-z])")
-"""Folders in front of a file name with an ending: `N/m` is no path."""
+"""Folders in front of a file name with a suffix; `N/m` is no path."""
 
 _BY_ID: Final = re.compile(r"(/dev/\S*by-id/)\S+")
 _SERIAL: Final = re.compile(
     r"(serial(?: number)?[ =:]*['\"]?)(?![0-9a-f]{4}:[0-9a-f]{4}\b)([\w-]*\d[\w-]*)", re.IGNORECASE
 )
-"""USB ids behind the name of the driver `serial` are none."""
+"""USB ids after the name of the driver `serial` do not match."""
 
 
 def shortened(serial: str) -> str:
-    """The last two characters of a serial number: enough to tell two devices on a desk apart."""
+    """Return the last two characters of a serial number, enough to distinguish two devices on a desk."""
     return f"...{serial[-2:]}" if len(serial) > 3 else "..." if serial else ""
 
 
 class Privacy:
-    """Remove from texts what tells whose report it is.
+    """Removal of identifying words from texts.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class Privacy:
         self._pattern = re.compile(rf"(?<![A-Za-z0-9])(?:{longest_first})(?![A-Za-z0-9])") if words else None
 
     def clean(self, value: Any) -> Any:
-        """Return `value`, made of mappings, lists and scalars, with every text in it cleaned; keys stay."""
+        """Return `value`, made of mappings, lists and scalars, with every text in it cleaned; keys do not change."""
         if isinstance(value, dict):
             return {key: self._entry(key, one) for key, one in value.items()}
         if isinstance(value, list | tuple):
@@ -101,7 +101,7 @@ class Privacy:
 
 
 def options(given: dict[str, Any]) -> dict[str, Any]:
-    """A rig's options of its device, files without their folders, and the serial number shortened."""
+    """Return the device options of a rig with files without their folders and a shortened serial number."""
     kept: dict[str, Any] = {}
     for key, value in given.items():
         if key == "serial":

@@ -1,4 +1,4 @@
-"""A device report for people: what an issue needs to be read, and what is still open."""
+"""Text of a device report: the content that an issue needs, and the open questions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Report = Mapping[str, Any]
 
 
 def lines(report: Report, file: Path) -> list[str]:
-    """The short text. `file` is where the whole report is."""
+    """Return the short text; `file` is the path of the complete report."""
     text = [f"device report of driver {report['driver']}, softfinger {report['softfinger']}: {report['ended']}"]
     if report["fault"] is not None:
         text.append(f"  fault: {report['fault']['message']}")

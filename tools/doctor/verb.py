@@ -31,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check, or report; returns the exit code. Raises Unfit when something is bad, after all of it was printed."""
+    """Check or report; returns the exit code. Raises Unfit if a check is bad, after printing all of them."""
     check_seconds(args.seconds)
     if args.device_report is not None:
         return report.run(args)
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 def examine(
     rig: Rig, scene: Scene, rig_name: str, scene_name: str, seconds: float, plot: Path | None
 ) -> dict[str, Any]:
-    """Return every check, and the figures behind those that were measured; draw the lateness to `plot`.
+    """Return every check, and the figures behind the measured ones; draw the lateness to `plot`.
 
     Both names are for messages.
     """
