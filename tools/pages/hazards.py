@@ -1,6 +1,6 @@
-"""The fault model: every hazard that is provided for, the reaction, and the test that injects it.
+"""Fault model: every hazard that is handled, its reaction, and the test that injects it.
 
-`docs/reference/faults.md` is made from it. Each number is computed from the constant of the program that sets it.
+`docs/reference/faults.md` is generated from it. Each number is computed from the constant of the program that sets it.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from softfinger.server.viewer.door import process
 from softfinger.server.wire import link
 
 SEEN_IN: Final = Path(__file__).with_name("faults_seen.json")
-"""What `make faults-seen` has seen of the tests below."""
+"""Results of the tests below, written by `make faults-seen`."""
 TICK_S: Final = 0.001
-"""Period of the rates that the table is for, 1 kHz."""
+"""Period at 1 kHz, the rate of the table."""
 
 
 def default(options: type[Any], key: str) -> float:
@@ -43,8 +43,10 @@ QUIET_S: Final = {
     "openhaptics": TIMEOUT_NS * 1e-9,
     "serial": default(SerialOptions, "quiet_s"),
 }
-"""Silence after which each driver removes the force. A call of Force Dimension's library that does not return is a loop
-that stalls."""
+"""Silence after which each driver removes the force.
+
+A call of Force Dimension's library that does not return is a loop that stalls.
+"""
 GIVEN_UP_S: Final = {
     "falcon": default(FalconOptions, "timeout_s"),
     "haply": default(HaplyOptions, "timeout_s"),
@@ -52,11 +54,11 @@ GIVEN_UP_S: Final = {
     "openhaptics": TIMEOUT_NS * 1e-9,
     "serial": default(SerialOptions, "timeout_s"),
 }
-"""Silence after which each driver gives the device up."""
+"""Silence after which each driver abandons the device."""
 
 
 def by_driver(seconds: Mapping[str, float]) -> str:
-    """Return spans of time in text, each with its drivers."""
+    """Return durations as text, each with its drivers."""
     spans = sorted({*seconds.values()})
     return "; ".join(
         f"{span:g} s of {', '.join(name for name, each in seconds.items() if each == span)}" for span in spans
@@ -75,7 +77,7 @@ def starved_s(gap_s: float, period_s: float = TICK_S) -> float:
 
 
 def starved() -> tuple[float, float]:
-    """Return the shortest and the longest time (s) of stalls that follow each other, of every length that counts."""
+    """Return the shortest and the longest time (s) of consecutive stalls, of every length that counts."""
     times = [starved_s(float(gap)) for gap in np.linspace(health.GAP_MIN_S, health.GAP_MAX_S, 1000)]
     return min(times), max(times)
 
@@ -86,16 +88,16 @@ def ticks_to_exceed(limit: float, speed: float, period_s: float = TICK_S) -> int
 
 
 class Hazard(NamedTuple):
-    """A row of the fault model.
+    """Row of the fault model.
 
     name      of the hazard
-    detection what finds it
+    detection part of the program that detects it
     reaction  ticks, or s, from the first tick with it until `state` holds
-    state     what the hand feels then, and what becomes of the run
-    recovery  what leads back to a force
-    events    kind and name of each event that tells it
+    state     force at the hand after the reaction, and state of the run
+    recovery  condition for a new force
+    events    kind and name of each event that reports it
     tests     node ids of the tests that inject it
-    within    ticks at 1 kHz that the tests hold the reaction to, with a rig of theirs; None where it removes no force
+    within    largest reaction, ticks at 1 kHz, that the tests allow with their rig; None if no force is removed
     """
 
     name: str
@@ -109,7 +111,7 @@ class Hazard(NamedTuple):
 
 
 FAILED: Final = "state faulted"
-"""The event of an error that ends a run; its cause is the error."""
+"""Event of an error that ends a run; its cause is the error."""
 _LOST: Final = f"zero; the run ends, exit code {DeviceError.exit_code}"
 _STOPPED: Final = f"zero; the run ends, exit code {SafetyStop.exit_code}"
 _START: Final = "start again"
@@ -119,7 +121,7 @@ _JUMPS: Final = floor(health.SILENCE_MAX_S / (health.JUMP_S + TICK_S)) + 1
 _FROZEN: Final = 120
 """`frozen_s = 0.1` of the tests' rig, and a fifth more."""
 _HELD: Final = round(health.HELD_MAX_S / TICK_S) + 2
-"""And the tick in which it ends."""
+"""Including the tick in which it ends."""
 _STALLED: Final = round(health.STALL_MAX_S / TICK_S)
 _QUIET: Final = round(max(QUIET_S.values()) / TICK_S)
 _STARVED: Final = starved()
@@ -345,4 +347,4 @@ HAZARDS: Final = (
         ("tests/server/test_service_faults.py::test_commands_that_fail_end_a_run_that_needs_heartbeats",),
     ),
 )  # fmt: skip
-"""Every hazard that is provided for, each injected by a test."""
+"""Every hazard that is handled, each injected by a test."""
