@@ -1,9 +1,9 @@
-"""`softfinger report`: write an archive for an issue, without names, folders and serial numbers.
+"""`softfinger report`: archive for an issue, without names, folders and serial numbers.
 
-report.json   versions, system, what `doctor` says
+report.json   versions, system, results of `doctor`
 rig.json, scene.json
-log.txt       lines of the log that the black boxes have
-blackbox/     the newest black boxes, written anew with their texts cleaned
+log.txt       lines of the log in the black boxes
+blackbox/     the latest black boxes, rewritten with cleaned texts
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ log: Final = logging.getLogger(__name__)
 BOXES: Final = 3
 OUT: Final = "softfinger-report.tar.gz"
 LEVEL_STEP: Final = 10
-"""Between levels of `logging`; Foxglove's are numbered from 1."""
+"""Difference between levels of `logging`; Foxglove numbers them from 1."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +61,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the archive, whole or not at all; returns 0. Raises ConfigError where it cannot be written."""
+    """Write the archive, completely or not at all; returns 0. Raises ConfigError if it cannot be written."""
     check_seconds(args.seconds)
     if args.boxes < 0:
         raise ConfigError(f"--boxes {args.boxes}: must be 0 or more")
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     for path in boxes:
         try:
             parts[f"blackbox/{path.name}"] = cleaned(path, cleaner)
-        except RecordingError as error:  # cut short by a kill, or another version's
+        except RecordingError as error:  # cut short by a kill, or of another version
             log.warning("left out: %s", error)
             continue
         lines += [f"--- {path.name}", *(f"{line.text}" for line in log_lines(path, cleaner))]
@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def archive(file: Any, parts: Mapping[str, bytes]) -> None:
-    """A gzipped tar of files by name, with nobody's name and no time."""
+    """Write a gzipped tar of files by name, without owner and time."""
     with tarfile.open(fileobj=file, mode="w:gz") as tar:
         for name, data in parts.items():
             info = tarfile.TarInfo(f"softfinger-report/{name}")
@@ -117,7 +117,7 @@ def private_rig(rig: dict[str, Any]) -> dict[str, Any]:
 
 
 def cleaned(path: Path, cleaner: privacy.Privacy) -> bytes:
-    """A file of the black box written anew, its ticks as they were and its texts cleaned. RecordingError."""
+    """Return a black box file rewritten with the same ticks and cleaned texts. Raises RecordingError."""
     parts = list(contents(path))
     about = {part.name: part.value for part in parts if isinstance(part, Note)}
     if isinstance(about.get("rig"), dict):
@@ -139,13 +139,13 @@ def cleaned(path: Path, cleaner: privacy.Privacy) -> bytes:
 
 
 def cleaned_event(event: dict[str, Any], cleaner: privacy.Privacy) -> dict[str, Any]:
-    """An event without private words; a device's serial number is shortened."""
+    """Return an event with cleaned texts and a shortened serial number of the device."""
     clean: dict[str, Any] = cleaner.clean(event)
     return clean | ({"serial": privacy.shortened(str(event["serial"]))} if "serial" in event else {})
 
 
 def log_lines(path: Path, cleaner: privacy.Privacy) -> Iterator[blackbox.Line]:
-    """Lines of the log in a file of the black box, cleaned."""
+    """Yield the cleaned lines of the log in a black box file."""
     with open_input(path) as file:
         for schema, _, message in mcap_messages(file, LOG_TOPIC):
             line = class_of(schema.data, schema.name).FromString(message.data)
