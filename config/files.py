@@ -157,7 +157,7 @@ def _check_kind(mode: int, use: str) -> None:
 def check_owner(path: str | Path, status: os.stat_result, why: str) -> None:
     """Raise ConfigError for a file or folder that another user may have filled.
 
-    why the possible misuse, for the message
+    why  the possible misuse, for the message
     """
     if status.st_uid not in (0, os.geteuid()):
         raise ConfigError(f"{path}: belongs to another user ({status.st_uid}), who {why}: use one of your own")

@@ -79,7 +79,8 @@ def check_files(text: str, path: Path, name: str) -> None:
 class _Model:
     """Counts of a model so far.
 
-    home folder of the model name name of its file, for messages
+    home  folder of the model
+    name  name of its file, for messages
     """
 
     def __init__(self, home: Path, name: str) -> None:
