@@ -28,7 +28,7 @@ _KINDS: Final = {
 
 
 def home_folder() -> Path | None:
-    """Home folder of this user; None if neither HOME nor passwd has one, as for the user of a container."""
+    """Return the home folder of this user; None if neither HOME nor passwd has one, as for the user of a container."""
     try:
         return Path.home()
     except RuntimeError:
@@ -36,7 +36,7 @@ def home_folder() -> Path | None:
 
 
 def expanded(path: str) -> Path:
-    """Replace a leading ~ by the home folder; a user without one gets the path as it is."""
+    """Replace a leading ~ by the home folder; for a user without one, the path does not change."""
     return Path(os.path.expanduser(path))
 
 
