@@ -151,9 +151,10 @@ def rolls_clear_of_others(objects: Any, radius: float, approach: Approach) -> bo
     """Whether the only contact rolls over nothing but its own object: past a seam the next one is what it rolls on."""
     if approach.center == approach.outside:
         return True
-    return is_clear_of_others(
-        objects, radius, approach.center, approach.center, approach.active[0].body, approach.budget, -1.0
-    )
+    index = approach.active[0].body
+    # Facets that share an edge are touched together on it, and are one surface.
+    room = -1.0 if is_mesh_at(objects, index) else 1.0
+    return is_clear_of_others(objects, radius, approach.center, approach.center, index, approach.budget, room)
 
 
 @jit
@@ -274,15 +275,17 @@ def settle_after_friction(
 
 
 class Share(NamedTuple):
-    """Part of one constraint in the wrench: normal force, friction (3,) N, torque (3,) N m, and its report."""
+    """Part of one constraint in the wrench: normal force, friction (3,) N, torque (3,) N m, radius of the contact
+    patch, m, and its report."""
 
     pressing: Vec3
     tangential: Vec3
     torque: Vec3
+    radius: float
     reported: ContactOutcome
 
 
-NO_SHARE = Share(ZERO, ZERO, ZERO, NO_OUTCOME)
+NO_SHARE = Share(ZERO, ZERO, ZERO, 0.0, NO_OUTCOME)
 
 
 @jit
@@ -344,6 +347,7 @@ def share_of_wrench(
         pressing,
         tangential,
         torque,
+        area.radius,
         ContactOutcome(
             object=ground.number,
             point=point_under(finger.form, finger.radius, probe.orientation, settled.center, constraint.normal),
@@ -418,7 +422,7 @@ def outcome_of_several(
         torque=vec3.add(vec3.add(vec3.add(one.torque, two.torque), three.torque), turned),
         torsion=ease * ease * first.result.moment,
         spin=one.reported.spin,
-        radius=first.area.radius,
+        radius=one.radius,
         rolled=approach.rolled,
         stuck=stuck,
         budget=budget,
