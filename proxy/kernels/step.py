@@ -12,10 +12,10 @@ from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.several_contacts import (
     approach_among_several,
     land_in_company,
-    outcome_of_several,
     rub_each,
     settle_after_friction,
 )
+from softfinger.proxy.kernels.contact.several_outcome import outcome_of_several
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type_of
 from softfinger.proxy.kernels.jit.outlined import outlined_where

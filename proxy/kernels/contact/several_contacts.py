@@ -17,7 +17,6 @@ from softfinger.proxy.kernels.contact.contact_friction import (
     after_friction,
     apply_friction,
     ground_at,
-    load_on,
 )
 from softfinger.proxy.kernels.contact.detection import (
     NO_PREDICTION,
@@ -27,16 +26,12 @@ from softfinger.proxy.kernels.contact.detection import (
     has_ended,
     separated,
 )
-from softfinger.proxy.kernels.contact.effects import Effects
-from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_curvature, torque_of
-from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, hand_over
+from softfinger.proxy.kernels.contact.hand_over import Contacts, hand_over
 from softfinger.proxy.kernels.contact.one_contact import Landing, slips
-from softfinger.proxy.kernels.contact.outcome import Outcome
 from softfinger.proxy.kernels.contact.prediction import continue_several, lag_of
 from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, active_objects, one_constraint
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
 from softfinger.proxy.kernels.contact.rest.among import (
-    drawn_after,
     is_a_step,
     over_edges,
     settle_among_several,
@@ -44,16 +39,14 @@ from softfinger.proxy.kernels.contact.rest.among import (
 )
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, pushed_at
 from softfinger.proxy.kernels.contact.texture import with_texture_friction
-from softfinger.proxy.kernels.friction.contact_patch import ContactPatch, contact_patch, winding_unit
+from softfinger.proxy.kernels.friction.contact_patch import ContactPatch
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
-    NO_OUTCOME,
     NONE,
     ActiveSet,
     Constraint,
-    ContactOutcome,
     ContactState,
     Finger,
     FingerState,
@@ -64,11 +57,11 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.elements import contains, count, element
-from softfinger.proxy.kernels.query.kinds import any_multipoint, has_creases_at, is_mesh_at, kind_at
-from softfinger.proxy.kernels.query.objects import deepest, number_of
+from softfinger.proxy.kernels.query.kinds import has_creases_at, is_mesh_at, kind_at
+from softfinger.proxy.kernels.query.objects import deepest
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET
-from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, FREE, ON_ITS_WAY, UNSEARCHED
+from softfinger.proxy.record import CAUSE_NONE, FREE
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 NO_FORCES = ContactForces(
@@ -269,161 +262,3 @@ def settle_after_friction(
         active = pushed_at(shapes, finger.radius, displaced, rest.center, active)
         contacts = pressed_again(contacts, active)
     return Settled(rest.center, active, contacts, rest.late, rest.budget)
-
-
-# --- outcome -----------------------------------------------------------------------------------------
-
-
-class Share(NamedTuple):
-    """Part of one constraint in the wrench: normal force, friction (3,) N, torque (3,) N m, radius of the contact
-    patch, m, and its report."""
-
-    pressing: Vec3
-    tangential: Vec3
-    torque: Vec3
-    radius: float
-    reported: ContactOutcome
-
-
-NO_SHARE = Share(ZERO, ZERO, ZERO, 0.0, NO_OUTCOME)
-
-
-@jit
-def load_of(finger: Finger, objects: Any, constraint: Constraint, motion: ProbeMotion, touches: bool) -> float:
-    """Normal force of a constraint, N, 0 of none."""
-    if constraint.body < 0.0:
-        return 0.0
-    return load_on(finger, objects, ground_at(objects, constraint.body), constraint, motion, touches).size
-
-
-@jit
-def sum_of_loads(forces: Any) -> float:
-    """Normal forces of all contacts during friction, N."""
-    return forces[0].load + forces[1].load + forces[2].load
-
-
-@jit
-def forces_on(approach: Approach, forces: Any, body: float) -> ContactForces:
-    """Forces of the contact on that object, or none."""
-    one, two, three = approach.predicted
-    if body >= 0.0:
-        if one.contact.body == body:
-            return forces[0]
-        if two.contact.body == body:
-            return forces[1]
-        if three.contact.body == body:
-            return forces[2]
-    return NO_FORCES
-
-
-@jit
-def friction_of(
-    finger: Finger, probe: Probe, normal: Vec3, forces: ContactForces, ease: float, pressing: Vec3
-) -> tuple[Vec3, Vec3]:
-    """Friction (3,) N of a contact under that normal, eased as the load is, and the torque of it and of `pressing`."""
-    tangential = vec3.scale(ease, vec3.reject(forces.result.force, normal))
-    moment = ease * ease * forces.result.moment
-    torque = torque_of(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
-    return tangential, vec3.add_scaled(torque, ease * ease, forces.bending)
-
-
-@jit
-def share_of_wrench(
-    finger: Finger, objects: Any, motion: ProbeMotion, approach: Approach, forces: Any, settled: Settled,
-    constraint: Constraint, ease: float,
-) -> Share:  # fmt: skip
-    """Wrench of one constraint; `ease` is the share of the normal force during friction that is left."""
-    if constraint.body < 0.0:
-        return NO_SHARE
-    probe, ground = motion.probe, ground_at(objects, constraint.body)
-    contact = contact_on(settled.contacts, constraint.body)
-    load = load_on(finger, objects, ground, constraint, motion, approach.began)
-    pressing = vec3.scale(load.size, load.along)
-    own = forces_on(approach, forces, constraint.body)
-    tangential, torque = friction_of(finger, probe, constraint.normal, own, ease, pressing)
-    round_by = radius_of_curvature(finger.form, finger.radius, probe.orientation, constraint.normal)
-    area = contact_patch(finger.patch, round_by, ground.material.compliance, load.size)
-    return Share(
-        pressing,
-        tangential,
-        torque,
-        area.radius,
-        ContactOutcome(
-            object=ground.number,
-            point=point_under(finger.form, finger.radius, probe.orientation, settled.center, constraint.normal),
-            normal=constraint.normal,
-            force=vec3.add(pressing, tangential),
-            mode=contact.mode,
-            spin=contact.spin / winding_unit(ground.material.torsion, area, contact.share),
-            torque=torque,
-        ),
-    )
-
-
-@jit
-def left_behind(
-    finger: Finger, probe: Probe, settled: Settled, predicted: Prediction, forces: ContactForces, ease: float
-) -> tuple[Vec3, Vec3]:
-    """Friction (3,) N and torque (3,) N m of a contact whose object no longer holds the proxy: what it held passes to
-    the others in this tick."""
-    contact = predicted.contact
-    if contact.body < 0.0 or contact.share <= 0.0 or contact_on(settled.contacts, contact.body).body >= 0.0:
-        return ZERO, ZERO
-    return friction_of(finger, probe, settled.active[0].normal, forces, ease, ZERO)
-
-
-@jit
-def outcome_of_several(
-    finger: Finger, objects: Any, shapes: Any, motion: ProbeMotion, approach: Approach, forces: Any, settled: Settled,
-    effects: Effects,
-) -> Outcome:  # fmt: skip
-    """The sum of the contacts' wrenches, and their states."""
-    probe, active, began = motion.probe, settled.active, approach.began
-    load = load_of(finger, objects, active[0], motion, began) + load_of(finger, objects, active[1], motion, began)
-    load, before = load + load_of(finger, objects, active[2], motion, began), sum_of_loads(forces)
-    ease = load / before if before > load else 1.0
-    one = share_of_wrench(finger, objects, motion, approach, forces, settled, active[0], ease)
-    two = share_of_wrench(finger, objects, motion, approach, forces, settled, active[1], ease)
-    three = share_of_wrench(finger, objects, motion, approach, forces, settled, active[2], ease)
-    rest1, turn1 = left_behind(finger, probe, settled, approach.predicted[0], forces[0], ease)
-    rest2, turn2 = left_behind(finger, probe, settled, approach.predicted[1], forces[1], ease)
-    rest3, turn3 = left_behind(finger, probe, settled, approach.predicted[2], forces[2], ease)
-    passed, turned = vec3.add(vec3.add(rest1, rest2), rest3), vec3.add(vec3.add(turn1, turn2), turn3)
-    reported = replace(
-        one.reported, "force", vec3.add(one.reported.force, passed), "torque", vec3.add(one.reported.torque, turned)
-    )
-    pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)
-    tangential = vec3.add(vec3.add(vec3.add(one.tangential, two.tangential), three.tangential), passed)
-    first, extra, budget = forces[0], effects.force, 0.0
-    on_its_way = settled.late and any_multipoint(shapes)
-    if on_its_way:
-        behind = vec3.sub(settled.center, vec3.add(probe.position, lag_of(settled.contacts)))
-        extra, budget = vec3.add(extra, drawn_after(shapes, active, behind)), float(ON_ITS_WAY)
-    if effects.unknown != 0.0 or (settled.late and settled.budget < 0):
-        budget = float(UNSEARCHED)
-    cause, stuck = first.result.cause, 0.0
-    if began and cause == CAUSE_NONE:
-        cause = float(CAUSE_TOUCH)
-    if settled.late and settled.center == approach.outside:
-        stuck = approach.stuck + 1.0
-    return Outcome(
-        mode=settled.contacts[0].mode,
-        cause=cause,
-        object=number_of(shapes, active[0].body),
-        normal=active[0].normal,
-        center=settled.center,
-        contacts=settled.contacts,
-        reported=(reported, two.reported, three.reported),
-        pressing=pressing,
-        normal_force=vec3.norm(pressing),
-        tangential=tangential,
-        effects=extra,
-        effect_states=effects.states,
-        torque=vec3.add(vec3.add(vec3.add(one.torque, two.torque), three.torque), turned),
-        torsion=ease * ease * first.result.moment,
-        spin=one.reported.spin,
-        radius=one.radius,
-        rolled=approach.rolled,
-        stuck=stuck,
-        budget=budget,
-    )
