@@ -143,8 +143,9 @@ def levered(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
 @jit
 def predict(
     method: Any, objects: Any, radius: float, center: Vec3, contact: ContactState, shear: Shear
-) -> tuple[Prediction, float]:
-    """A contact that sticks, and how far it rolls, rad: its deflection after what probe, object and fingertip did.
+) -> tuple[Prediction, Vec3, float]:
+    """A contact that sticks, how far (3,) m the proxy rolls over it, and by which angle, rad: its deflection after what
+    probe, object and fingertip did.
 
     e <- e - (dx - do) + (1 - d W) r theta (a x n), all of it in the tangent plane: x the probe, displaced by what
     pushes more or less than before, o the object at the probe, d the depth, W = dn/dp of the surface that the proxy
@@ -153,7 +154,7 @@ def predict(
     the contact than its spring gives, whatever the others do meanwhile.
     """
     if contact.body < 0.0:
-        return NO_PREDICTION, 0.0
+        return NO_PREDICTION, (0.0, 0.0, 0.0), 0.0
     normal, carried = contact.normal, carry(objects, contact.body)
     rolled = roll_flat_on(method, objects, contact.body, radius, normal, relative_rotation(carried, shear.turn))
     rode = vec3.sub(carried_point(carried, shear.center), shear.center)
@@ -166,7 +167,7 @@ def predict(
         share = min(max(vec3.dot(deflection, blocked) / square, 0.0), 1.0)
         deflection = vec3.add_scaled(deflection, -share, blocked)
     wound_part = replace(contact, "rolled_part", vec3.add(contact.rolled_part, wound))
-    return Prediction(wound_part, deflection, rolled.spin, False), rolled.theta
+    return Prediction(wound_part, deflection, rolled.spin, False), rolled.motion, rolled.theta
 
 
 @jit
@@ -177,16 +178,17 @@ def continue_several(
     last = carried_contacts(shapes, state.contacts)
     center = carried_point(carry(shapes, last[0].body), state.center)
     base = vec3.add(motion.probe.position, lag_of(last))
-    active = pushed_at(shapes, radius, base, center, constraints_of_contacts(last))
+    active, _ = pushed_at(shapes, radius, base, center, constraints_of_contacts(last))
     contacts = hand_over(objects, last, active)
     shear = shear_of(state, last, contacts, motion)
-    one, theta = predict(scene.rolling, shapes, radius, center, contacts[0], shear)
-    two, _ = predict(scene.rolling, shapes, radius, center, contacts[1], shear)
-    three, _ = predict(scene.rolling, shapes, radius, center, contacts[2], shear)
+    one, roll1, theta = predict(scene.rolling, shapes, radius, center, contacts[0], shear)
+    two, roll2, _ = predict(scene.rolling, shapes, radius, center, contacts[1], shear)
+    three, roll3, _ = predict(scene.rolling, shapes, radius, center, contacts[2], shear)
+    rolled = vec3.add_scaled(vec3.add_scaled(center, contacts[0].share, roll1), contacts[1].share, roll2)
     return Approach(
         start=state.center,
         outside=center,
-        center=center,
+        center=vec3.add_scaled(rolled, contacts[2].share, roll3),
         active=active,
         predicted=(one, two, three),
         rolled=state.rolled + theta,

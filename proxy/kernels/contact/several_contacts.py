@@ -29,7 +29,7 @@ from softfinger.proxy.kernels.contact.detection import (
 from softfinger.proxy.kernels.contact.hand_over import Contacts, hand_over
 from softfinger.proxy.kernels.contact.one_contact import Landing, slips
 from softfinger.proxy.kernels.contact.prediction import continue_several, lag_of
-from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, active_objects, one_constraint
+from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, active_objects, leaves_no_room, one_constraint
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
 from softfinger.proxy.kernels.contact.rest.among import (
     is_a_step,
@@ -73,6 +73,9 @@ NO_FORCES = ContactForces(
     unit=1.0, load=0.0, bend=ZERO, bending=ZERO,
 )  # fmt: skip
 """Forces where there is no contact."""
+DEEP = 0.5
+"""Depth, as a share of the fingertip's radius, to which a probe is raised while the proxy comes to rest: half the
+smallest radius of curvature of what it moves on, that of an edge."""
 
 
 class Settled(NamedTuple):
@@ -238,27 +241,69 @@ def pressed_again(contacts: Contacts, active: ActiveSet) -> Contacts:
 
 
 @jit
+def eased(active: ActiveSet, ease: float) -> ActiveSet:
+    """Constraints that push a part of what they do."""
+    one, two, three = active
+    return (
+        Constraint(one.body, one.normal, ease * one.depth),
+        Constraint(two.body, two.normal, ease * two.depth),
+        Constraint(three.body, three.normal, ease * three.depth),
+    )
+
+
+@jit
+def lag_predicted(approach: Approach) -> Vec3:
+    """Mean deflection (3,) m of the contacts if all stick."""
+    one, two, three = approach.predicted
+    lag = vec3.scale(one.contact.share, one.deflection)
+    return vec3.add_scaled(
+        vec3.add_scaled(lag, two.contact.share, two.deflection), three.contact.share, three.deflection
+    )
+
+
+@jit
+def drawn_aside(contact: ContactState, way: Vec3) -> ContactState:
+    """A contact whose deflection is longer by what of `way` (3,) m lies in its tangent plane."""
+    if contact.body < 0.0:
+        return contact
+    return replace(contact, "deflection", vec3.add(contact.deflection, vec3.reject(way, contact.normal)))
+
+
+@jit
 def settle_after_friction(
     finger: Finger, objects: Any, shapes: Any, approach: Approach, forces: Any, position: Vec3
 ) -> Settled:
-    """The proxy follows to the place nearest to the displaced probe, and contacts change to what holds it there."""
+    """The proxy follows to the place nearest to the displaced probe, and contacts change to what holds it there.
+
+    Below the centre of curvature of what holds the proxy that place is not stable: a contact that sticks would swing
+    round its object. So a probe that is deeper than `DEEP` is raised to there, towards where the proxy is if all stick.
+    """
     after = (
         rubbed(approach.predicted[0], forces[0]),
         rubbed(approach.predicted[1], forces[1]),
         rubbed(approach.predicted[2], forces[2]),
     )
-    goal, budget = vec3.add(position, lag_of(after)), approach.budget
+    radius, lag, budget = finger.radius, lag_of(after), approach.budget
+    goal, active, ease = vec3.add(position, lag), approach.active, 1.0
+    above = vec3.sub(approach.center, vec3.add(position, lag_predicted(approach)))
+    depth = vec3.norm(above)
+    if lag != ZERO and depth > DEEP * radius:
+        ease = DEEP * radius / depth
+        goal, active = vec3.add_scaled(goal, 1.0 - ease, above), eased(active, ease)
     if approach.single and has_creases_at(shapes, approach.active[0].body):
         budget = budget // 4  # a height map has been asked as the only object
-    rest = settle_among_several(shapes, finger.radius, goal, approach.start, approach.outside, approach.active, budget)
+    rest = settle_among_several(shapes, radius, goal, approach.start, approach.outside, active, budget)
     active = over_edges(shapes, rest.active, rest.center)
     if active_objects(active) == (after[0].body, after[1].body, after[2].body):
-        one, two, three = after
+        contacts = pressed_again(after, active)
     else:
-        one, two, three = hand_over(objects, after, active)
-    contacts = pressed_again((one, two, three), active)
+        contacts = pressed_again(hand_over(objects, after, active), active)
     displaced = vec3.add(position, lag_of(contacts))
     if displaced != goal:
-        active = pushed_at(shapes, finger.radius, displaced, rest.center, active)
+        active, place = pushed_at(shapes, radius, displaced, rest.center, active)
         contacts = pressed_again(contacts, active)
+        if ease < 1.0 and not rest.late and not leaves_no_room(active):
+            one, two, three = contacts
+            aside = vec3.sub(rest.center, place)
+            contacts = drawn_aside(one, aside), drawn_aside(two, aside), drawn_aside(three, aside)
     return Settled(rest.center, active, contacts, rest.late, rest.budget)

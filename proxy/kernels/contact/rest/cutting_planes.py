@@ -301,9 +301,11 @@ def plane_at(objects: Any, constraint: Constraint, radius: float, center: Vec3) 
 
 
 @jit
-def pushed_at(objects: Any, radius: float, probe: Vec3, center: Vec3, active: ActiveSet) -> ActiveSet:
-    """How much each constraint of a proxy at `center` (3,) m pushes a probe; each has the plane that it has there."""
+def pushed_at(objects: Any, radius: float, probe: Vec3, center: Vec3, active: ActiveSet) -> tuple[ActiveSet, Vec3]:
+    """How much each constraint of a proxy at `center` (3,) m pushes a probe, each in the plane that it has there, and
+    where (3,) m these planes let the proxy rest."""
     one = plane_at(objects, active[0], radius, center)
     two = plane_at(objects, active[1], radius, center)
     three = plane_at(objects, active[2], radius, center)
-    return constraints_of(solved(Planes(one, two, three, center, Depths(0.0, 0.0, 0.0)), probe, 0.0))
+    planes = solved(Planes(one, two, three, center, Depths(0.0, 0.0, 0.0)), probe, 0.0)
+    return constraints_of(planes), planes.center
