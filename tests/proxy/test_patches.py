@@ -283,9 +283,11 @@ def test_a_tiled_surface_is_the_plane_it_stands_for(cases, way, tip):
     way = whole[:: len(whole) // cases(200, len(whole))]
     plane, boxes = engine(wall("plane", (0, 0, 1), stuff), **tip).run(way), engine(*tiled(0.006, stuff), **tip).run(way)
     assert len(set(boxes[:, AT.contact_object])) > 5  # many of them, and free space
-    for name in ("force", "torque", "proxy_position", "contact_point"):
+    # A roll by u over a seam lowers the proxy by u^2 / 2 r: below the rounding of r, u < 0.2 nm, the next box is not
+    # nearer. The contact point stays at the edge, and the normal is off by u / r: 4e-9 N m at 20 mm, 20 N.
+    for name, tolerance in (("force", 1e-11), ("proxy_position", 1e-11), ("contact_point", 2e-10), ("torque", 4e-9)):
         # Rounding of 20 mm times 1000 N/m, and a sum of thousands of ticks.
-        np.testing.assert_allclose(part(boxes, name), part(plane, name), rtol=0, atol=1e-11)
+        np.testing.assert_allclose(part(boxes, name), part(plane, name), rtol=0, atol=tolerance)
     for name in ("contact_mode", "contact_rolled", "contact_spin", "contact_torsion", "contact_patch_radius"):
         np.testing.assert_allclose(boxes[:, getattr(AT, name)], plane[:, getattr(AT, name)], rtol=0, atol=1e-12)
 
