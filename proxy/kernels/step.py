@@ -2,11 +2,11 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.contact_friction import ProbeMotion, ground_at, load_on
+from softfinger.proxy.kernels.contact.contact_friction import ProbeMotion, apply_friction, ground_at, load_on
 from softfinger.proxy.kernels.contact.detection import STUCK_TICKS, detect_or_continue, is_clear
 from softfinger.proxy.kernels.contact.effects import effects_of_tick
 from softfinger.proxy.kernels.contact.fingertip import seen_by
-from softfinger.proxy.kernels.contact.one_contact import land_on_one, outcome_of_one, rub_first
+from softfinger.proxy.kernels.contact.one_contact import land_on_one, outcome_of_one
 from softfinger.proxy.kernels.contact.outcome import remember, remember_free, report, report_free
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.several_contacts import (
@@ -16,6 +16,7 @@ from softfinger.proxy.kernels.contact.several_contacts import (
     settle_after_friction,
 )
 from softfinger.proxy.kernels.contact.several_outcome import outcome_of_several
+from softfinger.proxy.kernels.contact.texture import with_texture_friction
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type_of
 from softfinger.proxy.kernels.jit.outlined import outlined_where
@@ -187,7 +188,8 @@ def contact_with_one_object(
     state, approach = detect_or_continue(scene, finger, shapes, state, probe, dt)
     if approach.active[0].body < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
-    ground, forces = rub_first(finger, objects, approach, motion)
+    ground = ground_at(with_texture_friction(objects, approach.active, approach.center), 0.0)
+    forces = apply_friction(finger, objects, ground, approach.predicted[0], 1.0, motion)
     landing = land_on_one(finger, shapes, approach, forces, probe.position)
     load = load_on(finger, objects, ground, landing.active[0], motion, approach.began)
     effects = effects_of_tick(scene, finger, objects, state, landing.active, probe, dt)

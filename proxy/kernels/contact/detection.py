@@ -19,7 +19,7 @@ from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
-from softfinger.proxy.kernels.jit.tuples import first_of, replace, same_for
+from softfinger.proxy.kernels.jit.tuples import first_of, replace
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
     NONE,
@@ -418,4 +418,4 @@ def has_ended(active: ActiveSet) -> bool:
 @jit
 def separated(state: FingerState) -> Any:
     """The state without what was wound up in the contact that has ended."""
-    return replace(state, "contacts", same_for(state.contacts, NO_CONTACT), "rolled", 0.0, "stuck", 0.0)
+    return replace(state, "contacts", first_of(state.contacts, NO_CONTACT, NO_CONTACT), "rolled", 0.0, "stuck", 0.0)

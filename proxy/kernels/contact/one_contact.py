@@ -6,17 +6,13 @@ from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     Ground,
     Load,
-    ProbeMotion,
     after_friction,
-    apply_friction,
-    ground_at,
 )
 from softfinger.proxy.kernels.contact.detection import Approach
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
 from softfinger.proxy.kernels.contact.outcome import Outcome
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
-from softfinger.proxy.kernels.contact.texture import with_texture_friction
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
 from softfinger.proxy.kernels.model import (
@@ -42,27 +38,13 @@ class Landing(NamedTuple):
 
 
 @jit
-def rub_first(finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion) -> tuple[Ground, ContactForces]:
-    """Friction of the only contact, and its ground."""
-    ground = ground_at(with_texture_friction(objects, approach.active, approach.center), approach.active[0].body)
-    return ground, apply_friction(finger, objects, ground, approach.predicted[0], 1.0, motion)
-
-
-@jit
-def slips(approach: Approach, forces: ContactForces) -> bool:
-    """Whether the proxy leaves the point where the only contact stuck."""
-    kept = forces.result
-    return kept.mode == SLIDING or kept.deflection != approach.predicted[0].deflection or approach.strays
-
-
-@jit
 def land_on_one(finger: Finger, shapes: Any, approach: Approach, forces: ContactForces, position: Vec3) -> Landing:
     """The proxy follows a slip over the only object, and stays where it sticks."""
-    if not slips(approach, forces):
+    kept, predicted, held = forces.result, approach.predicted[0], approach.active[0]
+    if kept.mode != SLIDING and kept.deflection == predicted.deflection and not approach.strays:
         return Landing(approach.center, approach.active, 0.0)
-    held = approach.active[0]
     center, active, bounded = settle_on_one(
-        shapes, held.body, finger.radius, position, approach.center, forces.result.deflection, held.normal
+        shapes, held.body, finger.radius, position, approach.center, kept.deflection, held.normal
     )
     return Landing(center, active, bounded)
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.detection import STUCK_TICKS
 from softfinger.proxy.kernels.contact.fingertip import point_on, point_under
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import same_for
+from softfinger.proxy.kernels.jit.tuples import first_of
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
     NO_OUTCOME,
@@ -120,7 +120,7 @@ def remember_free(state: FingerState, probe: Probe, effect_states: Any, known: b
         probe=probe,
         mode=float(FREE),
         center=probe.position,
-        contacts=same_for(state.contacts, NO_CONTACT),
+        contacts=first_of(state.contacts, NO_CONTACT, NO_CONTACT),
         rolled=0.0,
         stuck=0.0,
         effects=effect_states,
@@ -153,6 +153,6 @@ def report_free(state: FingerState, probe: Probe, force: Vec3, budget: float) ->
         patch_radius=0.0,
         patch_normal=zero,
         patch_stretch=zero,
-        contacts=same_for(state.contacts, NO_OUTCOME),
+        contacts=first_of(state.contacts, NO_OUTCOME, NO_OUTCOME),
         budget=budget,
     )

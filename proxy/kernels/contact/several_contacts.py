@@ -27,7 +27,7 @@ from softfinger.proxy.kernels.contact.detection import (
     separated,
 )
 from softfinger.proxy.kernels.contact.hand_over import Contacts, hand_over
-from softfinger.proxy.kernels.contact.one_contact import Landing, slips
+from softfinger.proxy.kernels.contact.one_contact import Landing
 from softfinger.proxy.kernels.contact.prediction import continue_several, lag_of
 from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, active_objects, leaves_no_room, one_constraint
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
@@ -61,7 +61,7 @@ from softfinger.proxy.kernels.query.kinds import has_creases_at, is_mesh_at, kin
 from softfinger.proxy.kernels.query.objects import deepest
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET
-from softfinger.proxy.record import CAUSE_NONE, FREE
+from softfinger.proxy.record import CAUSE_NONE, FREE, SLIDING
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 NO_FORCES = ContactForces(
@@ -202,13 +202,14 @@ def land_in_company(
     if not approach.single:
         return Landing(center, active, bounded), False
     deflection, normal = forces.result.deflection, active[0].normal
+    slips = forces.result.mode == SLIDING or deflection != approach.predicted[0].deflection or approach.strays
     if is_mesh_at(objects, index):
         at_rest = True
-        if slips(approach, forces):
+        if slips:
             center, active, at_rest = slide_over_facets(objects, index, radius, position, center, deflection, normal)
         if not (at_rest and is_a_step(approach.outside, center, radius)):
             return Landing(center, active, bounded), False
-    elif slips(approach, forces):
+    elif slips:
         center, active, bounded = settle_on_one(objects, index, radius, position, center, deflection, normal)
     # A first touch may be over the next of two flush objects, beyond the edge of the one that was met.
     room = 1.0 if approach.began else -1.0
