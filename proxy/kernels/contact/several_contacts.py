@@ -57,7 +57,15 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.elements import contains, count, element
-from softfinger.proxy.kernels.query.kinds import has_creases_at, is_mesh_at, kind_at
+from softfinger.proxy.kernels.query.kinds import (
+    SINGLE_POINT,
+    WITH_HEIGHTMAP,
+    WITH_MESH,
+    by_multipoint,
+    has_creases_at,
+    is_mesh_at,
+    kind_at,
+)
 from softfinger.proxy.kernels.query.objects import deepest
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET
@@ -192,25 +200,48 @@ def rub_each(
     return rub(finger, rough, one, motion), rub(finger, rough, two, motion), rub(finger, rough, three, motion)
 
 
+@by_multipoint
+def follow_slip(
+    objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> Any:
+    """`settle_on_one`, over the edges of facets too; and whether the proxy has come to rest."""
+
+
+@follow_slip.of(SINGLE_POINT, WITH_HEIGHTMAP)
+def follow_slip_on_shape(
+    objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, ActiveSet, float, bool]:
+    center, active, bounded = settle_on_one(objects, index, radius, position, center, deflection, normal)
+    return center, active, bounded, True
+
+
+@follow_slip.of(WITH_MESH)
+def follow_slip_on_mesh(
+    objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, ActiveSet, float, bool]:
+    bounded, at_rest = 0.0, True
+    if is_mesh_at(objects, index):
+        center, active, at_rest = slide_over_facets(objects, index, radius, position, center, deflection, normal)
+    else:
+        center, active, bounded = settle_on_one(objects, index, radius, position, center, deflection, normal)
+    return center, active, bounded, at_rest
+
+
 @jit
 def land_in_company(
     finger: Finger, objects: Any, approach: Approach, forces: ContactForces, position: Vec3
 ) -> tuple[Landing, bool]:
     """The only contact's proxy after friction, and whether it stays clear of all other objects."""
-    center, active, bounded, radius = approach.center, approach.active, 0.0, finger.radius
-    index = active[0].body
+    center, active, bounded, at_rest = approach.center, approach.active, 0.0, True
+    held, radius, kept = active[0], finger.radius, forces.result
     if not approach.single:
         return Landing(center, active, bounded), False
-    deflection, normal = forces.result.deflection, active[0].normal
-    slips = forces.result.mode == SLIDING or deflection != approach.predicted[0].deflection or approach.strays
-    if is_mesh_at(objects, index):
-        at_rest = True
-        if slips:
-            center, active, at_rest = slide_over_facets(objects, index, radius, position, center, deflection, normal)
-        if not (at_rest and is_a_step(approach.outside, center, radius)):
-            return Landing(center, active, bounded), False
-    elif slips:
-        center, active, bounded = settle_on_one(objects, index, radius, position, center, deflection, normal)
+    if kept.mode == SLIDING or kept.deflection != approach.predicted[0].deflection or approach.strays:
+        center, active, bounded, at_rest = follow_slip(
+            objects, held.body, radius, position, center, kept.deflection, held.normal
+        )
+    if not at_rest or (is_mesh_at(objects, held.body) and not is_a_step(approach.outside, center, radius)):
+        return Landing(center, active, bounded), False
     # A first touch may be over the next of two flush objects, beyond the edge of the one that was met.
     room = 1.0 if approach.began else -1.0
     clear = is_clear_of_others(objects, radius, approach.start, center, active[0].body, approach.budget, room)

@@ -32,7 +32,6 @@ from softfinger.proxy.kernels.query.kinds import (
     WITH_HEIGHTMAP,
     WITH_MESH,
     any_creases,
-    any_mesh,
     any_multipoint,
     by_multipoint,
     has_creases_at,
@@ -182,11 +181,18 @@ def over_edge(objects: Any, constraint: Constraint, center: Vec3, others: Active
     return Constraint(beyond, constraint.normal, constraint.depth)
 
 
-@jit
-def over_edges(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
+@by_multipoint
+def over_edges(objects: Any, active: ActiveSet, center: Vec3) -> Any:
     """The constraints of the facets under a proxy at `center` (3,) m."""
-    if not any_mesh(objects):
-        return active
+
+
+@over_edges.of(SINGLE_POINT, WITH_HEIGHTMAP)
+def over_no_edges(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
+    return active
+
+
+@over_edges.of(WITH_MESH)
+def over_edges_of_facets(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
     one = over_edge(objects, active[0], center, active)
     two = over_edge(objects, active[1], center, (one, active[1], active[2]))
     return one, two, over_edge(objects, active[2], center, (one, two, active[2]))
