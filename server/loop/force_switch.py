@@ -25,6 +25,9 @@ UNTIL: Final = 1
 GIVEN: Final = 2
 """Of the last tick, written by the loop: 1 if a hand was given a force, or was to be."""
 FOREVER: Final = np.iinfo(np.int64).max
+OFF_S: Final = 0.006
+"""Longest time, s, from the largest force to zero once the switch is off: that of 12 N at the default slew limit. A rig
+with a slower limit, for a softer feel, must not delay `disarm` by it."""
 
 
 def make_switch(words: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
@@ -50,11 +53,15 @@ def is_zero(given: Guarded) -> bool:
 
 @jit
 def switched(guard: Guard, given: Guarded, on: bool) -> Guard:
-    """Return the guard, or, off, one that brings the wrench `given` to zero along its slew limit, then disarms."""
+    """Return the guard, or, off, one that brings the wrench `given` to zero within OFF_S, then disarms."""
     if on:
         return guard
     armed = 0.0 if is_zero(given) else guard.armed
-    return replace(guard, "force_max", 0.0, "torque_max", 0.0, "armed", armed)
+    force_slew = max(guard.force_slew, guard.force_max / OFF_S)
+    torque_slew = max(guard.torque_slew, guard.torque_max / OFF_S)
+    return replace(
+        guard, "force_max", 0.0, "torque_max", 0.0, "armed", armed, "force_slew", force_slew, "torque_slew", torque_slew
+    )
 
 
 @by_count

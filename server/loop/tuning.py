@@ -142,12 +142,6 @@ def with_armed(tuning: Tuning, share: float) -> Tuning:
     return tuning._replace(guards=tuple(guard._replace(armed=share) for guard in tuning.guards))
 
 
-def seconds_to_zero(tuning: Tuning) -> float:
-    """How long, s, the guards' slew limits take to bring the largest force and torque to zero."""
-    guards: tuple[Guard, ...] = tuning.guards
-    return max(max(guard.force_max / guard.force_slew, guard.torque_max / guard.torque_slew) for guard in guards)
-
-
 def alike(a: Any, b: Any) -> bool:
     """Whether two trees have the same parts, so that one loop serves both; `numba.typeof` takes milliseconds for it."""
     if isinstance(a, tuple):

@@ -20,7 +20,7 @@ SWITCH_TICKS: Final = 2
 class Force:
     """The force of all fingers, and every reason to keep it off; from any thread.
 
-    The loop does the rest: it takes the force off along the slew limit, and gives it back along the guard's ramp.
+    The loop does the rest: it takes the force off within OFF_S, and gives it back along the guard's ramp.
 
     unarmed  whether somebody has to arm first
     states   go by the reasons

@@ -22,10 +22,11 @@ from softfinger.proxy.record import AT
 from softfinger.proxy.scene import other_model
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.clock import NS_PER_S
+from softfinger.server.loop.force_switch import OFF_S
 from softfinger.server.loop.handover import Loop
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import UNMOVED
-from softfinger.server.loop.tuning import make_tuning, seconds_to_zero, with_armed, with_offsets, with_scene
+from softfinger.server.loop.tuning import make_tuning, with_armed, with_offsets, with_scene
 from softfinger.server.progress import making
 from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.devices import check_replacement, injected, open_devices, tools
@@ -121,7 +122,7 @@ class Rendering:
         """Go on with another scene or rig, from zero force; returns the number of the first tick with it.
 
         All that can be refused or takes long comes first, while the old one runs on: where it fails, nothing has
-        changed. Then the guard takes the force off along its slew limit, the loop ends with zero, and the next begins
+        changed. Then the guard takes the force off within OFF_S, the loop ends with zero, and the next begins
         with the guard's ramp. Devices whose tables and rate are the same stay open and armed. Others are opened once
         those of before are closed, since both may be one piece of hardware: where that fails, the run ends with the
         error. From any thread but the servo's; one at a time.
@@ -237,7 +238,7 @@ class Rendering:
             return hold(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger])
 
     def disarm(self, why: str) -> None:
-        """Take the force off along the slew limit, and keep it off; never waits."""
+        """Take the force off within OFF_S, and keep it off; never waits."""
         self.force.keep_off(why)
         self.force.tell()
 
@@ -285,7 +286,7 @@ class Rendering:
 
     def _await_no_force(self) -> None:
         """Wait until the loop has taken the force off. Raises SafetyStop if it does not tick."""
-        to_zero_s = seconds_to_zero(self._tuning) + PAUSE_TICKS * self.servo.period_ns / NS_PER_S
+        to_zero_s = OFF_S + PAUSE_TICKS * self.servo.period_ns / NS_PER_S
         until = time.monotonic() + 2.0 * to_zero_s + PAUSE_WAIT_S
         while self.servo.looping and not self.force.is_off:
             if time.monotonic() > until:
