@@ -134,7 +134,7 @@ def record_of_one(lines: Any) -> Any:
 
 @records_of.of(2)
 def records_of_several(lines: Any) -> Any:
-    return (lines[0].record,) + records_of(lines[1:])  # noqa: RUF005 # see above
+    return (lines[0].record,) + records_of(lines[1:])  # noqa: RUF005  # see above
 
 
 @by_count
@@ -210,8 +210,10 @@ def write_several(ios: Any, lines: Any, tools: Any, starts: Any, befores: Any, h
 
 @by_count
 def ended(statuses: Any) -> Any:
-    """Return the index of the first device that has ended, -1 if there is none, and its status, otherwise the first
-    one."""
+    """Return the index of the first device that failed or finished, -1 if there is none, and its status.
+
+    Without one, the status is that of the first device.
+    """
 
 
 @ended.of(1)

@@ -44,8 +44,8 @@ suspended machine), which is no reason to stop if it happens once: the guard fad
 STALL_POLLS: Final = 5
 STALL_POLL_S: Final = 0.05
 """A loop has stalled if this many checks in a row, at this interval, find no new tick: a quarter of a second, longer
-than any observed stall of a host and shorter than a hand needs to be hurt. Checks are counted instead of time, so a
-process that was suspended as a whole did not stall."""
+than any observed stall of a host and too short to hurt a hand. Checks are counted instead of time, so a suspension of
+the process is not a stall."""
 STALL_MAX_S: Final = (STALL_POLLS + 2) * STALL_POLL_S
 """Longest time from the last tick to the zero force after a stall. The check that finds this tick may come a full
 STALL_POLL_S after it, and STALL_POLLS more follow: 0.30 s. Each of these checks, and the thread that writes the zero,

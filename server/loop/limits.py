@@ -8,20 +8,23 @@ displaced by d counts as d / (SPEED_S + period). The largest jump that passes (`
 then counts as 0.91 m/s, below the default limit of 2 m/s, so a single outlier does not trip the limit. A hand at speed
 v is detected after -SPEED_S ln(1 - limit / v).
 
-Heat. A single thermal body, heated by the square of the force (as by that of the motors' current) and cooling in
-proportion to its temperature: dh/dt = ((F / F_c)^2 - h) / tau, in steps h' = (tau h + dt (F / F_c)^2) / (tau + dt); h =
-1 is the steady state under the continuous force F_c. Above h = WARM, the square of the allowed force falls linearly to
-F_c^2 at h = 1, so h never exceeds 1. Source: the thermal replica of IEC 60255-149, Measuring relays: thermal electrical
-relays.
+Heat. A single thermal body is heated by the square of the force, which is proportional to the square of the motors'
+current, and cools in proportion to its temperature: dh/dt = ((F / F_c)^2 - h) / tau, in steps h' = (tau h + dt (F /
+F_c)^2) / (tau + dt). The steady state under the continuous force F_c is h = 1. Above h = WARM, the square of the
+allowed force falls linearly to F_c^2 at h = 1, so h never exceeds 1.
+
+Source: the thermal replica of IEC 60255-149, Measuring relays: thermal electrical relays.
 
 Energy. The work of the force on the hand within a contact, as `passivity.py` observes it. Work done by the hand is
 discarded when the contact ends. Energy given to the hand accumulates over several contacts and decays over FORGET_S, so
 that rounding never reaches the limit. Between the limit and twice the limit, the force is scaled down linearly to zero,
 so at most twice the limit is given. The scale depends on the largest energy given, so that the force is also reduced
-during the press of the next bounce on an unstable wall. A device that displays a force d ticks late generates more
-energy than is observed here: on a spring, over any path in one contact, up to 2 d + 1 times as much, because sum dx_k
-dx_(k-j) <= sum dx_k^2 for each of the d ticks. Source: Hannaford, Ryu (2002), Time-domain passivity control of haptic
-interfaces, for the observer.
+during the press of the next bounce on an unstable wall.
+
+A device that displays a force d ticks late generates more energy than is observed here: on a spring, over any path in
+one contact, up to 2 d + 1 times as much, because sum dx_k dx_(k-j) <= sum dx_k^2 for each of the d ticks.
+
+Source: Hannaford, Ryu (2002), Time-domain passivity control of haptic interfaces, for the observer.
 """
 
 from math import inf, sqrt
@@ -32,8 +35,7 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
 SPEED_S: Final = 0.01
-"""Time constant of the smoothing of the handle's velocity. A free handle of 0.1 kg driven by 12 N gains 1.2 m/s in it.
-"""
+"""Time constant of the handle's smoothed velocity. A free handle of 0.1 kg driven by 12 N gains 1.2 m/s in it."""
 SLOW: Final = 0.5
 """Fraction of the speed limit below which the handle counts as slow again."""
 SLOW_S: Final = 0.5

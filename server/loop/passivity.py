@@ -3,8 +3,8 @@
 The commanded wrench is constant while the hand moves, so the work of a tick is minus that force times the displacement
 of the handle, minus that torque times its rotation; this is exact for a rotation about one axis. Negative work is
 energy that the sampled contact has generated. The controller dissipates it with a damper until none remains, also after
-the release. The damper is always a force, because few devices display a torque. Work taken
-during a contact is discarded when the contact ends: losses to friction must not offset energy of the next wall.
+the release. The damper is always a force, because few devices display a torque. Work taken during a contact is
+discarded when the contact ends: losses to friction must not offset energy of the next wall.
 
 Source: Hannaford, Ryu (2002), Time-domain passivity control of haptic interfaces, with the work taken over the held
 force as in Ryu, Preusche, Hannaford, Hirzinger (2005), Time domain passivity control with reference energy following.

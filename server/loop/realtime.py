@@ -28,10 +28,8 @@ RT_RUNTIME: Final = "/proc/sys/kernel/sched_rt_runtime_us"
 RT_PERIOD: Final = "/proc/sys/kernel/sched_rt_period_us"
 
 REQUIRED: Final = ("sched_fifo", "mlockall", "affinity")
-"""Settings required in mode `require`: the two that bound the worst tick, and a processor selected by number.
-
-Timer slack does not act under SCHED_FIFO, and sleep states cost microseconds; their refusal is only reported.
-"""
+"""Settings required in mode `require`: the two that bound the worst tick, and a processor selected by number. Timer
+slack does not act under SCHED_FIFO, and sleep states cost microseconds; their refusal is only reported."""
 
 SLACK_NS: Final = 1  # 0 would mean the default of 50 us
 
@@ -45,8 +43,7 @@ MADV_DONTNEED: Final = 4
 CAP_IPC_LOCK: Final = 14
 
 BROUGHT_IN_MAX: Final = 4 << 20
-"""Size in bytes of the largest mapping locked completely: a driver's library is smaller, a stack and the compiler
-larger."""
+"""Largest mapping locked completely, in bytes: a driver's library is smaller, a stack and the compiler are larger."""
 STACK_BYTES: Final = 1 << 20
 """Locked part of the servo thread's stack, from its top: the loop uses some kB, the library of a device some more."""
 PTHREAD_ATTR_BYTES: Final = 64  # size of a pthread_attr_t: 56 on x86-64, 64 on aarch64
@@ -231,7 +228,7 @@ def _bring_in() -> None:
     """
     for each in _mappings():
         if each.permissions.startswith("r") and each.size <= BROUGHT_IN_MAX:
-            _libc("mlock", each.begin, each.size)  # refused for the kernel's own pages, which are always present
+            _libc("mlock", each.begin, each.size)  # refused for pages of the kernel, which are always present
     attributes = ctypes.create_string_buffer(PTHREAD_ATTR_BYTES)
     lowest, size = ctypes.c_size_t(), ctypes.c_size_t()
     if _libc("pthread_getattr_np", threading.get_ident(), ctypes.addressof(attributes)).result == 0:

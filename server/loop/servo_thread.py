@@ -343,8 +343,8 @@ class Servo:
         """
         if not self.fits(tuning):
             raise ValueError("the new tuning has other parts than the one compiled: replace the loop")
-        # The replaced scene may own arrays, and the loop reads them until it has accepted the new one. It has done so
-        # once two ticks are done since the last write: the second one started after it and read no other scene.
+        # The replaced scene may contain arrays, and the loop reads them until it has accepted the new one. It has done
+        # so once two ticks are done since the last write: the second one started after it and read no other scene.
         if self.ticks >= self._tuned_at + 2:
             del self._tuned[:-1]
         self._tuned.append(tuning)

@@ -60,7 +60,7 @@ def every(*steps: Callable[[], object], first: BaseException | None = None) -> B
 
 @jit
 def write_zero(write: int, handle: int, wrench: NDArray[np.float64]) -> None:
-    """Write zero, the last act of every loop; `wrench` (6,) is scratch. The status is ignored: the loop has ended."""
+    """Write zero, the last act of every loop, and ignore the status; `wrench` (6,) is scratch."""
     for i in range(6):
         wrench[i] = 0.0
     call_device(write, handle, wrench)
@@ -92,7 +92,7 @@ def close(device: Device) -> None:
 def stop_all(devices: Sequence[Device]) -> None:
     """Stop all devices in parallel: one that fails or hangs does not delay the zero force of another.
 
-    Raises the first error once all calls have returned, or after `opened.END_S`; logs further ones.
+    Raises the first error after all calls have returned, or after `opened.END_S`; logs further ones.
     """
     failures = opened.at_once(stop, devices)
     hung = [device for device, error in failures if isinstance(error, TimeoutError)]

@@ -1,7 +1,7 @@
 """Arming by the program, a command or a button, as selected in the rig, and disarming after the handle was too fast.
 
-The guard itself keeps the force off while the handle is too fast. If a person must arm, it does so until it is
-disarmed, which is done here.
+The guard itself keeps the force off while the handle is too fast. If a person must arm, the guard continues to do so
+until it is disarmed, which is done here.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _WORD: Final = 2.0**53
 
 
 class Arming:
-    """Arming and disarming, evaluated for every tick; the `sink` is not vital, since the guard does not depend on it."""
+    """Arming and disarming, evaluated for every tick; its `sink` is not vital, since the guard does not need it."""
 
     def __init__(self, rendering: Rendering, states: States) -> None:
         self._rendering, self._states = rendering, states

@@ -273,7 +273,7 @@ class Commands:
     def _set_params(self, request: Request) -> wire.Changed:
         before, after, tick = self._rendering.set_parameters(request.params, "set_params")
         old, new = describe(before), describe(after)
-        ways = {key: numbered(old, key) for key in request.params}  # the change may be a name
+        ways = {key: numbered(old, key) for key in request.params}  # the change itself may rename the object
         each = {key: wire.Change(value_at(old, way), value_at(new, way)) for key, way in ways.items()}
         changed = {key: change for key, change in each.items() if change.before != change.after}
         if changed:

@@ -22,7 +22,7 @@ PERIOD_S: Final = 1.0
 
 
 class Hotplug:
-    """Comparison of the attached devices with those at the last call; `root` contains sys and dev."""
+    """Detector of changes of the attached devices, starting when it is created; `root` contains sys and dev."""
 
     def __init__(self, root: Path = discovery.ROOT) -> None:
         self._root = root

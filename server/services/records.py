@@ -69,7 +69,7 @@ class Records(Worker):
         running = True
         while running:
             self._tap.wait()
-            # read before the tap is emptied: records from before the end are passed on
+            # read before the tap is emptied, so that records from before the end are passed on
             running = not (self._tap.ended or self._given_up)
             while (count := self._tap.take(batch)) > 0:
                 self._hand_on(batch[:count], self._servo.records.drops + self._tap.lost)

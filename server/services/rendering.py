@@ -128,14 +128,8 @@ class Rendering:
         opened after the old ones are closed, because both may be the same hardware; if that fails, the run ends with
         the error. Callable from any thread except the servo's, one call at a time.
 
-        Raises
-        ------
-        ConfigError
-            If scene and rig cannot replace the running ones.
-        SafetyStop
-            If the servo is not running.
-        DeviceError
-            If a device cannot be opened.
+        Raises ConfigError if scene and rig cannot replace the running ones, SafetyStop if the servo is not running, and
+        the errors of opening a device.
         """
         with self._replacing:
             servo = self.servo
@@ -230,13 +224,13 @@ class Rendering:
         return tuple((x + 0.0, y + 0.0, z + 0.0) for x, y, z in self._tuning.offsets)
 
     def move(self, finger: int, position: Vec3 | None, seen: NDArray[np.float64]) -> int:
-        """Set the offset that moves a finger's probe to `position` (m, world); None removes the offset.
+        """Set the offset that moves a finger's probe to `position`; None removes the offset.
 
         The offset remains until the run ends or the finger gets another device. The contact of the finger restarts.
 
         finger    index of the finger
         position  (3,) m, world, or None
-        seen      newest record of the finger
+        seen      latest record of the finger
         returns   a lower bound of the number of ticks started without the change
 
         Raises Replacing if another change is in progress or the force is not off.
@@ -290,7 +284,7 @@ class Rendering:
         devices = given or self.servo.devices
         infos = [device.info for device in devices]
         tuning = make_tuning(scene, rig.guard, infos, tools(scene, rig))
-        if not given:  # offsets belong to devices
+        if not given:  # an offset belongs to its device
             tuning = with_offsets(tuning, self._tuning.offsets)
         return self.servo.loop(devices, tuning, rig.servo.rate_hz)
 

@@ -186,7 +186,7 @@ class Control(Closing):
         position_m
             Position, m, world; by default the present goal.
         orientation_wxyz
-            Orientation; by default the present goal.
+            Quaternion (w, x, y, z), fingertip to world; by default the present goal.
         finger
             Name or index of the finger; not needed for a single one.
         release

@@ -105,7 +105,7 @@ def _keys(rig: schema.Rig) -> dict[str, tuple[str, str]]:
         return {}
     from softfinger.server.gateway.allowed import key_folders  # imports libzmq, which takes time
 
-    assert rig.security is not None  # otherwise the check of the rig has failed
+    assert rig.security is not None  # the rig is refused without it
     readers, commanders = key_folders(rig.security)
     return {TELEMETRY: (rig.security.key, readers), COMMANDS: (rig.security.key, commanders)}
 

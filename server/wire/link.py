@@ -58,11 +58,11 @@ class Answering(NamedTuple):
 class Link:
     """Publisher process, from construction until `close`.
 
-    setup  returns the setup of a new process: another one each time, as the row to start with changes
-    last   sends the messages that each new process needs after its setup
-    files  file descriptors that the process inherits
-    event  is called with a description of each failure of the process
-    obeyed is called with each request that was answered or queued
+    setup   returns the setup of a new process: another one each time, as the row to start with changes
+    last    sends the messages that each new process needs after its setup
+    files   file descriptors that the process inherits
+    event   is called with a description of each failure of the process
+    obeyed  is called with each request that was answered or queued
     """
 
     def __init__(

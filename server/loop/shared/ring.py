@@ -14,7 +14,7 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, sto
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 
 _CACHE_LINE = 8
-"""Numbers of int64 in a cache line; producer and consumer write to different ones."""
+"""Number of int64 in a cache line; producer and consumer write to different ones."""
 
 
 class Ring(NamedTuple):

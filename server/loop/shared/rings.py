@@ -56,7 +56,7 @@ class Rings:
 
     def take(self, out: NDArray[np.float64]) -> int:
         """Move the oldest records into `out` (n, width), a row per tick; returns the number of rows."""
-        turned = len(self._rings) > 1  # read before the ring is emptied: a loop that has ended adds no record
+        turned = len(self._rings) > 1  # read before the ring is emptied: a finished loop adds no record
         count = int(take(self._rings[0], out))
         if count == 0 and turned:
             self._next()

@@ -1,4 +1,4 @@
-/* Reader of every tick of a softfinger daemon on this machine, from shared memory. Linux; C11 with GNU extensions, or C++.
+/* Reader of every tick of a local softfinger daemon, from shared memory. Linux; C11 with GNU extensions, or C++.
  *     struct softfinger_ring ring;
  *     if (softfinger_open(&ring, name)) return 1;       name: `ring` of `softfinger ctl describe`
  *     double *row = malloc(ring.width * sizeof *row);
