@@ -141,8 +141,7 @@ def _passivity(wanted: schema.Passivity | None) -> Passivity | None:
 
 
 def with_armed(tuning: Tuning, share: float) -> Tuning:
-    """Return the tuning with its guards armed (1) or disarmed (0): the share of the force that passes after the ramp.
-    """
+    """Return the tuning with its guards armed (1) or disarmed (0): the share of the force passed after the ramp."""
     return tuning._replace(guards=tuple(guard._replace(armed=share) for guard in tuning.guards))
 
 
