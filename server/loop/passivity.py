@@ -96,7 +96,7 @@ def leave_as_it_is(
 def burn_what_is_owed(
     passivity: Passivity, energy: Energy, held: Guarded, motion: Motion, mode: float, force: Vec3, dt: float
 ) -> tuple[Energy, Vec3]:
-    """Add a damper; alpha dissipates alpha v^2 T in the next tick at constant velocity, so alpha = -E / (v^2 T)."""
+    """Add a damper alpha v: it dissipates alpha v^2 T in the next tick at constant v, so alpha = -E / (v^2 T)."""
     work = energy.work - work_on_hand(held, motion)
     if mode == FREE:
         work = min(work, 0.0)

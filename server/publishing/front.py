@@ -73,7 +73,7 @@ class Front:
             assert gate.authenticator is not None
             gate.authenticator.configure_curve_callback(self._domain, lock.allowed)
         self.most = self.refused = 0
-        """Largest number of simultaneous connections, and number of failed handshakes, for lack of a key or else."""
+        """Largest number of simultaneous connections, and number of failed handshakes, for any reason."""
         self.renewed = 0
         """Number of times that all peers were disconnected; `socket` and `monitor` are replaced each time."""
         self._context, self._kind, self._bound, self._options = gate.context, kind, bound, options

@@ -23,8 +23,7 @@ LISTEN_BACKLOG: Final = 128
 
 
 class Bound(NamedTuple):
-    """Listening socket, the stack that closes it and frees the endpoint, and the endpoint with the port chosen for a
-    `*`."""
+    """Listening socket, the stack that closes it and frees the endpoint, and the endpoint with its final port."""
 
     listener: socket.socket
     files: ExitStack

@@ -286,8 +286,7 @@ def decode(topic: bytes, body: bytes) -> Any:
     -------
     Any
         A struct for `contact`, `finger/...`, `health`, `state` and `world`; a dict for `schema` and for `event`, which
-        has
-        further keys by kind.
+        has further keys by kind.
 
     Raises
     ------
@@ -322,7 +321,7 @@ class _SchemaOnly(msgspec.Struct):
 
 
 def _schema_of(body: bytes) -> int | None:
-    """Return the schema number in a message, None without one; explains why decoding failed."""
+    """Return the schema number in a message, None without one; used to explain why decoding failed."""
     try:
         return msgspec.msgpack.decode(body, type=_SchemaOnly).schema
     except (msgspec.MsgspecError, ValueError, RecursionError):

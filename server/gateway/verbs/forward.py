@@ -94,7 +94,7 @@ def _end_with_input(stop: threading.Event) -> None:
 
 
 def lock_of(endpoint: str, flag: str, own: str | None, folder: str | None) -> Lock | None:
-    """Return the lock of an endpoint; None if every peer in reach may connect, which no other machine is."""
+    """Return the lock of an endpoint; None if all peers that reach it may connect, which excludes other machines."""
     folder_flag = "--readers" if flag == "--to" else "--commanders"
     if folder is not None:
         if own is None:
