@@ -92,7 +92,7 @@ class Daemon:
         self._failed_at = math.inf
         self._told: Final[set[str]] = set()
         """Messages of published faults."""
-        # Opened first: each later change of the attached devices is reported, even if the first poll is late.
+        # Created first, so that each later change of the attached devices is reported, even if the first poll is late.
         hotplug = Hotplug()
         fingers = [finger.name for finger in scene.fingers] if len(scene.fingers) > 1 else [""]
         self._fingers: Final = fingers
@@ -267,13 +267,13 @@ class Daemon:
         self._event("fault", "page", message=said)
 
     def _send(self, kind: str, name: str, fields: dict[str, Any]) -> None:
-        """Send an event to the publisher and the recordings, with the same tick and time for all."""
+        """Send an event with the present tick and time to the publisher, the recordings and the black box."""
         event = event_map(self.servo.moment(), kind, name, fields)
         for taking in (self.publisher.send_event, self.recordings.tell, self.blackbox.tell):
             taking(event)
 
     def _tell_failure(self, error: Exception) -> None:
-        """Publish the error of the run, named by its class, unless a service already did."""
+        """Publish the error of the run, named by its class, unless a fault with this message was published."""
         if str(error) not in self._told:
             self._event("fault", fault_name(error), message=str(error))
 

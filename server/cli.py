@@ -93,7 +93,7 @@ def main(argv: list[str] | None = None) -> int:
             return failed(str(error), error.exit_code)
         except signals.Interrupted as error:
             code = failed(f"ended by {signals.named(error.number)}", signals.code_of(error.number))
-            if argv is None:  # all is closed; freeing a half-finished compilation would take seconds
+            if argv is None:  # all is closed; freeing an unfinished compilation would take seconds
                 flush_or_discard(sys.stdout)
                 os._exit(code)
             return code
@@ -162,7 +162,7 @@ def to_stderr() -> logging.Handler:
 
 
 def failed(message: str, code: int) -> int:
-    """Print the error as the last line of the program; return `code`."""
+    """Print the error that stops the program; return `code`."""
     with contextlib.suppress(OSError):  # standard error may be closed, too
         print(f"softfinger: {message}", file=sys.stderr, flush=True)
     return code
@@ -188,7 +188,7 @@ def open_streams() -> None:
 
 
 def flush_or_discard(stream: Any) -> None:
-    """Flush a stream before Python exits; discard its data if the reader has closed, else the exit code were 120."""
+    """Flush a stream before Python exits; discard its data if it is closed, because Python would exit with code 120."""
     try:
         stream.flush()
     except OSError:

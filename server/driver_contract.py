@@ -61,9 +61,7 @@ class Servo:
 
 
 class Bench(ABC):
-    """Hardware or emulator under a driver. `cannot` maps each case of REFUSALS and FAULTS that cannot occur to the
-    reason.
-    """
+    """Hardware or emulator under a driver. `cannot` has the reason for each of REFUSALS and FAULTS it cannot cause."""
 
     cannot: ClassVar[Mapping[str, str]] = {}
     refusals: ClassVar[Mapping[str, type[HapticError]]] = REFUSALS

@@ -105,7 +105,7 @@ def read_pair(path: str | Path) -> Pair:
 
 
 def client_keys(own: str | Path, server: str | Path) -> ClientKeys:
-    """Read the keys of a client from its secret file and the server's public file; raises ConfigError as they do."""
+    """Read a client's secret file and the server's public file; raises ConfigError if either is unusable."""
     return ClientKeys(read_pair(own), read_public(server))
 
 

@@ -92,9 +92,7 @@ class Client(Control):
         return subscription
 
     def window(self, samples: int = 1000, finger: str = "") -> Window:
-        """Return the latest ticks as arrays by field: call its `update`, then `window["force"]` is (m, 3), m <=
-        samples.
-        """
+        """Return the latest ticks as arrays: call `window.update`, then `window["force"]` is (m, 3), m <= samples."""
         window = Window(self._telemetry(), samples, finger)
         self._opened.append(window)
         return window

@@ -94,8 +94,9 @@ class _Handler(WSGIRequestHandler):
     timeout = REQUEST_S
 
     def handle(self) -> None:
-        """Answer one request within REQUEST_S. `timeout` only limits each read, and clients are served one after
-        another.
+        """Answer one request within REQUEST_S.
+
+        `timeout` only limits each read, which is not enough because clients are served one after another.
         """
         cut_off = threading.Timer(REQUEST_S, self._cut_off)
         cut_off.start()

@@ -358,7 +358,7 @@ def _ends(mask: Mask) -> list[int]:
 
 
 def _commands(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> dict[int, dict[str, Any]]:
-    """Return the changes of commands, by first row with their full effect, `ramp` ticks later, and dotted key."""
+    """Return the changes made by commands: dotted keys by the first row with the full effect, after `ramp` ticks."""
     changes: dict[int, dict[str, Any]] = {}
     for event in run.events:
         if event["kind"] == "command" and event["name"] in _CHANGING:

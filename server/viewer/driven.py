@@ -21,7 +21,7 @@ HANDLE_CM: Final = 3.0
 
 
 class Drive(NamedTuple):
-    """Pose that an object was driven to: position (3,) m and orientation; None: unchanged."""
+    """Tick, index of the driven object, and its new pose: position (3,) m and orientation; None: unchanged."""
 
     tick: int
     number: int

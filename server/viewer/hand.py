@@ -81,8 +81,7 @@ class Hand:
         self._then: list[Callable[[], None]] = []
         self._led_at = 0.0
         self._beyond: dict[str, Array] = {}
-        """Offset (3,) m of the chosen finger's target from the position shown by `sliders` and `handles`, after a hold.
-        """
+        """Offset (3,) m of the chosen finger's target from the pose that `sliders` or `handles` show after `hold`."""
         self._fingers: dict[str, Led] = {}
         self._targets: dict[str, Target] = {}
         self._seen: dict[str, Target] = {}
@@ -137,9 +136,7 @@ class Hand:
             ball.on_drag("left", modifier=modifier)(dragged)
 
     def see(self, finger: str, row: Array) -> None:
-        """Update the measured pose from a tick (RECORD_SIZE,): the start of a motion, and the sliders' values before
-        one.
-        """
+        """Store the pose of a tick (RECORD_SIZE,): the start of the next motion, and shown by the sliders before it."""
         at = AT.probe_orientation
         w, x, y, z = row[at : at + 4].tolist()
         first = finger not in self._seen

@@ -72,9 +72,7 @@ def nudged(start: Target, nudge: Nudge, radius: float) -> Target:
 
 
 def mirrored(way: Array, line: Array) -> Array:
-    """Return the motion (3,) m of a finger that mirrors the motion `way` of another: reversed along `line` between
-    them.
-    """
+    """Return the mirrored motion (3,) m of `way`: its component along `line`, between two fingers, is reversed."""
     length = float(line @ line)
     return way if length == 0.0 else way - 2.0 * float(way @ line) / length * line
 

@@ -119,7 +119,7 @@ def _recorded(past: Run) -> Against:
 
 
 def _from_file(path: Path, past: Run) -> Against:
-    """Return the values of another file for the run's ticks, both numbered from 0; NaN for missing values."""
+    """Return the values of another file at the run's ticks, by number; raises RecordingError if it lacks a tick."""
     against: Against = {}
     for finger, fields in past.fingers.items():
         forces = _forces(path) if len(past.fingers) == 1 else None

@@ -88,9 +88,7 @@ class Access:
         return f"http://{_with_port(name, port)}/{self.token}/"
 
     def why_not(self, path: str, headers: Headers, local: tuple[Any, ...]) -> str:
-        """Return why a request is refused; empty if it is allowed. `local` is the address (host, port, ...) it arrived
-        at.
-        """
+        """Return why a request to the `local` address (host, port, ...) is refused; empty if it is allowed."""
         hosts = [each.lower() for each in headers.get_all("Host")]
         if len(hosts) != 1 or hosts[0] not in self._hosts(local):
             return f"the request is for the host {hosts}, which this page is not: --allow-host names others"

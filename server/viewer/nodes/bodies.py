@@ -84,7 +84,7 @@ class Bodies:
     def draw(self, number: int, mesh: Mesh) -> None:
         """Draw the triangles of an object that is loaded from a file."""
         thing = self._scene.object[number]
-        if len(mesh.faces):  # a mesh of degenerate triangles may be empty
+        if len(mesh.faces):  # thinning may leave nothing of a mesh of tiny parts
             self._surfaces[number] = Triangles(mesh)
             _put_surface(self._api, f"/objects/{number}", thing, mesh._replace(flat=True), _colour(number, thing))
 

@@ -129,9 +129,7 @@ class FingerNodes:
         )
 
     def show(self, rows: Array, looks: Looks, newtons_per_cm: float) -> None:
-        """Draw the latest of the new ticks (n, RECORD_SIZE), with arrows at the given scale, and all of them as a
-        trace.
-        """
+        """Draw new ticks (n, RECORD_SIZE): the latest as a picture with arrows of the given scale, all as a trace."""
         row = rows[-1]
         probe, proxy = row[_three(AT.probe_position)], row[_three(AT.proxy_position)]
         mode = int(row[AT.contact_mode])

@@ -115,9 +115,7 @@ class Way:
 
     @property
     def segments(self) -> Array:
-        """Segments (n, 2, 3), padded with zero-length ones so that the size of the node changes only every GROWTH
-        segments.
-        """
+        """Segments (n, 2, 3), padded with zero-length ones, so that the node grows only every GROWTH segments."""
         return self._segments[: self._shown()]
 
     @property
@@ -156,9 +154,7 @@ class Way:
         return True
 
     def _straight(self, newest: int, point: Array) -> bool:
-        """Return whether the last segment can be extended to a point: forward, not too long, and without visible
-        deviation.
-        """
+        """Return whether the last segment can be extended to a point: forward, short, without visible deviation."""
         start, end = self._segments[newest]
         long = point - start
         length = float(np.linalg.norm(long))

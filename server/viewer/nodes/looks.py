@@ -16,12 +16,12 @@ SKIN: Final[Colour] = (250, 250, 250)
 MARKS: Final[Colour] = (60, 65, 75)
 PLUMB: Final[Colour] = (128, 134, 146)
 SHADOW: Final[Colour] = (88, 94, 106)
-"""Visible on white and on black."""
+"""PLUMB and SHADOW are visible on white and on black."""
 GHOST: Final[Colour] = (70, 165, 105)
 NORMAL: Final[Colour] = (30, 120, 60)
 CONE: Final[Colour] = (250, 205, 60)
 MAP: Final[Colour] = (214, 178, 120)
-"""Colour of a height map, which usually appears against grey or nothing."""
+"""Colour of a height map, which usually appears on a grey plane or without one."""
 ARROW_MAX_CM: Final = 5.0
 """Maximum length of a force arrow that fits the screen."""
 OBJECTS: Final[tuple[Colour, ...]] = ((196, 204, 218), (214, 203, 188), (190, 212, 200), (208, 196, 214))
