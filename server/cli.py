@@ -177,7 +177,7 @@ def reason(error: OSError | MemoryError) -> str:
 
 
 def open_streams() -> None:
-    """Open the null device in place of a closed standard stream (`>&-`), whose number a device would get otherwise."""
+    """Replace closed standard streams (`>&-`) by the null device; otherwise a device would get their numbers."""
     for fd, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(fd)

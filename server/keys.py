@@ -110,7 +110,7 @@ def client_keys(own: str | Path, server: str | Path) -> ClientKeys:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a client whose server may require keys."""
+    """Add the options for the keys of a client and of its server."""
     parser.add_argument("--keys", metavar="FILE", help="your secret key, where the server wants one")
     parser.add_argument("--server-key", metavar="FILE", help="the server's public key")
 

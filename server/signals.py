@@ -110,7 +110,7 @@ def handled(to_the_end: bool = False) -> Iterator[None]:
         yield
     finally:
         with held():
-            _stop_all()  # devices whose opening was interrupted before their context started
+            _stop_all()  # devices opened by an interrupted call, before their context started
             for number, handler in before.items():
                 signal.signal(number, signal.SIG_IGN if to_the_end else handler)
         signal.set_wakeup_fd(wakeup)
@@ -181,7 +181,7 @@ def _pause(number: int, _: FrameType | None) -> None:
     go_on = None if state.pause is None else state.pause()
     if devices:
         _stop_all()
-    # The default action, so that shells notice the stop and an orphaned process group continues.
+    # The system's own action, so that shells notice the stop and an orphaned process group continues.
     signal.signal(number, signal.SIG_DFL)
     signal.raise_signal(number)
     signal.signal(number, _pause)

@@ -239,7 +239,7 @@ class Hand:
         return self._fingers[finger].radius
 
     def chosen(self) -> str | None:
-        """Return the chosen finger, whose name may be empty; None if no finger can be moved."""
+        """Return the name of the chosen finger, which may be empty; None if no finger can be moved."""
         return self._chosen() if self._fingers else None
 
     def go(self, finger: str, target: Target) -> None:

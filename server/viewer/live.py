@@ -58,7 +58,7 @@ class LivePage:
         self._first = -1
         self._drawn = 0
         self._turning: set[str] = set()
-        """Fingers whose devices sense orientation."""
+        """Fingers with devices that sense orientation."""
         self._since = 0.0
         gui = page.server.gui
         self._prompt = PromptPanel(gui, self._asker, self._refused, answers=may is None)

@@ -76,7 +76,7 @@ AsyncMessageBuffer.push = push_from_any_thread  # type: ignore[method-assign, as
 
 
 class Page:
-    """Page on `host`:`port`, or the next free port; a data source calls `change`, `show` and `say`.
+    """Page on `host`:`port`, or the next free port; a data source, such as `LivePage`, updates it.
 
     Parameters
     ----------
