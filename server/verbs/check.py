@@ -36,7 +36,7 @@ from softfinger.config.words import near, shown
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.offline.summary import mesh_report, rig_summary, scene_summary
 
-if TYPE_CHECKING:  # with the kernels behind it, which no rig needs
+if TYPE_CHECKING:
     pass
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
