@@ -48,11 +48,24 @@ class Mended(NamedTuple):
 
 
 def mend(given: Arrays, loose: bool) -> Mended:
-    """Repair a mesh, m, with finite coordinates and valid indices.
+    """Repair a mesh, and wind its triangles.
 
-    Raises ValueError if the mesh is too small, too large or too far from its origin, or if no triangle has an area.
+    Parameters
+    ----------
+    given
+        Vertices, m, finite, and triangles with valid indices.
+    loose
+        Merge vertices within MERGED_WITHIN of the mesh's size, not only equal ones.
 
-    loose   merge vertices within MERGED_WITHIN of the mesh's size, not only equal ones
+    Returns
+    -------
+    Mended
+        Repaired mesh, with counts of repairs and of remaining faults.
+
+    Raises
+    ------
+    ValueError
+        If the mesh is too small, too large or too far from its origin, or if no triangle has an area.
     """
     vertices, triangles = given
     used, triangles = _used(given)

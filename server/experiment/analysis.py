@@ -77,10 +77,18 @@ def fitted(experiment: ExperimentFile, rows: Sequence[Entry]) -> Fit | PowerLaw:
 
 
 def power_law(levels: Sequence[float], answers: Sequence[float]) -> PowerLaw:
-    """Fit a line to the logarithms of answers (n,) over levels (n,), both above 0.
+    """Fit a line to the logarithms of answers over levels.
 
-    Intervals are Student's. Undetermined values are nan: the exponent of a single level, and the intervals of too few
-    answers.
+    Parameters
+    ----------
+    levels, answers
+        (n,) values above 0.
+
+    Returns
+    -------
+    PowerLaw
+        Intervals are Student's. Undetermined values are nan: the exponent of a single level, and the intervals of too
+        few answers.
     """
     x, y = np.log(levels), np.log(answers)
     middle, answer, centred = float(x.mean()), float(y.mean()), x - x.mean()

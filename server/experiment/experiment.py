@@ -56,11 +56,20 @@ class Running(NamedTuple):
 class Experiment:
     """Experiment with participants.
 
-    source   a file, the name of a shipped experiment, or a mapping with the contents of a file
-    changes  replacement values by dotted key, such as {"design.seed": 2, "procedure.trials": 60}
+    Parameters
+    ----------
+    source
+        File, name of a shipped experiment, or mapping with the contents of a file.
+    changes
+        Replacement values by dotted key, such as {"design.seed": 2, "procedure.trials": 60}.
 
-    Raises ConfigError with every fault of the file, of its scenes and of its rig.
+    Raises
+    ------
+    ConfigError
+        With every fault of the file, of its scenes and of its rig.
 
+    Examples
+    --------
     >>> from softfinger import Experiment
     >>> rows = Experiment("stiffness-discrimination").rehearse(participant=1)
     >>> len(rows), rows[0]["answer"] in ("first", "second")
@@ -86,10 +95,32 @@ class Experiment:
         return [entry for entry in journal.entries if entry["kind"] == "done"]
 
     def run(self, folder: str | Path, participant: int, running: Running = Running()) -> list[Entry]:  # noqa: B008
-        """Run the unanswered trials of a participant, write the results into `folder`, and return all rows.
+        """Run the unanswered trials of a participant, and write the results into a folder.
 
-        The daemon runs in this process, on the rig of the experiment. Raises the errors that end a daemon, Stopped if a
-        signal ends the session, and ConfigError if the folder belongs to another experiment.
+        The daemon runs in this process, on the rig of the experiment.
+
+        Parameters
+        ----------
+        folder
+            Result folder, shared by all participants; created if it does not exist.
+        participant
+            Number, from 1.
+        running
+            Options of the session.
+
+        Returns
+        -------
+        list of Entry
+            All answered trials of the participant, one row each.
+
+        Raises
+        ------
+        Stopped
+            If a signal ends the session.
+        ConfigError
+            If the folder belongs to another experiment, or the rig takes no commands.
+        HapticError
+            Errors that end a daemon.
         """
         own = Folder(Path(folder), self.file, _checked(participant), files.hashes(self.file, self._folder))
         session = Session(self.file, participant, log.debug if running.no_daemon else log.info)

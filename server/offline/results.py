@@ -55,11 +55,21 @@ log: Final = logging.getLogger(__name__)
 
 
 def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> None:
-    """Write records (n, RECORD_SIZE) in the format of the file ending.
+    """Write records in the format of the file ending: .csv, .npz or .mcap.
 
-    With several fingers, `records` has the records of each by name, all of the same length. The file appears complete
-    or not at all. Long writes show their progress if stderr is a terminal. Raises RecordingError if the file cannot be
-    written.
+    The file appears complete or not at all. Long writes show their progress if stderr is a terminal.
+
+    Parameters
+    ----------
+    path
+        File to write or replace.
+    records
+        (n, RECORD_SIZE), or a mapping with records of equal length by finger name.
+
+    Raises
+    ------
+    RecordingError
+        If the records have another shape, or the file cannot be written.
     """
     given = records if isinstance(records, Mapping) else {"": records}
     fingers = {name: np.asarray(each, dtype=np.float64) for name, each in given.items()}
@@ -86,9 +96,24 @@ def write_blocks(path: str | Path, fingers: Sequence[str], blocks: Iterable[Arra
 
 
 def read_results(path: str | Path, finger: str = "") -> Array:
-    """Read records (n, RECORD_SIZE) of a file from `write_results`; with several fingers, the records of `finger`.
+    """Read the records of a file from `write_results`.
 
-    Raises RecordingError if the file cannot be read.
+    Parameters
+    ----------
+    path
+        File with the ending .csv, .npz or .mcap.
+    finger
+        Name of the finger to read; empty for a file of a single finger.
+
+    Returns
+    -------
+    Array
+        Records (n, RECORD_SIZE), equal bit for bit to the written ones.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, or has more than RESULTS_MAX records.
     """
     source = Path(path)
     reader = {".csv": _read_csv, ".npz": _read_npz, ".mcap": _read_mcap}.get(source.suffix.lower())

@@ -61,10 +61,22 @@ def tick_many(
 
 
 def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
-    """Return the records (n, RECORD_SIZE) of poses (n, 7), one tick each, as computed by the daemon.
+    """Run the servo's tick over poses, with the daemon's results.
 
-    With several fingers: records (n, fingers, RECORD_SIZE) of poses (n, fingers, 7). The timestamp is the tick times
-    dt; the fields of servo timing and device are 0.
+    Parameters
+    ----------
+    tuning
+        Scene and guard.
+    poses
+        (n, 7) position, m, and orientation w, x, y, z, one per tick; (n, fingers, 7) with several fingers.
+    rate_hz
+        Ticks per second.
+
+    Returns
+    -------
+    Array
+        Records (n, RECORD_SIZE), or (n, fingers, RECORD_SIZE). The timestamp is the tick times dt; the fields of servo
+        timing and device are 0.
     """
     given = poses[:, None] if poses.ndim < 3 else poses
     records, at = np.empty((*given.shape[:2], RECORD_SIZE)), 0
@@ -129,14 +141,29 @@ def run_recording(
 ) -> Records | dict[str, Records]:
     """Run the servo's tick over recorded poses, with records equal bit for bit to the daemon's.
 
-    recording  a file (.csv, .npz, .mcap) or the name of a shipped one; with several fingers a mapping by finger name
-    scene      as for `load_scene`, and `overrides` too
-    rig        file or shipped name; its guard limits the force
-    rate_hz    ticks per second in place of the rig's
+    Parameters
+    ----------
+    recording
+        File (.csv, .npz, .mcap) or name of a shipped recording; with several fingers a mapping by finger name.
+    scene, overrides
+        As for `load_scene`.
+    rig
+        File or name of a shipped rig; its guard limits the force.
+    rate_hz
+        Ticks per second in place of the rig's.
 
-    Returns records (n, RECORD_SIZE), one row per tick, with fields by name; with several fingers a mapping by finger
-    name. Raises ConfigError and RecordingError with the fault.
+    Returns
+    -------
+    Records or dict of Records
+        Records (n, RECORD_SIZE), one row per tick, with fields by name; with several fingers a mapping by finger name.
 
+    Raises
+    ------
+    ConfigError, RecordingError
+        If scene, rig or recording is unusable.
+
+    Examples
+    --------
     >>> from softfinger import run_recording
     >>> slippery = {"object.table.material.friction": {"static": 0.2, "kinetic": 0.1}}
     >>> records = run_recording("press-roll-spin-drag", "paper-plane", overrides=slippery)
@@ -158,10 +185,29 @@ def over_recordings(scene: schema.Scene, rig: schema.Rig, recordings: Mapping[st
 
 
 def poses_of(fingers: Sequence[str], recordings: Mapping[str, str | Path], rate_hz: float) -> Array:
-    """Return poses (n, fingers, 7) at the given rate, as long as the shortest recording.
+    """Load and resample the poses of all fingers.
 
-    The empty name refers to the recording of a single finger, or to an MCAP recording of all fingers. Raises
-    ConfigError unless each finger has one.
+    Parameters
+    ----------
+    fingers
+        Names of the scene's fingers.
+    recordings
+        Recording of each finger by name. The empty name refers to the recording of a single finger, or to an MCAP
+        recording of all fingers.
+    rate_hz
+        Ticks per second of the result.
+
+    Returns
+    -------
+    Array
+        Poses (n, fingers, 7), as long as the shortest recording.
+
+    Raises
+    ------
+    ConfigError
+        Unless each finger has a recording.
+    RecordingError
+        If a recording is unusable.
     """
     several = len(fingers) > 1
     whole = set(recordings) == {""} and (not several or Path(recordings[""]).suffix.lower() == ".mcap")
