@@ -82,7 +82,7 @@ def _room(size: int) -> mmap.mmap:
 def save(key: str, kept: Kept, folder: Folder = KEPT) -> None:
     """Store arrays, and values of JSON types, under a key, and remove the least recently used files over the limit.
 
-    Does nothing if the folder cannot be used.
+    If the folder cannot be used, nothing is stored and the folder logs a warning, once.
     """
     folder.put(f"{key}{ENDING}", _parts(key, kept))
     if folder.path is not None and folder.problem() is None:

@@ -41,7 +41,7 @@ MANY_RAD: Final = 1e3
 class Setup:
     """Parameters of an environment, except the scene.
 
-    home_m           (3,) m       initial position of hand and fingertip
+    home_m           (3,) m       initial position of hand and fingertip, at rest
     reach_m          m            largest distance of the hand's goal from there, along each axis
     speed_m_per_s    m/s          largest speed of the goal, along each axis
     turn_rad_per_s   rad/s        largest angular velocity of the goal, about each world axis

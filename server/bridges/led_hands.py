@@ -50,7 +50,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
 
     scene     as for `load_scene`; ConfigError if its number of fingers differs
     setup     dataclass of the subclass
-    homes_m   (3,) m of each hand, its initial position, with velocity zero
+    homes_m   (3,) m of each hand, its initial position, at rest
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  (as the base class declares it)

@@ -31,7 +31,7 @@ GONE_M: Final = 0.5
 class LiftSetup:
     """Parameters of the environment, except the scene.
 
-    homes_m          (2, 3) m     initial positions of thumb and index finger
+    homes_m          (2, 3) m     initial positions of thumb and index finger, at rest
     reach_m          m            largest distance of a hand's goal from there, along each axis
     speed_m_per_s    m/s          largest speed of the goals, along each axis
     step_ticks       ticks        of a step of the environment

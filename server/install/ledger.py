@@ -70,7 +70,7 @@ class Ledger:
             self._check_writable(path)
 
     def state(self, file: File) -> State:
-        """Return the state of a file before it is written."""
+        """Return how the file at the path of `file` compares with `file` and with the record."""
         found = self._found(file.path)
         if found is None:
             return "new"

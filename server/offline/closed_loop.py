@@ -132,7 +132,7 @@ class Held(NamedTuple):
 
 @by_count
 def samples_of(hands: Any, states: Any) -> Any:
-    """Return the pose of each device as a tuple of seven."""
+    """Return the sensed pose of each device as a tuple of seven."""
 
 
 @samples_of.of(1)

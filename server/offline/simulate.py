@@ -61,7 +61,7 @@ def tick_many(
 
 
 def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
-    """Run the servo's tick over poses, with the daemon's results.
+    """Run the servo's tick over poses, and return the records that the daemon would produce.
 
     Parameters
     ----------
@@ -140,6 +140,8 @@ def run_recording(
     rate_hz: float | None = None,
 ) -> Records | dict[str, Records]:
     """Run the servo's tick over recorded poses, with records equal bit for bit to the daemon's.
+
+    `softfinger simulate` computes the same.
 
     Parameters
     ----------

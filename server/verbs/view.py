@@ -56,7 +56,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--print-address", action="store_true", help="the address alone on standard output, for programs"
     )
-    # For `run --view`. The first line of standard input is the token, or empty for a new one; the page ends at its end.
+    # For `run --view`. The first line of standard input is the token, or empty for a new one; end of input ends the
+    # page.
     parser.add_argument("--until-eof", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--no-open", action="store_true", help="do not open a browser")
     parser.add_argument("--duration", type=duration, metavar="S", help="leave after S seconds (default: stay)")
