@@ -130,7 +130,7 @@ def _array(seen: mmap.mmap, start: int, said: Mapping[str, Any]) -> NDArray[Any]
 def _sum(array: NDArray[Any]) -> int:
     """Return the sum of the 64-bit words modulo 2^64.
 
-    It changes with any flipped bit, and is as fast as memory.
+    Any single flipped bit changes it. Its computation is limited by memory bandwidth.
     """
     data = array.reshape(-1).view(np.uint8)
     whole = len(data) // 8 * 8
