@@ -146,7 +146,7 @@ def close_loop(samples: Array, rate_hz: float) -> Array:
 
 
 def _runs_on(samples: Array, rate_hz: float) -> bool:
-    """Return True if the velocity step at the seam is no larger than those within the motion; end and start coincide."""
+    """Return True if the velocity step from the end to the start is no larger than the steps within the motion."""
     velocity = np.diff(samples[:, :3], axis=0) * rate_hz
     spin = _log(_relative(samples[:-1, 3:], samples[1:, 3:])) * rate_hz
     for rates, negligible in ((velocity, SEAM_SPEED_M_PER_S), (spin, SEAM_SPEED_RAD_PER_S)):
