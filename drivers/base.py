@@ -67,16 +67,16 @@ class Led(Protocol):
     """Simulated hand that a program may lead. Call it from one thread only."""
 
     def lead(self, position_m: Vec3, orientation: Quaternion | None = None) -> None:
-        """Set the target: position in m, unit quaternion (None: unchanged)."""
+        """Set the target: position (3,) m and unit quaternion (None: unchanged), device frame."""
 
     def hold(self) -> None:
-        """Replace the target by the present one: stop a movement where the hand intends to be now."""
+        """Hold the present intention, even on the way to an earlier target."""
 
     def release(self) -> None:
         """End the lead: the hand resumes its configured behaviour."""
 
     def intends(self) -> tuple[Vec3, Quaternion]:
-        """Return the present target, (3,) m and unit quaternion, device frame; up to one tick old."""
+        """Return the present intention, (3,) m and unit quaternion, device frame; up to one tick old."""
 
 
 @dataclass(frozen=True)
