@@ -45,7 +45,7 @@ MISSING_NS: Final = 5_000_000
 SLICE_US: Final = 2000
 """Duration of one wait for a current reply."""
 
-# indices into struct libusb_transfer: as int64 for the user data, as int32 for status and length
+# Indices into struct libusb_transfer: as int64 for the user data, as int32 for status and length.
 _USER_DATA, _STATUS, _ACTUAL = 5, 4, 6
 _COMPLETED, _TIMED_OUT, _CANCELLED, _NO_DEVICE = 0, 2, 3, 5
 _ERROR_NO_DEVICE, _ERROR_INTERRUPTED = -4, -10
@@ -291,7 +291,7 @@ def _write_locked(handle: int, wrench: Any) -> int:
         motors, cut = command(handle, (wrench[0], wrench[1], wrench[2]))
         if cut:
             word[AT.cut] += 1
-    # a zero that ends a force is sent regardless of unanswered packets
+    # A zero that ends a force is sent regardless of unanswered packets.
     status = HELD
     if word[AT.awaited] < DEPTH or (word[AT.pushes] != 0 and not free):
         status = _send(handle, motors)
@@ -299,7 +299,7 @@ def _write_locked(handle: int, wrench: Any) -> int:
         word[AT.held] += 1
     if status < 0:
         return status
-    # In a silence a zero also counts as withheld, because the hand may move anywhere. A disarmed loop ends.
+    # In a silence a zero also counts as withheld, because the hand may move anywhere; not when disarmed: the loop ends.
     if not able and (not zero or armed):
         return WITHHELD
     if status == HELD:

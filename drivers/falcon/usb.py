@@ -30,7 +30,7 @@ TIMEOUT_MS: Final = 1000
 
 NODES: Final = Path("/dev/bus/usb")
 
-# requests of the chip, and their values
+# Requests of the chip, and their values.
 _TO_CHIP: Final = 0x40  # vendor request, host to device
 PURGE: Final = 0
 PURGE_RECEIVED, PURGE_SENT = 1, 2

@@ -134,7 +134,7 @@ class ForceDimension(Device):
         call = self._library
         taken = False
         for _ in range(ZERO_TRIES):
-            # 1 (TIMEGUARD) may mean that it was not sent; -1 that the device is disconnected
+            # 1 (TIMEGUARD) may mean that it was not sent; -1 that the device is disconnected.
             if call.dhdSetForceAndTorqueAndGripperForce(*ZERO, self._id) in (0, 2):
                 taken = True
                 break
@@ -150,8 +150,8 @@ class ForceDimension(Device):
         word[AT.armed] = 1
         try:
             self._set_watchdog(self._options.watchdog_s)
-            # The watchdog may check the force before the one that enables it; whether the library accepts one yet is
-            # unknown.
+            # The watchdog may require a force already before dhdEnableForce. Whether the library accepts one then is
+            # not documented, so the result is ignored.
             call.dhdSetForceAndTorqueAndGripperForce(*ZERO, self._id)
             if not word[AT.stopped]:
                 self._do("dhdEnableForce", call.dhdEnableForce, 1)
@@ -201,7 +201,7 @@ class ForceDimension(Device):
         self._choose_pose()
         self._calibrate()
         self._do("drdStop", call.drdStop, True)  # ends the library's regulation, so that this program sets the force
-        self._do("dhdEnableForce", call.dhdEnableForce, 0)  # also a force that a killed program left on
+        self._do("dhdEnableForce", call.dhdEnableForce, 0)  # a killed program may have left it on
         if call.dhdSetBrakes(int(options.brakes), self._id) not in library.SUCCESS and not options.brakes:
             log.warning("%s: refuses to take its brakes off, so brakes = false is not kept", self._model.full_name)
         self._do("dhdSetGravityCompensation", call.dhdSetGravityCompensation, int(options.gravity_compensation))

@@ -35,7 +35,7 @@ from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import from_matrix
 
-# indices of the library's status
+# Indices of the library's status.
 STATUS_FORCE: Final = 5
 STATUS_ERROR: Final = 9
 STATUS_CAUSE: Final = 14
@@ -178,7 +178,7 @@ def _write_locked(handle: int, wrench: Any) -> int:
         word[AT.saturated] += 1
     if not usable:
         return WITHHELD
-    if code == 1:  # probably not sent: if that is wrong, the error is on the side of less force
+    if code == 1:  # probably not sent; if it was, this assumption errs towards less force
         return HELD
     return OK if code == 0 else STALE
 

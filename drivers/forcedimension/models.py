@@ -56,7 +56,7 @@ MODELS: Final = {
     132: Model("lambda.6", "lambda.6 left", LAMBDA_3),
     108: _LAMBDA_7_RIGHT,
     109: _LAMBDA_7_LEFT,
-    # only in CHAI3D's driver
+    # Only in CHAI3D's driver.
     110: Model("omega.3", "omega.3", OMEGA),
     111: Model("delta.3", "delta.3", DELTA),
     133: Model("sigma.3", "sigma.3", SIGMA_3),

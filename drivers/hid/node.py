@@ -13,7 +13,7 @@ from softfinger.drivers.hid.options import Options
 from softfinger.drivers.hid.pump import HidApi
 from softfinger.drivers.system.hidraw import hidapi, open_path
 
-# ioctl requests of <linux/hidraw.h>
+# Requests for ioctl, from <linux/hidraw.h>.
 _GET_DESCRIPTOR_SIZE: Final = 0x80044801
 _GET_DESCRIPTOR: Final = 0x90044802
 _DESCRIPTOR_MAX: Final = 4096

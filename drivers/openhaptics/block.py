@@ -14,7 +14,7 @@ from softfinger.drivers.system.libc import TIMESPEC_WORDS
 
 SEQUENCE_WORDS: Final = 8
 
-# indices of a queued wrench, after force (N) and torque (N m), world frame
+# Indices of a queued wrench, after force (N) and torque (N m), world frame.
 WRITTEN: Final = 6
 """Time of the servo's write, ns since the device was opened."""
 HEEDED: Final = 7

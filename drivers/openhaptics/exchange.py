@@ -217,7 +217,8 @@ def callback(handle: int) -> int:
     if word[AT.open] == 0:
         return DONE
     device = (np.int32(word[AT.device]),)
-    leaving, stopping = word[AT.leave], word[AT.stopped]  # read first: `left` and `silent` report a full frame
+    # Read before the frame: `left` and `silent` report that a complete frame followed.
+    leaving, stopping = word[AT.leave], word[AT.stopped]
     call_void(word[AT.begin_frame], device)
     _sense(handle)
     word[AT.docked] = int(word[AT.has_inkwell] != 0 and uint8_at(handle + 8 * AT.switch)[0] == 0)

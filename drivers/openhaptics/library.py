@@ -24,7 +24,7 @@ SONAMES: Final = ("libHD.so", "libHD.so.3.4")
 INVALID_HANDLE: Final = 0xFFFFFFFF
 PRIORITY_MAX: Final = 65535
 
-# parameters
+# Parameters.
 CURRENT_BUTTONS: Final = 0x2000
 CURRENT_INKWELL_SWITCH: Final = 0x2002
 CURRENT_POSITION: Final = 0x2050
@@ -48,7 +48,7 @@ ENCODER_RESET: Final = 1
 AUTO: Final = 2
 INKWELL: Final = 4
 
-# errors
+# Errors.
 INVALID_ENUM: Final = 0x0100
 INVALID_INPUT_TYPE: Final = 0x0103
 BAD_HANDLE: Final = 0x0104

@@ -96,7 +96,7 @@ def options_for(claim: Claim, rig: DeviceConfig | None) -> Mapping[str, Any]:
 
 
 def needs(claim: Claim, options: Mapping[str, Any], said: Mapping[str, Any] | None = None) -> Diagnosis:
-    """Return whether a driver's other requirements are met, given a rig's options and the answers of the device."""
+    """Return the diagnosis of a driver's other requirements, given a rig's options and the device's answers."""
     if claim.driver in OVER_A_LIBRARY:
         library = makers_library(claim.driver)
         try:
