@@ -153,9 +153,9 @@ def forward(d: Delta, theta: Vec3, last: Vec3) -> tuple[Vec3, bool]:
 
 @jit
 def torques_for(d: Delta, p: Vec3, force: Vec3) -> tuple[Vec3, bool]:
-    """Return the torques (3,) N m of the legs for a force (3,) N on the hand at `p` (3,) m from the base, and True.
+    """Return leg torques (3,) N m for a force (3,) N on the hand at `p` (3,) m from the base, and True if they exist.
 
-    Near a singular pose return zero torques and False.
+    Near a singular pose they do not, and are returned as 0.
     """
     _, k = inverse(d, p)
     det = _determinant(k)

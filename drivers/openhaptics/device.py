@@ -1,8 +1,8 @@
 """Device of 3D Systems, opened through the maker's library.
 
 The order of opening follows the maker's programs: initialise, start the library's thread, calibrate, schedule the
-callback. The force is off until `arm`; then the callback sends it (`exchange`). The device never moves by itself:
-for calibration, the user moves it to a known position.
+callback. The force is off until `arm`; then the callback sends it (`exchange`). The device never moves by itself: for
+calibration, the user moves it to a known position.
 """
 
 from __future__ import annotations

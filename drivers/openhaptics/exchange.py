@@ -7,8 +7,8 @@ a lapse. The servo's next write is then WITHHELD, as is every write while the st
 that the guard fades the force in again and telemetry has the force of the motors.
 
 The library's frame has x to the right, y up, z towards the user. World (x, y, z) = (x, -z, y), for positions, forces
-and torques, and for both sides of the orientation, so that an unrotated handle is unrotated in
-both frames.
+and torques, and for both sides of the orientation, so that an unrotated handle is unrotated in both
+frames.
 """
 
 from __future__ import annotations

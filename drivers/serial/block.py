@@ -15,7 +15,7 @@ from softfinger.proxy.kernels.model import Quaternion, Vec3
 CHUNK: Final = 1024
 """Bytes per read."""
 TEXT: Final = -1
-"""Kind, instead of that of a mechanism, of a board that computes its kinematics and uses WoodenHaptics' text."""
+"""Kind, in place of a mechanism's, of a board that computes its kinematics and sends WoodenHaptics' text."""
 
 
 class Model(NamedTuple):

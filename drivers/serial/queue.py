@@ -58,7 +58,7 @@ def is_waiting(handle: int) -> bool:
 
 @jit
 def drop_frames(handle: int) -> None:
-    """Drop every byte that the port has not sent, including a frame that it has partly accepted."""
+    """Drop every byte that the port has not sent, and the remainder of a frame that it has partly accepted."""
     at = int64_at(handle)
     drop_unsent(at[TALK.fd])
     at[AT.dropped] += 1

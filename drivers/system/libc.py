@@ -66,11 +66,11 @@ write_now: Any = _unless_interrupted(write_fd)
 
 @jit
 def read_waiting(fd: int, address: int, size: int, word: int) -> int:
-    """Read from a terminal like `read_now`, but return 0 if no byte is available; `word` is the address of a scratch
-    word.
+    """Read from a terminal like `read_now`, but return 0 if no byte is available.
 
-    A plain read without available bytes does not return at once. It waits until a kernel thread has delivered bytes in
-    transit (`n_tty_read` flushes the port's work): a quarter of a second if all processors are busy.
+    `word` is the address of an int64 for scratch. A plain read without available bytes does not return at once. It
+    waits until a kernel thread has delivered bytes in transit (`n_tty_read` flushes the port's work): a quarter of a
+    second if all processors are busy.
     """
     at = int64_at(word)
     at[0] = 0  # the ioctl writes only the lower half
@@ -88,8 +88,8 @@ def read_waiting(fd: int, address: int, size: int, word: int) -> int:
 def count_unsent(fd: int, word: int) -> int:
     """Return the bytes written to a terminal that the system has not sent, or minus the error number.
 
-    `word` is the address of a scratch word. A USB modem (cdc-acm) counts a full buffer per write, a pseudo terminal
-    nothing.
+    `word` is the address of an int64 for scratch. A USB modem (cdc-acm) counts a full buffer per write, a pseudo
+    terminal nothing.
     """
     at = int64_at(word)
     at[0] = 0  # the ioctl writes only the lower half
