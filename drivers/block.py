@@ -1,12 +1,12 @@
 """Memory that a device's C functions share with Python: one block of int64 words, each declared once.
 
-    class Fields(NamedTuple):
+    class Words(NamedTuple):
         frames: Annotated[int, counter("frames received")]
         fd: Annotated[int, word("file descriptor of the port, below 0 after closing")]
         values: Annotated[int, numbers("of the latest frame", 8)]
         table: Annotated[int, address("rows of a report")]
 
-    AT: Final = lay_out(Fields)
+    AT: Final = lay_out(Words)
 
 The address of the block is the device's handle, and `AT` is the word index of each field: a kernel accesses a word as
 `int64_at(handle)[AT.fd]`, and an array of numbers at the address `handle + 8 * AT.values`. Kernels compile `AT` as

@@ -292,7 +292,7 @@ def write_once(driver: Any, handle: int, wrench: Any) -> int:
 
 @jit
 def silence_once(driver: Any, handle: int) -> int:
-    """Disarm and send a zero. Return 1 if it was sent, 0 if it was not and must be tried again."""
+    """Disarm and send a zero. Return 1 if that is done, 0 if it was not accepted and the call must be repeated."""
     at = int64_at(handle)
     at[TALK.armed] = 0
     if exchange_int64(handle + 8 * TALK.lock, 1) != 0:
