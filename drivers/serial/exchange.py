@@ -27,6 +27,7 @@ from softfinger.drivers.serial.queue import count_write, drop_frames, is_blocked
 from softfinger.drivers.system.libc import EAGAIN, monotonic_ns, read_waiting, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
+from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.jit.pack import unpack_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
@@ -59,7 +60,7 @@ def _take_text(handle: int, wanted: int) -> tuple[int, int]:
     return count, take(incoming, count, scratch, values)
 
 
-@jit
+@outlined
 def _take_described(handle: int, wanted: int) -> tuple[int, int]:
     """Read like `_take_text`, for frames that the rig describes."""
     at = int64_at(handle)
@@ -174,7 +175,7 @@ def _fill(handle: int, force: Vec3) -> int:
     return LIMITED if cut and how == WHOLE else how
 
 
-@jit
+@outlined
 def _send(handle: int, force: Vec3) -> int:
     """Write a force (N, device's frame).
 
