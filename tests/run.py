@@ -48,6 +48,9 @@ CPU_FOLDER: Final = HERE.parent / "build" / "cpu-seconds"
 """CPU seconds of each test of the last run, a JSON file for each part."""
 MOST_EXPENSIVE: Final = 20
 
+DRIVERS: Final = (("serial",), ("falcon", "forcedimension", "haply", "hid", "openhaptics", "simulated", "spacemouse"))
+"""Drivers whose exchanges two processes compile, in about the same time."""
+
 Lines = queue.SimpleQueue[tuple[Any, str | None]]
 """Of what is running: each with the part that wrote it, None at its end."""
 
@@ -152,8 +155,17 @@ def run(parts: Sequence[Part], words: Sequence[str], covered: bool = False) -> l
     return running
 
 
+def compile_drivers() -> None:
+    """Compile the exchanges of all drivers: each pytest process would otherwise do it when it imports them."""
+    programs = ["; ".join(f"import softfinger.drivers.{name}.device" for name in names) for names in DRIVERS]
+    compiling = [subprocess.Popen([sys.executable, "-c", program], env=ENVIRONMENT) for program in programs]
+    for process in compiling:
+        process.wait()  # an error of an import is reported by the tests
+
+
 def quick(words: Sequence[str], covered: bool) -> list[Running]:
     """All of `make test`; last, with nothing beside them, the tests of real time that failed beside others."""
+    compile_drivers()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "put-off"
         ended = run([*QUICK, REAL_TIME._replace(words=(*REAL_TIME.words, f"--put-off={file}"))], words, covered)

@@ -1,7 +1,7 @@
-"""What a mesh's file says of itself, where trimesh would read less than that without a word, or nothing.
+"""Checks of a mesh file that trimesh would read incompletely without an error.
 
-A file that was cut off is a smaller mesh to trimesh, and a compressed one may be none. What is damaged otherwise
-trimesh refuses itself. Each check raises ValueError in words.
+trimesh reads a truncated file as a smaller mesh, and a compressed one possibly as none. It rejects other damage itself.
+Each check raises ValueError with the fault.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from collections.abc import Callable
 from typing import Final
 
 PLY_HEAD_MAX: Final = 1 << 16
-"""Bytes of a PLY file before its numbers; scanners write some 500, with comments."""
+"""Limit of the header of a PLY file, bytes; scanners write about 500, with comments."""
 _FACES: Final = re.compile(rb"^element\s+face\s+(\d+)\s*$", re.MULTILINE)
 
 
 def ply(data: bytes) -> int:
-    """A PLY file: how many faces its head promises."""
+    """Return the number of faces that the header of a PLY file declares; 0 without a face element."""
     if not data.startswith(b"ply"):
         raise ValueError(f"is no PLY file: it begins with {data[:8]!r}")
     head, mark, _ = data[:PLY_HEAD_MAX].partition(b"end_header")
@@ -28,7 +28,10 @@ def ply(data: bytes) -> int:
 
 
 def stl(data: bytes) -> int:
-    """An STL file: in binary its length goes by its triangles, as text it has an end."""
+    """Check that an STL file is complete, and return its number of triangles; 0 for a text file.
+
+    The length of a binary file follows from its number of triangles; a text file has an end marker.
+    """
     count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
     if len(data) >= 84 and len(data) == 84 + 50 * count:
         return count
@@ -41,20 +44,20 @@ def stl(data: bytes) -> int:
 
 
 def obj(data: bytes) -> int:
-    """An OBJ file says nothing of itself."""
+    """Return 0: an OBJ file does not declare its number of faces."""
     return 0
 
 
 def glb(data: bytes) -> int:
-    """A GLB file: it is not compressed. Its first chunk is JSON, whose length is in bytes 12 to 15."""
+    """Check that a GLB file is not compressed, and return 0. Bytes 12 to 15 are the length of its first chunk, JSON."""
     try:
         wanted = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")]).get("extensionsRequired", [])
     except (ValueError, AttributeError):
-        return 0  # damaged, which trimesh says
+        return 0  # damaged; trimesh reports it
     if packed := [name for name in wanted if "compression" in str(name)]:
         raise ValueError(f"is compressed ({packed[0]}): export it without compression")
     return 0
 
 
 CHECKS: Final[dict[str, Callable[[bytes], int]]] = {"ply": ply, "stl": stl, "obj": obj, "glb": glb}
-"""How the file of each ending is looked at first: how many faces it promises, 0 where it does not say."""
+"""Check of each file ending; returns the number of faces that the file declares, 0 if it declares none."""

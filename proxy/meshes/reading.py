@@ -1,6 +1,6 @@
-"""A mesh's numbers from its file, by trimesh: as they are there, in one piece, with no other file opened.
+"""Reading of mesh files by trimesh, with all parts of a file in one mesh and without opening any other file.
 
-trimesh is an extra, and imported late.
+trimesh is an extra and imported late.
 """
 
 from __future__ import annotations
@@ -24,20 +24,23 @@ Triangles = NDArray[np.int32]
 
 BYTES_MAX: Final = int(limits.MESH_BYTES.high)
 SAYS_MORE: Final = {"ply": "faces of a binary one all have as many corners as the first: triangulate it"}
-"""What else it may be that trimesh cannot read."""
+"""Further possible cause when trimesh cannot read a file."""
 _REASON_MAX: Final = 200
-"""Of a library's own words in a message."""
+"""Limit of the text of a library in a message, characters."""
 
 
 class Arrays(NamedTuple):
-    """vertices (n, 3) float64, in the file's unit or m; triangles (m, 3) int32, indices of vertices."""
+    """vertices (n, 3) float64, in the file's unit or m; triangles (m, 3) int32, vertex indices."""
 
     vertices: Vertices
     triangles: Triangles
 
 
 def read_bytes(path: str | Path) -> bytes:
-    """All of a mesh's file. ConfigError for one that is not there, too large, or of an ending that is not known."""
+    """Return the contents of a mesh file.
+
+    Raises ConfigError if it is missing or too large, or if its ending is unknown.
+    """
     if _kind(path) not in CHECKS:
         raise ConfigError(f"{path}: is none of {', '.join(f'.{kind}' for kind in CHECKS)}: export it as one of these")
     try:
@@ -48,7 +51,10 @@ def read_bytes(path: str | Path) -> bytes:
 
 
 def arrays_of(path: str | Path, data: bytes) -> Arrays:
-    """The numbers in the bytes of a mesh's file, whose kind its ending says. ConfigError with file and fault."""
+    """Return vertices and triangles from the bytes of a mesh file; its ending selects the format.
+
+    Raises ConfigError with the file and the fault.
+    """
     kind = _kind(path)
     try:
         promised = CHECKS[kind](data)
@@ -59,7 +65,7 @@ def arrays_of(path: str | Path, data: bytes) -> Arrays:
         raise
     except ValueError as error:
         raise ConfigError(f"{path}: {_line(error)}") from error
-    except Exception as error:  # what trimesh puts off until it is asked for
+    except Exception as error:  # of parts that trimesh loads lazily
         raise ConfigError(f"{path}: is damaged, or no {kind.upper()} file: {_line(error)}") from error
     return Arrays(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles, dtype=np.int32))
 
@@ -69,7 +75,7 @@ def _kind(path: str | Path) -> str:
 
 
 def _scene(path: str | Path, data: bytes) -> Any:
-    """What trimesh makes of it. ConfigError for what it cannot read."""
+    """Return trimesh's scene of a file. Raises ConfigError if trimesh cannot read it."""
     try:
         import trimesh
     except ImportError as error:
@@ -77,7 +83,7 @@ def _scene(path: str | Path, data: bytes) -> Any:
     from trimesh.resolvers import Resolver
 
     class Refusing(Resolver):  # type: ignore[misc]
-        """Materials and pictures that a file names are somewhere else, on another machine perhaps."""
+        """Resolver that opens no other file: a reference to one could lead anywhere, including the network."""
 
         def __init__(self) -> None: ...
 
@@ -93,7 +99,7 @@ def _scene(path: str | Path, data: bytes) -> Any:
             return []
 
     kind = _kind(path)
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what it warns of is looked at here
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # the checks here replace its warnings
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         warnings.filterwarnings("error", message="string or file could not be read to its end")
@@ -101,13 +107,13 @@ def _scene(path: str | Path, data: bytes) -> Any:
             return trimesh.load_scene(
                 io.BytesIO(data), file_type=kind, resolver=Refusing(), process=False, skip_materials=True
             )
-        except Exception as error:  # its readers fail in many ways on damaged bytes
+        except Exception as error:  # its readers raise many types of errors on damaged bytes
             known = ("; " + SAYS_MORE[kind]) if kind in SAYS_MORE else ""
             raise ConfigError(f"{path}: is damaged, or no {kind.upper()} file: {_line(error)}{known}") from error
 
 
 def _joined(scene: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The triangles of all parts, each where the file has it."""
+    """Return vertices and triangles of all parts, each placed as in the file."""
     points, corners, start = [], [], 0
     for node in scene.graph.nodes_geometry:
         place, name = scene.graph[node]
@@ -156,5 +162,5 @@ def _check_shapes(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> 
 
 
 def _line(error: Exception) -> str:
-    """What an exception says, in one line."""
+    """Return the text of an exception on one line."""
     return " ".join(str(error).split())[:_REASON_MAX] or type(error).__name__

@@ -1,4 +1,4 @@
-"""What a scene models and what a rig says, in rows of a name and a text."""
+"""Summaries of a scene's model and of a rig, as rows of name and text."""
 
 from __future__ import annotations
 
@@ -25,19 +25,21 @@ from softfinger.config.schema import (
 from softfinger.config.words import shown
 from softfinger.server.offline.feels import entry_rows
 
-if TYPE_CHECKING:  # with the kernels behind them, which no rig needs
+if TYPE_CHECKING:  # they import kernels, which no rig needs
     from softfinger.config.mjcf import Taken
     from softfinger.proxy.meshes.report import Report
 
 COMPILE_S: Final = (31.0, 7.0)
-"""Of a scene with bodies, and of each kind of geom that a finger touches: seconds of a processor, measured with 2, 4
-and 8 free bodies of five kinds, friction and rolling, on a busy machine."""
+"""Compile time of a scene with bodies, and for each kind of touched geom, CPU seconds.
+
+Measured with 2, 4 and 8 free bodies of five kinds, friction and rolling, on a busy machine.
+"""
 LONG_S: Final = 90.0
-"""From here on a first start is worth a word."""
+"""Estimated compile time from which the summary mentions it."""
 
 
 def scene_summary(scene: Scene) -> list[tuple[str, str]]:
-    """What the contact step models, and what is left out of it."""
+    """Return rows on the parts that the contact step models, and on the omitted ones."""
     tables = [scene.fingertip] if scene.fingertip is not None else scene.finger
     rows = []
     for finger, table in zip(scene.fingers, tables, strict=True):
@@ -50,7 +52,7 @@ def scene_summary(scene: Scene) -> list[tuple[str, str]]:
 
 
 def _world_rows(world: World) -> list[tuple[str, str]]:
-    """The model, and how its geoms were taken where that is not as they are."""
+    """Return rows on the model, and on geoms that cannot be touched or differ from MuJoCo's."""
     from softfinger.config.mjcf import taken
 
     geoms = list(taken(world))
@@ -64,7 +66,7 @@ def _world_rows(world: World) -> list[tuple[str, str]]:
 
 
 def _compiled(geoms: list[Taken]) -> int:
-    """How many geoms have code of their own: all of a kind share theirs, but each mesh has its own."""
+    """Return the number of separately compiled geoms: geoms of a kind share code, each mesh has separate code."""
     objects = [geom.object for geom in geoms if geom.object is not None]
     meshes = sum(isinstance(each, Mesh) for each in objects)
     return meshes + len({(each.shape, each.motion is None) for each in objects if not isinstance(each, Mesh)})
@@ -102,7 +104,7 @@ def _form(finger: FingerParts) -> str:
 
 
 def _size(item: ObjectBase) -> str:
-    """The shape's own dimensions, as the file has them."""
+    """Format the dimensions of the shape, as in the file."""
     own = [name for name in item.__struct_fields__ if name not in Textured.__struct_fields__]
     return "".join(f", {name} {shown(getattr(item, name))}" for name in own if getattr(item, name) is not None)
 
@@ -185,7 +187,7 @@ def _texture_rows(item: Textured, texture: Texture) -> list[tuple[str, str]]:
 
 
 def _values(table: Struct) -> str:
-    """Keys and values of a table, without those left out and the tables in it."""
+    """Format keys and values of a table, except None and nested tables."""
     pairs = ((name, getattr(table, name)) for name in table.__struct_fields__)
     return ", ".join(
         f"{name} {shown(value)}" for name, value in pairs if value is not None and not isinstance(value, Struct)
@@ -193,7 +195,7 @@ def _values(table: Struct) -> str:
 
 
 def rig_summary(rig: Rig) -> list[tuple[str, str]]:
-    """Device, loop, guard and telemetry in a line each."""
+    """Return rows on device, loop, guard and telemetry."""
     servo, guard, telemetry = rig.servo, rig.guard, rig.telemetry
     processor = "any processor" if servo.cpu is None else f"processor {servo.cpu}"
     return [
@@ -234,7 +236,7 @@ def _device(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
 
 
 def _driver_rows(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
-    """What a driver adds of its own (`rows`), such as what a maker's service does to every force."""
+    """Return the rows of a driver (`rows`), such as the effect of a maker's service on forces."""
     from softfinger.drivers import registry
 
     driver = registry.load(device.driver)

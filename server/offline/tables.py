@@ -1,4 +1,4 @@
-"""Poses out of another program's table of numbers: what a column is, and in which unit, is said by whoever has it."""
+"""Poses from numeric tables of other programs; the caller gives meaning and unit of each column."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from softfinger.drivers.poses import LINE_MAX, POSE_COLUMNS, POSES_MAX, Poses, c
 from softfinger.server.offline.results import csv_lines
 
 SKIPPED: Final = "-"
-"""Stands for a column that is none of a pose's."""
+"""Name of a column that does not belong to the pose."""
 _REMARK: Final = re.compile(rb"\s*(#|%|//|;|$)")
 _BETWEEN: Final = re.compile(r"\s*[,;\s]\s*")
 
 
 class Layout(NamedTuple):
-    """How a table is to be read.
+    """Format of a table.
 
-    columns  of POSE_COLUMNS or SKIPPED, one for each column of the table
-    unit_s   s   what one of a time stands for
-    unit_m   m   what one of a position stands for
-    rate_hz  Hz  of a table without times; None for one that has them
-    skip     lines before the first that has numbers
+    columns  one of POSE_COLUMNS or SKIPPED for each column of the table
+    unit_s   s   unit of times
+    unit_m   m   unit of positions
+    rate_hz  Hz  for a table without times, else None
+    skip     lines before the first numbers
     """
 
     columns: tuple[str, ...]
@@ -39,7 +39,7 @@ class Layout(NamedTuple):
 
 
 def layout_of(columns: str, unit_s: float, unit_m: float, rate_hz: float | None, skip: int) -> Layout:
-    """A Layout from its parts, `columns` with commas between; ConfigError for one that makes no poses."""
+    """Return a Layout; `columns` is a comma-separated list. Raises ConfigError if it does not describe poses."""
     names = tuple(name.strip() for name in columns.split(","))
     odd = [name for name in names if name != SKIPPED and (name not in POSE_COLUMNS or names.count(name) > 1)]
     if odd:
@@ -65,10 +65,10 @@ def layout_of(columns: str, unit_s: float, unit_m: float, rate_hz: float | None,
 
 
 def read_table(path: Path, layout: Layout) -> Poses:
-    """The poses in a text file of numbers with commas, semicolons, tabs or blanks between, one row a line.
+    """Read the poses in a text file of numbers separated by commas, semicolons, tabs or blanks, one row per line.
 
-    Empty lines, and those that begin with #, %, // or ;, are left out. Times count from the first row. RecordingError,
-    with the line, for what is no such table; the file's own units are not known to it.
+    Empty lines and lines that start with #, %, // or ; are skipped. Times are relative to the first row. Raises
+    RecordingError, with the line, if the table is malformed.
     """
     numbers, values = array("q"), array("d")
     try:
@@ -119,7 +119,7 @@ def _row(place: str, line: bytes, columns: Sequence[str]) -> list[float]:
 
 
 def write_poses(path: Path, poses: Poses) -> None:
-    """The table that a replay plays; the file appears whole, or not at all."""
+    """Write the table for a replay; the file appears complete or not at all."""
     with new_file(path) as file:
         file.write(",".join(POSE_COLUMNS).encode() + b"\n")
         file.write(csv_lines(np.column_stack(poses)))
