@@ -3,7 +3,8 @@
 from typing import Any
 
 from softfinger.proxy.kernels.contact.contact_friction import ProbeMotion, apply_friction, ground_at, load_on
-from softfinger.proxy.kernels.contact.detection import STUCK_TICKS, detect_or_continue, is_clear
+from softfinger.proxy.kernels.contact.continuation import detect_or_continue
+from softfinger.proxy.kernels.contact.detection import STUCK_TICKS, is_clear
 from softfinger.proxy.kernels.contact.effects import effects_of_tick
 from softfinger.proxy.kernels.contact.fingertip import seen_by
 from softfinger.proxy.kernels.contact.one_contact import land_on_one, outcome_of_one
@@ -13,9 +14,9 @@ from softfinger.proxy.kernels.contact.several_contacts import (
     approach_among_several,
     land_in_company,
     rub_each,
-    settle_after_friction,
 )
 from softfinger.proxy.kernels.contact.several_outcome import outcome_of_several
+from softfinger.proxy.kernels.contact.several_rest import settle_after_friction
 from softfinger.proxy.kernels.contact.texture import with_texture_friction
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type_of

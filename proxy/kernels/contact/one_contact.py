@@ -2,13 +2,13 @@
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.contact.approach import Approach
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     Ground,
     Load,
     after_friction,
 )
-from softfinger.proxy.kernels.contact.detection import Approach
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
 from softfinger.proxy.kernels.contact.outcome import Outcome

@@ -6,9 +6,9 @@ forbids. While all contacts stick, c is at rest on its objects, and the tangent 
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
 from softfinger.proxy.kernels.contact.carry import carried_direction, carried_point, carry, relative_rotation
 from softfinger.proxy.kernels.contact.contact_friction import Prediction, ProbeMotion
-from softfinger.proxy.kernels.contact.detection import NO_PREDICTION, Approach
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, hand_over
 from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on

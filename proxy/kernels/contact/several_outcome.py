@@ -5,15 +5,15 @@ Friction of a contact follows its share of the load: what another object now bea
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.contact.approach import Approach
 from softfinger.proxy.kernels.contact.contact_friction import ContactForces, ProbeMotion, ground_at, load_on
-from softfinger.proxy.kernels.contact.detection import Approach
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_curvature, torque_of
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on
 from softfinger.proxy.kernels.contact.outcome import Outcome
 from softfinger.proxy.kernels.contact.prediction import lag_of
 from softfinger.proxy.kernels.contact.rest.among import drawn_after
-from softfinger.proxy.kernels.contact.several_contacts import Settled
+from softfinger.proxy.kernels.contact.several_rest import Settled
 from softfinger.proxy.kernels.contact.texture import with_texture_friction
 from softfinger.proxy.kernels.friction.contact_patch import contact_patch, winding_unit
 from softfinger.proxy.kernels.friction.laws import turned
