@@ -160,8 +160,10 @@ def run(parts: Sequence[Part], words: Sequence[str], covered: bool = False) -> l
 
 
 def hang_limit() -> str:
-    """Return the option of pytest for the time after which a test counts as hung: five minutes, times the seconds that a CPU
-    second takes here, which is 3 under a quota of 35 %."""
+    """Return pytest's option for the time after which a test counts as hung.
+
+    It is five minutes times the seconds that a CPU second takes here: 3 under a quota of 35 %.
+    """
     wall, cpu = time.monotonic(), time.process_time()
     while time.process_time() - cpu < SAMPLE_S:
         pass
