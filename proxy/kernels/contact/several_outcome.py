@@ -1,6 +1,6 @@
 """Forces of several contacts at the end of a tick, their sum, and what is reported of each.
 
-Friction of a contact follows its share of the load: what another object now bears, that object rubs with.
+Friction moves between contacts as their shares of the load do.
 """
 
 from typing import Any, NamedTuple
@@ -60,7 +60,7 @@ class Rubbing(NamedTuple):
 
 @jit
 def load_of(finger: Finger, objects: Any, constraint: Constraint, motion: ProbeMotion, touches: bool) -> float:
-    """Normal force of a constraint, N, 0 of none."""
+    """Return the normal force of a constraint, N, 0 without one."""
     if constraint.body < 0.0:
         return 0.0
     return load_on(finger, objects, ground_at(objects, constraint.body), constraint, motion, touches).size
@@ -68,13 +68,13 @@ def load_of(finger: Finger, objects: Any, constraint: Constraint, motion: ProbeM
 
 @jit
 def sum_of_loads(forces: Any) -> float:
-    """Normal forces of all contacts during friction, N."""
+    """Return the sum of the normal forces during friction, N."""
     return forces[0].load + forces[1].load + forces[2].load
 
 
 @jit
 def share_kept(giver: ContactState, after: Contacts) -> float:
-    """Part of its load share that a contact before the tick still has after it."""
+    """Return the part of its load share that a contact has kept in this tick."""
     if giver.body < 0.0 or giver.share <= 0.0:
         return 1.0
     return min(contact_on(after, giver.body).share / giver.share, 1.0)
@@ -82,7 +82,7 @@ def share_kept(giver: ContactState, after: Contacts) -> float:
 
 @jit
 def with_part_of(rubbing: Rubbing, giver: ContactState, forces: ContactForces, normal: Vec3, weight: float) -> Rubbing:
-    """Friction with a part of that of the contact `giver`, in the tangent plane of `normal`."""
+    """Add a part of the friction of the contact `giver`, projected onto the tangent plane of `normal`."""
     if weight <= 0.0 or giver.body < 0.0 or giver.share <= 0.0:
         return rubbing
     return Rubbing(
@@ -94,9 +94,9 @@ def with_part_of(rubbing: Rubbing, giver: ContactState, forces: ContactForces, n
 
 @jit
 def rubbing_on(approach: Approach, forces: Any, after: Contacts, constraint: Constraint) -> Rubbing:
-    """Friction of a constraint: what its contact keeps, and its part of what others have lost.
+    """Return the friction of a constraint: the part its contact keeps, and its part of the friction that others lose.
 
-    Shares of the load change as in `hand_over`, so the sum is that of the springs between probe and proxy.
+    The parts follow the load shares as in `hand_over`, so the sum is the force of the spring from probe to proxy.
     """
     one, two, three = approach.predicted[0].contact, approach.predicted[1].contact, approach.predicted[2].contact
     kept = (share_kept(one, after), share_kept(two, after), share_kept(three, after))
@@ -117,7 +117,7 @@ def share_of_wrench(
     finger: Finger, objects: Any, motion: ProbeMotion, approach: Approach, forces: Any, settled: Settled,
     constraint: Constraint, ease: float,
 ) -> Share:  # fmt: skip
-    """Wrench of one constraint; `ease` is the part of the normal force during friction that is left."""
+    """Compute the wrench of one constraint; `ease` is the remaining part of the normal force during friction."""
     if constraint.body < 0.0:
         return NO_SHARE
     probe, ground, normal = motion.probe, ground_at(objects, constraint.body), constraint.normal
@@ -156,7 +156,7 @@ def outcome_of_several(
     finger: Finger, objects: Any, shapes: Any, motion: ProbeMotion, approach: Approach, forces: Any, settled: Settled,
     effects: Effects,
 ) -> Outcome:  # fmt: skip
-    """The sum of the contacts' wrenches, and their states."""
+    """Sum the wrenches of the contacts, and collect their states."""
     probe, active, began = motion.probe, settled.active, approach.began
     load = load_of(finger, objects, active[0], motion, began) + load_of(finger, objects, active[1], motion, began)
     load, before = load + load_of(finger, objects, active[2], motion, began), sum_of_loads(forces)

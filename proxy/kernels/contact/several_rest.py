@@ -1,4 +1,4 @@
-"""Where several contacts let the proxy rest after friction, and what each then holds."""
+"""Rest of the proxy among several contacts, after friction."""
 
 from typing import Any, NamedTuple
 
@@ -50,7 +50,7 @@ class Settled(NamedTuple):
 
 @jit
 def rubbed(predicted: Prediction, forces: ContactForces) -> ContactState:
-    """A contact after friction, or none if it bears nothing."""
+    """Return a contact after friction, NO_CONTACT if it has no load."""
     nothing = predicted.contact.body < 0.0 or predicted.contact.share <= 0.0
     return NO_CONTACT if nothing else after_friction(predicted, forces)
 
@@ -74,7 +74,7 @@ def pressed_again(contacts: Contacts, active: ActiveSet) -> Contacts:
 
 @jit
 def eased(active: ActiveSet, ease: float) -> ActiveSet:
-    """Constraints that push a part of what they do."""
+    """Return the constraints with their depths times `ease`."""
     one, two, three = active
     return (
         Constraint(one.body, one.normal, ease * one.depth),
@@ -95,7 +95,7 @@ def lag_predicted(approach: Approach) -> Vec3:
 
 @jit
 def drawn_aside(contact: ContactState, way: Vec3) -> ContactState:
-    """A contact whose deflection is longer by what of `way` (3,) m lies in its tangent plane."""
+    """Add the tangential part of `way` (3,) m to the deflection of a contact."""
     if contact.body < 0.0:
         return contact
     return replace(contact, "deflection", vec3.add(contact.deflection, vec3.reject(way, contact.normal)))
