@@ -1,4 +1,1 @@
-"""Forces beside those of the contact: of the workspace, and of an object on what comes near it.
-
-What keeps the proxy outside is `contact`.
-"""
+"""Additional forces: effects of the workspace and of objects, independent of the contact force (`contact`)."""
