@@ -1,1 +1,4 @@
-"""Additional forces: effects of the workspace and of objects, independent of the contact force (`contact`)."""
+"""Forces on the hand in addition to the contact force: effects of the workspace and of objects.
+
+Contains no contact force and no proxy (`contact`).
+"""

@@ -145,7 +145,7 @@ def rest_on(shape: Any, body: Any, radius: float, probe: Vec3, center: Vec3, def
 
     body  object with this shape; everything except `shape` is in the world frame
 
-    The flag is 1 if the proxy did not move because the search exhausted its budget, otherwise 0.
+    The flag is 1 if the search exhausted its budget before the rest position was found, otherwise 0.
     """
 
 

@@ -9,7 +9,8 @@ support point, the curvature of the offset surface makes this Newton's method. T
 entire map, so the proxy is never inside. No step exceeds the fingertip's clearance, so it cannot jump over a ridge.
 
 The searches have budgets, counted as in `nearest`: one for the rest position, one for the end of a roll, and that of
-meshes for a first contact. If a budget is exhausted, the proxy does not move, and the next tick repeats the search.
+meshes for a first contact. If a budget is exhausted, the proxy stops at its last position known to be outside, and the
+next tick repeats the search.
 """
 
 from typing import Any, Final, NamedTuple
