@@ -123,8 +123,8 @@ class Solution(NamedTuple):
     """Loads of the constraints, and the displacement of the proxy.
 
     push     m     depth that the spring of each constraint bears
-    place    m     weights of the normals whose sum is the displacement from probe to proxy; equal to `push` unless
-                   pinched
+    place    m     weights of the normals; their weighted sum is the displacement from probe to proxy. Equal to `push`
+                   unless pinched
     """
 
     push: Depths
@@ -166,8 +166,8 @@ def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: f
 
     Two walls that face each other and leave no room each bear the depth of the probe in them, and the proxy is halfway
     between them. Three walls that enclose it, no two of them facing, leave it inside each by the same depth t: each
-    bears t plus its weight in the smallest push for the demands b_i - t. As t goes to 0, this converges to the push of
-    constraints that can be satisfied.
+    bears t plus its weight in the smallest push for the demands b_i - t. As t approaches 0, so does the difference from
+    the push of constraints that can be satisfied.
     """
     single = Depths(max(b1, 0.0), 0.0, 0.0)
     if count == 1:

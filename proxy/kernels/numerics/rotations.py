@@ -100,9 +100,9 @@ def as_unit(q: Quaternion) -> Quaternion:
 def from_matrix(m: tuple[Vec3, Vec3, Vec3]) -> Quaternion:
     """Return the unit quaternion, w >= 0, of the rotation matrix with rows `m`.
 
-    Source: Shepperd (1978): the largest of the four components from a root, the others by division, so that no digits
-    are lost by cancellation. Rounding errors of the matrix are normalised away. A matrix that is not a rotation, NaN
-    included, gives NaN or an unrelated rotation, never an error.
+    Source: Shepperd (1978): the case of the largest component is used, so that no digits are lost by cancellation. Each
+    case computes 4 q_max q; its normalisation also removes rounding errors of the matrix. A matrix that is not a
+    rotation, NaN included, gives NaN or an unrelated rotation, never an error.
     """
     trace = m[0][0] + m[1][1] + m[2][2]
     if trace >= m[0][0] and trace >= m[1][1] and trace >= m[2][2]:

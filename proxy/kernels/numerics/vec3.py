@@ -37,7 +37,7 @@ def faded(s: float, a: Vec3) -> Vec3:
     """Return s a, with 0 for components of `a` below LEAST.
 
     A component that decays by a factor in each tick would otherwise become denormal and remain so. A single branch,
-    which the processor predicts, rather than three selects: the rest of the tick depends on this value.
+    which the processor predicts, rather than three selects: the tick waits for this value.
     """
     if abs(a[0]) < LEAST or abs(a[1]) < LEAST or abs(a[2]) < LEAST:
         return (

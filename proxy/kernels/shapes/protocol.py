@@ -135,7 +135,7 @@ def travel(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> A
     """Return the share of the path from `start` to `end` at which a sphere of that radius hits the shape, or NO_HIT.
 
     A path that ends inside is a hit, at its start if the start is inside, too. With `leaves`, a path that starts inside
-    and gets no deeper is not a hit: a proxy at rest on the shape may be inside by rounding.
+    and gets no deeper is not a hit: a proxy on the shape may be inside by rounding.
     """
 
 

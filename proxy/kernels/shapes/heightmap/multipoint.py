@@ -50,7 +50,7 @@ ON: Final = 1e-9
 """Tolerance at the start of a roll for the support point: distance as a share of the radius, and 1 - cosine of the
 normal's deviation."""
 REST_BUDGET: Final = 1000
-"""Budget of the rest position, for all iterations together, in tiles."""
+"""Budget of `rest_on_support_points`, for all iterations together, in tiles."""
 ROLL_BUDGET: Final = 300
 """Budget of the check for room at the end of a roll."""
 END_BUDGET: Final = 200

@@ -56,7 +56,7 @@ AROUND: Final = 4
 BUDGET: Final = 700
 """Budget of a query for the nearest point without contact."""
 UNDER: Final = 8
-"""Tiles per side, less one, whose heights are used to lift a fingertip above the surface under it."""
+"""Tiles per side, less one, that are checked to lift a fingertip above the surface under it."""
 ASTRAY: Final = 2.0
 """Largest distance, in cells, of a descent from a cell; a foot point farther away is found from another cell."""
 SPENT: Final = -1

@@ -118,7 +118,7 @@ def weighted(weight: Four, z0: float, z1: float, z2: float, z3: float) -> float:
 
 @jit
 def height_at(shape: Heightmap, s: float, t: float) -> Height:
-    """Return height and derivatives at any position; outside of the map those of the closest point of its border.
+    """Return height and derivatives at any position, outside of the map at the closest point of its border.
 
     The outermost cells are level at the border, so that the derivatives are continuous there.
     """

@@ -85,9 +85,9 @@ def longest(middles: Any, low: int, high: int) -> int:
 
 @jit
 def cut(middles: Any, order: Any, low: int, high: int, at: int) -> None:
-    """Partition triangles by the longest axis: the smaller ones before `at`, the larger ones from there (quickselect).
+    """Move triangles with smaller coordinates on the longest axis before `at`, larger ones behind (Hoare's selection).
 
-    Equal ones go to both sides, so that a mesh collapsed to one point takes no longer. Source: Hoare (1961).
+    Equal ones are distributed to both sides, so that a mesh collapsed to one point takes no longer.
     """
     axis = longest(middles, low, high)
     left, right = low, high - 1
@@ -200,7 +200,7 @@ def longest_side(vertices: Any, corners: Any, some: tuple[int, int, int]) -> Vec
 
 @jit
 def put_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: int, center: Vec3, size: float) -> None:
-    """Write the box round some triangles to the lane whose first number is at `at`; it is thin along their mean normal.
+    """Write the box round some triangles to the lane with first number `at`; it is thin along their mean normal.
 
     The other sides are along the longest edge, or, for several triangles, along an axis of space if this makes the box
     smaller. It usually does for a patch, because the tree is cut along these axes, but not for thin parallel triangles.
