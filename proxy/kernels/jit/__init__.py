@@ -1,5 +1,5 @@
-"""What makes numba compile kernels as the loop needs: options and cache, dispatch, memory, arrays, atomics,
-a sequence lock, C calls.
+"""Compilation of kernels by numba for the servo loop: options and cache, dispatch, memory, arrays, atomics, a sequence
+lock, and calls of C functions.
 
 Nothing of geometry or contact.
 """

@@ -28,7 +28,7 @@ class SpeedFriction(NamedTuple):
 
 
 class Anisotropic(NamedTuple):
-    """Friction law whose coefficients are scaled along a direction of the surface and across it.
+    """Friction law with coefficients scaled along a direction of the surface and across it.
 
     law        Friction or SpeedFriction
     direction  (3,)  in the frame of the object's pose if that has a rotation, otherwise in the world; only its part

@@ -83,7 +83,7 @@ class Heightmap(NamedTuple):
     """Solid below z = h(x, y): a bicubic spline through heights centred at the origin, level beyond its rim.
 
     pitch           m      distance between two heights
-    columns, rows          numbers of cells, of one pitch each, including three at the rim where the surface levels off
+    columns, rows          numbers of cells, of one pitch each, including the three on each side where it levels off
     levels                 number of levels of tiles: see shapes/heightmap/tiles
     coefficients           of the spline, in pitches, row by row: one for each corner of a cell, one more on each side
     facets                 a, b1, b2, thick, valley, ridge of each tile, in pitches, level by level, row by row
@@ -106,8 +106,8 @@ class Triangles(NamedTuple):
     the box is the mean normal of its content, so that a patch of a smooth surface has a thin box.
 
     nodes      (nodes * 12 * 8,) float32: x, y, z of the box centres relative to `center`, m, of the normals, of the
-                                     axes along the first sides, and half sides, the one along the normal last, m; each for
-                                     the eight lanes in turn
+                                     axes along the first sides, and half sides, the one along the normal last, m; each
+                                     for the eight lanes in turn
     first      (nodes,)          int32: index of the first child, followed by the others; ~ index of the first triangle
                                      if the lanes are triangles
     vertices   (vertices * 3,)   m, float64
@@ -119,7 +119,7 @@ class Triangles(NamedTuple):
     size       m                 diagonal of the bounding box
     side                         1 for a closed surface touched from outside, -1 from inside; 0 for an open one, which
                                      is touched from the side of the fingertip
-    shade                        1 if forces act along normals interpolated over a triangle, 0 along its own normal
+    shade                        1 if forces act along normals interpolated over a triangle, 0 along the face normal
     """
 
     nodes: ReadOnly
