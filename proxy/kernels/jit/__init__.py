@@ -1,5 +1,4 @@
-"""Compilation of kernels by numba for the servo loop: options and cache, dispatch, memory, arrays, atomics, a sequence
-lock, and calls of C functions.
+"""Compilation of kernels by numba: options, cache, dispatch, memory, arrays, atomics, sequence lock, C calls.
 
 Nothing of geometry or contact.
 """

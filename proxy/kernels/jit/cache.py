@@ -186,11 +186,10 @@ WRITTEN: Final[dict[Any, dict[str, str | None]]] = {}
 
 
 def written_in(kind: Any, file: str) -> None:
-    """Record that a file defines a kernel for that kind of node, so that an edit of the file invalidates cached
-    kernels.
+    """Record that a file has a kernel for a kind of node, so that an edit of the file invalidates cached kernels.
 
-    The file's package counts too, and so does the module of the class. Call this when the kernel is defined, while the
-    file is still what Python has imported. Files of this program are ignored: the name of the cache folder covers them.
+    The file's package counts too, and so does the module of the class. Call this when the kernel is defined, before the
+    file can differ from the imported code. Files of this program are ignored: the name of the cache folder covers them.
     """
     module = getattr(sys.modules.get(getattr(kind, "__module__", "")), "__file__", None)
     for name in {file, file if module is None else module}:

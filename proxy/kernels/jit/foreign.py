@@ -26,8 +26,7 @@ def _called(returns: Any) -> Any:
 
 @intrinsic
 def call_int32(typing_context, address, arguments):  # type: ignore[no-untyped-def]
-    """Call int32 f(...) at `address` (int64); `arguments` is a tuple of float64, int32, int64 and pointers, passed
-    unchanged.
+    """Call int32 f(...) at `address` (int64) with a tuple of float64, int32, int64 and pointers, passed unchanged.
 
     Pass an int32 for a C `char` or `bool` parameter: the callee reads only the low byte, whatever its sign convention.
     """
@@ -46,8 +45,7 @@ def call_void(typing_context, address, arguments):  # type: ignore[no-untyped-de
 
 @intrinsic
 def call_two_int64(typing_context, address, arguments):  # type: ignore[no-untyped-def]
-    """Call f(...) at `address`, which returns a struct of integers, 9 to 16 bytes, by value; return it as (int64,
-    int64).
+    """Call f(...) at `address`, which returns a struct of integers by value, 9 to 16 bytes; return (int64, int64).
 
     x86-64 and AArch64 both return such a struct in two registers. Bits beyond the struct are undefined.
     """

@@ -53,11 +53,12 @@ def unflatten(like: Any, values: Any) -> Any:
 
 
 class Packed(NamedTuple):
-    """Tree in the form of kernel arguments, which `unpack` reads and `pack` writes; a change of leaves recompiles
-    nothing.
+    """Tree in the form of kernel arguments, which `unpack` reads and `pack` writes.
 
     like    tree of the same type
     values  (n,) float64, its leaves as returned by `flatten`; (m, n) for m trees
+
+    Other values need no compilation.
     """
 
     like: Any

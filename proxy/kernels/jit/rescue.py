@@ -62,9 +62,7 @@ _rescue_key: Any = intrinsic(_read_key)
 
 
 def _between(module: Any) -> Any:
-    """Return int32 f(int64 address, int64 a, int64 b, int64 memory): 0 after a complete call, 1 after a jump out of
-    it.
-    """
+    """Return int32 f(int64 address, int64 a, int64 b, int64 memory): 0 after a call, 1 after a jump out of it."""
     known = module.globals.get("rescue_call")
     if known is not None:
         return known

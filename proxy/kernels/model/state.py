@@ -159,8 +159,7 @@ class FrictionInput(NamedTuple):
 
 
 class FrictionResult(NamedTuple):
-    """Result of friction and torsion in a tick: the new mode with its cause, the new state, and the reaction on the
-    hand.
+    """Result of friction and torsion in a tick: new mode with its cause, new state, and reaction on the hand.
 
     force   (3,) N    tangential force
     moment  N m       about the normal
