@@ -156,7 +156,10 @@ def anisotropic_cone(law: Anisotropic, normal_force: float, slip_speed: float) -
 
 @jit
 def surface_direction(direction: Vec3, normal: Vec3) -> Vec3:
-    """Return the unit tangent below `direction`; if that is parallel to the normal, below the most tangential axis."""
+    """Return the unit tangent along the projection of `direction`.
+
+    If that is parallel to the normal, project the coordinate axis that is closest to the tangent plane.
+    """
     along = vec3.reject(direction, normal)
     length = vec3.norm(along)
     if length < ALONG_NORMAL:

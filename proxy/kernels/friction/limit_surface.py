@@ -91,8 +91,8 @@ def slide_on_limit_surface(
 ) -> Slide:
     """Project (K e, k_z phi) onto (f_T / F)^2 + (tau_n / tau_max)^2 <= 1.
 
-    The projection is the nearest point, with distance measured by the energy of the two springs: then the slip (de,
-    dphi) is along the surface's normal, and dissipates the most that the surface allows.
+    The projection is the nearest point, with distance measured by the energy of the two springs: then the slip
+    (de, dphi) is along the surface's normal, and dissipates the most that the surface allows.
 
     Source: the limit surface of Goyal, Ruina, Papadopoulos (1991) as the ellipsoid of Howe and Cutkosky (1996);
     for a god-object, Frisoli, Barbagli, Ruffaldi, Salisbury, Bergamasco (2006), who move along a limit curve.

@@ -85,7 +85,7 @@ def no_stiffness(torsion: None) -> float:
 
 @torsional_stiffness.of(PatchTorsion)
 def stiffness_in_winding_units(torsion: PatchTorsion) -> float:
-    """Return 1: a wind-up is stored multiplied by its stiffness, see `contact_patch.winding_unit`."""
+    """Return 1: a stored wind-up includes the root of its stiffness, see `contact_patch.winding_unit`."""
     return 1.0
 
 
