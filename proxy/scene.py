@@ -159,9 +159,7 @@ def start_state(scene: model.Scene) -> model.State:
 
 
 def patches_of(objects: tuple[model.Object, ...]) -> int:
-    """Return the largest number of simultaneous contacts of a fingertip: 1 with one object except a mesh, otherwise
-    3.
-    """
+    """Return the largest number of contacts of a fingertip: 1 with one object that is not a mesh, otherwise 3."""
     alone = len(objects) == 1 and not isinstance(objects[0].shape, model.Mesh)
     return 1 if alone else 3
 

@@ -189,7 +189,7 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
             signature=signature,
             objectmode=False,
             entry_point=context.get_executable(library, described, environment),
-            referenced_envs=rest[-1],  # their lifetime is that of the library
+            referenced_envs=rest[-1],  # the result keeps them alive
         )
 
     @property
