@@ -349,7 +349,7 @@ class Engine:
         Raises
         ------
         PoseError
-            If a pose or `dt` is out of range, or the poses are not those of the scene's fingers.
+            If a pose or `dt` is out of range, or the poses do not match the scene's fingers.
         SafetyStop
             If the bodies of a [world] have failed.
         """

@@ -2,7 +2,7 @@
 
 The spline passes through every height: of three adjacent coefficients (c_-1 + 4 c_0 + c_1) / 6 is the height. At
 the rim its curvature is zero (natural spline), so that c_-1 = 2 c_0 - c_1 beyond it. Farther out the coefficients
-repeat those next to the rim, and the surface is level from the third pixel on.
+repeat the ones next to the rim, and the surface is level from the third pixel on.
 """
 
 from __future__ import annotations

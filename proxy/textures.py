@@ -42,7 +42,7 @@ class Made(NamedTuple):
 
 
 def cutoff_m(texture: schema.Texture) -> float:
-    """Return the wavelength of which the fraction REST remains, m."""
+    """Return the cutoff wavelength, m."""
     return texture.speed_m_per_s / FREQUENCY_MAX_HZ
 
 

@@ -5,7 +5,7 @@
     load_size(law, normal, load) -> N                          magnitude to compare with the static cone
     cut(law, normal, longest, breaking, deflection) -> deflection, slip, length
 
-`breaking` is 1 in the tick that leaves the static cone; otherwise 0, which selects the kinetic cone.
+`breaking` is 1 in the tick of the exit from the static cone; otherwise 0, which selects the kinetic cone.
 """
 
 from math import exp, sqrt

@@ -1,6 +1,6 @@
 """Compiled kernels on disk: loaded only if complete, and only from a folder that no other user can write to.
 
-A cached kernel is a pickle of machine code: an attacker who can write one runs code as the user who loads it, and a
+A cached kernel is a pickle of machine code: an attacker with write access runs code as the user that loads it, and a
 flipped bit changes a force. So two conditions are checked before a byte is unpickled. The folder, every folder above it
 and the file belong to this user or to root, and no other user can write to them: this excludes attackers. The checksum
 of the file is correct: this excludes damage, and only damage, because an attacker can compute a checksum. If either
@@ -69,7 +69,7 @@ class Folder:
         return self._problem
 
     def read(self, name: str) -> bytes | None:
-        """Return the content of a cached file; None if it is missing or not sound."""
+        """Return the content of a cached file; None if it is missing or invalid."""
         if self.path is None or self.problem() is not None:
             return None
         try:

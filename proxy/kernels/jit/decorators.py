@@ -3,7 +3,7 @@
 A kernel inlines code from other files and reads their constants, so it has to be compiled again after an edit of any of
 them. The cache is therefore in a folder named by a hash over every source file of the folders with kernels, numba's
 version and settings, and the processor: any change selects another folder. Kernels elsewhere, in `tools`, inline code
-only from their folder and from those (`cache.py`). If this cache cannot be used, kernels are compiled in memory.
+only from their folder and from these (`cache.py`). If this cache cannot be used, kernels are compiled in memory.
 
 No `fastmath`: it breaks `isnan`, and contraction would let the servo and the offline run round differently.
 `error_model="numpy"`: a division by zero gives inf or nan, which the guard rejects, instead of an exception, which
@@ -97,7 +97,7 @@ INLINED: Final = OPTIONS | FOR_KERNELS
 class _Told(event.Listener):  # type: ignore[misc]
     """Listener for the start and end of each compilation by numba.
 
-    The garbage collector is off until the outermost compilation has ended: numba creates millions of objects that live
+    The garbage collector is off until the end of the outermost compilation: numba creates millions of objects that live
     as long as it compiles, and scanning them repeatedly takes a seventh of the time.
     """
 

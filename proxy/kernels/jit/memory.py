@@ -1,9 +1,9 @@
 """Typed access to memory at an address: a C function called from the loop reaches the state of its device by it.
 
 A handle is one int64. These intrinsics convert it to typed pointers, which kernels index like arrays; bounds are not
-checked, and the object that owns the memory must outlive the handle. `address_of` converts the other way, for a C
+checked, and the object that owns the memory must outlive the handle. `address_of` is the inverse, for a C
 function that takes the address of an array. Little-endian processors only. In plain Python (`decorators.PLAIN`) the
-typed pointers are those of ctypes, so that a debugger can step through the packets of a driver.
+typed pointers are ctypes pointers, so that a debugger can step through the packets of a driver.
 """
 
 import ctypes

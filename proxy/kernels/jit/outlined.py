@@ -1,4 +1,4 @@
-"""Kernels with machine code of their own, cached separately and called by address.
+"""Kernels compiled to separate machine code, which is cached and called by address.
 
 All other kernels are compiled into their callers (`jit`). Inlining would compile a large kernel at every call site, and
 again for each scene. An outlined kernel is compiled once for each combination of argument types, and shared by the
@@ -55,7 +55,7 @@ def _example(annotation: Any) -> Any:
 
 
 def outlined(function: Kernel) -> Kernel:
-    """Compile a kernel once for each combination of argument types, with calls from all its callers."""
+    """Compile a kernel once for each combination of argument types; its callers call it by address."""
     return outlined_where(lambda *given: True)(function)
 
 

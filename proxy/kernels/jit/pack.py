@@ -1,8 +1,8 @@
 """Conversion between trees of named tuples of float64 and flat arrays.
 
 Such a tree compiles to a structure of doubles without padding, so its memory is the flat list of its leaves in order.
-`unpack` reads a complete tree from an array, and `pack` writes one: parameters reach a running loop this way, and state
-is preserved between calls. A missing part (None) occupies one unused element. A read-only array occupies one, too: the
+`unpack` reads a complete tree from an array, and `pack` writes one: this transfers parameters to a running loop, and
+preserves state between calls. A missing part (None) occupies one unused element. A read-only array occupies one, too: the
 bits of its address, see `arrays`.
 """
 
@@ -39,7 +39,7 @@ def flatten(tree: Any) -> np.ndarray:
 
 
 def unflatten(like: Any, values: Any) -> Any:
-    """Return the tree with the leaves `values` (n,) from `flatten`; missing parts and arrays are those of `like`."""
+    """Return the tree with the leaves `values` (n,) from `flatten`; missing parts and arrays are taken from `like`."""
     leaves = iter(np.asarray(values).tolist())
 
     def build(node: Any) -> Any:

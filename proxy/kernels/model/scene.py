@@ -8,7 +8,7 @@ from softfinger.proxy.kernels.model.vectors import Quaternion, Vec3
 class Material(NamedTuple):
     """Law of the normal force, friction law or None, torsion law or None.
 
-    compliance  m^2/N  1/G, G its shear modulus; None in a scene whose fingertips have no patch
+    compliance  m^2/N  1/G, G its shear modulus; None in a scene without contact patches
     """
 
     normal: Any

@@ -65,7 +65,7 @@ class ContactState(NamedTuple):
     slip_speed       low-passed plastic slip, m/s
     slip_deflection  |e| at the last tick that slipped, m
     spin_slip_speed  low-passed slip of the torsional anchor, rad/s; 0 while it sticks (soft-finger proxy only)
-    spin_slip_angle  |phi| at the last tick whose anchor slipped, as `spin` (soft-finger proxy only)
+    spin_slip_angle  |phi| at the last tick in which the anchor slipped, as `spin` (soft-finger proxy only)
     bend             wind-up against rolling, tangential: rad times the root of its stiffness per share
     """
 

@@ -1,4 +1,4 @@
 """Interface to numba: all uses of its undocumented parts, and the progress of compilation.
 
-No kernels and no options: those are in `decorators.py`.
+No kernels and no options (`decorators.py`).
 """

@@ -4,14 +4,14 @@ Their purposes, and the consequences without them:
 
 _nrt                     Kernels have no allocator. Without: an allocation in the loop compiles, and delays a tick.
 forceinline              A small kernel is compiled into its callers. Without: a cached kernel contains functions under
-                         names that are unique in one process only, and the linker takes those of another.
+                         names that are unique in one process only, and the linker uses the ones of another.
 no_cpython_wrapper, no_cfunc_wrapper
                          Kernels called only by kernels have no wrapper. Without: a scene compiles for 1.6 times as
                          long.
 CPUDispatcher            Such a kernel is compiled again when called from Python. Without: numba jumps to address 0.
 JITCodeLibrary, get_executable, compile_result, CompilerBase and its passes
                          Such a kernel has no machine code, and skips passes without effect. Without: a scene compiles
-                         for 1.2 times as long, and uses half as much again of the disk.
+                         for 1.2 times as long, and takes 1.5 times the disk space.
 _cache, NullCache, serialize.dumps, CompileResult._reduce and ._rebuild, lifted, has_dynamic_globals
                          A cache that trusts no other user (`cache.py`). Without: numba unpickles any file found, and
                          ends the program if a file is damaged.
@@ -130,7 +130,7 @@ class KernelCache(NullCache):  # type: ignore[misc]
 def load(folder: Folder, name: str, target_context: Any, key: tuple[Any, ...] | None = None) -> Any:
     """Load a cached kernel with all its callees as numba's CompileResult.
 
-    Returns None if it is missing, not sound, or compiled for another key than `key`.
+    Returns None if it is missing, invalid, or compiled for another key than `key`.
     """
     with DOING.loading():
         body = folder.read(name)
