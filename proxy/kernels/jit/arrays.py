@@ -4,8 +4,8 @@
         spacing: float
         heights: ReadOnly        # in a kernel: shape.heights[i]
 
-A kernel accesses the numbers by address. Only the address is a leaf of the scene's tree, so the size of the
-parameters does not depend on that of the array, and its numbers are not copied into a running loop. The `ReadOnly` owns the
+A kernel accesses the numbers by address. Only the address is a leaf of the scene's tree, so the size of the parameters
+does not depend on that of the array, and its numbers are not copied into a running loop. The `ReadOnly` owns the
 numbers, and the scene owns the `ReadOnly`. Therefore the caller of a kernel that received `flatten(scene)` has to keep
 a reference to the scene until that kernel has returned or has received another scene: the engine and the servo do, as
 does a function with the scene in a variable. Neither types nor compiled code depend on the address.

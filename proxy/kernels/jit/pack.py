@@ -2,8 +2,8 @@
 
 Such a tree compiles to a structure of doubles without padding, so its memory is the flat list of its leaves in order.
 `unpack` reads a complete tree from an array, and `pack` writes one: this transfers parameters to a running loop, and
-preserves state between calls. A missing part (None) occupies one unused element. A read-only array occupies one, too: the
-bits of its address, see `arrays`.
+preserves state between calls. A missing part (None) occupies one unused element. A read-only array occupies one, too:
+the bits of its address, see `arrays`.
 """
 
 from typing import Any, NamedTuple
