@@ -29,13 +29,13 @@ class Probe(NamedTuple):
 
 
 NONE = -1.0
-"""Object index that stands for no object."""
+"""Flat object index of no object, see `Constraint`."""
 
 
 class Constraint(NamedTuple):
     """Tangent plane of an object, offset by the fingertip's radius, that the proxy may not cross.
 
-    body    index of the object in the scene's tuple, -1 for none
+    body    flat index of the object, -1 for none: it counts through the scene's tuple, its rows and mesh triangles
     normal  (3,) 1
     depth   m, of the probe behind the proxy along the normal: the sum of the normals, weighted by it, points from the
             probe to the proxy
@@ -54,7 +54,7 @@ During the search for the rest position, a height map may have several of them, 
 class ContactState(NamedTuple):
     """State of one contact between ticks.
 
-    body             index of the touched object in the scene's tuple, -1 for no contact
+    body             flat index of the touched object as in `Constraint`, -1 for no contact
     normal           n: outward unit normal of the object at the contact point
     push             m, distance along n by which the object separates the proxy from the probe
     share            of the load, 0 to 1: the contact has this share of the coupling and of the torsional spring
