@@ -20,16 +20,12 @@ SWITCH_TICKS: Final = 2
 class Force:
     """Force of all fingers, and all reasons that inhibit it; callable from any thread.
 
-    <<<<<<< HEAD
-        The loop does the rest: it takes the force off within OFF_S, and gives it back along the guard's ramp.
-    =======
-        The loop applies the switch: it turns the force off within OFF_S, and on along the guard's ramp.
-    >>>>>>> w-words-b
+    The loop applies the switch: it turns the force off within OFF_S, and on along the guard's ramp.
 
-        unarmed  whether a person must arm first
-        states   updated with the reasons
-        switch   memory of the servo's switch (`loop/force_switch.py`)
-        ticks    returns the number of ticks done
+    unarmed  whether a person must arm first
+    states   updated with the reasons
+    switch   memory of the servo's switch (`loop/force_switch.py`)
+    ticks    returns the number of ticks done
     """
 
     def __init__(self, unarmed: bool, states: States, switch: NDArray[np.int64], ticks: Callable[[], int]) -> None:
