@@ -21,8 +21,8 @@ from softfinger.server.publishing.setup import Shown
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.blackbox import BlackBoxes
-from softfinger.server.services.commands import Commands, Doing
-from softfinger.server.services.description import described
+from softfinger.server.services.commands import Commands, DaemonInterface
+from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.device_warnings import DeviceWarnings
 from softfinger.server.services.hotplug import Hotplug, HotplugWatch
 from softfinger.server.services.notify import Notify
@@ -118,14 +118,16 @@ class Daemon:
                 opened.append(metrics.stop)
             self.rendering: Final = Rendering(rig, scene, ticks, self._prepare, faults, self.states, switch.words)
         except BaseException as error:
-            shutdown.every(*reversed(opened), first=error)
+            shutdown.run_all_steps(*reversed(opened), first=error)
             raise
         self.public: Final = doors.public
         """Endpoints reachable from other machines, by table of the rig."""
         self.servo: Final = self.rendering.servo
         self._show(scene_name)
         self.recordings: Final = Recordings(self.rendering, fingers, self._event)
-        self.blackbox: Final = BlackBoxes(self.servo, fingers, lambda: described(self.rendering, self._scene_name))
+        self.blackbox: Final = BlackBoxes(
+            self.servo, fingers, lambda: describe_daemon(self.rendering, self._scene_name)
+        )
         self.publisher.tell = self._event
         self.supervisor: Final = Supervisor(self.servo, self.fail, self._event)
         self.commands_endpoint: Final = doors.commands
@@ -242,7 +244,7 @@ class Daemon:
         first
             Exception that is already propagating: all errors are logged and none is raised.
         """
-        failed = shutdown.every(lambda: self.states.fire(Trigger.END, "asked to, or done"), first=first)
+        failed = shutdown.run_all_steps(lambda: self.states.fire(Trigger.END, "asked to, or done"), first=first)
         failed = stop_all(self.services, failed)
         if failed is not None and failed is not first:
             raise failed
@@ -259,7 +261,7 @@ class Daemon:
         """Publish and record an event; a fault also gets the file name of its black box."""
         if kind == "fault":
             self._told.add(str(fields.get("message", "")))
-            fields["blackbox"] = self.blackbox.due(name)
+            fields["blackbox"] = self.blackbox.schedule_file(name)
         self._send(kind, name, fields)
 
     def page_ended(self, said: str) -> None:
@@ -268,8 +270,8 @@ class Daemon:
 
     def _send(self, kind: str, name: str, fields: dict[str, Any]) -> None:
         """Send an event with the present tick and time to the publisher, the recordings and the black box."""
-        event = event_map(self.servo.moment(), kind, name, fields)
-        for taking in (self.publisher.send_event, self.recordings.tell, self.blackbox.tell):
+        event = event_map(self.servo.last_tick_and_time(), kind, name, fields)
+        for taking in (self.publisher.send_event, self.recordings.record_event, self.blackbox.record_event):
             taking(event)
 
     def _tell_failure(self, error: Exception) -> None:
@@ -292,11 +294,11 @@ class Daemon:
         telemetry = Telemetry(self.publisher, self.servo)
         others: list[Commands | Metrics] = []
         if self.commands_endpoint is not None:
-            doing = Doing(
+            interface = DaemonInterface(
                 self._replace_scene, self.publisher.ring, self.publisher.endpoint, self.publisher.serve,
                 self.publisher.reply, self._event, self.stop, self.fail, self.recordings,
             )  # fmt: skip
-            others.append(Commands(self.commands_endpoint, self.rendering, doing, scene_name))
+            others.append(Commands(self.commands_endpoint, self.rendering, interface, scene_name))
         if metrics is not None:
             others.append(metrics)
         arming = Arming(self.rendering, self.states)

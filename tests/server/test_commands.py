@@ -557,8 +557,8 @@ def test_what_is_no_request_is_no_sign_of_life():
     for body, too_much in given:
         commands = Commands("ipc:///nowhere", rendering, doing, "none")  # nothing was ever heard
         reasons.clear()
-        assert commands._take(b"client", body, too_much) is not None
-        commands._look_after()
+        assert commands._receive(b"client", body, too_much) is not None
+        commands._check_heartbeat()
         alive.append(not reasons)
     assert alive == [False, False, False, False, True]
 
@@ -661,7 +661,7 @@ def slow_compiler(monkeypatch, tmp_path):
         return popen(words if link.MODULE in words else [*words[:1], program], **rest)
 
     monkeypatch.setattr(compilation.subprocess, "Popen", started)
-    monkeypatch.setattr(compilation.Servo, "compiled_for", staticmethod(lambda tuning: False))
+    monkeypatch.setattr(compilation.Servo, "has_compiled", staticmethod(lambda tuning: False))
     return lambda: [int(path.name) for path in tmp_path.glob("[0-9]*")]
 
 
@@ -743,7 +743,7 @@ def test_scenes_asked_for_without_end_hold_up_nobody(rig, slow_compiler):
 def test_a_compiler_that_fails_is_told(rig, monkeypatch):
     """The error says where to look, and the old scene goes on."""
     popen, failing = subprocess.Popen, [sys.executable, "-c", "raise SystemExit('no room')"]
-    monkeypatch.setattr(compilation.Servo, "compiled_for", staticmethod(lambda tuning: False))
+    monkeypatch.setattr(compilation.Servo, "has_compiled", staticmethod(lambda tuning: False))
     with running(rig()) as (_, control, kept):
         monkeypatch.setattr(compilation.subprocess, "Popen", lambda words, **rest: popen(failing, **rest))
         with pytest.raises(CommandRefused, match=r"^failed: the scene could not be compiled"):

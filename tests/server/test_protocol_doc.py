@@ -25,8 +25,8 @@ from softfinger.server.publishing.process import QUIET_S
 from softfinger.server.publishing.readers import SUBSCRIPTION_MAX
 from softfinger.server.publishing.setup import REQUEST_MAX
 from softfinger.server.services.commands import EVENT_BYTES_MAX
-from softfinger.server.services.hotplug import described
-from softfinger.server.services.world import told
+from softfinger.server.services.hotplug import event_fields
+from softfinger.server.services.world import body_maps
 from softfinger.server.wire import commands, envelope
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.link import LOG_PERIOD_S
@@ -148,8 +148,8 @@ def real_messages():
         socket.subscribe(SCHEMA_TOPIC)
         publisher.publish(records)
         puck = Attached("hid", 0x046D, 0xC626, "SpaceNavigator", "", "/dev/hidraw0")
-        publisher.event("device", "attached", **described(puck))
-        publisher.world(5, told(["box"], np.arange(14.0)))
+        publisher.event("device", "attached", **event_fields(puck))
+        publisher.world(5, body_maps(["box"], np.arange(14.0)))
         publisher.event("command", "arm", command_id="a1", what={"armed": True})
         publisher.event("mark", "mark", command_id="a2", label="x", data={"a": {"b": 1}})
         publisher.event("state", "armed", before="ready", cause="nothing keeps the force off")
@@ -191,9 +191,14 @@ def test_lists_and_numbers_in_the_text_are_the_codes():
 def test_bounds_of_requests_are_the_codes():
     """Sizes, numbers and rates in the text are those of the code."""
     assert f"{REQUEST_MAX} bytes, {envelope.NODES_MAX} values and a depth of {envelope.DEPTH_MAX}" in DOC
-    told = " ".join(DOC.split())  # wherever its lines break
-    assert f"may ask {BURST} times in {BURST_S:g} s" in told and f"{WAITING_MAX} wait, and more are dropped" in told
-    assert f"A frame of more than {REQUEST_MAX} bytes" in told and f"more than {EVENT_BYTES_MAX} bytes" in told
+    body_maps = " ".join(DOC.split())  # wherever its lines break
+    assert (
+        f"may ask {BURST} times in {BURST_S:g} s" in body_maps
+        and f"{WAITING_MAX} wait, and more are dropped" in body_maps
+    )
+    assert (
+        f"A frame of more than {REQUEST_MAX} bytes" in body_maps and f"more than {EVENT_BYTES_MAX} bytes" in body_maps
+    )
 
 
 def test_speeds_of_a_led_hand_are_the_codes():

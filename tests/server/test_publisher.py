@@ -23,7 +23,7 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.record import AT, PATCHES
 from softfinger.server.app import Daemon
-from softfinger.server.loop.shared.broadcast import make_broadcast, make_place, read_rows, write_row
+from softfinger.server.loop.shared.broadcast import make_broadcast, make_read_position, read_rows, write_row
 from softfinger.server.publishing.process import QUIET_S
 from softfinger.server.publishing.setup import Shown
 from softfinger.server.recording.summary import summary
@@ -361,7 +361,7 @@ def test_readers_of_a_broadcast_see_no_torn_row_and_count_what_they_miss():
     with those counted as lost they are all."""
     count = 2_000_000
     broadcast = make_broadcast(16, 24)
-    places = [make_place(broadcast) for _ in range(2)]
+    places = [make_read_position(broadcast) for _ in range(2)]
     write_numbered(broadcast, np.zeros((1, 24)), 0)  # compiled before it is raced
     out = np.empty((8, 24))
     for place in places:

@@ -31,7 +31,7 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, sto
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.memory import address_of
 from softfinger.server.closing import Closing
-from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows
+from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows
 
 log: Final = logging.getLogger(__name__)
 
@@ -205,7 +205,7 @@ class Local(Closing):
                 raise ConfigError(f"{name} does not have layout {LAYOUT}: use the client of the daemon's version")
             opened.pop_all()
         self._words, self._broadcast = words, _broadcast(words)
-        self._place = make_place(self._broadcast)
+        self._position = make_read_position(self._broadcast)
         self._rows = np.empty((256, int(words[_WIDTH])))
 
     def take(self, timeout_s: float) -> NDArray[np.float64]:
@@ -216,7 +216,7 @@ class Local(Closing):
         until_s = time.monotonic() + timeout_s
         while True:
             ended, bell = self.ended, int(load_word(self._broadcast.head, _BELL))
-            count = int(read_rows(self._broadcast, self._place, self._rows))
+            count = int(read_rows(self._broadcast, self._position, self._rows))
             left_s = until_s - time.monotonic()
             if count or ended or left_s <= 0.0:
                 return self._rows[:count]
@@ -226,7 +226,7 @@ class Local(Closing):
     @property
     def lost(self) -> int:
         """Ticks that were overwritten before they were read."""
-        return int(self._place.lost[0])
+        return int(self._position.lost[0])
 
     @property
     def ended(self) -> bool:

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.loop.shared.bell import wait_for
-from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows, write_row
+from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows, write_row
+from softfinger.server.loop.shared.eventfd import wait_for
 from softfinger.server.loop.shared.ring import Feed, make_ring, take
 from softfinger.server.progress import making
 from softfinger.server.wire.native.memory import make_memory, remove, ring_readers, wake_readers
@@ -84,7 +84,7 @@ def serve(post: Post, feed: Feed, turn: int, call: int, file: NDArray[np.int64])
     """
     told = True
     while True:
-        turned = load_acquire(feed.turns, 0) != turn  # before the ring is emptied, as is `called`
+        turned = load_acquire(feed.completed_rings, 0) != turn  # before the ring is emptied, as is `called`
         called = load_acquire(post.words, _CALLS) != call
         count = take(feed.ring, post.rows)
         while count > 0:
@@ -141,8 +141,8 @@ class Tap:
         self._ring_fd, self._bell_fd = bell_fd, os.dup(bell_fd)  # a thread that reads late outlives the relay
         self.close: Final = weakref.finalize(self, os.close, self._bell_fd)
         """Called by the reader when it has finished."""
-        self._place = make_place(readers)
-        read_rows.compile(_types(readers, self._place, np.empty((1, readers.slots.shape[1]))))  # type: ignore[attr-defined]
+        self._position = make_read_position(readers)
+        read_rows.compile(_types(readers, self._position, np.empty((1, readers.slots.shape[1]))))  # type: ignore[attr-defined]
 
     def wait(self) -> None:
         """Sleep until there may be records, or until the end."""
@@ -154,7 +154,7 @@ class Tap:
 
     def take(self, out: NDArray[np.float64]) -> int:
         """Copy the oldest records to `out` (n, width); return their number."""
-        return read_rows(self._readers, self._place, out)
+        return read_rows(self._readers, self._position, out)
 
     @property
     def ended(self) -> bool:
@@ -169,7 +169,7 @@ class Tap:
     @property
     def lost(self) -> int:
         """Ticks that were overwritten before they were read."""
-        return int(self._place.lost[0])
+        return int(self._position.lost[0])
 
 
 class Relay:
