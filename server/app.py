@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.server.loop import realtime, shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.publishing.setup import Shown
+from softfinger.server.publishing.setup import StateInfo
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.blackbox import BlackBoxes
@@ -34,11 +34,11 @@ from softfinger.server.services.swapping import Swapping
 from softfinger.server.services.telemetry import Telemetry
 from softfinger.server.services.world import WorldState
 from softfinger.server.states import State, States, Trigger
-from softfinger.server.wire.doors import doors_of
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.events import event_map
 from softfinger.server.wire.native.switch import SharedSwitch
 from softfinger.server.wire.publisher import Publisher
+from softfinger.server.wire.rig_endpoints import bind_rig
 
 if TYPE_CHECKING:  # an HTTP server takes time to import, and is off by default
     from softfinger.server.metrics.service import Metrics
@@ -98,12 +98,12 @@ class Daemon:
         self._fingers: Final = fingers
         """Names of several fingers, used in messages; [""] for a single finger."""
         self.states: Final = States(self._tell_state)
-        doors = doors_of(rig)
-        opened: list[Callable[[], None]] = [doors.close]
+        endpoints = bind_rig(rig)
+        opened: list[Callable[[], None]] = [endpoints.close]
         try:
             switch = SharedSwitch()
             self.publisher: Final = Publisher(
-                doors,
+                endpoints,
                 rig.telemetry.every,
                 guard_names=GUARD_NAMES,
                 fingers=fingers,
@@ -120,7 +120,7 @@ class Daemon:
         except BaseException as error:
             shutdown.run_all_steps(*reversed(opened), first=error)
             raise
-        self.public: Final = doors.public
+        self.public: Final = endpoints.public
         """Endpoints reachable from other machines, by table of the rig."""
         self.servo: Final = self.rendering.servo
         self._show(scene_name)
@@ -128,9 +128,9 @@ class Daemon:
         self.blackbox: Final = BlackBoxes(
             self.servo, fingers, lambda: describe_daemon(self.rendering, self._scene_name)
         )
-        self.publisher.tell = self._event
+        self.publisher.report_event = self._event
         self.supervisor: Final = Supervisor(self.servo, self.fail, self._event)
-        self.commands_endpoint: Final = doors.commands
+        self.commands_endpoint: Final = endpoints.commands
         """Endpoint of the commands; None if they are off."""
         self.metrics_endpoint: Final = None if metrics is None else metrics.endpoint
         """Endpoint of the metrics for Prometheus; None if they are off."""
@@ -188,7 +188,7 @@ class Daemon:
 
     def _show(self, scene_name: str) -> None:
         self._scene_name = scene_name
-        self.publisher.show(Shown(scene_name, NS_PER_S / self.servo.period_ns, self.servo.epoch_s))
+        self.publisher.set_state_info(StateInfo(scene_name, NS_PER_S / self.servo.period_ns, self.servo.epoch_s))
 
     def fail(self, error: HapticError) -> None:
         """End the run with an error; only the first error counts. From any thread."""

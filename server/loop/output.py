@@ -89,7 +89,7 @@ def output_wrench(
     force, torque  (3,) N, N m  about the handle, from the contact step and the passivity controller
     motion                      of the fingertip since the last tick, under the wrench commanded then
     mode                        contact mode now
-    returns        Passed with the wrench to command, and the guard's bits
+    returns        OutputState with the wrench to command, and the guard's bits
     """
     limits, limit_state, bits = guard.limits, update_limits(guard, output_state, motion, mode, instant.dt), 0
     if limits.workspace.radius < inf:

@@ -39,8 +39,8 @@ from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering, Replacing
 from softfinger.server.states import COMMANDED, FAST, SILENT, UNARMED
 from softfinger.server.wire import commands as wire
-from softfinger.server.wire.envelope import Declined, Request, answered, declined, parse
-from softfinger.server.wire.link import Answering
+from softfinger.server.wire.envelope import Declined, Request, encode_answer, encode_refusal, parse
+from softfinger.server.wire.link import RequestHandlers
 from softfinger.server.wire.protocol import encode, wire_schema
 
 log: Final = logging.getLogger(__name__)
@@ -76,7 +76,7 @@ class DaemonInterface(NamedTuple):
     replace: Callable[[schema.Scene, str], int]
     ring: Callable[[], dict[str, Any]]
     telemetry: str
-    serve: Callable[[Answering | None], None]
+    serve: Callable[[RequestHandlers | None], None]
     reply: Callable[[bytes, bytes], None]
     event: Callable[..., None]
     stop: Callable[[], None]
@@ -116,7 +116,7 @@ class Commands:
         self._scenes.start()
         self._thread.start()
         self._note_alive()
-        self._daemon.serve(Answering(self._receive, self._check_periodically))
+        self._daemon.serve(RequestHandlers(self._receive, self._check_periodically))
 
     def stop(self) -> None:
         failed = shutdown.run_all_steps(self._scenes.stop, self._stop_queue, lambda: self._daemon.serve(None))
@@ -150,7 +150,7 @@ class Commands:
             self._enqueue(client, request, too_much)
             return None
         except Exception as error:
-            return declined(self._as_declined(error), command_id)
+            return encode_refusal(self._as_declined(error), command_id)
 
     def _parse(self, body: bytes | None, too_much: bool) -> Request:
         """Return the parsed request and count it as a sign of life; raises Declined."""
@@ -200,11 +200,11 @@ class Commands:
                 return None
             return self._handle(request)
         except Exception as error:
-            return declined(self._as_declined(error), command_id)
+            return encode_refusal(self._as_declined(error), command_id)
 
     def _handle(self, request: Request) -> bytes:
         """Handle a request and return the answer."""
-        return answered(request.command_id, getattr(self, f"_{request.method}")(request))
+        return encode_answer(request.command_id, getattr(self, f"_{request.method}")(request))
 
     def _as_declined(self, error: Exception) -> Declined:
         """Convert an exception into an answer."""
@@ -322,11 +322,11 @@ class Commands:
 
         def done(outcome: int | Exception) -> None:
             if isinstance(outcome, Exception):
-                self._daemon.reply(client, declined(self._as_declined(outcome), request.command_id))
+                self._daemon.reply(client, encode_refusal(self._as_declined(outcome), request.command_id))
                 return
             self._scene_name = name
             self._publish_change(request.method, request.command_id, {"scene": name, "tick": outcome})
-            self._daemon.reply(client, answered(request.command_id, result(outcome)))
+            self._daemon.reply(client, encode_answer(request.command_id, result(outcome)))
 
         self._scenes.request(Change(checked, name, done))
 

@@ -137,7 +137,7 @@ class Recordings:
                 total = total.with_recording(recorder.recorded)
         return total
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def record_event(self, event: dict[str, Any]) -> None:
         """Record a published event; callable from any thread."""
         recorder = self._recorder
         if recorder is not None:
@@ -173,7 +173,7 @@ class Recordings:
             self._recorder = Recorder(file, self._fingers, about, trouble, GUARD_NAMES)
             return self._path
 
-    def _take(self, records: NDArray[np.float64], drops: int) -> None:
+    def _add_records(self, records: NDArray[np.float64], drops: int) -> None:
         recorder = self._recorder
         if recorder is not None:
             fingers = records.reshape(len(records), -1, RECORD_SIZE)

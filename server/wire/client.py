@@ -203,7 +203,7 @@ class Subscription(Closing):
             raise StopIteration
         sample = self.receive(self.timeout_s)
         if sample is None:
-            raise NoTelemetry(silence(self.endpoint, self.timeout_s or 0.0))
+            raise NoTelemetry(no_telemetry_text(self.endpoint, self.timeout_s or 0.0))
         return sample
 
     def close(self) -> None:
@@ -249,7 +249,7 @@ def subscribe(
     return Subscription(endpoint, topics, timeout_s, keys)
 
 
-def silence(endpoint: str, waited_s: float) -> str:
+def no_telemetry_text(endpoint: str, waited_s: float) -> str:
     """Return the message for a user if nothing arrived."""
     return (
         f"no telemetry from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
@@ -332,15 +332,15 @@ class Window(Closing):
         int
             Number of ticks read.
         """
-        came = 0
+        count = 0
         until_s = time.monotonic() + timeout_s
-        while came < _RECEIVE_BACKLOG:  # a publisher faster than this loop must not block it forever
-            sample = self._subscription.receive(0.0 if came else max(0.0, until_s - time.monotonic()))
+        while count < _RECEIVE_BACKLOG:  # a publisher faster than this loop must not block it forever
+            sample = self._subscription.receive(0.0 if count else max(0.0, until_s - time.monotonic()))
             if sample is None:
                 break
             self._append(sample)
-            came += 1
-        return came
+            count += 1
+        return count
 
     def _append(self, sample: Sample) -> None:
         if sample.data.tick <= self._tick:  # the server was restarted: the old ticks belong to another run

@@ -80,7 +80,7 @@ class Health:
         return nest(flat)
 
 
-def together(messages: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def combine(messages: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Combine the messages of several fingers for one second: sums of ticks and work, maxima of other figures."""
     first, *others = messages
     for other in others:

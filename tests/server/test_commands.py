@@ -39,7 +39,7 @@ from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import PAUSE_MAX_S
 from softfinger.server.publishing.clients import BURST
-from softfinger.server.publishing.process import OUT_MAX
+from softfinger.server.publishing.process import UNANSWERED_MAX
 from softfinger.server.recording.reader import Event, contents
 from softfinger.server.recording.summary import summary
 from softfinger.server.remote import Client as RemoteClient
@@ -47,8 +47,8 @@ from softfinger.server.services import compilation
 from softfinger.server.services.commands import EVENT_BYTES_MAX, Commands
 from softfinger.server.services.records import Sink
 from softfinger.server.wire import link
-from softfinger.server.wire.asking import NoAnswer
 from softfinger.server.wire.client import subscribe
+from softfinger.server.wire.client_requests import NoAnswer
 from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import AsyncControl, Control
 
@@ -732,7 +732,7 @@ def test_scenes_asked_for_without_end_hold_up_nobody(rig, slow_compiler):
     with running(rig()) as (daemon, control, _), zmq.Context() as context, context.socket(zmq.DEALER) as asking:
         asking.linger, asking.rcvtimeo = 0, 10_000
         asking.connect(daemon.commands_endpoint)
-        for number in range(OUT_MAX + 1):
+        for number in range(UNANSWERED_MAX + 1):
             asking.send_multipart([b"", msgpack.packb(request)])
             if number:
                 assert msgpack.unpackb(asking.recv_multipart()[1])["error"].startswith("superseded: ")

@@ -84,7 +84,7 @@ def within(span: limits.Range) -> st.SearchStrategy[float]:
 def test_no_rig_delays_the_end_of_the_force(
     force: float, torque: float, force_slew: float, torque_slew: float, rate_hz: float
 ) -> None:
-    """From the limits of any rig to zero in OFF_S, to the tick, whatever the contact asks for."""
+    """From the limits of any rig to zero in MAX_OFF_S, to the tick, whatever the contact asks for."""
     guard = Guard(force, torque, force_slew, torque_slew, 0.5, 1.0)
     guarded = GuardState((0.0, 0.0, force), (0.0, torque, 0.0), 1.0)
     for _ in range(ceil(MAX_OFF_S * rate_hz * (1.0 + 1e-12))):  # rounding of the product

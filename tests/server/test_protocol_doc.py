@@ -20,7 +20,7 @@ from softfinger.proxy.record import CAUSE_NAMES
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.publishing.clients import BURST, BURST_S, WAITING_MAX
-from softfinger.server.publishing.front import FILES_MAX, HANDSHAKE_MS, MEMORY_MAX
+from softfinger.server.publishing.peer_socket import FILES_MAX, HANDSHAKE_MS, MEMORY_MAX
 from softfinger.server.publishing.process import QUIET_S
 from softfinger.server.publishing.readers import SUBSCRIPTION_MAX
 from softfinger.server.publishing.setup import REQUEST_MAX
@@ -31,7 +31,7 @@ from softfinger.server.wire import commands, envelope
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.link import LOG_PERIOD_S
 from softfinger.server.wire.native import memory
-from softfinger.server.wire.native.relay import BELL_MS, HANDED_ON
+from softfinger.server.wire.native.relay import CAPACITY_TICKS, WAKE_INTERVAL_MS
 from softfinger.server.wire.protocol import (
     CONTACT_KEYS,
     EVENT_EXTRA_KEYS,
@@ -178,9 +178,9 @@ def test_real_messages_have_the_documented_keys_and_types():
 def test_lists_and_numbers_in_the_text_are_the_codes():
     """Schema, backlog and bounds of peers are those of the code."""
     assert f"`schema` is {SCHEMA}." in DOC
-    assert f"`state`: {STATE_HZ:g} times a second" in DOC and f"{HANDED_ON} ticks behind" in DOC
-    assert f"some {BELL_MS} ms of their tick" in DOC
-    assert f"newest {HANDED_ON} rows are there" in DOC and f"| 1 | layout, {memory.LAYOUT}: another" in DOC
+    assert f"`state`: {STATE_HZ:g} times a second" in DOC and f"{CAPACITY_TICKS} ticks behind" in DOC
+    assert f"some {WAKE_INTERVAL_MS} ms of their tick" in DOC
+    assert f"newest {CAPACITY_TICKS} rows are there" in DOC and f"| 1 | layout, {memory.LAYOUT}: another" in DOC
     assert f"{BACKLOG} messages are kept" in DOC and f"where none has come for {QUIET_S:g} s" in DOC
     assert f"a frame of {SUBSCRIPTION_MAX} bytes, {HANDSHAKE_MS / 1000.0:g} s for the handshake" in DOC
     assert f"There are some {FILES_MAX - 26} connections" in DOC  # the others are the publisher's own files

@@ -8,7 +8,7 @@ from typing import Final
 from softfinger.server.loop.force_switch import make_switch
 from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
 from softfinger.server.publishing.brake import takes_force_off
-from softfinger.server.wire.native.memory import PAGE_BYTES, mapped
+from softfinger.server.wire.native.memory import PAGE_BYTES, map_file
 
 
 class SharedSwitch:
@@ -22,12 +22,12 @@ class SharedSwitch:
         self.file: Final = os.memfd_create("softfinger-switch")
         try:
             os.ftruncate(self.file, PAGE_BYTES)
-            self.words: Final = make_switch(mapped(self.file, PAGE_BYTES))
+            self.words: Final = make_switch(map_file(self.file, PAGE_BYTES))
         except BaseException:
             os.close(self.file)
             raise
 
-    def obeyed(self, body: bytes) -> None:
+    def count_handled(self, body: bytes) -> None:
         """Count a client's request that was handled or declined, if it turns the force off."""
         if takes_force_off(body):
             self.words[STOPS_HANDLED] += 1
