@@ -117,7 +117,7 @@ def pass_on(state: RelayState, rows: NDArray[np.float64], count: int) -> bool:
 
 @jit
 def _has_event(state: RelayState, rows: NDArray[np.float64], row: int) -> bool:
-    """Return whether to wake readers in this process: the tick has an event, or they were not woken for WAKE_INTERVAL_MS."""
+    """Return whether to wake readers in this process: the tick has an event, or WAKE_INTERVAL_MS have passed."""
     since = rows[row, AT.timestamp] - state.woken_s[0]
     has_event = not 0.0 <= since < _WAKE_INTERVAL_S
     fingers = len(state.last_values) - 1
