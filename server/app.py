@@ -341,8 +341,8 @@ class Daemon:
         settings = realtime.apply(wanted.realtime, wanted.priority, wanted.cpu)
         if wanted.realtime != "off":
             settings.settings += [
-                realtime.lift("supervisor", self.supervisor.native_id, wanted.priority + 1),
-                realtime.lift("relay", self.publisher.native_id, wanted.priority - 1),
+                realtime.raise_priority("supervisor", self.supervisor.native_id, wanted.priority + 1),
+                realtime.raise_priority("relay", self.publisher.native_id, wanted.priority - 1),
             ]
         self.recordings.note_settings([setting._asdict() for setting in settings.settings])
         if self._report is not None:

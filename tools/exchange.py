@@ -332,7 +332,7 @@ class Exchange:
         return part.rows if part.done.is_set() else part.rows[:0]
 
     def _run(self) -> None:
-        applied: realtime.Applied | None = None
+        applied: realtime.AppliedSettings | None = None
         try:
             applied = realtime.apply(self._servo.realtime, self._servo.priority, self._servo.cpu)
             self.settings = applied.settings

@@ -59,7 +59,7 @@ class Forward:
         self._files = ExitStack()
         self._context: zmq.Context[Any] = zmq.Context()
         self._files.callback(self._context.destroy, 0)
-        self._begun_s = time.monotonic()
+        self._start_s = time.monotonic()
         self.stream = self.readers = self.commanders = None
         self.outlets: Final = outlets
         self._peer_sockets: list[PeerSocket] = []
@@ -129,7 +129,7 @@ class Forward:
 
     def statistics(self) -> dict[str, Any]:
         """Return the counts of forwarded messages so far."""
-        found: dict[str, Any] = {"seconds": time.monotonic() - self._begun_s}
+        found: dict[str, Any] = {"seconds": time.monotonic() - self._start_s}
         if self.stream is not None:
             found |= {"messages": self.stream.messages, "bytes": self.stream.size, "lost": self.stream.lost}
         if self.outlets is not None:

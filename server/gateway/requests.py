@@ -44,14 +44,14 @@ class Commanders:
         except zmq.Again:
             return False
         self.requests += 1
-        known = client in self._upstream
+        is_known = client in self._upstream
         try:
-            upstream = self._upstream[client] if known else self._connect(client)
+            upstream = self._upstream[client] if is_known else self._connect(client)
             self._upstream.move_to_end(client)
             upstream.send_multipart(frames, zmq.NOBLOCK)
         except zmq.ZMQError:  # too many are queued, or no file descriptor is left
             self.dropped += 1
-        return not known
+        return not is_known
 
     def _connect(self, client: bytes) -> zmq.Socket[bytes]:
         while len(self._upstream) >= CLIENTS_MAX:

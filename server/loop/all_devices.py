@@ -157,12 +157,12 @@ def read_one(ios: Any, buffers: Any, guards: Any, offsets: Any, starts: Any, han
         hand = reset_guard(starts[0], hand)
     for i in range(SAMPLE_SIZE):
         device.sample[i] = device.raw[i]
-    moved = False
+    has_moved = False
     for i in range(3):
         device.sample[i] += offset[i]
-        moved |= offset[i] != device.offset[i]
+        has_moved |= offset[i] != device.offset[i]
         device.offset[i] = offset[i]
-    if moved:
+    if has_moved:
         hand = reset_contact(starts[0], hand)
     device.pose_fault[0] = check_pose(guards[0], device.pose_memory, device.raw, status, hand.guard_state.force, dt)
     if device.pose_fault[0] != 0:

@@ -46,17 +46,17 @@ def is_on(switch: NDArray[np.int64], now: int) -> bool:
 
 
 @jit
-def is_zero(given: GuardState) -> bool:
-    f, t = given.force, given.torque
+def is_zero(guard_state: GuardState) -> bool:
+    f, t = guard_state.force, guard_state.torque
     return f[0] == 0.0 and f[1] == 0.0 and f[2] == 0.0 and t[0] == 0.0 and t[1] == 0.0 and t[2] == 0.0
 
 
 @jit
-def apply_switch(guard: Guard, given: GuardState, on: bool) -> Guard:
-    """Return the guard; if off, one that brings the wrench `given` to zero within MAX_OFF_S and then disarms."""
+def apply_switch(guard: Guard, guard_state: GuardState, on: bool) -> Guard:
+    """Return the guard; if off, one that brings the wrench `guard_state` to zero within MAX_OFF_S and then disarms."""
     if on:
         return guard
-    armed = 0.0 if is_zero(given) else guard.armed
+    armed = 0.0 if is_zero(guard_state) else guard.armed
     force_slew = max(guard.force_slew, guard.force_max / MAX_OFF_S)
     torque_slew = max(guard.torque_slew, guard.torque_max / MAX_OFF_S)
     return replace(

@@ -111,12 +111,12 @@ INITIAL_LIMITS: Final = LimitState((0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @jit
-def smooth_velocity(velocity: Vec3, moved: Vec3, dt: float) -> Vec3:
-    """Return the smoothed velocity (3,) m/s after the handle moved by `moved` (3,) m in `dt` s."""
+def smooth_velocity(velocity: Vec3, displacement: Vec3, dt: float) -> Vec3:
+    """Return the smoothed velocity (3,) m/s after the handle moved by `displacement` (3,) m in `dt` s."""
     if not dt > 0.0:
         return velocity
     share = 1.0 / (SPEED_S + dt)
-    return vec3.add_scaled(vec3.scale(SPEED_S * share, velocity), share, moved)
+    return vec3.add_scaled(vec3.scale(SPEED_S * share, velocity), share, displacement)
 
 
 @jit

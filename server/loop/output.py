@@ -70,8 +70,8 @@ def update_limits(guard: Guard, output_state: OutputState, motion: Motion, mode:
     limits, before = guard.limits, output_state.limit_state
     velocity, work, energy_given, touches = before.velocity, before.work, before.energy_given, mode != FREE
     if limits.speed < inf:
-        moved = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
-        velocity = smooth_velocity(velocity, moved, dt)
+        displacement = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
+        velocity = smooth_velocity(velocity, displacement, dt)
     if limits.energy < inf:
         touched = before.touching != 0.0
         given = work_on_hand(displayed_wrench(guard, output_state.guard_state), motion) if touched else 0.0

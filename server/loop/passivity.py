@@ -102,8 +102,8 @@ def add_damping(
         work = min(work, 0.0)
     if not work < 0.0 or not dt > 0.0 or not passivity.damping_max > 0.0:
         return Energy(work, 0.0), force
-    moved = vec3.sub(motion.now.position, motion.before.position)
-    damping, square = passivity.damping_max, vec3.dot(moved, moved)
+    displacement = vec3.sub(motion.now.position, motion.before.position)
+    damping, square = passivity.damping_max, vec3.dot(displacement, displacement)
     if -work * dt < damping * square:
         damping = -work * dt / square
-    return Energy(work, damping), vec3.add_scaled(force, -damping / dt, moved)
+    return Energy(work, damping), vec3.add_scaled(force, -damping / dt, displacement)

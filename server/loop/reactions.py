@@ -46,10 +46,10 @@ def no_reactions(bodies: Any, finger: FingerState) -> Any:
 
 
 @jit
-def share_given(requested: Vec3, given: Vec3) -> float:
+def received_share(requested: Vec3, received: Vec3) -> float:
     """Return the fraction of the requested force or torque of the contacts that the hand receives, 0 to 1."""
     square = vec3.dot(requested, requested)
-    return min(max(vec3.dot(requested, given) / square, 0.0), 1.0) if square > 0.0 else 0.0
+    return min(max(vec3.dot(requested, received) / square, 0.0), 1.0) if square > 0.0 else 0.0
 
 
 @by_type
@@ -86,7 +86,7 @@ def no_reactions_on(bodies: None, contact: Contact, given: GuardState, center: V
 
 @reactions_on.of(Bodies)
 def reactions_on_bodies(bodies: Bodies, contact: Contact, given: GuardState, center: Vec3) -> Any:
-    force_share, torque_share = share_given(contact.force, given.force), share_given(contact.torque, given.torque)
+    force_share, torque_share = received_share(contact.force, given.force), received_share(contact.torque, given.torque)
     return reactions(contact.contacts, bodies, force_share, torque_share, center)
 
 

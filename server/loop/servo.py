@@ -96,12 +96,12 @@ class Scratch(NamedTuple):
 
 
 @jit
-def newest_parameters(
-    slot: Slot, seen: int, values: NDArray[np.float64], ramp: ParameterRamp, tuning: Tuning
+def update_parameters(
+    slot: Slot, version: int, values: NDArray[np.float64], ramp: ParameterRamp, tuning: Tuning
 ) -> tuple[int, Tuning]:
     """Return the version of the latest parameters, and the ramped parameters of this tick."""
-    newest = refresh(slot, seen, values)
-    if newest != seen:
+    newest = refresh(slot, version, values)
+    if newest != version:
         set_target(ramp, values)
     if ramp.ticks_left[0] > 0:
         advance(ramp)
@@ -110,7 +110,7 @@ def newest_parameters(
 
 
 @jit
-def stamp_of(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -> Stamp:
+def make_stamp(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -> Stamp:
     """Return the loop's part of a record: deadline, start and write of the tick, ns; `busy` is of the previous tick."""
     return Stamp(
         timestamp=(woke + schedule.epoch_ns) / NS_PER_S,
@@ -122,7 +122,7 @@ def stamp_of(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -
 
 
 @jit
-def hand_over_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> None:
+def publish_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> None:
     """Append a tick's records to the ring and wake the reader; `ticks` includes this tick."""
     push(shared.ring, row)
     store_release(shared.progress, 0, ticks)
@@ -138,7 +138,7 @@ def servo_loop(
     Ticks and missed deadlines continue from `shared`. In any case, the last write to every device is zero.
     """
     timespec, buffers = scratch.timespec, scratch.buffers
-    seen = refresh(shared.tuning, -1, scratch.values)
+    version = refresh(shared.tuning, -1, scratch.values)
     set_now(scratch.ramp, scratch.values)
     tuning, memory, health = unpack(tuning_like, scratch.ramp.now), start, HEALTHY
     nominal = schedule.period_ns / NS_PER_S
@@ -154,7 +154,7 @@ def servo_loop(
         pace = with_suspension(pace, woke, timespec)
         dt = nominal if schedule.own_clock else pace.dt
 
-        seen, tuning = newest_parameters(shared.tuning, seen, scratch.values, scratch.ramp, tuning)
+        version, tuning = update_parameters(shared.tuning, version, scratch.values, scratch.ramp, tuning)
         befores, statuses = read_all(ios, buffers, tuning.guards, tuning.offsets, start.fingers, memory.fingers, dt)
         index, status = first_ended(statuses)
         if index >= 0:
@@ -175,10 +175,10 @@ def servo_loop(
         memory = Memory(memory.world, hands)
         store_active(shared.switch, hands, on)
 
-        stamp = stamp_of(schedule, pace, woke, wrote, busy)
+        stamp = make_stamp(schedule, pace, woke, wrote, busy)
         stamp_all(buffers, stamp, statuses, statuses_out)
         number += 1
-        hand_over_record(shared, scratch.row, number)
+        publish_record(shared, scratch.row, number)
 
         done = now_ns(timespec)
         busy = done - woke

@@ -74,8 +74,8 @@ class Servo:
         switch: NDArray[np.int64] | None = None,
     ) -> None:
         self._ticks, self._prepare, self._ramp_s = -1 if ticks is None else ticks, prepare, ramp_s
-        self._tuned: list[Tuning] = []
-        self._tuned_at = 0
+        self._recent_tunings: list[Tuning] = []
+        self._tuned_tick = 0
         self._ended: LoopEnd | None = None
         self._armed = self._stopping = False
         self._handover: Handover | None = None
@@ -183,9 +183,9 @@ class Servo:
             handover = self._handover
             if handover is None or ending != STOPPED or self._stopping:
                 return LoopEnd(ending, status, finger=finger)
-            self._take_over(handover)
+            self._switch_loop(handover)
 
-    def _take_over(self, handover: Handover) -> None:
+    def _switch_loop(self, handover: Handover) -> None:
         """Switch from one loop to the next, with the devices at zero."""
         if not handover.keeps_devices:
             self._armed = False  # no tick is due until the next devices are armed
@@ -345,11 +345,11 @@ class Servo:
             raise ValueError("the new tuning has other parts than the one compiled: replace the loop")
         # The replaced scene may contain arrays, and the loop reads them until it has accepted the new one. It has done
         # so once two ticks are done since the last write: the second one started after it and read no other scene.
-        if self.ticks >= self._tuned_at + 2:
-            del self._tuned[:-1]
-        self._tuned.append(tuning)
+        if self.ticks >= self._tuned_tick + 2:
+            del self._recent_tunings[:-1]
+        self._recent_tunings.append(tuning)
         publish(self.shared.tuning, leaves(tuning))
-        self._tuned_at = self.ticks
+        self._tuned_tick = self.ticks
 
     def close(self) -> None:
         """Release the eventfd of the records, after loop and reader have stopped."""

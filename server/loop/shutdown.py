@@ -144,7 +144,7 @@ def device_failure(device: Device, ended: LoopEnd, finger: str = "") -> HapticEr
 
     finger  name of the device's finger, if there are several
     """
-    doing = "read" if ended.ending == READ_FAILED else "write"
+    action = "read" if ended.ending == READ_FAILED else "write"
     name, text = device.info.name + (f", finger '{finger}'" if finger else ""), device.reason()
     because = f" ({text})" if text else ""
     if ended.ending == health.NO_POSE:
@@ -164,10 +164,10 @@ def device_failure(device: Device, ended: LoopEnd, finger: str = "") -> HapticEr
         return SafetyStop(f"{name} turned its force off{because}: see to the cause, then start again")
     if ended.status == TIMEOUT:
         return DeviceTimeout(
-            f"{name}: no answer to a {doing} in time{because}: check cable and power, then start again"
+            f"{name}: no answer to a {action} in time{because}: check cable and power, then start again"
         )
     what = "answered what is not in its protocol" if ended.status == PROTOCOL else "is gone"
-    return DeviceLost(f"{name} {what} (status {ended.status} on {doing}){because}: plug it in again, then start again")
+    return DeviceLost(f"{name} {what} (status {ended.status} on {action}){because}: plug it in again, then start again")
 
 
 def loop_failure(ended: LoopEnd, ticks: int, missed: int, woken_late: bool) -> HapticError | None:

@@ -235,9 +235,11 @@ def command_one(
     record[AT.limits_speed] = norm(limit_state.velocity)
     record[AT.limits_heat] = limit_state.heat
     record[AT.limits_energy] = limit_state.energy_given
-    shown = displayed_wrench(guard, guard_state)
-    given = GuardState(shown.force, about_tip(tool, orientation, shown.force, shown.torque), shown.gain)
-    reactions = reactions_of(output.passivity, output.bodies, hand.reactions, contact, given, position)
+    displayed = displayed_wrench(guard, guard_state)
+    displayed_at_tip = GuardState(
+        displayed.force, about_tip(tool, orientation, displayed.force, displayed.torque), displayed.gain
+    )
+    reactions = reactions_of(output.passivity, output.bodies, hand.reactions, contact, displayed_at_tip, position)
     return (FingerMemory(state, guard_state, energy, limit_state, reactions),)
 
 

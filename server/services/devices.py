@@ -54,7 +54,7 @@ def check_replacement(
     """Raise ConfigError if a scene and a rig cannot replace the running ones, as far as known without compiling."""
     for each in pair(scene, rig):
         registry.options(each.device, each.table)
-    new_names, old_names = ([finger.name for finger in given.fingers] for given in (scene, running_scene))
+    new_names, old_names = ([finger.name for finger in each.fingers] for each in (scene, running_scene))
     if new_names != old_names and max(len(new_names), len(old_names)) > 1:
         raise ConfigError(
             f"the fingers of the new scene ({', '.join(new_names)}) are not those of the running one "

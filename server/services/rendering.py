@@ -148,7 +148,9 @@ class Rendering:
                 if not keeps_devices:
                     return self._loop_for_new_devices(new_scene, rig)
                 # Parameters of a scene that continues, and the offset of a device, may have changed in the meantime.
-                return self._loop(new_scene, rig) if scene is None else self._with_offsets(compiled)
+                if scene is None:
+                    return self._loop(new_scene, rig)
+                return servo.with_tuning(compiled, with_offsets(compiled.tuning, self._tuning.offsets))
 
             with self._parameters_lock, self._tuning_lock:
                 new_scene = scene or self._scene
@@ -288,10 +290,6 @@ class Rendering:
         if not new_devices:  # an offset belongs to its device
             tuning = with_offsets(tuning, self._tuning.offsets)
         return self.servo.loop(devices, tuning, rig.servo.rate_hz)
-
-    def _with_offsets(self, loop: Loop) -> Loop:
-        """Return the loop with the present offsets."""
-        return self.servo.with_tuning(loop, with_offsets(loop.tuning, self._tuning.offsets))
 
     def _loop_for_new_devices(self, scene: schema.Scene, rig: schema.Rig) -> Loop:
         """Return a loop for devices that are opened in place of the present ones."""

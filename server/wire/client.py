@@ -47,7 +47,7 @@ _LARGEST_FRAME: Final = 1 << 20  # ZeroMQ disconnects a peer that sends more, be
 
 _IN_LISTS: Final = [i for i, field in enumerate(FIELDS) if field.name.startswith("contacts")]
 _VALUES_BEFORE: Final = attrgetter(*(field.name for field in FIELDS[: _IN_LISTS[0]]))
-_VALUES_BEHIND: Final = attrgetter(*(field.name for field in FIELDS[_IN_LISTS[-1] + 1 :]))
+_VALUES_AFTER: Final = attrgetter(*(field.name for field in FIELDS[_IN_LISTS[-1] + 1 :]))
 _PATCH_FIELDS: Final = [field for field in FIELDS if field.name.startswith("contacts0.")]
 _PATCH_VALUES: Final = attrgetter(*(field.name.partition(".")[2] for field in _PATCH_FIELDS))
 _NO_PATCH: Final = [-1.0, *repeat(0.0, sum(field.size for field in _PATCH_FIELDS) - 1)]
@@ -264,7 +264,7 @@ def record_of(sample: Sample) -> list[float]:
     for patch in message.contacts:
         row += _flat(_PATCH_VALUES(patch))
     row += _NO_PATCH * (PATCHES - len(message.contacts))
-    return row + _flat(_VALUES_BEHIND(message))
+    return row + _flat(_VALUES_AFTER(message))
 
 
 def _flat(values: tuple[Any, ...]) -> list[float]:

@@ -136,20 +136,20 @@ class Link:
 
     def _start(self) -> tuple[subprocess.Popen[bytes], Channel]:
         with ExitStack() as undo:
-            ours, its = map(undo.enter_context, socket.socketpair())
+            own_end, child_end = map(undo.enter_context, socket.socketpair())
             # A separate session: Ctrl-C and the end of a terminal are handled by the daemon; this process ends with the
             # channel.
             process = subprocess.Popen(
-                [sys.executable, "-m", MODULE, str(its.fileno())],
+                [sys.executable, "-m", MODULE, str(child_end.fileno())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 start_new_session=True,
-                pass_fds=[its.fileno(), *self._files],
+                pass_fds=[child_end.fileno(), *self._files],
             )
-            its.close()
+            child_end.close()
             undo.pop_all()
         self._started_s = time.monotonic()
-        channel = Channel(ours)
+        channel = Channel(own_end)
         channel.send(Kind.SETUP, body=msgspec.msgpack.encode(self._setup()))
         self._send_retained(channel.send)
         return process, channel

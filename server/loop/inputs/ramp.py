@@ -74,9 +74,9 @@ def leaves(tuning: Any) -> NDArray[np.float64]:
 def make_ramp(tuning: Any, ticks: int) -> ParameterRamp:
     """Return a ramp for a tuning that takes `ticks` ticks; 0 changes parameters at once."""
     now, rows = leaves(tuning), _rows(tuning)
-    row_trees = [tree for _, those in rows for tree in those.trees]
+    row_trees = [tree for _, objects in rows for tree in objects.trees]
     kinds = [kind for tree in (tuning, *row_trees) for kind in _kinds(tree, AT_ONCE)]
-    offsets = len(now) - np.cumsum([len(those.array) for _, those in rows][::-1], dtype=np.int64)[::-1]
+    offsets = len(now) - np.cumsum([len(objects.array) for _, objects in rows][::-1], dtype=np.int64)[::-1]
     return ParameterRamp(
         np.array(kinds, np.int64),
         now,

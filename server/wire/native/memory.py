@@ -217,10 +217,10 @@ class Local(Closing):
         while True:
             ended, bell = self.ended, int(load_word(self._broadcast.head, _BELL))
             count = int(read_rows(self._broadcast, self._position, self._rows))
-            left_s = until_s - time.monotonic()
-            if count or ended or left_s <= 0.0:
+            remaining_s = until_s - time.monotonic()
+            if count or ended or remaining_s <= 0.0:
                 return self._rows[:count]
-            part_s = min(left_s, ALIVE_S)
+            part_s = min(remaining_s, ALIVE_S)
             sleep(self._broadcast, bell, np.array([int(part_s), int(part_s % 1.0 * 1e9)]))
 
     @property
