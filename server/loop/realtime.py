@@ -201,8 +201,8 @@ def _lock_memory(applied: AppliedSettings) -> Setting:
     if done.result < 0:
         need, limit = _status("VmSize"), _limit("RLIMIT_MEMLOCK", 1024, " kB")
         advice = (
-            f"{_group_advice()} (ulimit -l shows it); under systemd LimitMEMLOCK=infinity; in Docker --cap-add=IPC_LOCK "
-            "or --ulimit memlock=-1"
+            f"{_group_advice()} (ulimit -l shows it); under systemd LimitMEMLOCK=infinity; in Docker "
+            "--cap-add=IPC_LOCK or --ulimit memlock=-1"
         )
         return Setting("mlockall", False, f"{_reason(done.error)}: {need} to lock, limit {limit}", advice)
     applied._undo_process.append(lambda: _libc("munlockall"))
