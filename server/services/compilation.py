@@ -22,7 +22,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import build, describe, load_rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
-from softfinger.proxy.kernels.jit.compiler.doing import DOING
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.kernels.jit.decorators import KEPT
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning
@@ -178,7 +178,7 @@ def main() -> None:
     Prints a line to standard output if anything has to be compiled; functions in the cache are only loaded.
     """
     os.nice(NICE)
-    DOING.at_first = lambda: print("compiling what is not kept of it, in a process of its own", flush=True)
+    COMPILE_PROGRESS.on_first = lambda: print("compiling what is not kept of it, in a process of its own", flush=True)
     scene = build(schema.Scene, json.loads(sys.stdin.readline()), "the scene")
     threading.Thread(target=_exit_with_daemon, daemon=True).start()
     compile_loop(scene)

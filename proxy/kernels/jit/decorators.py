@@ -26,7 +26,6 @@ import numba
 from numba.core import event
 
 from softfinger.proxy.kernels.jit.cache import KERNEL_FOLDERS, Folder
-from softfinger.proxy.kernels.jit.compiler.doing import DOING
 from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     FOR_KERNELS,
     WITHOUT_ALLOCATOR,
@@ -35,6 +34,7 @@ from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     Inlined,
     KernelCache,
 )
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -95,11 +95,11 @@ INLINED: Final = OPTIONS | FOR_KERNELS
 """Options of a kernel that only kernels call: it has no wrapper for Python, and is compiled into its callers."""
 
 
-class _Told(event.Listener):  # type: ignore[misc]
-    """numba says when it begins to compile a function, and when it has ended.
+class _CompileListener(event.Listener):  # type: ignore[misc]
+    """Listener of numba's compilations, which counts them and disables garbage collection while one runs.
 
-    Until the outermost has ended Python does not look for cycles: numba makes millions of objects that live as long as
-    it compiles, and looking at them again and again takes a seventh of the time.
+    numba creates millions of objects that live as long as it compiles; collecting among them takes a seventh of the
+    time.
     """
 
     def __init__(self) -> None:
@@ -110,16 +110,16 @@ class _Told(event.Listener):  # type: ignore[misc]
             self._collects = gc.isenabled()
             gc.disable()
         self._depth += 1
-        DOING.begin()
+        COMPILE_PROGRESS.begin()
 
     def on_end(self, event: Any) -> None:
-        DOING.end()
+        COMPILE_PROGRESS.end()
         self._depth -= 1
         if self._depth == 0 and self._collects:
             gc.enable()
 
 
-event.register("numba:compile", _Told())
+event.register("numba:compile", _CompileListener())
 
 
 def jit(function: Kernel) -> Kernel:

@@ -53,7 +53,7 @@ from numba.core.untyped_passes import InlineClosureLikes
 from numba.extending import models, register_model, typeof_impl
 
 from softfinger.proxy.kernels.jit.cache import WRITTEN, Folder, kinds_in, sources_of
-from softfinger.proxy.kernels.jit.compiler.doing import DOING
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
 SEEN: Final = ("0.67", "0.68")
 """Versions of numba in which all of this was seen to work."""
@@ -129,7 +129,7 @@ class KernelCache(NullCache):  # type: ignore[misc]
 def load(folder: Folder, name: str, target_context: Any, key: tuple[Any, ...] | None = None) -> Any:
     """What is kept under a name, with all that it calls, as numba's CompileResult; None if it is not there, not sound,
     or not made of what `key` says."""
-    with DOING.loading():
+    with COMPILE_PROGRESS.loading():
         body = folder.read(name)
         if body is None:
             return None
@@ -309,11 +309,11 @@ class CFunction(CFunc):
 
     def _compile_uncached(self) -> Any:
         """numba says nothing of these."""
-        DOING.begin()
+        COMPILE_PROGRESS.begin()
         try:
             return super()._compile_uncached()  # type: ignore[misc]
         finally:
-            DOING.end()
+            COMPILE_PROGRESS.end()
 
 
 _LINKED: Final[dict[str, Any]] = {}
