@@ -75,13 +75,13 @@ def keep_passive(
 ) -> Any:
     """Return the force with the damping that makes the rendering passive.
 
-    energy   Energy  state after the last tick
-    wrench   GuardState wrench on the handle commanded since then, after the guard
-    motion   Motion  of the hand under that wrench
-    mode     contact mode now
-    force    (3,)    N       from the contact step
-    dt       s       time since the last tick
-    returns  Energy, force (3,) N
+    energy          Energy      state after the last tick
+    wrench          GuardState  wrench on the handle commanded since then, after the guard
+    motion          Motion      of the hand under that wrench
+    mode                        contact mode now
+    force   (3,)    N           from the contact step
+    dt              s           time since the last tick
+    returns         Energy, force (3,) N
     """
 
 
