@@ -193,7 +193,7 @@ def test_bounds_of_requests_are_the_codes():
     assert f"{REQUEST_MAX} bytes, {envelope.NODES_MAX} values and a depth of {envelope.DEPTH_MAX}" in DOC
     page = " ".join(DOC.split())  # wherever its lines break
     assert f"may ask {BURST} times in {BURST_S:g} s" in page and f"{WAITING_MAX} wait, and more are dropped" in page
-    assert f"A frame of more than {REQUEST_MAX} bytes" in page and f"more than {EVENT_BYTES_MAX} bytes" in body_maps
+    assert f"A frame of more than {REQUEST_MAX} bytes" in page and f"more than {EVENT_BYTES_MAX} bytes" in page
 
 
 def test_speeds_of_a_led_hand_are_the_codes():
