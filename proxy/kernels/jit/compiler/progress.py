@@ -1,7 +1,7 @@
-"""Progress of compiling and loading kernels, for the progress line.
+"""Progress of compilation and loading of kernels, for the status line of a waiting user.
 
-Imports nothing of the compiler, because a program that only waits for another process does not need it. A thread that
-compiles or loads holds numba's lock, so there is one writer; readers are in other threads.
+Imports nothing of the compiler: a program that only waits for another does not need it. A thread that compiles or loads
+holds numba's lock, so there is one writer; a reader in another thread gets one state or the next.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ from contextlib import contextmanager
 
 
 class CompileProgress:
-    """Progress of the kernels that this process compiles or loads from the disk."""
+    """Kernels that this process compiles and loads."""
 
     def __init__(self) -> None:
         self._compiled = self._depth = 0
         self._loading = False
         self.on_first: Callable[[], None] | None = None
-        """Called before the first kernel of this process is compiled; not for kernels that are loaded."""
+        """Callback at the start of the first compilation in this process; loading does not call it."""
 
     def __str__(self) -> str:
-        """Return `compiling kernel 2` (the second of this process), `loading kept kernels`, or an empty text."""
-        if self._depth:  # kernels that it calls may be loaded meanwhile
+        """Return `compiling kernel 2` for the second of this process, `loading kept kernels`, or an empty string."""
+        if self._depth:  # its callees may be loaded at the same time
             return f"compiling kernel {self._compiled}"
         return "loading kept kernels" if self._loading else ""
 
     def begin(self) -> None:
-        """Count a kernel; kernels compiled while it is compiled are part of it."""
+        """Record the start of a compilation; a nested one, of a callee, counts as part of it."""
         if not self._compiled and self.on_first is not None:
             self.on_first()
         self._compiled += not self._depth
@@ -37,7 +37,7 @@ class CompileProgress:
 
     @contextmanager
     def loading(self) -> Iterator[None]:
-        """Report loading while the block searches and loads a kernel."""
+        """Mark the duration of loading a kernel from disk."""
         self._loading = True
         try:
             yield
