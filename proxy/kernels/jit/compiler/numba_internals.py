@@ -311,7 +311,7 @@ class CFunction(CFunc):
         return super().address
 
     def _compile_uncached(self) -> Any:
-        """Compile, and record it in DOING: numba sends no event for C functions."""
+        """Compile, and record it in COMPILE_PROGRESS: numba sends no event for C functions."""
         COMPILE_PROGRESS.begin()
         try:
             return super()._compile_uncached()  # type: ignore[misc]
