@@ -324,14 +324,14 @@ class Daemon:
         ]
 
     def _metrics(self, endpoint: str) -> Metrics:
-        from softfinger.server.metrics.counts import Counts, Wire
+        from softfinger.server.metrics.counts import MetricsCollector, PublisherCounts
         from softfinger.server.metrics.service import KEY, Metrics
 
-        def wire() -> Wire:
+        def wire() -> PublisherCounts:
             seen = self.publisher.figures
-            return Wire(seen.subscribers, seen.lost, seen.refused, self.publisher.restarts)
+            return PublisherCounts(seen.subscribers, seen.lost, seen.refused, self.publisher.restarts)
 
-        counts = Counts(self._fingers, wire, lambda: self.recordings.written(), lambda: self.states.now)
+        counts = MetricsCollector(self._fingers, wire, lambda: self.recordings.written(), lambda: self.states.now)
         return Metrics(listen(f"tcp://{endpoint}", KEY), counts, self._event)
 
     def _prepare(self) -> Callable[[], None]:

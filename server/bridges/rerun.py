@@ -18,8 +18,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.schema import Body, Object, Scene
 from softfinger.proxy.records import Records
 from softfinger.server.recording import picture
-from softfinger.server.recording.reader import Event, Note, Ticks, World, contents
-from softfinger.server.recording.writer import driven, event_time_ns, scene_of, times_ns
+from softfinger.server.recording.reader import Event, Note, Ticks, World, read_contents
+from softfinger.server.recording.writer import apply_drive, event_time_ns, parse_scene, times_ns
 
 Array = NDArray[np.float64]
 
@@ -73,9 +73,9 @@ class Shown:
         radii = {finger.name: finger.radius_m for finger in scene.fingers} if scene else {}
         for name in self._fingers:
             ball = self._rr.Ellipsoids3D(radii=[radii.get(name, 0.01)], colors=[(230, 140, 90)])
-            stream.log(f"world/{picture.frames(name)[0]}", ball, static=True)
+            stream.log(f"world/{picture.frame_names(name)[0]}", ball, static=True)
             proxy = self._rr.Points3D([(0.0, 0.0, 0.0)], radii=[0.001], colors=[(255, 255, 255)])
-            stream.log(f"world/{picture.frames(name)[1]}", proxy, static=True)
+            stream.log(f"world/{picture.frame_names(name)[1]}", proxy, static=True)
         self._draw_objects()
 
     def take(self, records: Array, finger: int) -> None:
@@ -86,7 +86,7 @@ class Shown:
             values = np.asarray(rows[field], np.float64).reshape(len(rows), -1)
             series = self._rr.Scalars.columns(scalars=values.ravel())
             self._send(path, rows, series.partition([values.shape[1]] * len(rows)))
-        shown, self._pictures[name] = picture.displayed(records, self._pictures[name])
+        shown, self._pictures[name] = picture.select_displayed(records, self._pictures[name])
         if len(shown):
             self._place(Records(records[shown]), name)
 
@@ -94,7 +94,7 @@ class Shown:
         """Log an event, a map as on the wire."""
         self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(event), "ns"))
         self._stream.log("events", self._rr.TextLog(f"{event['kind']} {event['name']}: {event.get('message', '')}"))
-        if self._scene is not None and (moved := driven(self._scene, event)) is not None:
+        if self._scene is not None and (moved := apply_drive(self._scene, event)) is not None:
             self._scene = moved
             self._draw_objects()
 
@@ -109,7 +109,7 @@ class Shown:
         self._stream.disable_timeline("tick")
 
     def _place(self, rows: Records, name: str) -> None:
-        tip, proxy = (f"world/{frame}" for frame in picture.frames(name))
+        tip, proxy = (f"world/{frame}" for frame in picture.frame_names(name))
         turn = rows["probe.orientation"][:, [1, 2, 3, 0]]  # Rerun expects w last
         place = self._rr.Transform3D.columns
         self._send(tip, rows, place(translation=rows["probe.position"], quaternion=turn))
@@ -127,7 +127,7 @@ class Shown:
 
     def _draw_objects(self) -> None:
         for thing in self._scene.object if self._scene else ():
-            for kind, primitives in picture.drawn(thing).items():
+            for kind, primitives in picture.draw_object(thing).items():
                 for number, primitive in enumerate(primitives):
                     path = f"{_path_of(thing)}/{kind}{number}"
                     for part in self._parts(kind, primitive):
@@ -164,13 +164,13 @@ def show_recording(recording: Path, stream: Any) -> int:
     """Log a complete recording; return the number of ticks. Raises RecordingError if the file has nothing to show."""
     about: dict[str, Any] = {}
     fingers: list[str] = []
-    for part in contents(recording):  # first pass: metadata and fingers
+    for part in read_contents(recording):  # first pass: metadata and fingers
         if isinstance(part, Note):
             about[part.name] = part.value
         elif isinstance(part, Ticks) and part.finger not in fingers:
             fingers.append(part.finger)
-    shown, count = Shown(stream, fingers, scene_of(about)), 0
-    for part in contents(recording):
+    shown, count = Shown(stream, fingers, parse_scene(about)), 0
+    for part in read_contents(recording):
         if isinstance(part, Ticks):
             shown.take(part.records(), fingers.index(part.finger))
             count += len(part.rows)

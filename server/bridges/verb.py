@@ -14,8 +14,15 @@ from softfinger.config.schema import Scene
 from softfinger.server import keys, signals
 from softfinger.server.bridges import foxglove, rerun
 from softfinger.server.gateway.addresses import addresses_of
-from softfinger.server.recording.verbs.live import Live, Taker, Taking, begin, go_on, subscribed
-from softfinger.server.recording.writer import scene_of
+from softfinger.server.recording.verbs.live import (
+    RecordingJob,
+    TickBatcher,
+    TickReceiver,
+    receive_first,
+    record_until_end,
+    subscribe_all,
+)
+from softfinger.server.recording.writer import parse_scene
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
@@ -79,15 +86,15 @@ def to_foxglove(args: argparse.Namespace) -> int:
         server.close()
 
 
-def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], Taker]) -> int:
+def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], TickReceiver]) -> int:
     """Forward the data of the daemon to a viewer until the daemon ends, times out, or a limit or signal stops it."""
     stop: list[bool] = []
     lock = keys.of_options(args)
     found = addresses_of(args.endpoint, lock, args.commands)
-    live = Live(found, lock, args.duration, args.timeout, lambda: bool(stop))
-    with signals.asked(lambda: stop.append(True)), subscribed(live) as wire:
-        early, fingers, about = begin(wire, live)
-        taking = Taking(show(fingers, scene_of(about)), fingers)
-        ended = go_on(wire, live, early, taking)
-    log.info("ticks %d to %d, %d lost; %s", taking.first, taking.last, taking.lost, ended)
+    job = RecordingJob(found, lock, args.duration, args.timeout, lambda: bool(stop))
+    with signals.asked(lambda: stop.append(True)), subscribe_all(job) as wire:
+        early, fingers, about = receive_first(wire, job)
+        batcher = TickBatcher(show(fingers, parse_scene(about)), fingers)
+        ended = record_until_end(wire, job, early, batcher)
+    log.info("ticks %d to %d, %d lost; %s", batcher.first, batcher.last, batcher.lost, ended)
     return signals.code_of_stop()

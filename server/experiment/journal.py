@@ -64,7 +64,7 @@ class Journal(Memory, Closing):
             os.fsync(descriptor)
         except OSError as error:
             os.ftruncate(descriptor, before)
-            raise not_written(self.path, error) from error
+            raise make_write_error(self.path, error) from error
         super().write(kind, **values)
 
     def close(self) -> None:
@@ -113,7 +113,7 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def not_written(path: Path, error: OSError) -> ConfigError:
+def make_write_error(path: Path, error: OSError) -> ConfigError:
     """Return the error for a file of a session that the disk did not accept."""
     return ConfigError(
         f"{path}: cannot be written: {error.strerror}: no answer before is lost; mend that and repeat the command"

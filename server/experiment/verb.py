@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
 from softfinger.server import signals
-from softfinger.server.experiment.experiment import Experiment, Running
+from softfinger.server.experiment.experiment import Experiment, RunOptions
 from softfinger.server.experiment.session import Stopped
 from softfinger.server.verbs.ctl import parameter
 from softfinger.server.viewer.door.process import check_viewer
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.out or Path(args.file).stem)
     rig = {"telemetry.endpoint": args.endpoint, "commands.endpoint": args.commands}
     rig = {key: value for key, value in rig.items() if value is not None}
-    running = Running(args.dry_run, args.no_daemon, not args.no_doctor, args.view, rig)
+    running = RunOptions(args.dry_run, args.no_daemon, not args.no_doctor, args.view, rig)
     try:
         rows = experiment.run(folder, args.participant, running)
     except Stopped as stopped:

@@ -32,7 +32,7 @@ from softfinger.drivers.poses import LINE_MAX
 from softfinger.proxy.record import FIELDS, RECORD_SIZE, Field, columns
 from softfinger.server.closing import Closing
 from softfinger.server.progress import progress
-from softfinger.server.recording.reader import End, Ticks, contents
+from softfinger.server.recording.reader import End, Ticks, read_contents
 from softfinger.server.recording.writer import RecordingFile
 from softfinger.server.wire.protocol import contact_topic
 
@@ -286,7 +286,7 @@ def _write_mcap(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Ite
 def _read_mcap(path: Path, finger: str) -> Array:
     blocks: list[Array] = []
     count = 0
-    for part in contents(path):
+    for part in read_contents(path):
         if isinstance(part, Ticks) and part.finger == finger:
             try:
                 blocks.append(part.records())
@@ -313,7 +313,7 @@ class McapResults(Closing):
         """Open the file; `file` replaces the path as the target, and is closed at the end."""
         self._path = Path(path)
         with self._told():
-            self._recording = RecordingFile(file or open_output(path, 0), fingers, drawn=False)
+            self._recording = RecordingFile(file or open_output(path, 0), fingers, with_pictures=False)
 
     def append(self, records: Array, finger: str = "") -> None:
         """Add records (n, RECORD_SIZE) of a finger; a single one may be (RECORD_SIZE,)."""

@@ -16,7 +16,7 @@ from softfinger.config.schema import Object, Plane, Scene, Workspace
 from softfinger.drivers.kinematics.freedom import Freedom
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.server.offline.figures import figure, save
-from softfinger.server.viewer.nodes.meshes import mesh_of, plane
+from softfinger.server.viewer.nodes.meshes import plane, surface_mesh
 
 Array = NDArray[np.float64]
 
@@ -181,7 +181,7 @@ def _corners(thing: Object, edge: float) -> Array | None:
         (vertices, faces), _ = picture_of(thing)
         corners: Array = np.asarray(vertices, float)[np.asarray(faces, int)]
         return corners
-    mesh = plane(edge) if isinstance(thing, Plane) else mesh_of(thing)
+    mesh = plane(edge) if isinstance(thing, Plane) else surface_mesh(thing)
     return None if mesh is None else np.asarray(mesh.vertices[mesh.faces])
 
 

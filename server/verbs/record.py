@@ -25,7 +25,7 @@ from softfinger.server.arguments import by_finger
 from softfinger.server.gateway.addresses import addresses_of
 from softfinger.server.progress import counter
 from softfinger.server.recording.poses_file import PosesFile, poses_file
-from softfinger.server.recording.verbs.live import Live, record_live
+from softfinger.server.recording.verbs.live import RecordingJob, record_live
 from softfinger.server.wire.client import (
     DEFAULT_ENDPOINT,
     NoTelemetry,
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     stop, lock = Stop(), keys.of_options(args)
     found = addresses_of(args.endpoint, lock, args.commands, within_s=args.timeout)
     if args.file is not None and Path(args.file).suffix.lower() == ".mcap":
-        live = Live(found, lock, args.duration, args.timeout, lambda: stop.asked)
+        live = RecordingJob(found, lock, args.duration, args.timeout, lambda: stop.asked)
         with signals.asked(stop.ask):
             log.info("%s", record_live(live, Path(args.file)))
         return signals.code_of_stop()

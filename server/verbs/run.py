@@ -20,7 +20,7 @@ from softfinger.server.arguments import default_rig, duration
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.realtime import Setting
 from softfinger.server.progress import counter, making
-from softfinger.server.viewer.door.process import Shown, check_viewer, program, shown_by
+from softfinger.server.viewer.door.process import PageProcess, check_viewer, monitor_command, program_name
 from softfinger.server.watcher import Watcher
 
 log: Final = logging.getLogger(__name__)
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         if args.view:
             loudness = ["-q"] if args.quiet else ["-v"] if args.verbose else []
-            page = Shown(daemon.publisher.endpoint, daemon.commands_endpoint, loudness, daemon.page_ended)
+            page = PageProcess(daemon.publisher.endpoint, daemon.commands_endpoint, loudness, daemon.page_ended)
         if args.record is not None:
             daemon.recordings.record(args.record, args.scene)
         if args.watcher:
@@ -127,7 +127,7 @@ def announce(daemon: Daemon, scene_name: str, shown: bool) -> None:
     if not shown:
         log.info(
             "--view shows it in the browser, with the mouse for a hand: `%s run --view`, `make run ARGS=--view`",
-            program(),
+            program_name(),
         )
     log.info("scene %s: %s", scene_name, explain(rendering.scene))
     log.info("device %s at %g Hz; telemetry on %s", base.names(daemon.devices), rendering.rig.servo.rate_hz, telemetry)
@@ -138,7 +138,7 @@ def announce(daemon: Daemon, scene_name: str, shown: bool) -> None:
         log.info("%s for other machines on %s, by key", name, endpoint)
     if daemon.metrics_endpoint is not None:
         log.info("metrics on %s/metrics", daemon.metrics_endpoint)
-    log.info("to see it, in another terminal: %s; to stop it: Ctrl-C", shown_by(telemetry))
+    log.info("to see it, in another terminal: %s; to stop it: Ctrl-C", monitor_command(telemetry))
 
 
 def told(faults: Faults, rate_hz: float) -> str:
@@ -172,13 +172,13 @@ def watch_over(daemon: Daemon) -> list[Watcher]:
     return [Watcher(*word) for word in words]
 
 
-def watch(daemon: Daemon, page: Shown | None) -> None:
+def watch(daemon: Daemon, page: PageProcess | None) -> None:
     """Show progress until the servo ends: a line updated in place on a terminal, otherwise a log line at intervals."""
     with counter() as show:
         told = time.monotonic()
         while not daemon.wait(TERMINAL_PERIOD_S):
             if page is not None:
-                page.look()
+                page.supervise()
             if show is None and time.monotonic() - told < PLAIN_PERIOD_S:
                 continue
             told, servo = time.monotonic(), daemon.servo

@@ -66,14 +66,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve the page until a signal, or for a duration. Raises ConfigError if viser is not installed."""
     try:
-        from softfinger.server.viewer.page import Page, each_frame
+        from softfinger.server.viewer.page import Page, run_frames
     except ImportError as error:
         if (error.name or "").partition(".")[0] != "viser":
             raise
         raise ConfigError("the page needs viser: pip install 'softfinger[viewer]'") from None
     if not 0 <= args.port < 65536:
         raise ConfigError(f"--port {args.port} is no port: give 0 to 65535")
-    from softfinger.server.viewer.door.opening import in_browser
+    from softfinger.server.viewer.door.opening import open_browser
     from softfinger.server.viewer.live import LivePage
     from softfinger.server.viewer.participant import ParticipantPage
     from softfinger.server.viewer.playback import RecordedPage, load
@@ -105,9 +105,9 @@ def run(args: argparse.Namespace) -> int:
                 log.info("the page is %s; to stop it: Ctrl-C", page.address)
             if args.host != HOST:
                 log.warning("whoever has this address may command the daemon, and it crosses the network in plain text")
-            shown = nullcontext() if args.no_open or not _can_open() else in_browser(page.address)
+            shown = nullcontext() if args.no_open or not _can_open() else open_browser(page.address)
             with signals.asked(lambda: asked.append(True)), shown:
-                each_frame(fed.step, asked, args.duration)
+                run_frames(fed.step, asked, args.duration)
         finally:
             fed.close()
     finally:

@@ -147,7 +147,7 @@ def targets() -> dict[str, Target]:
     from softfinger.proxy.meshes.reading import arrays_of
     from softfinger.server.offline.results import read_results
     from softfinger.server.recording.compare import FIELDS
-    from softfinger.server.recording.reader import contents
+    from softfinger.server.recording.reader import read_contents
     from softfinger.server.recording.run import load_run
     from softfinger.server.recording.summary import summary
     from softfinger.server.wire.envelope import Declined, parse
@@ -155,7 +155,7 @@ def targets() -> dict[str, Target]:
     config, recording = (ConfigError,), (RecordingError,)
 
     def every(path: Path, _: bytes) -> None:
-        for read in (lambda: list(contents(path)), lambda: summary(path), lambda: load_run(path, FIELDS)):
+        for read in (lambda: list(read_contents(path)), lambda: summary(path), lambda: load_run(path, FIELDS)):
             try:
                 read()
             except RecordingError as error:

@@ -26,7 +26,7 @@ from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.scene import start_state
 from softfinger.server import cli
 from softfinger.server.viewer.nodes import meshes
-from softfinger.server.viewer.nodes.bodies import Began, Bodies
+from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
 
 pytestmark = pytest.mark.plain
 
@@ -165,7 +165,7 @@ def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> No
     np.testing.assert_allclose(vertices, expected, atol=1e-8)  # 32 bits
     server = viser.ViserServer(port=0, verbose=False)
     try:
-        bodies = Bodies(server.scene, scene, Began(0, 0, 1e-3, True))
+        bodies = Bodies(server.scene, scene, SceneStart(0, 0, 1e-3, True))
         bodies.draw(0, meshes.sent(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
         half = math.sqrt(0.5)  # the body turned so that the geom lies in the world as it does in its own frame
         turn, back = np.empty(4), np.empty(4)

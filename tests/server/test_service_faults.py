@@ -11,7 +11,7 @@ import pytest
 
 from softfinger.config.errors import SafetyStop
 from softfinger.proxy.record import AT, CAUSE_TOUCH, RECORD_SIZE, ROLLING
-from softfinger.server.metrics.counts import Counts, Wire
+from softfinger.server.metrics.counts import MetricsCollector, PublisherCounts
 from softfinger.server.metrics.service import Metrics
 from softfinger.server.services.commands import Commands
 from softfinger.server.services.hotplug import HotplugWatch
@@ -45,7 +45,9 @@ def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
 
     broken = cast(Any, Broken())
     if name == "metrics":
-        counts = Counts([""], lambda: Wire(0, 0, 0, 0), lambda: Written(0, 0, 0, 0, 0.0), lambda: State.READY)
+        counts = MetricsCollector(
+            [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: Written(0, 0, 0, 0, 0.0), lambda: State.READY
+        )
         bound = SimpleNamespace(
             endpoint="tcp://127.0.0.1:1", listener=broken, files=SimpleNamespace(close=lambda: None)
         )
