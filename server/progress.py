@@ -33,9 +33,9 @@ _shown: Final = threading.Lock()
 _quiet: Final = threading.Event()
 
 
-def show(wanted: bool) -> None:
+def set_enabled(enabled: bool) -> None:
     """Turn the progress display on or off."""
-    if wanted:
+    if enabled:
         _quiet.clear()
     else:
         _quiet.set()
@@ -59,15 +59,15 @@ def progress(what: str, total: int | None = None) -> Iterator[Callable[[int], No
         _shown.release()
 
 
-def described(what: str, count: int = 0, total: int | None = None) -> str:
+def progress_text(what: str, count: int = 0, total: int | None = None) -> str:
     """Return the text of the progress line: `simulating: compiling kernel 1`, after that `simulating 40%`."""
-    if doing := str(DOING):
-        return f"{what}: {doing}"
+    if compilation := str(DOING):
+        return f"{what}: {compilation}"
     return f"{what} {count / total:.0%}" if total else what
 
 
 @contextmanager
-def making(kernels: str) -> Iterator[None]:
+def report_compilation(kernels: str) -> Iterator[None]:
     """Report the compilation or loading of `kernels` during the block.
 
     The garbage collector is off until the end: it would take a tenth of the time of a compilation.
@@ -126,7 +126,7 @@ def _display(bar: bool) -> Progress:
         """Column evaluated ten times a second, so it shows the current kernel compilation."""
 
         def render(self, task: Task) -> Text:
-            return Text(described(task.description), no_wrap=True, overflow="ellipsis")
+            return Text(progress_text(task.description), no_wrap=True, overflow="ellipsis")
 
     class Share(TaskProgressColumn):
         """Percentage that is empty during a compilation, when the operation has not started yet."""
@@ -148,7 +148,7 @@ def _display(bar: bool) -> Progress:
 
 @contextmanager
 def _lines(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    begun, finished, count = time.monotonic(), threading.Event(), 0
+    start_s, finished, count = time.monotonic(), threading.Event(), 0
 
     def done(number: int) -> None:
         nonlocal count
@@ -157,8 +157,8 @@ def _lines(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
     def report() -> None:
         wait = QUIET_S
         while not finished.wait(wait):
-            said = described(what, count, total)
-            print(f"{said} ... {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
+            text = progress_text(what, count, total)
+            print(f"{text} ... {time.monotonic() - start_s:.0f} s", file=sys.stderr, flush=True)
             wait = PLAIN_PERIOD_S
 
     reporter = threading.Thread(target=report, daemon=True)

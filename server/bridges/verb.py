@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         if args.recording:
             log.info("%d ticks shown", rerun.show_recording(Path(args.recording), stream))
             return 0
-        return follow(args, lambda fingers, scene: rerun.Shown(stream, fingers, scene))
+        return follow(args, lambda fingers, scene: rerun.RerunSink(stream, fingers, scene))
     finally:
         stream.flush()
 
@@ -81,7 +81,7 @@ def to_foxglove(args: argparse.Namespace) -> int:
     server = foxglove.Server(args.port)
     try:
         log.info("in Foxglove open the connection %s, or %s", server.url, server.app)
-        return follow(args, lambda fingers, scene: foxglove.Shown(server, fingers, scene))
+        return follow(args, lambda fingers, scene: foxglove.FoxgloveSink(server, fingers, scene))
     finally:
         server.close()
 
@@ -89,12 +89,12 @@ def to_foxglove(args: argparse.Namespace) -> int:
 def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], TickReceiver]) -> int:
     """Forward the data of the daemon to a viewer until the daemon ends, times out, or a limit or signal stops it."""
     stop: list[bool] = []
-    lock = keys.of_options(args)
-    found = addresses_of(args.endpoint, lock, args.commands)
-    job = RecordingJob(found, lock, args.duration, args.timeout, lambda: bool(stop))
-    with signals.asked(lambda: stop.append(True)), subscribe_all(job) as wire:
-        early, fingers, about = receive_first(wire, job)
+    lock = keys.keys_from_options(args)
+    addresses = addresses_of(args.endpoint, lock, args.commands)
+    job = RecordingJob(addresses, lock, args.duration, args.timeout, lambda: bool(stop))
+    with signals.stop_on_signal(lambda: stop.append(True)), subscribe_all(job) as wire:
+        first_samples, fingers, about = receive_first(wire, job)
         batcher = TickBatcher(show(fingers, parse_scene(about)), fingers)
-        ended = record_until_end(wire, job, early, batcher)
-    log.info("ticks %d to %d, %d lost; %s", batcher.first, batcher.last, batcher.lost, ended)
-    return signals.code_of_stop()
+        end_reason = record_until_end(wire, job, first_samples, batcher)
+    log.info("ticks %d to %d, %d lost; %s", batcher.first, batcher.last, batcher.lost, end_reason)
+    return signals.stop_exit_code()

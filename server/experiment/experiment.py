@@ -200,7 +200,7 @@ class Experiment:
                     raise ConfigError(f"{where}: {error}") from error
             parameters_by_location = ((where, parameters) for where, _, parameters in files.level_extremes(self.file))
             rigs.check_rated(parameters_by_location, [device.info for device in daemon.devices])
-            stack.enter_context(signals.asked(daemon.stop, daemon.pause))
+            stack.enter_context(signals.stop_on_signal(daemon.stop, daemon.pause))
             daemon.start()
             client = stack.enter_context(Client(daemon.publisher.endpoint, daemon.commands_endpoint))
             log.info("telemetry on %s, commands on %s", daemon.publisher.endpoint, daemon.commands_endpoint)
@@ -208,7 +208,7 @@ class Experiment:
             if running.view:
                 log_options = [] if log.isEnabledFor(logging.INFO) else ["-q"]
                 endpoints = daemon.publisher.endpoint, daemon.commands_endpoint
-                page = PageProcess(*endpoints, log_options, daemon.page_ended, Role.PARTICIPANT)
+                page = PageProcess(*endpoints, log_options, daemon.publish_page_exit, Role.PARTICIPANT)
                 stack.callback(page.close)
                 polls.append(page.supervise)
             haptics = Haptics(

@@ -13,7 +13,7 @@ from typing import IO, Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.closing import Closing
+from softfinger.server.closing import Closeable
 
 Entry = dict[str, Any]
 _DECODER: Final = msgspec.json.Decoder(dict)
@@ -34,7 +34,7 @@ class Memory:
         return [entry for entry in self.entries if entry["kind"] == kind]
 
 
-class Journal(Memory, Closing):
+class Journal(Memory, Closeable):
     """Append-only file; `entries` include the existing ones. Locked: a second session on the file is refused.
 
     Raises ConfigError if the file is damaged or another session writes to it.

@@ -58,7 +58,7 @@ class Commanders:
         behind.linger, behind.sndhwm, behind.rcvhwm, behind.maxmsgsize = 0, WAITING_MAX, WAITING_MAX, ANSWER_MAX
         behind.ipv6 = "[" in self._endpoint
         if self._keys is not None:
-            self._keys.put_on(behind)
+            self._keys.apply_to(behind)
         behind.connect(self._endpoint)
         self._behind[client] = behind
         return behind

@@ -25,7 +25,7 @@ from softfinger.drivers.base import HELD, WITHHELD
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services.recordings import Written
-from softfinger.server.states import State
+from softfinger.server.states import DaemonState
 
 Array = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ class MetricsCollector(Collector):
         fingers: Sequence[str],
         wire: Callable[[], PublisherCounts],
         written: Callable[[], Written],
-        state: Callable[[], State],
+        state: Callable[[], DaemonState],
     ) -> None:
         self._names, self._wire, self._written, self._state = tuple(fingers), wire, written, state
         self._lock = threading.Lock()
@@ -165,7 +165,7 @@ class MetricsCollector(Collector):
         yield _counter("softfinger_publisher_restarts", "Times the publisher was started again", restarts)
         yield from _recording_metrics(self._written())
         state, now = GaugeMetricFamily("softfinger_state", "1 for the daemon's state", labels=["state"]), self._state()
-        for each in State:
+        for each in DaemonState:
             state.add_metric([each.value], float(each is now))
         yield state
         yield InfoMetricFamily("softfinger_build", "What runs", {"version": version("softfinger")})

@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # they take time to import, and most daemons use no keys
     from zmq.auth.thread import ThreadAuthenticator
 
     from softfinger.server.gateway.allowed import Allowed
-    from softfinger.server.keys import Pair
+    from softfinger.server.keys import KeyPair
 
 HANDSHAKE_MS: Final = 2000
 LINGER_MS: Final = 200
@@ -47,7 +47,7 @@ class Open(Protocol):
 class Lock(NamedTuple):
     """Key pair of the server, and the keys of peers that may connect."""
 
-    pair: Pair
+    pair: KeyPair
     allowed: Allowed
 
 

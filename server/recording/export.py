@@ -12,8 +12,8 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import new_file
-from softfinger.server.offline.results import RESULTS_MAX, csv_lines
 from softfinger.server.recording.reader import Ticks, read_contents
+from softfinger.server.recording.results import RESULTS_MAX, csv_lines
 
 SUFFIXES: Final = (".csv", ".parquet", ".npz")
 GROUP_ROWS: Final = 65536

@@ -12,7 +12,7 @@ import numpy as np
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import open_recording
 from softfinger.drivers.poses import POSE_COLUMNS
-from softfinger.server.offline.results import McapResults
+from softfinger.server.recording.results import McapResults
 from softfinger.server.wire.client import Sample, record_of
 
 SUFFIXES: Final = (".csv", ".mcap")

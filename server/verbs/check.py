@@ -106,7 +106,7 @@ def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None
     for name, rig, wall in walls:
         freedom = None if rig.device is None else freedom_of_table(rig.device)
         for scene in scenes:
-            objects = workspace.drawn(wall, load_scene(_locate(scene)))
+            objects = workspace.place_objects(wall, load_scene(_locate(scene)))
             if plot is not None:
                 workspace.plot(wall, objects, plot, freedom)
             if not quiet:
@@ -160,7 +160,7 @@ def with_costs(finding: Finding) -> Finding:
     """Add the measured cost of a tick and of its parts to the finding of a usable scene; return any other unchanged."""
     if finding.kind != "scene" or finding.errors:
         return finding
-    from softfinger.server.offline.cost import bare, measure, touching_poses, without_parts
+    from softfinger.server.offline.cost import bare_contact, measure, touching_poses, without_parts
     from softfinger.server.progress import progress
 
     scene = load_scene(_locate(finding.file))
@@ -173,7 +173,7 @@ def with_costs(finding: Finding) -> Finding:
         for number, (name, rest) in enumerate(parts):
             rows.append((f"  {name}", f"{whole - measure(rest, poses).median_ns:+.0f} ns"))
             done(number + 2)
-        rows.append(("  bare contact", f"{measure(bare(scene), poses).median_ns:.0f} ns"))
+        rows.append(("  bare contact", f"{measure(bare_contact(scene), poses).median_ns:.0f} ns"))
     rows += [_stability_row(thing) for thing in scene.object]
     return finding._replace(summary=finding.summary + rows)
 

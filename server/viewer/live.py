@@ -15,13 +15,13 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import describe
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
+from softfinger.server import surface_meshes
 from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.displayed import find_low_dof_devices
 from softfinger.server.viewer.driven import ObjectControls, initial_poses, parse_drive
 from softfinger.server.viewer.hand import Hand, HandCommands, MovableFinger
 from softfinger.server.viewer.inputs import Gamepad, TwoHands, add_keys
-from softfinger.server.viewer.nodes import meshes
 from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.page import Page, parse_scene, parse_scene_start
 from softfinger.server.viewer.play import ORIENTATION_DOF, PageActions, Play
@@ -181,7 +181,7 @@ class LivePage:
         if scene_number != self._scene_number:
             return
         try:
-            self._page.draw(object_index, meshes.decode_mesh(mesh.vertices, mesh.triangles))
+            self._page.draw(object_index, surface_meshes.decode_mesh(mesh.vertices, mesh.triangles))
         except ValueError as error:
             self._page.show_message(f"object {object_index}: {error}")
 

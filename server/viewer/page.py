@@ -21,6 +21,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.record import AT
+from softfinger.server.surface_meshes import Mesh
 from softfinger.server.viewer.controls import is_on_slider
 from softfinger.server.viewer.displayed import LowDofDevice
 from softfinger.server.viewer.door.access import Access
@@ -29,7 +30,6 @@ from softfinger.server.viewer.nodes.camera import Camera, initial_camera
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.nodes.looks import Looks
-from softfinger.server.viewer.nodes.meshes import Mesh
 from softfinger.server.viewer.nodes.states import COLOURS, ContactState
 from softfinger.server.viewer.plots import Plots
 from softfinger.server.viewer.theme import Theme

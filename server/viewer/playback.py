@@ -15,14 +15,14 @@ from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.load import build, load_scene
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT
-from softfinger.server.offline.results import read_results
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.reader import Event, Note, Ticks, World, read_contents
+from softfinger.server.recording.results import read_results
+from softfinger.server.surface_meshes import Mesh
 from softfinger.server.viewer.controls import is_in_list, is_on_slider
 from softfinger.server.viewer.displayed import find_low_dof_devices
 from softfinger.server.viewer.driven import DrivenPoses, RecordedBodies
 from softfinger.server.viewer.nodes.bodies import SceneStart
-from softfinger.server.viewer.nodes.meshes import Mesh
 from softfinger.server.viewer.page import Page, parse_scene_start
 from softfinger.server.viewer.timeline import Events, band, pointer
 

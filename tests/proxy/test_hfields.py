@@ -24,8 +24,7 @@ from softfinger.proxy.kernels.query.world import advance, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.scene import start_state
-from softfinger.server import cli
-from softfinger.server.viewer.nodes import meshes
+from softfinger.server import cli, surface_meshes
 from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
 
 pytestmark = pytest.mark.plain
@@ -166,7 +165,7 @@ def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> No
     server = viser.ViserServer(port=0, verbose=False)
     try:
         bodies = Bodies(server.scene, scene, SceneStart(0, 0, 1e-3, True))
-        bodies.draw(0, meshes.sent(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
+        bodies.draw(0, surface_meshes.decode_mesh(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
         half = math.sqrt(0.5)  # the body turned so that the geom lies in the world as it does in its own frame
         turn, back = np.empty(4), np.empty(4)
         mujoco.mju_negQuat(back, np.array(thing.orientation_wxyz))

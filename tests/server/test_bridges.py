@@ -147,7 +147,7 @@ def test_foxglove_has_the_topics_of_a_recording() -> None:
     pytest.importorskip("foxglove", reason=WHY)
     records, server = run(), foxglove.Server(0)
     try:
-        shown = foxglove.Shown(server, [""], load_scene("paper-plane"))
+        shown = foxglove.FoxgloveSink(server, [""], load_scene("paper-plane"))
         with Viewer(int(server.url.rpartition(":")[2])) as viewer:
             shown.event(event("lifecycle", "started", 0))
             came: dict[str, tuple[int, bytes]] = {}
@@ -167,7 +167,7 @@ def test_foxglove_has_the_topics_of_a_recording() -> None:
 
 
 @contextmanager
-def sent_again_and_again(shown: foxglove.Shown, records: np.ndarray) -> Iterator[None]:
+def sent_again_and_again(shown: foxglove.FoxgloveSink, records: np.ndarray) -> Iterator[None]:
     """From another thread: a subscription takes effect a while after it was asked for."""
     over = threading.Event()
 
@@ -202,7 +202,7 @@ def test_fingers_are_told_apart(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason=WHY)
     stream = rerun.stream(tmp_path / "two.rrd")
     scene = load_scene("pinch")
-    shown = rerun.Shown(stream, [finger.name for finger in scene.fingers], scene)
+    shown = rerun.RerunSink(stream, [finger.name for finger in scene.fingers], scene)
     for place in range(2):
         shown.take(run()[:100], place)
     stream.flush()

@@ -33,7 +33,7 @@ from softfinger.server.metrics.counts import (
 from softfinger.server.metrics.service import DASHBOARD
 from softfinger.server.recording.summary import summary
 from softfinger.server.services.recordings import Written
-from softfinger.server.states import State
+from softfinger.server.states import DaemonState
 
 pytestmark = pytest.mark.real_time
 
@@ -79,7 +79,10 @@ def test_figures_are_those_of_the_records(batch: int) -> None:
     put(fingers[0], "servo.late", late)
     put(fingers[0], "servo.missed", np.arange(count))
     counts = MetricsCollector(
-        ["thumb", "index"], lambda: PublisherCounts(3, 4, 5, 6), lambda: Written(6, 7, 8, 9, 0.25), lambda: State.ARMED
+        ["thumb", "index"],
+        lambda: PublisherCounts(3, 4, 5, 6),
+        lambda: Written(6, 7, 8, 9, 0.25),
+        lambda: DaemonState.ARMED,
     )
     together = np.concatenate(fingers, axis=1)
     for start in range(0, count, batch):
@@ -195,7 +198,7 @@ def test_the_dashboard_shows_what_there_is(daemon: Daemon) -> None:
 def test_names_are_prometheus_own_way() -> None:
     """A unit or `_total` at the end, but for what is neither measured nor counted up."""
     for family in MetricsCollector(
-        [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: NOTHING, lambda: State.READY
+        [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: NOTHING, lambda: DaemonState.READY
     ).collect():
         for sample in family.samples:
             name = re.sub("_(bucket|sum|count)$", "", sample.name)
@@ -208,7 +211,7 @@ def test_the_page_lists_every_name() -> None:
     rows = {row[0]: set(re.findall(r"`(\w+)`", row[1])) for row in re.findall(r"^\| `(\w+)` \| (.*?) \|", page, re.M)}
     found: dict[str, set[str]] = {}
     for family in MetricsCollector(
-        [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: NOTHING, lambda: State.READY
+        [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: NOTHING, lambda: DaemonState.READY
     ).collect():
         for sample in family.samples:
             name = re.sub("_(bucket|sum|count)$", "", sample.name)

@@ -17,7 +17,7 @@ from softfinger.server.services.commands import Commands
 from softfinger.server.services.hotplug import HotplugWatch
 from softfinger.server.services.recordings import Written
 from softfinger.server.services.world import WorldState
-from softfinger.server.states import State
+from softfinger.server.states import DaemonState
 from softfinger.server.wire.events import RecordEvents
 from softfinger.server.wire.health import Health
 
@@ -46,7 +46,7 @@ def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
     broken = cast(Any, Broken())
     if name == "metrics":
         counts = MetricsCollector(
-            [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: Written(0, 0, 0, 0, 0.0), lambda: State.READY
+            [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: Written(0, 0, 0, 0, 0.0), lambda: DaemonState.READY
         )
         bound = SimpleNamespace(
             endpoint="tcp://127.0.0.1:1", listener=broken, files=SimpleNamespace(close=lambda: None)

@@ -22,8 +22,8 @@ from softfinger.drivers.resample import resample
 from softfinger.drivers.wrench_log import FORCE_COLUMNS
 from softfinger.proxy.record import NAMED
 from softfinger.server.offline.figures import figure, plot_file, save
-from softfinger.server.offline.results import read_results
 from softfinger.server.recording.compare import COMPARED, FIELDS, Outcome, Replayed, compare, replay
+from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import Run, load_run
 
 Array = NDArray[np.float64]

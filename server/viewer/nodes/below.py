@@ -7,8 +7,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.server.surface_meshes import Mesh
 from softfinger.server.viewer.nodes.glyphs import PoseTuple, rotate
-from softfinger.server.viewer.nodes.meshes import Mesh
 
 Array = NDArray[np.float64]
 

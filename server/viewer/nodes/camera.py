@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.server.surface_meshes import surface_mesh
 from softfinger.server.viewer.nodes.glyphs import PoseTuple, rotate
 from softfinger.server.viewer.nodes.looks import CM
-from softfinger.server.viewer.nodes.meshes import surface_mesh
 
 Array = NDArray[np.float64]
 DrawnObjects = Sequence[tuple[Any, PoseTuple]]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.proxy.record import AT, FREE, NAMED, PATCHES, SLIDING
+from softfinger.server.surface_meshes import cone, ellipsoid, lathe
 from softfinger.server.viewer.nodes.bodies import Bodies
 from softfinger.server.viewer.nodes.glyphs import DASHES, Trace, arc, circles, dashes, inverse, rotate, rotation_to
 from softfinger.server.viewer.nodes.looks import (
@@ -26,7 +27,6 @@ from softfinger.server.viewer.nodes.looks import (
     Colour,
     Looks,
 )
-from softfinger.server.viewer.nodes.meshes import cone, ellipsoid, lathe
 from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from trimesh import Scene, Trimesh
 from trimesh.exchange.gltf import export_glb
 
+from softfinger.server.surface_meshes import Mesh
 from softfinger.server.viewer.nodes.board import UNLIT
 from softfinger.server.viewer.nodes.looks import CM, Colour
-from softfinger.server.viewer.nodes.meshes import Mesh
 
 LIGHT: Final = np.array([-0.6, -0.45, 0.66])
 """Direction to the light, a unit vector to three digits: from the left, as on maps."""

@@ -24,7 +24,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.shared.bell import wait_for
 from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows, write_row
 from softfinger.server.loop.shared.ring import Feed, make_ring, take
-from softfinger.server.progress import making
+from softfinger.server.progress import report_compilation
 from softfinger.server.wire.native.memory import make_memory, remove, ring_readers, wake_readers
 from softfinger.server.wire.native.system import ring, silence, sleep_on
 
@@ -204,7 +204,7 @@ class Relay:
             (serve, (self._post, self._home, 0, 0, self._file)),
             (ring_readers, (self._post.readers,)),
         ]
-        with making("kernels that hand ticks on"):
+        with report_compilation("kernels that hand ticks on"):
             for kernel, given in kernels:
                 kernel.compile(_types(*given))
 

@@ -21,9 +21,9 @@ from softfinger.server import cli
 from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.results import read_results
-from softfinger.server.offline.simulate import poses_of, simulate, tick_many
+from softfinger.server.offline.simulate import load_finger_poses, simulate, tick_many
 from softfinger.server.recording.compare import FORGET_TIME_CONSTANTS, Outcome, compare, replay
+from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import load_run
 from softfinger.server.recording.verbs.replay import FIELDS, TOLERANCE, _recorded_values
 from softfinger.server.recording.writer import RecordingFile
@@ -211,7 +211,7 @@ def test_several_fingers(tmp_path: Path) -> None:
     assert first is not None and (first.finger, first.key, first.tick) == ("index", "force[1]", 0)
     for place, name in enumerate(names):
         assert resample(load_poses(path, name), 1000.0).tobytes() == played[place].tobytes()
-    assert poses_of(names, {"": str(path)}, 1000.0).tobytes() == np.stack(played, axis=1).tobytes()
+    assert load_finger_poses(names, {"": str(path)}, 1000.0).tobytes() == np.stack(played, axis=1).tobytes()
 
 
 @pytest.mark.plain

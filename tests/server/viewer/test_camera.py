@@ -10,11 +10,11 @@ import pytest
 
 from softfinger.config.load import load_scene, shipped
 from softfinger.config.schema import Scene
+from softfinger.server.surface_meshes import Mesh
 from softfinger.server.viewer.nodes.bodies import visual_geoms
 from softfinger.server.viewer.nodes.camera import Camera, initial_camera
 from softfinger.server.viewer.nodes.glyphs import rotate
 from softfinger.server.viewer.nodes.looks import CM, MAP
-from softfinger.server.viewer.nodes.meshes import Mesh
 from softfinger.server.viewer.nodes.relief import LIGHT, shade_vertices
 
 pytestmark = pytest.mark.plain

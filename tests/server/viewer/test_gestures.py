@@ -14,7 +14,7 @@ from softfinger.drivers.simulated.plant import Drive
 from softfinger.proxy.engine import Engine, Step
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.record import AT
-from softfinger.server.offline.closed_loop import Held
+from softfinger.server.offline.closed_loop import DrivenPlant
 from softfinger.server.viewer.gestures import (
     APPROACH_SPEED_M_PER_S,
     GRIP_N,
@@ -110,7 +110,7 @@ class MovableFinger(SimulatedHands):
         places = {"thumb": -0.04, "index": 0.04}
         self.goals = {name: np.array([x, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0]) for name, x in places.items()}
         self._hands = tuple(
-            Held(hand.plant, Drive(hand.drive.intention._replace(length=1.0, loop=0.0), goal, hand.drive.line))
+            DrivenPlant(hand.plant, Drive(hand.drive.intention._replace(length=1.0, loop=0.0), goal, hand.drive.line))
             for hand, goal in zip(self._hands, self.goals.values(), strict=True)
         )
 

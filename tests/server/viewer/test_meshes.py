@@ -19,8 +19,8 @@ from softfinger.proxy.meshes.prepared import about
 from softfinger.proxy.meshes.thinning import PICTURE_TRIANGLES
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.publishing.setup import ANSWER_MAX
+from softfinger.server.surface_meshes import decode_mesh
 from softfinger.server.viewer.nodes.bodies import SceneStart
-from softfinger.server.viewer.nodes.meshes import decode_mesh
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import RecordedPage, Recording
 from softfinger.server.wire.commands import Triangles

@@ -16,6 +16,7 @@ from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.surface_meshes import Mesh, cone, surface_mesh
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes.board import squares
 from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
@@ -33,7 +34,6 @@ from softfinger.server.viewer.nodes.glyphs import (
     rotation_to,
 )
 from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, Looks
-from softfinger.server.viewer.nodes.meshes import Mesh, cone, surface_mesh
 from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
 from softfinger.server.viewer.target import Target, drag_target, from_angles, intersect_plane, nudge_target, to_angles
 

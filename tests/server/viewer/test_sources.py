@@ -20,8 +20,8 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon as Servant
 from softfinger.server.cli import main
 from softfinger.server.gateway.addresses import Addresses
-from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
+from softfinger.server.recording.results import write_results
 from softfinger.server.viewer.driven import ObjectControls
 from softfinger.server.viewer.hand import Hand, HandCommands, MovableFinger
 from softfinger.server.viewer.inputs import Nudge
