@@ -172,7 +172,7 @@ def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> No
         mujoco.mju_mulQuat(turn, np.array([half, 0.0, 0.0, half]), back)
         offset = np.empty(3)
         mujoco.mju_rotVecQuat(offset, np.array(thing.position_m), turn)
-        bodies.ride({thing.motion.body: (tuple(np.array([0.3, 0.2, 0.1]) - offset), tuple(turn))})
+        bodies.move_bodies({thing.motion.body: (tuple(np.array([0.3, 0.2, 0.1]) - offset), tuple(turn))})
         for row, column in ((2, 3), (6, 9)):  # a quarter turn: x of the map is y of the world
             foot = bodies.below(np.array([0.3 - y[row], 0.2 + x[column], 1.0]))
             assert foot is not None and foot.point[2] == pytest.approx(0.1 + elevations_m()[row, column], abs=1e-7)

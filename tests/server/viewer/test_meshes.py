@@ -95,4 +95,4 @@ def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
     page.change(gone, BEGAN)
     assert "/objects/1/surface" not in surfaces(page)
     RecordedPage(page, Recording(records, gone, "part", 1000.0, BEGAN), 0)
-    assert "No such file" in page._said.content and "/objects/0/surface" in surfaces(page)
+    assert "No such file" in page._message.content and "/objects/0/surface" in surfaces(page)

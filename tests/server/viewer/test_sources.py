@@ -123,9 +123,9 @@ def test_a_page_follows_its_daemon(page: Page, endpoints: tuple[str, str]) -> No
         assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
         assert fed(live, lambda: knob.value == 640.0)
         live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": -1.0})
-        assert fed(live, lambda: "Not done:" in page._said.content and "stiffness_n_per_m" in page._said.content)
-        live._send("", None)
-        assert fed(live, lambda: "no program leads the hand on replay" in page._said.content)
+        assert fed(live, lambda: "Not done:" in page._message.content and "stiffness_n_per_m" in page._said.content)
+        live._lead_hand("", None)
+        assert fed(live, lambda: "no program leads the hand on replay" in page._message.content)
         live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 1000.0})
         assert fed(live, lambda: knob.value == 1000.0)
     finally:
@@ -141,7 +141,7 @@ def test_ticks_and_scenes_come_in_any_order(page: Page) -> None:
     for number in (7, -1, 0):
         rows[:, AT.contact_object] = number
         page.show({"": rows})
-    assert set(page.fingers[""]._on_objects) == {0}
+    assert set(page.fingers[""]._object_traces) == {0}
 
 
 def test_a_moment_too_small_for_an_arc_has_no_tip_either(page: Page) -> None:
@@ -160,7 +160,7 @@ def test_ticks_of_a_scene_before_are_not_drawn_in_this_one(page: Page, endpoints
     live = LivePage(page, Addresses(*endpoints))
     try:
         assert fed(live, lambda: page._newest)
-        live._first = 10**9
+        live._first_tick = 10**9
         page._newest.clear()
         for _ in range(5):
             live.step(0.05)
@@ -212,7 +212,7 @@ def test_a_pull_too_far_is_refused_and_taken_back(page: Page) -> None:
             handles._switch.value = True
             handles._show()
             pulls(handles, (0.0, 0.0, 1e7))
-            assert fed(live, lambda: "Not done:" in page._said.content and "position_m" in page._said.content)
+            assert fed(live, lambda: "Not done:" in page._message.content and "position_m" in page._said.content)
             assert handles._nodes[0].position.tolist() == [0.0, 0.0, 1.0]
             pulls(handles, (0.0, 0.0, 2.0))
             assert fed(live, lambda: page.bodies is not None and page.bodies.poses[0][0] == (0.0, 0.0, 0.02))
@@ -238,7 +238,7 @@ def test_a_hand_without_a_wrist_is_led_as_well(page: Page) -> None:
             assert fed(live, lambda: live._hand._targets)
             asked = running.rendering.servo.ticks
             assert fed(live, lambda: running.rendering.servo.ticks > asked + 1000)
-            assert "Not done:" not in page._said.content
+            assert "Not done:" not in page._message.content
         finally:
             live.close()
 
