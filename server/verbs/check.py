@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
@@ -35,9 +35,6 @@ from softfinger.config.schema import (
 from softfinger.config.words import near, shown
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.offline.summary import mesh_report, rig_summary, scene_summary
-
-if TYPE_CHECKING:
-    pass
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
 _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
