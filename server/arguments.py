@@ -35,8 +35,8 @@ class Parser(argparse.ArgumentParser):
     def _refuse(self, words: Sequence[str]) -> NoReturn:
         from softfinger.config.words import near  # importing it takes longer than parsing a command line
 
-        known = [flag for action in self._actions for flag in action.option_strings]
-        suggestions = [word + (near(word.partition("=")[0], known) if word.startswith("--") else "") for word in words]
+        flags = [flag for action in self._actions for flag in action.option_strings]
+        suggestions = [word + (near(word.partition("=")[0], flags) if word.startswith("--") else "") for word in words]
         self.error(f"unrecognized arguments: {' '.join(suggestions)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

@@ -170,10 +170,10 @@ def failed(message: str, code: int) -> int:
 
 def reason(error: OSError | MemoryError) -> str:
     """Return a message with the error of the system and a hint."""
-    said = "out of memory"
+    reason = "out of memory"
     if isinstance(error, OSError):
-        said = f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
-    return f"the system refused: {said} (with --verbose: where)"
+        reason = f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
+    return f"the system refused: {reason} (with --verbose: where)"
 
 
 def open_streams() -> None:

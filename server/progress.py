@@ -26,7 +26,7 @@ PLAIN_PERIOD_S: Final = 5.0
 CHUNK: Final = 16384
 """Ticks per progress report of an offline run, which passes on 12 MB of records at a time."""
 
-_shown: Final = threading.Lock()
+_display_lock: Final = threading.Lock()
 """Held by the only display; operations nested in another show nothing."""
 
 
@@ -49,14 +49,14 @@ def on_terminal() -> bool:
 @contextmanager
 def progress(what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
     """Report progress of `what` to stderr during the block; call the result with the number done, out of `total`."""
-    if _quiet.is_set() or not _shown.acquire(blocking=False):
+    if _quiet.is_set() or not _display_lock.acquire(blocking=False):
         yield lambda number: None
         return
     try:
         with _bar(what, total) if on_terminal() else _lines(what, total) as done:
             yield done
     finally:
-        _shown.release()
+        _display_lock.release()
 
 
 def progress_text(what: str, count: int = 0, total: int | None = None) -> str:
@@ -88,7 +88,7 @@ def counter() -> Iterator[Callable[[str], None] | None]:
     if _quiet.is_set() or not on_terminal():
         yield None
         return
-    with _shown:
+    with _display_lock:
         display = _display(bar=False)
         task = display.add_task("")
         with display:

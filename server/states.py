@@ -79,14 +79,14 @@ class States:
 
     Parameters
     ----------
-    tell
+    report
         Called on each transition, in order, with the previous state, the new state and the cause.
     """
 
     def __init__(
-        self, tell: Callable[[DaemonState, DaemonState, str], None] = lambda before, after, cause: None
+        self, report: Callable[[DaemonState, DaemonState, str], None] = lambda before, after, cause: None
     ) -> None:
-        self._tell = tell
+        self._report = report
         self._lock = threading.RLock()
         self._now = DaemonState.STARTING
         self._failed = False
@@ -103,7 +103,7 @@ class States:
             if after is None:
                 return False
             before, self._now = self._now, after
-            self._tell(before, after, cause)
+            self._report(before, after, cause)
             return True
 
     def fail(self, cause: str) -> None:

@@ -137,8 +137,8 @@ def _rotate_by(rotations: Array, orientation: Array) -> Array:
     angles = np.linalg.norm(rotations, axis=1, keepdims=True)
     w, v = np.cos(0.5 * angles), 0.5 * np.sinc(0.5 * angles / np.pi) * rotations
     w0, v0 = orientation[0], orientation[1:]
-    made = np.hstack([w * w0 - (v @ v0)[:, None], w * v0 + w0 * v + np.cross(v, v0)])
-    unit: Array = made / np.linalg.norm(made, axis=1, keepdims=True)
+    rotated = np.hstack([w * w0 - (v @ v0)[:, None], w * v0 + w0 * v + np.cross(v, v0)])
+    unit: Array = rotated / np.linalg.norm(rotated, axis=1, keepdims=True)
     return unit
 
 

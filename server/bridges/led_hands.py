@@ -40,9 +40,9 @@ RAMP_S: Final = 0.01
 """Shortest ramp of the guard: complete before the first step."""
 
 
-def box_space(most: float, *shape: int) -> spaces.Box:
-    """Return a space of arrays with elements between -most and most."""
-    return spaces.Box(-most, most, shape, np.float64)
+def box_space(bound: float, *shape: int) -> spaces.Box:
+    """Return a space of arrays with elements between -bound and bound."""
+    return spaces.Box(-bound, bound, shape, np.float64)
 
 
 class LedHands(gymnasium.Env[Observation, Array], ABC):

@@ -86,9 +86,9 @@ class RerunSink:
             values = np.asarray(rows[field], np.float64).reshape(len(rows), -1)
             series = self._rr.Scalars.columns(scalars=values.ravel())
             self._send(path, rows, series.partition([values.shape[1]] * len(rows)))
-        shown, self._pictures[name] = picture.select_displayed(records, self._pictures[name])
-        if len(shown):
-            self._send_poses(Records(records[shown]), name)
+        indices, self._pictures[name] = picture.select_displayed(records, self._pictures[name])
+        if len(indices):
+            self._send_poses(Records(records[indices]), name)
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Log an event, a map as on the wire."""
@@ -169,13 +169,13 @@ def show_recording(recording: Path, stream: Any) -> int:
             about[part.name] = part.value
         elif isinstance(part, Ticks) and part.finger not in fingers:
             fingers.append(part.finger)
-    shown, count = RerunSink(stream, fingers, parse_scene(about)), 0
+    sink, count = RerunSink(stream, fingers, parse_scene(about)), 0
     for part in read_contents(recording):
         if isinstance(part, Ticks):
-            shown.take(part.records(), fingers.index(part.finger))
+            sink.take(part.records(), fingers.index(part.finger))
             count += len(part.rows)
         elif isinstance(part, Event):
-            shown.event(part.event)
+            sink.event(part.event)
         elif isinstance(part, World):
-            shown.world(part.world)
+            sink.world(part.world)
     return count

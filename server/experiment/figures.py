@@ -38,15 +38,15 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
     except ImportError as error:
         raise ConfigError(f"figures need matplotlib ({error}): pip install 'softfinger[plots]'") from error
     participants = list(dict.fromkeys(group.participant for group in groups))
-    shown = ALL if ALL in participants else participants[0]
+    main_participant = ALL if ALL in participants else participants[0]
     plt.rcParams["svg.hashsalt"] = "softfinger"  # same file for the same answers
     paths = []
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     for group in groups:
         (_draw_power_law if isinstance(group.fit, PowerLaw) else _draw_psychometric)(
-            axes, group, is_faint=group.participant != shown
+            axes, group, is_faint=group.participant != main_participant
         )
-    axes.set(xscale="log", title=f"{experiment.title} ({shown})", xlabel=_level(experiment))
+    axes.set(xscale="log", title=f"{experiment.title} ({main_participant})", xlabel=_level(experiment))
     if experiment.task.kind == "compare":
         axes.set(ylabel="share of right answers", ylim=(0.0, 1.02))
     else:
@@ -54,7 +54,7 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
     _plain_ticks(axes)
     axes.legend(fontsize="small")
     paths += _save(figure, out / "fit")
-    shown_groups = [group for group in groups if group.participant == shown]
+    shown_groups = [group for group in groups if group.participant == main_participant]
     if any(group.means for group in shown_groups):
         figure, all_axes = plt.subplots(1, len(AVERAGED_COLUMNS), figsize=(11, 3.2), layout="constrained")
         for axes, name in zip(all_axes, AVERAGED_COLUMNS, strict=True):

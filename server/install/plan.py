@@ -88,19 +88,19 @@ def files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -
     load_scene(scene)
     devices = load_rig(rig).tables.values()
     at = install_paths(system)
-    found = [
+    install_files = [
         File(at.units / "softfinger.service", unit(service(rig, scene), system)),
         File(at.manuals / "softfinger.1", manual(parser)),
         File(at.bash / "softfinger", completion("bash")),
         File(at.zsh / "_softfinger", completion("zsh")),
     ]
     if system:
-        found += [
+        install_files += [
             File(Path("/etc/udev/rules.d/70-softfinger.rules"), udev_rules(devices)),
             File(Path("/etc/security/limits.d/70-softfinger.conf"), LIMITS),
             File(Path("/etc/sysusers.d/softfinger.conf"), ACCOUNT),
         ]
-    return found
+    return install_files
 
 
 def service(rig: str, scene: str) -> list[str]:

@@ -57,13 +57,13 @@ def run(args: argparse.Namespace) -> int:
 def install(args: argparse.Namespace, ledger: Ledger) -> None:
     from softfinger.server.cli import make_parser
 
-    wanted, commands = files(args.system, args.rig, args.scene, make_parser()), after_writing(args.system)
+    files_to_write, commands = files(args.system, args.rig, args.scene, make_parser()), after_writing(args.system)
     if args.dry_run:
-        for file in wanted:
+        for file in files_to_write:
             print(f"##### {file.path}: {ledger.state(file)}\n{file.text}")
         print("\n".join(f"##### then: {shlex.join(words)}" for words in commands))
         return
-    show(ledger.write(wanted))
+    show(ledger.write(files_to_write))
     if args.root is None:
         run_all(commands)
     private_folder = first_private_folder(service(args.rig, args.scene)) if args.system else None

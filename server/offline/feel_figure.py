@@ -72,12 +72,16 @@ def spread(each: Measured) -> list[list[float]]:
 
 def overview(axes: Any) -> None:
     """Draw the coefficients of all materials with a published coefficient on skin, and these coefficients."""
-    known = [(name, entry) for name, (_, entry) in entries().items() if any(each.friction for each in entry.measured)]
-    rows = dict(zip((name for name, _ in known), range(len(known), 0, -1), strict=True))
-    laws = np.array([[entry.values["friction"][key] for key in ("kinetic", "static")] for _, entry in known])
+    measured_entries = [
+        (name, entry) for name, (_, entry) in entries().items() if any(each.friction for each in entry.measured)
+    ]
+    rows = dict(zip((name for name, _ in measured_entries), range(len(measured_entries), 0, -1), strict=True))
+    laws = np.array([[entry.values["friction"][key] for key in ("kinetic", "static")] for _, entry in measured_entries])
     axes.hlines(list(rows.values()), *laws.T, color="C0", lw=2.5, label="model, kinetic to static")
     axes.plot(laws[:, 1], list(rows.values()), "|", color="C0", ms=6)  # visible if both are equal
-    points = [(rows[name], each) for name, entry in known for each in entry.measured if each.friction is not None]
+    points = [
+        (rows[name], each) for name, entry in measured_entries for each in entry.measured if each.friction is not None
+    ]
     axes.errorbar(
         [each.friction for _, each in points],
         [row - 0.25 for row, _ in points],

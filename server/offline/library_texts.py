@@ -26,12 +26,12 @@ def entries() -> dict[str, tuple[str, Entry]]:
 
 def find_entry(name: str) -> tuple[str, Entry]:
     """Return one of `entries`. Raises ConfigError if the name is unknown."""
-    known = entries()
-    if name not in known:
+    by_name = entries()
+    if name not in by_name:
         raise ConfigError(
-            f"no material or fingertip is called {shown(name)}{near(name, known)}; there are {', '.join(known)}"
+            f"no material or fingertip is called {shown(name)}{near(name, by_name)}; there are {', '.join(by_name)}"
         )
-    return known[name]
+    return by_name[name]
 
 
 def library_table(kind: str, name: str) -> Any:

@@ -164,8 +164,8 @@ def _view(wall: Workspace, objects: list[PlacedObject], axis: int, freedom: Free
     for mark, points in marks:
         column = np.rint((points[:, axis] - center[axis] + half) / (2.0 * half) * (COLUMNS - 1))
         row = np.rint((half - points[:, 2] + center[2]) / (2.0 * half) * (ROWS - 1))
-        seen = (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS)
-        cells[row[seen].astype(int), column[seen].astype(int)] = mark
+        is_visible = (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS)
+        cells[row[is_visible].astype(int), column[is_visible].astype(int)] = mark
     cells[ROWS // 2, COLUMNS // 2] = "+"
     return ["".join(line) for line in cells]
 

@@ -66,12 +66,12 @@ def as_json(name: str, kind: str, entry: Entry) -> dict[str, Any]:
 
 
 def _list(is_json: bool) -> None:
-    known = entries()
+    all_entries = entries()
     if is_json:
-        print(json.dumps([as_json(name, *each) for name, each in known.items()], indent=1))
+        print(json.dumps([as_json(name, *each) for name, each in all_entries.items()], indent=1))
         return
-    width = max(map(len, known))
-    for name, (kind, entry) in known.items():
+    width = max(map(len, all_entries))
+    for name, (kind, entry) in all_entries.items():
         print(f"{name:{width}}  {kind:9}  {_short(entry):32}  {entry.about}")
 
 

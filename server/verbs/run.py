@@ -123,10 +123,10 @@ def run(args: argparse.Namespace) -> int:
     return signals.stop_exit_code()
 
 
-def announce(daemon: Daemon, scene_name: str, shown: bool) -> None:
-    """Log scene, device and endpoints; `shown`: a page is open."""
+def announce(daemon: Daemon, scene_name: str, is_page_open: bool) -> None:
+    """Log scene, device and endpoints; `is_page_open`: a page is open."""
     rendering, telemetry = daemon.rendering, daemon.publisher.endpoint
-    if not shown:
+    if not is_page_open:
         log.info(
             "--view shows it in the browser, with the mouse for a hand: `%s run --view`, `make run ARGS=--view`",
             program_name(),

@@ -34,11 +34,11 @@ class LowDofDevice(NamedTuple):
 
     def format_html(self, row: Array) -> str:
         """Return the displayed and the missing force of a tick as HTML."""
-        shown = self.displayed_force(row)
-        missing = float(np.linalg.norm(row[AT.force : AT.force + 3] - shown))
+        displayed = self.displayed_force(row)
+        missing = float(np.linalg.norm(row[AT.force : AT.force + 3] - displayed))
         degrees = "one degree" if self.freedom.degrees == 1 else "two degrees"
         return (
-            f"displayed: {np.linalg.norm(shown):.2f} N {DISPLAYED_ALONG[self.freedom.degrees]}; "
+            f"displayed: {np.linalg.norm(displayed):.2f} N {DISPLAYED_ALONG[self.freedom.degrees]}; "
             f"not displayed (grey dashes): {missing:.2f} N. "
             f'<a href="{documentation_url()}/{GUIDE}" target="_blank" rel="noreferrer" '
             f'style="color: inherit">A device of {degrees} of freedom</a>'

@@ -174,9 +174,9 @@ class Hand:
         with self._lock:
             if finger not in self._pending_holds:  # a finger of a previous scene
                 return
-            shown = self._target(finger)
-            if shown is not None and finger == self._chosen_finger():
-                self._target_offsets = dict.fromkeys(("sliders", "handles"), target.position - shown.position)
+            pose = self._target(finger)
+            if pose is not None and finger == self._chosen_finger():
+                self._target_offsets = dict.fromkeys(("sliders", "handles"), target.position - pose.position)
             self._targets[finger], self._last_command_s = target, time.monotonic()
             self._pending_holds.discard(finger)
         self._run_after_hold()
@@ -317,10 +317,10 @@ class Hand:
             )
         )
 
-    def _apply_control(self, control: str, shown: Target, update_others: Callable[[], None]) -> None:
+    def _apply_control(self, control: str, pose: Target, update_others: Callable[[], None]) -> None:
         """Move the chosen finger to the pose shown by sliders or handles, and update the other ones."""
         self.send_target(
-            self._chosen_finger(), Target(shown.position + self._target_offsets.get(control, 0.0), shown.orientation)
+            self._chosen_finger(), Target(pose.position + self._target_offsets.get(control, 0.0), pose.orientation)
         )
         update_others()
 
@@ -328,8 +328,8 @@ class Hand:
         if event.client is not None and self._fingers:
             self.on_interrupt()
             w, x, y, z = (float(part) for part in self._gizmo.wxyz)
-            shown = Target(np.array(self._gizmo.position) / CM, (w, x, y, z))
-            self.hold_then(partial(self._apply_control, "handles", shown, self._update_sliders))
+            pose = Target(np.array(self._gizmo.position) / CM, (w, x, y, z))
+            self.hold_then(partial(self._apply_control, "handles", pose, self._update_sliders))
 
     def _release(self) -> None:
         self.on_interrupt()
@@ -349,9 +349,9 @@ class Hand:
         if target is not None:
             angles = (degrees(angle) for angle in to_angles(target.orientation))
             for slider, value in zip(self._sliders, (*(1000.0 * target.position), *angles), strict=True):
-                shown = min(max(round(float(value), 1), slider.min), slider.max)
-                if slider.value != shown:  # each change is sent to every page
-                    slider.value = shown
+                rounded = min(max(round(float(value), 1), slider.min), slider.max)
+                if slider.value != rounded:  # each change is sent to every page
+                    slider.value = rounded
 
     def _update_handles(self) -> None:
         self._target_offsets.pop("handles", None)

@@ -295,8 +295,8 @@ def format_tick_html(name: str, row: Array, state: ContactState, height_m: float
 
 def parse_scene_start(description: dict[str, Any]) -> SceneStart:
     """Return the start of the scene in a daemon's description."""
-    own = all(finger["device"]["own_clock"] for finger in description["fingers"])
-    return SceneStart(description["since"], description["since_missed"], 1.0 / description["rate_hz"], own)
+    has_own_clock = all(finger["device"]["own_clock"] for finger in description["fingers"])
+    return SceneStart(description["since"], description["since_missed"], 1.0 / description["rate_hz"], has_own_clock)
 
 
 def parse_scene(description: dict[str, Any]) -> schema.Scene:
