@@ -134,8 +134,8 @@ def test_what_cannot_be_run_is_refused_before_it_runs(changes: dict[str, Any], s
 def test_progress_tells_the_block_and_no_condition() -> None:
     """Blocks are counted where trials come in blocks; practice belongs to the first."""
     blocked = file(design={"seed": 5, "order": "given", "practice": 1})
-    assert number_blocks(plan_trials(blocked, 1), mixed=False) == [1] * 13 + [2] * 12 + [3] * 12
-    assert number_blocks(plan_trials(file(), 1), mixed=True) == [1] * 36
+    assert number_blocks(plan_trials(blocked, 1), is_mixed=False) == [1] * 13 + [2] * 12 + [3] * 12
+    assert number_blocks(plan_trials(file(), 1), is_mixed=True) == [1] * 36
     assert Progress(3, 37, 1, 3, True, 2, 2).title == "Block 1 of 3, trial 3 of 37, practice"
     assert Progress(3, 37, 1, 1, False, 1, 2).text == "Touch 1 of 2"
 
