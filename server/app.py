@@ -33,7 +33,7 @@ from softfinger.server.services.supervisor import Supervisor
 from softfinger.server.services.swapping import Swapping
 from softfinger.server.services.telemetry import Telemetry
 from softfinger.server.services.world import WorldState
-from softfinger.server.states import State, States, Trigger
+from softfinger.server.states import DaemonState, States, Trigger
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.events import event_map
 from softfinger.server.wire.native.switch import SharedSwitch
@@ -90,16 +90,16 @@ class Daemon:
         self._rig = rig
         self._failure: HapticError | None = None
         self._failed_at = math.inf
-        self._told: Final[set[str]] = set()
+        self._published_faults: Final[set[str]] = set()
         """Messages of published faults."""
         # Created first, so that each later change of the attached devices is reported, even if the first poll is late.
         hotplug = Hotplug()
         fingers = [finger.name for finger in scene.fingers] if len(scene.fingers) > 1 else [""]
         self._fingers: Final = fingers
         """Names of several fingers, used in messages; [""] for a single finger."""
-        self.states: Final = States(self._tell_state)
+        self.states: Final = States(self._publish_state)
         endpoints = bind_rig(rig)
-        opened: list[Callable[[], None]] = [endpoints.close]
+        cleanups: list[Callable[[], None]] = [endpoints.close]
         try:
             switch = SharedSwitch()
             self.publisher: Final = Publisher(
@@ -111,19 +111,19 @@ class Daemon:
                 bodies=scene.world is not None,
                 switch=switch,
             )
-            opened.append(self.publisher.close)
+            cleanups.append(self.publisher.close)
             metrics = None
             if rig.metrics.endpoint is not None:
                 metrics = self._metrics(rig.metrics.endpoint)
-                opened.append(metrics.stop)
+                cleanups.append(metrics.stop)
             self.rendering: Final = Rendering(rig, scene, ticks, self._prepare, faults, self.states, switch.words)
         except BaseException as error:
-            shutdown.run_all_steps(*reversed(opened), first=error)
+            shutdown.run_all_steps(*reversed(cleanups), first=error)
             raise
         self.public: Final = endpoints.public
         """Endpoints reachable from other machines, by table of the rig."""
         self.servo: Final = self.rendering.servo
-        self._show(scene_name)
+        self._publish_scene_info(scene_name)
         self.recordings: Final = Recordings(self.rendering, fingers, self._event)
         self.blackbox: Final = BlackBoxes(
             self.servo, fingers, lambda: describe_daemon(self.rendering, self._scene_name)
@@ -179,14 +179,14 @@ class Daemon:
             Number of the first tick with the new configuration.
         """
         first = self.rendering.replace(scene, rig)
-        self._show(self._scene_name if scene is None else scene_name)
+        self._publish_scene_info(self._scene_name if scene is None else scene_name)
         self._event("lifecycle", "replaced", device=base.names(self.devices), first=first)
         return first
 
     def _replace_scene(self, scene: schema.Scene, name: str) -> int:
         return self.replace(scene, scene_name=name)
 
-    def _show(self, scene_name: str) -> None:
+    def _publish_scene_info(self, scene_name: str) -> None:
         self._scene_name = scene_name
         self.publisher.set_state_info(StateInfo(scene_name, NS_PER_S / self.servo.period_ns, self.servo.epoch_s))
 
@@ -214,7 +214,7 @@ class Daemon:
             return self._wait(timeout_s)
         except Exception as error:
             self.states.fail(str(error))
-            self._tell_failure(error)
+            self._publish_failure(error)
             raise
 
     def _wait(self, timeout_s: float | None) -> bool:
@@ -260,26 +260,26 @@ class Daemon:
     def _event(self, kind: str, name: str, **fields: Any) -> None:
         """Publish and record an event; a fault also gets the file name of its black box."""
         if kind == "fault":
-            self._told.add(str(fields.get("message", "")))
+            self._published_faults.add(str(fields.get("message", "")))
             fields["blackbox"] = self.blackbox.schedule_file(name)
         self._send(kind, name, fields)
 
-    def page_ended(self, said: str) -> None:
+    def publish_page_exit(self, text: str) -> None:
         """Publish the unexpected exit of the page process of this daemon."""
-        self._event("fault", "page", message=said)
+        self._event("fault", "page", message=text)
 
     def _send(self, kind: str, name: str, fields: dict[str, Any]) -> None:
         """Send an event with the present tick and time to the publisher, the recordings and the black box."""
         event = event_map(self.servo.last_tick_and_time(), kind, name, fields)
-        for taking in (self.publisher.send_event, self.recordings.record_event, self.blackbox.record_event):
-            taking(event)
+        for receive in (self.publisher.send_event, self.recordings.record_event, self.blackbox.record_event):
+            receive(event)
 
-    def _tell_failure(self, error: Exception) -> None:
+    def _publish_failure(self, error: Exception) -> None:
         """Publish the error of the run, named by its class, unless a fault with this message was published."""
-        if str(error) not in self._told:
+        if str(error) not in self._published_faults:
             self._event("fault", fault_name(error), message=str(error))
 
-    def _tell_state(self, before: State, now: State, cause: str) -> None:
+    def _publish_state(self, before: DaemonState, now: DaemonState, cause: str) -> None:
         """Publish and record a change of state."""
         self._send("state", now.value, {"before": before.value, "cause": cause})
 
@@ -292,57 +292,57 @@ class Daemon:
         self, scene_name: str, hotplug: Hotplug, metrics: Metrics | None, sinks: Sequence[Sink]
     ) -> list[Service]:
         telemetry = Telemetry(self.publisher, self.servo)
-        others: list[Commands | Metrics] = []
+        optional_services: list[Commands | Metrics] = []
         if self.commands_endpoint is not None:
             interface = DaemonInterface(
                 self._replace_scene, self.publisher.ring, self.publisher.endpoint, self.publisher.serve,
                 self.publisher.reply, self._event, self.stop, self.fail, self.recordings,
             )  # fmt: skip
-            others.append(Commands(self.commands_endpoint, self.rendering, interface, scene_name))
+            optional_services.append(Commands(self.commands_endpoint, self.rendering, interface, scene_name))
         if metrics is not None:
-            others.append(metrics)
+            optional_services.append(metrics)
         arming = Arming(self.rendering, self.states)
-        taking = [
+        record_sinks = [
             telemetry.sink,
             self.recordings.sink,
             self.blackbox.sink,
             arming.sink,
             *sinks,
-            *(service.sink for service in others),
+            *(service.sink for service in optional_services),
         ]
         return [
             telemetry,
             self.recordings,
             self.blackbox,
-            Records(self.servo, self.publisher.tap, taking, self.fail, self._event),
+            Records(self.servo, self.publisher.tap, record_sinks, self.fail, self._event),
             self.supervisor,
             HotplugWatch(hotplug, self._event),
             DeviceWarnings(lambda: self.devices, self._event),
             Swapping(self._event),
             WorldState(self.servo, self._world, self._event),
-            *others,
+            *optional_services,
             *([Notify(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
             self.rendering,
         ]
 
     def _metrics(self, endpoint: str) -> Metrics:
-        from softfinger.server.metrics.counts import Counts, Wire
+        from softfinger.server.metrics.counts import MetricsCollector, PublisherCounts
         from softfinger.server.metrics.service import KEY, Metrics
 
-        def wire() -> Wire:
-            seen = self.publisher.figures
-            return Wire(seen.subscribers, seen.lost, seen.refused, self.publisher.restarts)
+        def wire() -> PublisherCounts:
+            figures = self.publisher.figures
+            return PublisherCounts(figures.subscribers, figures.lost, figures.refused, self.publisher.restarts)
 
-        counts = Counts(self._fingers, wire, lambda: self.recordings.written(), lambda: self.states.now)
+        counts = MetricsCollector(self._fingers, wire, lambda: self.recordings.written(), lambda: self.states.now)
         return Metrics(listen(f"tcp://{endpoint}", KEY), counts, self._event)
 
     def _prepare(self) -> Callable[[], None]:
-        wanted = self._rig.servo
-        settings = realtime.apply(wanted.realtime, wanted.priority, wanted.cpu)
-        if wanted.realtime != "off":
+        servo_config = self._rig.servo
+        settings = realtime.apply(servo_config.realtime, servo_config.priority, servo_config.cpu)
+        if servo_config.realtime != "off":
             settings.settings += [
-                realtime.raise_priority("supervisor", self.supervisor.native_id, wanted.priority + 1),
-                realtime.raise_priority("relay", self.publisher.native_id, wanted.priority - 1),
+                realtime.raise_priority("supervisor", self.supervisor.native_id, servo_config.priority + 1),
+                realtime.raise_priority("relay", self.publisher.native_id, servo_config.priority - 1),
             ]
         self.recordings.note_settings([setting._asdict() for setting in settings.settings])
         if self._report is not None:

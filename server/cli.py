@@ -84,7 +84,7 @@ def main(argv: list[str] | None = None) -> int:
     if argv is None:
         set_up_process()
     open_streams()
-    with signals.handled(to_the_end=argv is None):
+    with signals.handle_signals(ignore_after=argv is None):
         try:
             code = run_verb(sys.argv[1:] if argv is None else argv)
             sys.stdout.flush()
@@ -92,13 +92,13 @@ def main(argv: list[str] | None = None) -> int:
         except HapticError as error:
             return failed(str(error), error.exit_code)
         except signals.Interrupted as error:
-            code = failed(f"ended by {signals.named(error.number)}", signals.code_of(error.number))
+            code = failed(f"ended by {signals.signal_name(error.number)}", signals.exit_code(error.number))
             if argv is None:  # all is closed; freeing an unfinished compilation would take seconds
                 flush_or_discard(sys.stdout)
                 os._exit(code)
             return code
         except KeyboardInterrupt:
-            return signals.code_of(signal.SIGINT)
+            return signals.exit_code(signal.SIGINT)
         except BrokenPipeError:
             # The reader of stdout has closed the pipe (`| head`): this is no error, nor while closing.
             discard(sys.stdout)
@@ -128,8 +128,8 @@ def run_verb(words: list[str]) -> int:
         format="%(message)s" if sys.stderr.isatty() else "%(levelname)s %(message)s",
         handlers=[to_stderr()],
     )
-    progress.show(not args.quiet)
-    signals.imported()
+    progress.set_enabled(not args.quiet)
+    signals.mark_imported()
     if not gc.isenabled():  # imported objects are never garbage: exclude them from collections
         gc.freeze()
         gc.enable()
@@ -170,10 +170,10 @@ def failed(message: str, code: int) -> int:
 
 def reason(error: OSError | MemoryError) -> str:
     """Return a message with the error of the system and a hint."""
-    said = "out of memory"
+    reason = "out of memory"
     if isinstance(error, OSError):
-        said = f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
-    return f"the system refused: {said} (with --verbose: where)"
+        reason = f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
+    return f"the system refused: {reason} (with --verbose: where)"
 
 
 def open_streams() -> None:

@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Self
 
 
-class Closing(ABC):
+class Closeable(ABC):
     """Context manager that returns the object and closes it at the end of the block, also after an error."""
 
     @abstractmethod

@@ -25,10 +25,10 @@ _NAME: Final = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}")
 _LINE: Final = re.compile(
     rb'^\s*(public|secret)-key\s*=\s*"([0-9A-Za-z.:+=^!/*?&<>()\[\]{}@%$#-]{40})"\s*$', re.MULTILINE
 )
-_OTHERS_MAY: Final = stat.S_IRWXG | stat.S_IRWXO
+_OTHERS_ACCESS: Final = stat.S_IRWXG | stat.S_IRWXO
 
 
-class Pair(NamedTuple):
+class KeyPair(NamedTuple):
     """Public key and secret key, Z85."""
 
     public: bytes
@@ -38,12 +38,12 @@ class Pair(NamedTuple):
 class ClientKeys(NamedTuple):
     """Key pair of a client and public key of its server, Z85."""
 
-    own: Pair
+    client: KeyPair
     server: bytes
 
-    def put_on(self, socket: zmq.Socket[Any]) -> None:
+    def apply_to(self, socket: zmq.Socket[Any]) -> None:
         """Set the keys of a socket; call before it is connected."""
-        socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = *self.own, self.server
+        socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = *self.client, self.server
 
 
 def make_pair(folder: Path, name: str) -> tuple[Path, Path]:
@@ -85,28 +85,28 @@ def _write(path: Path, text: str, mode: int) -> None:
 
 def read_public(path: str | Path) -> bytes:
     """Return the public key of a file; raises ConfigError if it has none."""
-    found, _ = _read(path)
-    return found["public"]
+    keys, _ = _read(path)
+    return keys["public"]
 
 
-def read_pair(path: str | Path) -> Pair:
+def read_pair(path: str | Path) -> KeyPair:
     """Return the pair of a secret file; raises ConfigError if it has none or if other users may read it."""
-    found, mode = _read(path)
-    if mode & _OTHERS_MAY:
+    keys, mode = _read(path)
+    if mode & _OTHERS_ACCESS:
         raise ConfigError(
             f"{path}: a secret key that others may read (mode {stat.S_IMODE(mode):o}): chmod 600 it, and make new "
             "keys if somebody has"
         )
-    if "secret" not in found:
+    if "secret" not in keys:
         raise ConfigError(f"{path}: a public key: the secret one is beside it in a file .key_secret")
-    if zmq.curve_public(found["secret"]) != found["public"]:
+    if zmq.curve_public(keys["secret"]) != keys["public"]:
         raise ConfigError(f"{path}: the public key in it is not that of the secret one: make new ones")
-    return Pair(found["public"], found["secret"])
+    return KeyPair(keys["public"], keys["secret"])
 
 
-def client_keys(own: str | Path, server: str | Path) -> ClientKeys:
+def client_keys(client: str | Path, server: str | Path) -> ClientKeys:
     """Read a client's secret file and the server's public file; raises ConfigError if either is unusable."""
-    return ClientKeys(read_pair(own), read_public(server))
+    return ClientKeys(read_pair(client), read_public(server))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -115,7 +115,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--server-key", metavar="FILE", help="the server's public key")
 
 
-def of_options(args: argparse.Namespace) -> ClientKeys | None:
+def keys_from_options(args: argparse.Namespace) -> ClientKeys | None:
     """Return the keys named by these options; None without options. Raises ConfigError if only one is given."""
     if args.server_key is None and args.keys is None:
         return None
@@ -132,12 +132,12 @@ def _read(path: str | Path) -> tuple[dict[str, bytes], int]:
         with open_input(path, SIZE_MAX) as file:
             status, text = os.fstat(file.fileno()), file.read(SIZE_MAX)
         folder = Path(path).resolve().parent
-        for each, its in ((path, status), (folder, folder.stat())):
-            check_owner(each, its, "could put another key in the place of this")
+        for each, each_status in ((path, status), (folder, folder.stat())):
+            check_owner(each, each_status, "could put another key in the place of this")
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError(f"{path}: no key can be read: {reason}; softfinger keys makes them") from error
-    found = {kind.decode(): key for kind, key in _LINE.findall(text)}
-    if "public" not in found:
+    keys = {kind.decode(): key for kind, key in _LINE.findall(text)}
+    if "public" not in keys:
         raise ConfigError(f"{path}: no CURVE certificate: it has no line public-key; softfinger keys makes them")
-    return found, status.st_mode
+    return keys, status.st_mode

@@ -26,16 +26,16 @@ PLAIN_PERIOD_S: Final = 5.0
 CHUNK: Final = 16384
 """Ticks per progress report of an offline run, which passes on 12 MB of records at a time."""
 
-_shown: Final = threading.Lock()
+_display_lock: Final = threading.Lock()
 """Held by the only display; operations nested in another show nothing."""
 
 
 _quiet: Final = threading.Event()
 
 
-def show(wanted: bool) -> None:
+def set_enabled(enabled: bool) -> None:
     """Turn the progress display on or off."""
-    if wanted:
+    if enabled:
         _quiet.clear()
     else:
         _quiet.set()
@@ -49,25 +49,25 @@ def on_terminal() -> bool:
 @contextmanager
 def progress(what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
     """Report progress of `what` to stderr during the block; call the result with the number done, out of `total`."""
-    if _quiet.is_set() or not _shown.acquire(blocking=False):
+    if _quiet.is_set() or not _display_lock.acquire(blocking=False):
         yield lambda number: None
         return
     try:
         with _bar(what, total) if on_terminal() else _lines(what, total) as done:
             yield done
     finally:
-        _shown.release()
+        _display_lock.release()
 
 
-def described(what: str, count: int = 0, total: int | None = None) -> str:
+def progress_text(what: str, count: int = 0, total: int | None = None) -> str:
     """Return the text of the progress line: `simulating: compiling kernel 1`, after that `simulating 40%`."""
-    if doing := str(COMPILE_PROGRESS):
-        return f"{what}: {doing}"
+    if compilation := str(COMPILE_PROGRESS):
+        return f"{what}: {compilation}"
     return f"{what} {count / total:.0%}" if total else what
 
 
 @contextmanager
-def making(kernels: str) -> Iterator[None]:
+def report_compilation(kernels: str) -> Iterator[None]:
     """Report the compilation or loading of `kernels` during the block.
 
     The garbage collector is off until the end: it would take a tenth of the time of a compilation.
@@ -88,7 +88,7 @@ def counter() -> Iterator[Callable[[str], None] | None]:
     if _quiet.is_set() or not on_terminal():
         yield None
         return
-    with _shown:
+    with _display_lock:
         display = _display(bar=False)
         task = display.add_task("")
         with display:
@@ -126,7 +126,7 @@ def _display(bar: bool) -> Progress:
         """Column evaluated ten times a second, so it shows the current kernel compilation."""
 
         def render(self, task: Task) -> Text:
-            return Text(described(task.description), no_wrap=True, overflow="ellipsis")
+            return Text(progress_text(task.description), no_wrap=True, overflow="ellipsis")
 
     class Share(TaskProgressColumn):
         """Percentage that is empty during a compilation, when the operation has not started yet."""
@@ -148,7 +148,7 @@ def _display(bar: bool) -> Progress:
 
 @contextmanager
 def _lines(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    begun, finished, count = time.monotonic(), threading.Event(), 0
+    start_s, finished, count = time.monotonic(), threading.Event(), 0
 
     def done(number: int) -> None:
         nonlocal count
@@ -157,8 +157,8 @@ def _lines(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
     def report() -> None:
         wait = QUIET_S
         while not finished.wait(wait):
-            said = described(what, count, total)
-            print(f"{said} ... {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
+            text = progress_text(what, count, total)
+            print(f"{text} ... {time.monotonic() - start_s:.0f} s", file=sys.stderr, flush=True)
             wait = PLAIN_PERIOD_S
 
     reporter = threading.Thread(target=report, daemon=True)

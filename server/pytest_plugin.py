@@ -109,8 +109,8 @@ class SoftfingerDaemon:
 
     def _ticks(self) -> bool:
         if not self.commands:
-            said = self.log
-            telemetry, commands = _TELEMETRY.search(said), _COMMANDS.search(said)
+            text = self.log
+            telemetry, commands = _TELEMETRY.search(text), _COMMANDS.search(text)
             if telemetry is None or commands is None:
                 return False
             self.endpoint, self.commands = telemetry[1], commands[1]
@@ -160,10 +160,10 @@ def softfinger_daemon(request: pytest.FixtureRequest) -> Iterator[Callable[..., 
         words: Sequence[str] = (),
         ready_s: float = READY_S,
     ) -> SoftfingerDaemon:
-        given = {"--scene": scene, "--recording": recording, "--device": device, "--rig": rig}
-        said = [word for flag, value in given.items() if value is not None for word in (flag, str(value))]
+        options = {"--scene": scene, "--recording": recording, "--device": device, "--rig": rig}
+        arguments = [word for flag, value in options.items() if value is not None for word in (flag, str(value))]
         log = Path(folder) / f"{len(daemons)}.log"
-        daemon = SoftfingerDaemon([*said, "--realtime", "off", *words], log)
+        daemon = SoftfingerDaemon([*arguments, "--realtime", "off", *words], log)
         daemons.append(daemon)
         daemon.wait_ready(ready_s)
         return daemon

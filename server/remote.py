@@ -57,33 +57,35 @@ class Client(Control):
     ) -> None:
         self.telemetry = telemetry_of(telemetry)
         super().__init__(commands_beside(self.telemetry) if commands is None else commands, timeout_s)
-        self._met = commands is not None
+        self._verified = commands is not None
         self._opened: Final = list[Subscription | Window]()
 
     def __repr__(self) -> str:
         return f"<Client: telemetry on {self.telemetry}, commands on {self.endpoint}>"
 
-    def _seek(self) -> Addresses:
+    def _look_up(self) -> Addresses:
         """Look up both endpoints again: the daemon may have been started after this client."""
-        found = find_addresses(self.telemetry)
-        self.telemetry = found.telemetry
-        return found
+        addresses = find_addresses(self.telemetry)
+        self.telemetry = addresses.telemetry
+        return addresses
 
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
-        if not self._met:
-            if (commands := self._seek().command_endpoint()) != self.endpoint:
+        if not self._verified:
+            if (commands := self._look_up().command_endpoint()) != self.endpoint:
                 self._move(commands)
-            found = super()._ask("describe", Empty(), dict).get("endpoints", {}).get("telemetry", "an unknown endpoint")
-            if _place(found) != _place(self.telemetry):
+            endpoint = (
+                super()._ask("describe", Empty(), dict).get("endpoints", {}).get("telemetry", "an unknown endpoint")
+            )
+            if _address_part(endpoint) != _address_part(self.telemetry):
                 raise ConfigError(
-                    f"commands at {self.endpoint} are those of the daemon whose telemetry is on {found}, and not on "
+                    f"commands at {self.endpoint} are those of the daemon whose telemetry is on {endpoint}, and not on "
                     f"{self.telemetry}: name its commands, too, as its first lines say them"
                 )
-            self._met = True
+            self._verified = True
         return super()._ask(method, params, kind)
 
     def _telemetry(self) -> str:
-        return self.telemetry if self._met else self._seek().telemetry
+        return self.telemetry if self._verified else self._look_up().telemetry
 
     def subscribe(self, topics: Sequence[str] = (CONTACT,), timeout_s: float | None = None) -> Subscription:
         """Return an iterator of messages on `topics` as they arrive; see `softfinger.server.wire.client.subscribe`."""
@@ -104,6 +106,6 @@ class Client(Control):
             opened.close()
 
 
-def _place(endpoint: str) -> str:
+def _address_part(endpoint: str) -> str:
     """Return the part that distinguishes endpoints of one machine: a path or a port."""
     return endpoint if endpoint.startswith("ipc:") else endpoint.rpartition(":")[2]

@@ -2,10 +2,10 @@
 
 `cli.main` installs these handlers for every signal that would end the process. Their effect depends on the context:
 
-    during imports    the process exits at once, because nothing is open yet
-    in any verb       `Interrupted` is raised in the main thread, once, and contexts close their resources
-    inside `asked`    a function is called and nothing is raised: a servo or a recording ends in an orderly way
-    inside `held`     the signal is only stored: closing is not interrupted
+    during imports            the process exits at once, because nothing is open yet
+    in any verb               `Interrupted` is raised in the main thread, once, and contexts close their resources
+    inside `stop_on_signal`   a function is called and nothing is raised: a servo or a recording ends in an orderly way
+    inside `defer_signals`    the signal is only stored: closing is not interrupted
 
 A main thread inside a compiler may not raise the exception for half a minute. In that case another thread closes the
 devices and exits the process.
@@ -48,21 +48,21 @@ class Interrupted(KeyboardInterrupt):
         self.number = number
 
 
-class _State:
+class _SignalState:
     def __init__(self) -> None:
         self.number = 0
         """First signal that requested the end; 0 if there is none."""
         self.importing = False
-        self.held = 0
+        self.deferrals = 0
         self.stop: Callable[[], None] | None = None
         self.pause: Callable[[], Callable[[], None]] | None = None
-        self.arrived = threading.Event()
+        self.was_handled = threading.Event()
 
 
-_state = _State()
+_state = _SignalState()
 
 
-def named(number: int) -> str:
+def signal_name(number: int) -> str:
     """Return the name of a signal; real-time signals other than the first and last have none."""
     try:
         return signal.Signals(number).name
@@ -70,49 +70,49 @@ def named(number: int) -> str:
         return f"signal {number}"
 
 
-def code_of(number: int) -> int:
+def exit_code(number: int) -> int:
     """Return the exit code that shells use for a process killed by a signal."""
     return 128 + number
 
 
-def code_of_stop() -> int:
+def stop_exit_code() -> int:
     """Return the exit code after an orderly stop: 0 without a signal and after the usual ones."""
-    return 0 if _state.number in USUAL else code_of(_state.number) if _state.number else 0
+    return 0 if _state.number in USUAL else exit_code(_state.number) if _state.number else 0
 
 
 @contextmanager
-def handled(to_the_end: bool = False) -> Iterator[None]:
+def handle_signals(ignore_after: bool = False) -> Iterator[None]:
     """Handle signals in the block as described above; has no effect outside the main thread.
 
     Parameters
     ----------
-    to_the_end
+    ignore_after
         The process exits after the block: ignore signals from there on, so that none changes the exit code.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     global _state
-    outer, _state = _state, _State()
+    outer, _state = _state, _SignalState()
     _state.importing = True
     receiver, sender = os.pipe()
     os.set_blocking(sender, False)
-    hook, sys.unraisablehook = sys.unraisablehook, _unraisable(sys.unraisablehook)
+    hook, sys.unraisablehook = sys.unraisablehook, _make_unraisable_hook(sys.unraisablehook)
     wakeup = signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
-    before = {}
+    previous_handlers = {}
     for number in sorted(ENDING | STOPPING):
         # nohup and shells set some signals to ignored for background processes, and Python ignores SIGPIPE.
         if number in USUAL or signal.getsignal(number) is not signal.SIG_IGN:
-            before[number] = signal.signal(number, _pause if number in STOPPING else _end)
+            previous_handlers[number] = signal.signal(number, _handle_stop if number in STOPPING else _handle_end)
     watch = threading.Thread(target=_watch_main, args=(receiver, _state), name="signals", daemon=True)
     watch.start()
     try:
         yield
     finally:
-        with held():
+        with defer_signals():
             _stop_all()  # devices opened by an interrupted call, before their context started
-            for number, handler in before.items():
-                signal.signal(number, signal.SIG_IGN if to_the_end else handler)
+            for number, handler in previous_handlers.items():
+                signal.signal(number, signal.SIG_IGN if ignore_after else handler)
         signal.set_wakeup_fd(wakeup)
         os.close(sender)
         watch.join()
@@ -121,13 +121,13 @@ def handled(to_the_end: bool = False) -> Iterator[None]:
         _state = outer
 
 
-def imported() -> None:
+def mark_imported() -> None:
     """Mark the imports as complete: signals raise `Interrupted` from now on."""
     _state.importing = False
 
 
 @contextmanager
-def asked(stop: Callable[[], None], pause: Callable[[], Callable[[], None]] | None = None) -> Iterator[None]:
+def stop_on_signal(stop: Callable[[], None], pause: Callable[[], Callable[[], None]] | None = None) -> Iterator[None]:
     """Call `stop` on each signal in the block instead of raising an exception.
 
     Parameters
@@ -149,84 +149,84 @@ def asked(stop: Callable[[], None], pause: Callable[[], Callable[[], None]] | No
 
 
 @contextmanager
-def held() -> Iterator[None]:
+def defer_signals() -> Iterator[None]:
     """Store signals during the block without acting on them."""
     state = _state
-    state.held += 1
+    state.deferrals += 1
     try:
         yield
     finally:
-        state.held -= 1
+        state.deferrals -= 1
 
 
-def _end(number: int, _: FrameType | None) -> None:
+def _handle_end(number: int, _: FrameType | None) -> None:
     state = _state
-    state.arrived.set()
+    state.was_handled.set()
     first = not state.number
     state.number = state.number or number
     if state.stop is not None:
         state.stop()
     elif state.importing:
-        _leave(number)
-    elif first and not state.held:
+        _exit(number)
+    elif first and not state.deferrals:
         raise Interrupted(number)
 
 
-def _pause(number: int, _: FrameType | None) -> None:
+def _handle_stop(number: int, _: FrameType | None) -> None:
     """Remove all forces before the process is stopped; a verb without `pause` exits after it resumes."""
     state = _state
-    if state.held:
+    if state.deferrals:
         return
     devices = [] if state.pause is not None else list(opened.devices)
-    go_on = None if state.pause is None else state.pause()
+    restore_force = None if state.pause is None else state.pause()
     if devices:
         _stop_all()
     # The system's own action, so that shells notice the stop and an orphaned process group continues.
     signal.signal(number, signal.SIG_DFL)
     signal.raise_signal(number)
-    signal.signal(number, _pause)
-    if go_on is not None:
-        go_on()
+    signal.signal(number, _handle_stop)
+    if restore_force is not None:
+        restore_force()
     if devices:
-        _end(number, None)
+        _handle_end(number, None)
 
 
-def _watch_main(receiver: int, state: _State) -> None:
+def _watch_main(receiver: int, state: _SignalState) -> None:
     """End the process if the main thread has not handled a signal within GRACE_S."""
     while numbers := os.read(receiver, 64):
         for number in numbers:
-            if number in ENDING and not state.arrived.wait(GRACE_S):
+            if number in ENDING and not state.was_handled.wait(GRACE_S):
                 if state.stop is not None:
                     state.stop()
                 else:
-                    _leave(number)
+                    _exit(number)
 
 
-def _leave(number: int) -> None:
+def _exit(number: int) -> None:
     """Close the devices and exit the process, from any thread."""
     opened.close_all()
-    _say(f"ended by {named(number)}")
-    os._exit(code_of(number))
+    _print(f"ended by {signal_name(number)}")
+    os._exit(exit_code(number))
 
 
 def _stop_all() -> None:
     """Zero all open devices; a failure is printed and changes neither the shutdown nor the exit code."""
     for error in opened.stop_all():
-        _say(f"a device could not be stopped ({type(error).__name__}: {error}): it may still push, switch it off")
+        _print(f"a device could not be stopped ({type(error).__name__}: {error}): it may still push, switch it off")
 
 
-def _say(line: str) -> None:
+def _print(line: str) -> None:
     """Write a line to standard error without a lock: a signal may have interrupted another write."""
     with contextlib.suppress(OSError):
         os.write(2, (b"\r\x1b[K" if os.isatty(2) else b"") + f"softfinger: {line}\n".encode())
 
 
-def _unraisable(otherwise: Callable[[Any], Any]) -> Callable[[Any], None]:
+def _make_unraisable_hook(default_hook: Callable[[Any], Any]) -> Callable[[Any], None]:
     """Return a hook that exits the process if `Interrupted` was raised in a C callback or a finalizer."""
 
-    def hook(seen: Any) -> None:
-        if isinstance(seen.exc_value, Interrupted):
-            _leave(seen.exc_value.number)
-        otherwise(seen)
+    def hook(unraisable: Any) -> None:
+        if isinstance(unraisable.exc_value, Interrupted):
+            _exit(unraisable.exc_value.number)
+        default_hook(unraisable)
 
     return hook

@@ -11,7 +11,7 @@ from enum import StrEnum
 from typing import Final
 
 
-class State(StrEnum):
+class DaemonState(StrEnum):
     """State of the daemon: `health.state`, `describe` and events of kind `state`."""
 
     STARTING = "starting"
@@ -22,11 +22,11 @@ class State(StrEnum):
 
 
 MEANINGS: Final = {
-    State.STARTING: "devices and kernels are made ready; there is no tick yet",
-    State.READY: "ticks go on, and every device has zero force",
-    State.ARMED: "forces are rendered, or fade in",
-    State.FAULTED: "a fault has removed the force",
-    State.STOPPING: "the run ends with zero force",
+    DaemonState.STARTING: "devices and kernels are made ready; there is no tick yet",
+    DaemonState.READY: "ticks go on, and every device has zero force",
+    DaemonState.ARMED: "forces are rendered, or fade in",
+    DaemonState.FAULTED: "a fault has removed the force",
+    DaemonState.STOPPING: "the run ends with zero force",
 }
 
 
@@ -51,17 +51,17 @@ CAUSES: Final = {
 }
 
 TRANSITIONS: Final = {
-    (State.STARTING, Trigger.TICK): State.READY,
-    (State.STARTING, Trigger.FAULT): State.FAULTED,
-    (State.STARTING, Trigger.END): State.STOPPING,
-    (State.READY, Trigger.ARM): State.ARMED,
-    (State.READY, Trigger.FAULT): State.FAULTED,
-    (State.READY, Trigger.END): State.STOPPING,
-    (State.ARMED, Trigger.DISARM): State.READY,
-    (State.ARMED, Trigger.FAULT): State.FAULTED,
-    (State.ARMED, Trigger.END): State.STOPPING,
-    (State.FAULTED, Trigger.CLEAR): State.READY,
-    (State.FAULTED, Trigger.END): State.STOPPING,
+    (DaemonState.STARTING, Trigger.TICK): DaemonState.READY,
+    (DaemonState.STARTING, Trigger.FAULT): DaemonState.FAULTED,
+    (DaemonState.STARTING, Trigger.END): DaemonState.STOPPING,
+    (DaemonState.READY, Trigger.ARM): DaemonState.ARMED,
+    (DaemonState.READY, Trigger.FAULT): DaemonState.FAULTED,
+    (DaemonState.READY, Trigger.END): DaemonState.STOPPING,
+    (DaemonState.ARMED, Trigger.DISARM): DaemonState.READY,
+    (DaemonState.ARMED, Trigger.FAULT): DaemonState.FAULTED,
+    (DaemonState.ARMED, Trigger.END): DaemonState.STOPPING,
+    (DaemonState.FAULTED, Trigger.CLEAR): DaemonState.READY,
+    (DaemonState.FAULTED, Trigger.END): DaemonState.STOPPING,
 }
 """Next state by state and trigger; all other triggers are ignored."""
 
@@ -79,18 +79,20 @@ class States:
 
     Parameters
     ----------
-    tell
+    report
         Called on each transition, in order, with the previous state, the new state and the cause.
     """
 
-    def __init__(self, tell: Callable[[State, State, str], None] = lambda before, after, cause: None) -> None:
-        self._tell = tell
+    def __init__(
+        self, report: Callable[[DaemonState, DaemonState, str], None] = lambda before, after, cause: None
+    ) -> None:
+        self._report = report
         self._lock = threading.RLock()
-        self._now = State.STARTING
+        self._now = DaemonState.STARTING
         self._failed = False
 
     @property
-    def now(self) -> State:
+    def now(self) -> DaemonState:
         """Current state."""
         return self._now
 
@@ -101,7 +103,7 @@ class States:
             if after is None:
                 return False
             before, self._now = self._now, after
-            self._tell(before, after, cause)
+            self._report(before, after, cause)
             return True
 
     def fail(self, cause: str) -> None:
@@ -113,7 +115,7 @@ class States:
     def follow(self, reasons: Set[str]) -> None:
         """Update the state from the reasons for zero force; an empty set means that forces are rendered."""
         with self._lock:
-            if self._now is State.STARTING or self._failed:
+            if self._now is DaemonState.STARTING or self._failed:
                 return
             cause = ", ".join(sorted(reasons))
             if reasons & FAULTS:

@@ -41,32 +41,34 @@ class Watcher:
     """
 
     def __init__(self, node: str, fd: int, zero: bytes) -> None:
-        words = [sys.executable, "-I", "-S", __file__, node, str(fd), zero.hex()]
+        command = [sys.executable, "-I", "-S", __file__, node, str(fd), zero.hex()]
         # A new session: Ctrl-C and the hangup of a terminal are meant for the daemon.
-        self._process = subprocess.Popen(words, stdin=subprocess.PIPE, pass_fds=(fd,), start_new_session=True)
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=(fd,), start_new_session=True)
 
     def dismiss(self) -> None:
         """End the process after the device was closed."""
         self._process.communicate(CLOSED)
 
 
-def take_force_off(node: str, fd: int, zero: bytes) -> str:
+def zero_force(node: str, fd: int, zero: bytes) -> str:
     """Discard the unsent bytes of a device's port and write the zero frame; return the result as a sentence."""
-    until, done, said = time.monotonic() + TRY_S, 0, "it took a part of it"
+    until, done, detail = time.monotonic() + TRY_S, 0, "it took a part of it"
     with contextlib.suppress(OSError, termios.error):  # no serial port, or disconnected
         termios.tcflush(fd, termios.TCOFLUSH)
     while done < WRITES and time.monotonic() < until:
         try:
             done += os.write(fd, zero) == len(zero)
         except OSError as error:
-            said = error.strerror or str(error)
+            detail = error.strerror or str(error)
         time.sleep(PAUSE_S)
     while done and _unsent(fd) and time.monotonic() < until:
         time.sleep(PAUSE_S)
-    waits = f", but {count} bytes of it wait in the port: switch the device off" if (count := _unsent(fd)) else ""
+    remark = f", but {count} bytes of it wait in the port: switch the device off" if (count := _unsent(fd)) else ""
     with contextlib.suppress(OSError):  # no serial port, or disconnected
         fcntl.ioctl(fd, termios.TIOCNXCL)  # as on a regular close: the next daemon may have another user
-    return f"zero force was written to {node}{waits}" if done else f"zero force could not be written to {node}: {said}"
+    return (
+        f"zero force was written to {node}{remark}" if done else f"zero force could not be written to {node}: {detail}"
+    )
 
 
 def _unsent(fd: int) -> int:
@@ -80,12 +82,12 @@ def main() -> int:
     # Signals that end the daemon may be sent to its process group, and must not end this process first.
     for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP, signal.SIGCHLD}:
         signal.signal(number, signal.SIG_IGN)
-    told = b""
+    received = b""
     while data := os.read(0, len(CLOSED)):
-        told += data
-    if told != CLOSED:
-        said = take_force_off(sys.argv[1], int(sys.argv[2]), bytes.fromhex(sys.argv[3]))
-        print(f"softfinger watcher: the daemon has died: {said}", file=sys.stderr, flush=True)
+        received += data
+    if received != CLOSED:
+        result = zero_force(sys.argv[1], int(sys.argv[2]), bytes.fromhex(sys.argv[3]))
+        print(f"softfinger watcher: the daemon has died: {result}", file=sys.stderr, flush=True)
     return 0
 
 

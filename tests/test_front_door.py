@@ -25,8 +25,8 @@ from softfinger.proxy.engine import Engine, PoseError, step_many
 from softfinger.proxy.record import AT, FIELDS, MODE_NAMES, RECORD_SIZE, columns
 from softfinger.proxy.records import Records
 from softfinger.server.cli import main
-from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
+from softfinger.server.recording.results import write_results
 from softfinger.server.remote import Client
 from softfinger.server.verbs.shipped import FOLDER_OF
 from softfinger.server.wire.control import Control

@@ -18,10 +18,10 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
-from softfinger.server.experiment.analysis import PowerLaw, analysed
+from softfinger.server.experiment.analysis import PowerLaw, fit_groups
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.files import shipped
-from softfinger.server.experiment.observer import observer_in
+from softfinger.server.experiment.observer import observer_for
 
 BLOCK: Final = re.compile(r"(<!-- recovery -->\n).*?(<!-- end -->)", re.S)
 PROCEDURES: Final = ("stiffness-discrimination", "texture-roughness", "weight-of-a-box")
@@ -61,9 +61,9 @@ def recovery(name: str, seeds: Sequence[int], slope: float | None = None) -> Ite
         design = msgspec.structs.replace(experiment.file.design, seed=seed)
         experiment.file = msgspec.structs.replace(experiment.file, design=design)  # its scenes are read once
         rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
-        for group in analysed(experiment.file, rows):
+        for group in fit_groups(experiment.file, rows):
             condition = next(each for each in experiment.conditions if each.name == group.condition)
-            who = observer_in(experiment.file, condition)
+            who = observer_for(experiment.file, condition)
             if isinstance(group.fit, PowerLaw):
                 what, truth, estimate, interval = "exponent", who.exponent, group.fit.exponent, group.fit.exponent_95
                 error = estimate / truth - 1.0

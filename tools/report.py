@@ -26,8 +26,8 @@ from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.drivers.containers import mcap_messages
 from softfinger.drivers.system import discovery
 from softfinger.server.recording import blackbox
-from softfinger.server.recording.reader import Event, Note, Ticks, contents
-from softfinger.server.recording.schemas import class_of
+from softfinger.server.recording.reader import Event, Note, Ticks, read_contents
+from softfinger.server.recording.schemas import load_message_class
 from softfinger.server.recording.writer import LOG_TOPIC, RecordingFile
 from softfinger.tools.doctor import machine, privacy
 from softfinger.tools.doctor.verb import examine
@@ -118,7 +118,7 @@ def private_rig(rig: dict[str, Any]) -> dict[str, Any]:
 
 def cleaned(path: Path, cleaner: privacy.Privacy) -> bytes:
     """Return a black box file rewritten with the same ticks and cleaned texts. Raises RecordingError."""
-    parts = list(contents(path))
+    parts = list(read_contents(path))
     about = {part.name: part.value for part in parts if isinstance(part, Note)}
     if isinstance(about.get("rig"), dict):
         about["rig"] = private_rig(about["rig"])
@@ -144,13 +144,13 @@ def cleaned_event(event: dict[str, Any], cleaner: privacy.Privacy) -> dict[str, 
     return clean | ({"serial": privacy.shortened(str(event["serial"]))} if "serial" in event else {})
 
 
-def log_lines(path: Path, cleaner: privacy.Privacy) -> Iterator[blackbox.Line]:
+def log_lines(path: Path, cleaner: privacy.Privacy) -> Iterator[blackbox.LogLine]:
     """Yield the cleaned lines of the log in a black box file."""
     with open_input(path) as file:
         for schema, _, message in mcap_messages(file, LOG_TOPIC):
-            line = class_of(schema.data, schema.name).FromString(message.data)
+            line = load_message_class(schema.data, schema.name).FromString(message.data)
             time_s = message.log_time / 1e9
-            yield blackbox.Line(time_s, LEVEL_STEP * line.level, line.name, cleaner.text(line.message))
+            yield blackbox.LogLine(time_s, LEVEL_STEP * line.level, line.name, cleaner.text(line.message))
 
 
 def _json(value: Any) -> bytes:

@@ -20,20 +20,20 @@ from softfinger.config.load import SceneSource
 from softfinger.drivers.simulated.options import Hand
 from softfinger.proxy.records import Records
 from softfinger.server.bridges.led_hands import (
-    FAR_M,
+    POSITION_BOUND_M,
     Array,
     LedHands,
     Observation,
-    Place,
-    bounded,
+    Point,
+    box_space,
     gymnasium,
     spaces,
 )
 
 NAME: Final = "softfinger/Touch-v0"
-FAST_M_PER_S: Final = 100.0
-DEEP_M: Final = 0.1
-MANY_RAD: Final = 1e3
+SPEED_BOUND_M_PER_S: Final = 100.0
+DEPTH_BOUND_M: Final = 0.1
+SPIN_BOUND_RAD: Final = 1e3
 """Bounds of observations, far beyond real values."""
 
 
@@ -52,7 +52,7 @@ class Setup:
     hand                          impedance of the hand on the handle of an omega.6
     """
 
-    home_m: Place = (0.0, 0.0, 0.015)
+    home_m: Point = (0.0, 0.0, 0.015)
     reach_m: float = 0.03
     speed_m_per_s: float = 0.05
     turn_rad_per_s: float = 2.0
@@ -92,17 +92,17 @@ class Touch(LedHands):
         super().__init__(scene, setup, [setup.home_m])
         force, torque = self._guard.force_max_n, self._guard.torque_max_nm
         self._fields: Final[dict[str, spaces.Space[Any]]] = {
-            "probe.position": bounded(FAR_M, 3),
-            "probe.orientation": bounded(1.0 + 1e-9, 4),
-            "probe.velocity": bounded(FAST_M_PER_S, 3),
-            "force": bounded(force * (1.0 + 1e-9), 3),
-            "torque": bounded(torque * (1.0 + 1e-9), 3),
+            "probe.position": box_space(POSITION_BOUND_M, 3),
+            "probe.orientation": box_space(1.0 + 1e-9, 4),
+            "probe.velocity": box_space(SPEED_BOUND_M_PER_S, 3),
+            "force": box_space(force * (1.0 + 1e-9), 3),
+            "torque": box_space(torque * (1.0 + 1e-9), 3),
             "contact.mode": spaces.Discrete(3),
-            "contact.penetration": bounded(DEEP_M),
-            "contact.normal": bounded(1.0 + 1e-9, 3),
-            "contact.spin": bounded(MANY_RAD),
+            "contact.penetration": box_space(DEPTH_BOUND_M),
+            "contact.normal": box_space(1.0 + 1e-9, 3),
+            "contact.spin": box_space(SPIN_BOUND_RAD),
         }
-        goal = {"goal.position": bounded(FAR_M, 3), "goal.orientation": bounded(1.0 + 1e-9, 4)}
+        goal = {"goal.position": box_space(POSITION_BOUND_M, 3), "goal.orientation": box_space(1.0 + 1e-9, 4)}
         self.observation_space = spaces.Dict({**self._fields, **goal})
         self._start()
 
@@ -114,31 +114,31 @@ class Touch(LedHands):
         """Return False: a step never ends the task."""
         return False
 
-    def _way(self, action: Array) -> Array:
-        goals = super()._way(action)
-        goals[:, 0, 3:] = _turned(self._times * (self.setup.turn_rad_per_s * action[3:]), self._goals[0, 3:])
+    def _plan_goals(self, action: Array) -> Array:
+        goals = super()._plan_goals(action)
+        goals[:, 0, 3:] = _rotate_by(self._times * (self.setup.turn_rad_per_s * action[3:]), self._goals[0, 3:])
         return goals
 
     def _run(self, goals: Array) -> Records:
         records: list[Records] = list(super()._run(goals).values())
         return records[0]
 
-    def _observed(self, records: Records) -> Observation:
+    def _observe(self, records: Records) -> Observation:
         last = records[-1]
-        seen: Observation = {
+        observation: Observation = {
             name: np.int64(last[name]) if isinstance(space, spaces.Discrete) else np.array(last[name])
             for name, space in self._fields.items()
         }
-        return seen | {"goal.position": self._goals[0, :3].copy(), "goal.orientation": self._goals[0, 3:].copy()}
+        return observation | {"goal.position": self._goals[0, :3].copy(), "goal.orientation": self._goals[0, 3:].copy()}
 
 
-def _turned(turns: Array, orientation: Array) -> Array:
+def _rotate_by(rotations: Array, orientation: Array) -> Array:
     """Return quaternions (n, 4): an orientation (4,) rotated by rotation vectors (n, 3), world frame."""
-    angles = np.linalg.norm(turns, axis=1, keepdims=True)
-    w, v = np.cos(0.5 * angles), 0.5 * np.sinc(0.5 * angles / np.pi) * turns
+    angles = np.linalg.norm(rotations, axis=1, keepdims=True)
+    w, v = np.cos(0.5 * angles), 0.5 * np.sinc(0.5 * angles / np.pi) * rotations
     w0, v0 = orientation[0], orientation[1:]
-    made = np.hstack([w * w0 - (v @ v0)[:, None], w * v0 + w0 * v + np.cross(v, v0)])
-    unit: Array = made / np.linalg.norm(made, axis=1, keepdims=True)
+    rotated = np.hstack([w * w0 - (v @ v0)[:, None], w * v0 + w0 * v + np.cross(v, v0)])
+    unit: Array = rotated / np.linalg.norm(rotated, axis=1, keepdims=True)
     return unit
 
 

@@ -55,9 +55,9 @@ class Server:
 
     def channel(self, topic: str, schema: str, descriptors: bytes) -> int:
         """Add a topic with protobuf messages of type `schema`, and return its number."""
-        known = self._sdk.Schema(name=schema, encoding="protobuf", data=descriptors)
+        foxglove_schema = self._sdk.Schema(name=schema, encoding="protobuf", data=descriptors)
         self._channels.append(
-            self._sdk.Channel(topic, schema=known, message_encoding="protobuf", context=self._context)
+            self._sdk.Channel(topic, schema=foxglove_schema, message_encoding="protobuf", context=self._context)
         )
         return len(self._channels) - 1
 
@@ -76,7 +76,7 @@ class Server:
         self._server.stop()
 
 
-class Shown:
+class FoxgloveSink:
     """Forwards the data of a daemon to a server."""
 
     failed = False

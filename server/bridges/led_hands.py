@@ -20,7 +20,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.closed_loop import Held, record_ticks
+from softfinger.server.offline.closed_loop import DrivenPlant, record_ticks
 
 try:
     import gymnasium
@@ -28,21 +28,21 @@ try:
 except ImportError as missing:
     raise ConfigError(f"gymnasium is not installed ({missing}): pip install 'softfinger[gymnasium]'") from missing
 
-__all__ = ["FAR_M", "Array", "LedHands", "Observation", "Place", "bounded", "gymnasium", "spaces"]
+__all__ = ["POSITION_BOUND_M", "Array", "LedHands", "Observation", "Point", "box_space", "gymnasium", "spaces"]
 
 Array = NDArray[np.float64]
 Observation = dict[str, Any]
-Place = tuple[float, float, float]
+Point = tuple[float, float, float]
 
-FAR_M: Final = 1.0
+POSITION_BOUND_M: Final = 1.0
 """Bound of observed positions, far beyond real values."""
 RAMP_S: Final = 0.01
 """Shortest ramp of the guard: complete before the first step."""
 
 
-def bounded(most: float, *shape: int) -> spaces.Box:
-    """Return a space of arrays with elements between -most and most."""
-    return spaces.Box(-most, most, shape, np.float64)
+def box_space(bound: float, *shape: int) -> spaces.Box:
+    """Return a space of arrays with elements between -bound and bound."""
+    return spaces.Box(-bound, bound, shape, np.float64)
 
 
 class LedHands(gymnasium.Env[Observation, Array], ABC):
@@ -56,7 +56,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  (as the base class declares it)
     setup: Any
 
-    def __init__(self, scene: SceneSource, setup: Any, homes_m: Sequence[Place]) -> None:
+    def __init__(self, scene: SceneSource, setup: Any, homes_m: Sequence[Point]) -> None:
         self.setup, self.config = setup, load_scene(scene)
         if (count := len(self.config.fingers)) != len(homes_m):
             raise ConfigError(f"fingers of the scene: {count}; hands of this environment: {len(homes_m)}")
@@ -75,7 +75,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         self._start()
         settling = max(self.setup.step_ticks, round(RAMP_S * self.setup.rate_hz))
         records = self._run(np.tile(self._goals, (settling + 1, 1, 1)))
-        return self._observed(records), {"records": records}
+        return self._observe(records), {"records": records}
 
     def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Lead the hands for `step_ticks`; elements of the action beyond -1 and 1 are clamped.
@@ -83,15 +83,21 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         Raises PoseError unless the action is six finite numbers.
         """
         try:
-            wanted = np.asarray(action, np.float64)
+            velocities = np.asarray(action, np.float64)
         except (TypeError, ValueError):
-            wanted = np.zeros(0)
-        if wanted.shape != (6,) or not np.isfinite(wanted).all():
+            velocities = np.zeros(0)
+        if velocities.shape != (6,) or not np.isfinite(velocities).all():
             raise PoseError(f"action {action!r}: must be 6 finite numbers, each from -1 to 1")
-        records = self._run(self._way(np.clip(wanted, -1.0, 1.0)))
+        records = self._run(self._plan_goals(np.clip(velocities, -1.0, 1.0)))
         self._steps += 1
-        over = self._steps >= self.setup.episode_steps
-        return self._observed(records), self.reward(records), self.terminated(records), over, {"records": records}
+        is_truncated = self._steps >= self.setup.episode_steps
+        return (
+            self._observe(records),
+            self.reward(records),
+            self.terminated(records),
+            is_truncated,
+            {"records": records},
+        )
 
     @abstractmethod
     def reward(self, records: Any) -> float:
@@ -102,7 +108,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         """Return True if a step ends the task, from its records."""
 
     @abstractmethod
-    def _observed(self, records: Any) -> Observation:
+    def _observe(self, records: Any) -> Observation:
         """Return the observation at the end of a step, from its records."""
 
     def _start(self) -> None:
@@ -113,15 +119,15 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         self._goals: Array = np.array([[*home, 1.0, 0.0, 0.0, 0.0] for home in self._homes])
         self._ticks = self._steps = 0
 
-    def _way(self, action: Array) -> Array:
+    def _plan_goals(self, action: Array) -> Array:
         """Return goals (ticks + 1, hands, 7) on straight lines from the current ones.
 
         The action has velocities along x, y, z for each hand in turn.
         """
         goals = np.tile(self._goals, (len(self._times), 1, 1))
         velocity = self.setup.speed_m_per_s * action[: 3 * len(self._homes)].reshape(-1, 3)
-        led = self._goals[:, :3] + self._times[:, None] * velocity
-        goals[:, :, :3] = np.clip(led, self._homes - self.setup.reach_m, self._homes + self.setup.reach_m)
+        goal_positions = self._goals[:, :3] + self._times[:, None] * velocity
+        goals[:, :, :3] = np.clip(goal_positions, self._homes - self.setup.reach_m, self._homes + self.setup.reach_m)
         return goals
 
     def _run(self, goals: Array) -> Any:
@@ -131,8 +137,8 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         """
         intention = Intention(float(len(goals)), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
         hands = tuple(
-            Held(device.plant, Drive(intention, goals[:, place].reshape(-1), line))
-            for place, (device, line) in enumerate(zip(self._devices, self._lines, strict=True))
+            DrivenPlant(device.plant, Drive(intention, goals[:, index].reshape(-1), line))
+            for index, (device, line) in enumerate(zip(self._devices, self._lines, strict=True))
         )
         records = np.zeros((len(goals) - 1, len(hands), RECORD_SIZE))
         # Tick numbers start at 0, as the index of the goals; the memory distinguishes the first tick of an episode.
@@ -143,4 +149,4 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         self._ticks += len(records)
         self._goals = goals[-1]
         names = [finger.name for finger in self.config.fingers]
-        return {name: Records(np.ascontiguousarray(records[:, place])) for place, name in enumerate(names)}
+        return {name: Records(np.ascontiguousarray(records[:, index])) for index, name in enumerate(names)}

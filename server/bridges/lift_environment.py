@@ -20,10 +20,18 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource
 from softfinger.drivers.simulated.options import Hand
 from softfinger.proxy.records import Records
-from softfinger.server.bridges.led_hands import FAR_M, LedHands, Observation, Place, bounded, gymnasium, spaces
+from softfinger.server.bridges.led_hands import (
+    POSITION_BOUND_M,
+    LedHands,
+    Observation,
+    Point,
+    box_space,
+    gymnasium,
+    spaces,
+)
 
 NAME: Final = "softfinger/Lift-v0"
-GONE_M: Final = 0.5
+LOST_DISTANCE_M: Final = 0.5
 """A box farther than this from its initial position is lost."""
 
 
@@ -41,7 +49,7 @@ class LiftSetup:
     hand                          impedance of each hand, on the handle of an omega.6
     """
 
-    homes_m: tuple[Place, Place] = ((-0.04, 0.0, 0.02), (0.04, 0.0, 0.02))
+    homes_m: tuple[Point, Point] = ((-0.04, 0.0, 0.02), (0.04, 0.0, 0.02))
     reach_m: float = 0.15
     speed_m_per_s: float = 0.1
     step_ticks: int = 20
@@ -79,36 +87,46 @@ class Lift(LedHands):
             raise ConfigError("the scene has no [world]: this environment needs a body that moves by itself")
         self.world: Final = bodies.block.owner
         self._body = self.world.moving[0]
-        far, force = bounded(FAR_M, 3), self._guard.force_max_n * (1.0 + 1e-9)
-        parts: dict[str, spaces.Space[Any]] = {"body.position": far, "body.orientation": bounded(1.0 + 1e-9, 4)}
+        position_space, force = box_space(POSITION_BOUND_M, 3), self._guard.force_max_n * (1.0 + 1e-9)
+        parts: dict[str, spaces.Space[Any]] = {
+            "body.position": position_space,
+            "body.orientation": box_space(1.0 + 1e-9, 4),
+        }
         for name in self.fingers:
-            parts |= {f"{name}.position": far, f"{name}.force": bounded(force, 3), f"{name}.goal": far}
+            parts |= {
+                f"{name}.position": position_space,
+                f"{name}.force": box_space(force, 3),
+                f"{name}.goal": position_space,
+            }
         self.observation_space = spaces.Dict(parts)
         self._start()
 
     def reward(self, records: Mapping[str, Records]) -> float:
         """Return the negative distance (m) of the body from its goal height, from the records of a step and `world`."""
-        return -abs(float(self.world.data.xpos[self._body, 2] - self._stood[2]) - self.setup.goal_m)
+        return -abs(float(self.world.data.xpos[self._body, 2] - self._initial_position[2]) - self.setup.goal_m)
 
     def terminated(self, records: Mapping[str, Records]) -> bool:
         """Return True if the body is lost, from the records of a step and `world`."""
-        return bool(np.linalg.norm(self.world.data.xpos[self._body] - self._stood) > GONE_M)
+        return bool(np.linalg.norm(self.world.data.xpos[self._body] - self._initial_position) > LOST_DISTANCE_M)
 
     def _start(self) -> None:
         super()._start()
-        self._stood = self.world.data.xpos[self._body].copy()
+        self._initial_position = self.world.data.xpos[self._body].copy()
 
-    def _observed(self, records: Mapping[str, Records]) -> Observation:
+    def _observe(self, records: Mapping[str, Records]) -> Observation:
         data = self.world.data
-        seen: Observation = {
-            "body.position": np.clip(data.xpos[self._body], -FAR_M, FAR_M),
+        observation: Observation = {
+            "body.position": np.clip(data.xpos[self._body], -POSITION_BOUND_M, POSITION_BOUND_M),
             "body.orientation": data.xquat[self._body].copy(),
         }
-        for place, (name, rows) in enumerate(records.items()):
+        for index, (name, rows) in enumerate(records.items()):
             last = rows[-1]
-            seen[f"{name}.position"], seen[f"{name}.force"] = np.array(last["probe.position"]), np.array(last["force"])
-            seen[f"{name}.goal"] = self._goals[place, :3].copy()
-        return seen
+            observation[f"{name}.position"], observation[f"{name}.force"] = (
+                np.array(last["probe.position"]),
+                np.array(last["force"]),
+            )
+            observation[f"{name}.goal"] = self._goals[index, :3].copy()
+        return observation
 
 
 gymnasium.register(NAME, entry_point=Lift)

@@ -35,7 +35,7 @@ class Condition(NamedTuple):
     changes: dict[str, Any]
 
 
-class Planned(NamedTuple):
+class PlannedTrial(NamedTuple):
     """Trial of the design.
 
     number      from 1
@@ -54,7 +54,7 @@ class Planned(NamedTuple):
 
 def conditions(experiment: ExperimentFile) -> list[Condition]:
     """Return all combinations of the factors' levels; the level of the last factor changes fastest."""
-    made = []
+    combinations = []
     for levels in itertools.product(*(factor.levels for factor in experiment.factor)):
         scene, changes = None, dict[str, Any]()
         for factor, level in zip(experiment.factor, levels, strict=True):
@@ -62,8 +62,8 @@ def conditions(experiment: ExperimentFile) -> list[Condition]:
             changes |= {factor.parameter: level} if factor.parameter else factor.values.get(str(level), {})
         names = [str(level) for level in levels]
         by_factor = dict(zip((factor.name for factor in experiment.factor), levels, strict=True))
-        made.append(Condition(", ".join(names) or "all", by_factor, scene, changes))
-    return made
+        combinations.append(Condition(", ".join(names) or "all", by_factor, scene, changes))
+    return combinations
 
 
 def williams(count: int, row: int) -> list[int]:
@@ -76,27 +76,29 @@ def williams(count: int, row: int) -> list[int]:
     return line[::-1] if count % 2 and row // count % 2 else line
 
 
-def planned(experiment: ExperimentFile, participant: int) -> list[Planned]:
+def plan_trials(experiment: ExperimentFile, participant: int) -> list[PlannedTrial]:
     """Return the trials of a participant, practice first."""
     rng = np.random.default_rng([experiment.design.seed, participant, _ORDER])
     count = len(conditions(experiment))
     blocks = [_block(experiment, condition, rng) for condition in range(count)]
     match experiment.design.order:
         case "random":
-            trials = _mixed(blocks, rng)
+            trials = _mix(blocks, rng)
         case "latin-square":
-            trials = [trial for at in williams(count, participant - 1) for trial in blocks[at]]
+            trials = [trial for index in williams(count, participant - 1) for trial in blocks[index]]
         case _:
             trials = [trial for block in blocks for trial in block]
     practice = [trials[int(k)] for k in rng.integers(len(trials), size=experiment.design.practice)]
-    both = [(True, trial) for trial in practice] + [(False, trial) for trial in trials]
-    first = rng.permutation(len(both)) % 2 == 0  # balanced
-    return [Planned(k + 1, early, *trial, bool(first[k])) for k, (early, trial) in enumerate(both)]
+    all_trials = [(True, trial) for trial in practice] + [(False, trial) for trial in trials]
+    first = rng.permutation(len(all_trials)) % 2 == 0  # balanced
+    return [
+        PlannedTrial(k + 1, is_practice, *trial, bool(first[k])) for k, (is_practice, trial) in enumerate(all_trials)
+    ]
 
 
 def summary(experiment: ExperimentFile) -> list[tuple[str, str]]:
     """Return rows of name and text that describe a session for the participant."""
-    trials, trial = planned(experiment, 1), experiment.trial
+    trials, trial = plan_trials(experiment, 1), experiment.trial
     touches = 1 + (experiment.task.kind == "compare")
     minutes = len(trials) * touches * (trial.touch_s + trial.gap_s) / 60.0
     every = experiment.design.break_every
@@ -113,18 +115,18 @@ def _block(experiment: ExperimentFile, condition: int, rng: np.random.Generator)
     procedure = experiment.procedure
     if procedure.kind != "constant":
         return [(condition, None)] * procedure.trials
-    levels = [level for _ in range(procedure.repetitions) for level in _shuffled(procedure.levels, rng)]
+    levels = [level for _ in range(procedure.repetitions) for level in _shuffle(procedure.levels, rng)]
     return [(condition, level) for level in levels]
 
 
-def _mixed(
+def _mix(
     blocks: Sequence[Sequence[tuple[int, float | None]]], rng: np.random.Generator
 ) -> list[tuple[int, float | None]]:
     """Return the trials of all blocks in random order; the order within each block is unchanged."""
-    whose = _shuffled([at for at, block in enumerate(blocks) for _ in block], rng)
-    left = [iter(block) for block in blocks]
-    return [next(left[at]) for at in whose]
+    block_order = _shuffle([index for index, block in enumerate(blocks) for _ in block], rng)
+    remaining = [iter(block) for block in blocks]
+    return [next(remaining[index]) for index in block_order]
 
 
-def _shuffled(values: Sequence[T], rng: np.random.Generator) -> list[T]:
-    return [values[int(at)] for at in rng.permutation(len(values))]
+def _shuffle(values: Sequence[T], rng: np.random.Generator) -> list[T]:
+    return [values[int(index)] for index in rng.permutation(len(values))]

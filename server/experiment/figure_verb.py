@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from softfinger.config.files import new_file
-from softfinger.server.experiment.analysis import analysed, said, table
+from softfinger.server.experiment.analysis import fit_groups, format_fit, table
 from softfinger.server.experiment.figures import draw
 from softfinger.server.experiment.folder import load, write_csv
 
@@ -28,24 +28,24 @@ def run(args: argparse.Namespace) -> int:
     """Draw, print and return 0. Raises ConfigError if the folder has no answers."""
     root = Path(args.folder)
     experiment, rows = load(root)
-    groups = analysed(experiment, rows)
+    groups = fit_groups(experiment, rows)
     numbers = table(groups)
     out = Path(args.out) if args.out else root / "figures"
     out.mkdir(parents=True, exist_ok=True)
-    drawn = draw(experiment, groups, out)
+    paths = draw(experiment, groups, out)
     write_csv(out / "numbers.csv", numbers)
-    text = json.dumps([without_nan(row) for row in numbers], indent=1)
+    text = json.dumps([replace_nan(row) for row in numbers], indent=1)
     with new_file(out / "numbers.json") as file:
         file.write(text.encode() + b"\n")
     if args.json:
         print(text)
         return 0
     for group in groups:
-        print(f"{group.participant}, {group.condition}: {said(group.fit)}; {group.trials} trials")
-    print(f"drawn: {', '.join(str(path) for path in drawn)}")
+        print(f"{group.participant}, {group.condition}: {format_fit(group.fit)}; {group.trials} trials")
+    print(f"drawn: {', '.join(str(path) for path in paths)}")
     return 0
 
 
-def without_nan(row: dict[str, Any]) -> dict[str, Any]:
+def replace_nan(row: dict[str, Any]) -> dict[str, Any]:
     """Replace nan by None: JSON has no nan."""
     return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}

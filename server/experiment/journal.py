@@ -13,7 +13,7 @@ from typing import IO, Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.closing import Closing
+from softfinger.server.closing import Closeable
 
 Entry = dict[str, Any]
 _DECODER: Final = msgspec.json.Decoder(dict)
@@ -34,7 +34,7 @@ class Memory:
         return [entry for entry in self.entries if entry["kind"] == kind]
 
 
-class Journal(Memory, Closing):
+class Journal(Memory, Closeable):
     """Append-only file; `entries` include the existing ones. Locked: a second session on the file is refused.
 
     Raises ConfigError if the file is damaged or another session writes to it.
@@ -64,7 +64,7 @@ class Journal(Memory, Closing):
             os.fsync(descriptor)
         except OSError as error:
             os.ftruncate(descriptor, before)
-            raise not_written(self.path, error) from error
+            raise make_write_error(self.path, error) from error
         super().write(kind, **values)
 
     def close(self) -> None:
@@ -113,7 +113,7 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def not_written(path: Path, error: OSError) -> ConfigError:
+def make_write_error(path: Path, error: OSError) -> ConfigError:
     """Return the error for a file of a session that the disk did not accept."""
     return ConfigError(
         f"{path}: cannot be written: {error.strerror}: no answer before is lost; mend that and repeat the command"

@@ -18,7 +18,7 @@ def split(values: Mapping[str, Any]) -> tuple[dict[str, float], dict[str, Any]]:
     return masses, {path: value for path, value in values.items() if not path.startswith(PREFIX)}
 
 
-def scene_with(source: SceneSource, values: Mapping[str, Any], where: str) -> Scene:
+def load_changed_scene(source: SceneSource, values: Mapping[str, Any], where: str) -> Scene:
     """Return a scene with changed values, including masses.
 
     Raises ConfigError, with `where`, if the scene lacks a value.

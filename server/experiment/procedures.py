@@ -26,11 +26,11 @@ class Adaptive(Protocol):
     def level(self) -> float:
         """Return the level of the next trial."""
 
-    def answered(self, level: float, right: bool) -> None:
+    def update(self, level: float, right: bool) -> None:
         """Process the answer of a trial."""
 
 
-def adaptive(procedure: Procedure, lapse: float) -> Adaptive | None:
+def make_procedure(procedure: Procedure, lapse: float) -> Adaptive | None:
     """Return the procedure of a condition; None for constant stimuli, since the design has their levels.
 
     lapse  fraction of wrong answers at the highest levels, assumed by QUEST+
@@ -53,20 +53,20 @@ class Staircase:
 
     def __init__(self, procedure: Procedure) -> None:
         self._procedure = procedure
-        self._level, self._right, self._way = procedure.start, 0, 0
-        self.turns = 0
+        self._level, self._right, self._direction = procedure.start, 0, 0
+        self.reversals = 0
 
     def level(self) -> float:
         return self._level
 
-    def answered(self, level: float, right: bool) -> None:
+    def update(self, level: float, right: bool) -> None:
         self._right = self._right + 1 if right else 0
         if right and self._right < self._procedure.down:
             return
-        self._right, way = 0, -1 if right else 1
-        self.turns += self._way not in (0, way)
-        self._way = way
-        step = self._procedure.step ** (way * (1 if self.turns >= BIG_STEPS else 2))
+        self._right, direction = 0, -1 if right else 1
+        self.reversals += self._direction not in (0, direction)
+        self._direction = direction
+        step = self._procedure.step ** (direction * (1 if self.reversals >= BIG_STEPS else 2))
         self._level = min(max(level * step, self._procedure.smallest), self._procedure.largest)
 
 
@@ -93,7 +93,7 @@ class QuestPlus:
         after_wrong = _entropy((1.0 - self._right) * self._posterior / (1.0 - right)[:, None])
         return float(self._levels[np.argmin(right * after_right + (1.0 - right) * after_wrong)])
 
-    def answered(self, level: float, right: bool) -> None:
+    def update(self, level: float, right: bool) -> None:
         row = self._right[int(np.argmin(abs(self._levels - level)))]
         self._posterior = self._posterior * (row if right else 1.0 - row)
         self._posterior /= self._posterior.sum()

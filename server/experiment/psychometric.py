@@ -17,15 +17,15 @@ SLOPE: Final = 1.8
 SLOPE_SD: Final = 0.7
 """Prior of the slope: its logarithm is normal with mean log(SLOPE) and this standard deviation."""
 THRESHOLDS: Final = 300
-LIKELY: Final = 1.920729410347062
+LOG_LIKELIHOOD_DROP: Final = 1.920729410347062
 """Half of the 95 % quantile of chi squared with one degree of freedom.
 
 An end of the grid is excluded if its log likelihood is below the maximum by more than this.
 """
 QUANTILES: Final = (0.025, 0.5, 0.975)
-UNLIKELY: Final = 1e-7
+MIN_RELATIVE_WEIGHT: Final = 1e-7
 """Grid points with a smaller weight relative to the best one are omitted from the curve."""
-MARGIN: Final = 4.0
+THRESHOLD_MARGIN: Final = 4.0
 """The grid of thresholds extends from the lowest level over this to the highest level times this."""
 
 
@@ -36,8 +36,8 @@ def probability(
 
     F = 1 - exp(-(level / threshold)^slope), hence 63 % of the range at the threshold. The arguments are broadcast.
     """
-    reached = np.power(np.asarray(level, np.float64) / np.asarray(threshold, np.float64), slope)
-    chance: Array = guess + (1.0 - guess - lapse) * -np.expm1(-np.minimum(reached, 700.0))
+    scaled = np.power(np.asarray(level, np.float64) / np.asarray(threshold, np.float64), slope)
+    chance: Array = guess + (1.0 - guess - lapse) * -np.expm1(-np.minimum(scaled, 700.0))
     return chance
 
 
@@ -89,31 +89,31 @@ def fit(levels: ArrayLike, right: ArrayLike, lapse: float, points: int = 60) -> 
 
     Source: Kuss, Jaekel and Wichmann, Journal of Vision 5 (2005) 478-492.
     """
-    each, place = np.unique(np.asarray(levels, np.float64), return_inverse=True)
-    if not len(each):
+    unique_levels, index = np.unique(np.asarray(levels, np.float64), return_inverse=True)
+    if not len(unique_levels):
         raise ValueError("no answers: nothing to fit")
-    correct = np.bincount(place, np.asarray(right, np.float64))
-    wrong = np.bincount(place) - correct
-    thresholds = np.geomspace(each[0] / MARGIN, each[-1] * MARGIN, THRESHOLDS)
+    correct = np.bincount(index, np.asarray(right, np.float64))
+    wrong = np.bincount(index) - correct
+    thresholds = np.geomspace(unique_levels[0] / THRESHOLD_MARGIN, unique_levels[-1] * THRESHOLD_MARGIN, THRESHOLDS)
     threshold, slope = np.meshgrid(thresholds, SLOPES, indexing="ij")
-    chance = np.clip(probability(each, threshold[..., None], slope[..., None], GUESS, lapse), 1e-9, 1.0 - 1e-9)
+    chance = np.clip(probability(unique_levels, threshold[..., None], slope[..., None], GUESS, lapse), 1e-9, 1.0 - 1e-9)
     likelihood = np.log(chance) @ correct + np.log1p(-chance) @ wrong
     likelihood -= 0.5 * (np.log(slope / SLOPE) / SLOPE_SD) ** 2
     best = likelihood.max()
     weight = np.exp(likelihood - best)
     low, middle, high = np.exp(_quantiles(np.log(thresholds), weight.sum(axis=1)))
     flat, slope_middle, steep = np.exp(_quantiles(np.log(SLOPES), weight.sum(axis=0)))
-    some = weight > UNLIKELY
-    x = np.geomspace(each[0], each[-1], points) if len(each) > 1 else each
-    curves = probability(x[:, None], threshold[some], slope[some], GUESS, lapse)
-    band = np.array([_quantiles(row, weight[some]) for row in curves])
+    likely = weight > MIN_RELATIVE_WEIGHT
+    x = np.geomspace(unique_levels[0], unique_levels[-1], points) if len(unique_levels) > 1 else unique_levels
+    curves = probability(x[:, None], threshold[likely], slope[likely], GUESS, lapse)
+    band = np.array([_quantiles(row, weight[likely]) for row in curves])
     return Fit(
         float(middle),
         (float(low), float(high)),
         float(slope_middle),
         (float(flat), float(steep)),
         float(best),
-        bool(likelihood[[0, -1]].max() >= best - LIKELY),
+        bool(likelihood[[0, -1]].max() >= best - LOG_LIKELIHOOD_DROP),
         np.column_stack([x, band[:, 1], band[:, 0], band[:, 2]]),
     )
 

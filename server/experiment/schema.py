@@ -253,10 +253,10 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
                     "turns a hand that [motion] does not move: give the finger a path",
                 )
         if known(self.motion, self.turn, self.trial) and known(self.trial.touch_s):
-            for key, ways in (("motion", self.motion), ("turn", self.turn)):
-                for finger, way in ways.items():
-                    if way and way[-1][0] > self.trial.touch_s:
-                        yield f"{key}.{finger}", msgspec.UNSET, f"ends at {way[-1][0]:g} s: make trial.touch_s as long"
+            for key, paths in (("motion", self.motion), ("turn", self.turn)):
+                for finger, path in paths.items():
+                    if path and path[-1][0] > self.trial.touch_s:
+                        yield f"{key}.{finger}", msgspec.UNSET, f"ends at {path[-1][0]:g} s: make trial.touch_s as long"
         if known(self.factor):
             names = [factor.name for factor in self.factor if known(factor)]
             if len(set(names)) < len(names):

@@ -60,7 +60,7 @@ class Commanders:
         upstream.linger, upstream.sndhwm, upstream.rcvhwm, upstream.maxmsgsize = 0, WAITING_MAX, WAITING_MAX, ANSWER_MAX
         upstream.ipv6 = "[" in self._endpoint
         if self._keys is not None:
-            self._keys.put_on(upstream)
+            self._keys.apply_to(upstream)
         upstream.connect(self._endpoint)
         self._upstream[client] = upstream
         return upstream

@@ -36,7 +36,7 @@ class Stream:
         self.socket.linger, self.socket.rcvhwm, self.socket.maxmsgsize = 0, QUEUE, MAX_BYTES
         self.socket.ipv6 = "[" in endpoint
         if keys is not None:
-            keys.put_on(self.socket)
+            keys.apply_to(self.socket)
         self.socket.subscribe(b"")
         self.socket.connect(endpoint)
         self.consumers: list[Callable[[bytes, bytes], None]] = []

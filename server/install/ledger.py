@@ -25,10 +25,10 @@ class File(NamedTuple):
     text: str
 
 
-class Act(NamedTuple):
+class Action(NamedTuple):
     """Action on a file, or the reason for none."""
 
-    what: str
+    text: str
     path: Path
 
 
@@ -43,12 +43,12 @@ class Ledger:
         self._files: dict[str, str] = {}
         self._folders: list[str] = []
         try:
-            kept = json.loads(self._at(record).read_bytes())
-            self._files, self._folders = dict(kept["files"]), list(kept["folders"])
+            recorded = json.loads(self._at(record).read_bytes())
+            self._files, self._folders = dict(recorded["files"]), list(recorded["folders"])
         except FileNotFoundError:
             pass
         except PermissionError as error:
-            raise self._refused(record, error) from error
+            raise self._permission_error(record, error) from error
         except (ValueError, TypeError, KeyError) as error:
             raise ConfigError(
                 f"{self._at(record)} is damaged ({error}): see what is in it, and move it away"
@@ -71,15 +71,15 @@ class Ledger:
 
     def state(self, file: File) -> State:
         """Return how the file at the path of `file` compares with `file` and with the record."""
-        found = self._found(file.path)
-        if found is None:
+        digest = self._digest_at(file.path)
+        if digest is None:
             return "new"
-        if found == _digest(file.text.encode()):
+        if digest == _digest(file.text.encode()):
             return "unchanged"
-        known = self._files.get(str(file.path))
-        return "foreign" if known is None else "outdated" if found == known else "edited"
+        recorded_digest = self._files.get(str(file.path))
+        return "foreign" if recorded_digest is None else "outdated" if digest == recorded_digest else "edited"
 
-    def write(self, files: Sequence[File]) -> Iterator[Act]:
+    def write(self, files: Sequence[File]) -> Iterator[Action]:
         """Write new files, update unedited ones, and remove recorded files that are not in `files` any more.
 
         Raises ConfigError, before any change, if a file belongs to somebody else or may not be written.
@@ -96,16 +96,16 @@ class Ledger:
             yield from self._remove([path for path in self._files if path not in named])
             for file, state in zip(files, states, strict=True):
                 if state == "edited":
-                    yield Act("kept, for it was edited; move it away to have the new one:", self._at(file.path))
+                    yield Action("kept, for it was edited; move it away to have the new one:", self._at(file.path))
                     continue
                 if state != "unchanged":
-                    self._put(file.path, file.text)
+                    self._write_file(file.path, file.text)
                 self._files[str(file.path)] = _digest(file.text.encode())
-                yield Act(DONE[state], self._at(file.path))
+                yield Action(DONE[state], self._at(file.path))
         finally:
             self._save()
 
-    def remove(self) -> Iterator[Act]:
+    def remove(self) -> Iterator[Action]:
         """Remove all unedited files that were written, then the empty folders that were made for them.
 
         Raises ConfigError, before any change, if something may not be removed.
@@ -116,33 +116,35 @@ class Ledger:
         finally:
             self._save()
 
-    def _remove(self, paths: Sequence[str]) -> Iterator[Act]:
+    def _remove(self, paths: Sequence[str]) -> Iterator[Action]:
         for path in paths:
-            found = self._found(Path(path))
-            if found is not None and found != self._files[path]:
-                yield Act("kept, for it was edited; remove it yourself:", self._at(Path(path)))
+            digest = self._digest_at(Path(path))
+            if digest is not None and digest != self._files[path]:
+                yield Action("kept, for it was edited; remove it yourself:", self._at(Path(path)))
                 continue
-            if found is not None:
+            if digest is not None:
                 self._at(Path(path)).unlink()
             del self._files[path]
-            yield Act("removed" if found is not None else "gone already:", self._at(Path(path)))
+            yield Action("removed" if digest is not None else "gone already:", self._at(Path(path)))
 
     def _save(self) -> None:
         if self._files:
-            self._make(self._record.parent)  # first, since it may add to the recorded folders
-            self._put(self._record, json.dumps({"files": self._files, "folders": self._folders}, indent=1) + "\n")
+            self._make_folder(self._record.parent)  # first, since it may add to the recorded folders
+            self._write_file(
+                self._record, json.dumps({"files": self._files, "folders": self._folders}, indent=1) + "\n"
+            )
             return
         self._at(self._record).unlink(missing_ok=True)
         for folder in sorted(self._folders, key=len, reverse=True):
             with contextlib.suppress(OSError):  # not empty: it has files of other origin
                 self._at(Path(folder)).rmdir()
 
-    def _put(self, path: Path, text: str) -> None:
+    def _write_file(self, path: Path, text: str) -> None:
         """Write a file atomically, readable by everybody."""
         at = self._at(path)
         part = at.with_name(f".{at.name}.{secrets.token_hex(4)}")
         try:
-            self._make(path.parent)
+            self._make_folder(path.parent)
             with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644), "wb") as file:
                 os.fchmod(file.fileno(), 0o644)
                 file.write(text.encode())
@@ -150,18 +152,18 @@ class Ledger:
         except OSError as error:
             with contextlib.suppress(OSError):
                 part.unlink()
-            raise self._refused(path, error) from error
+            raise self._permission_error(path, error) from error
 
-    def _make(self, folder: Path) -> None:
+    def _make_folder(self, folder: Path) -> None:
         if folder == Path("/"):
             self._root.mkdir(parents=True, exist_ok=True)
         elif not self._at(folder).is_dir():
-            self._make(folder.parent)
+            self._make_folder(folder.parent)
             self._at(folder).mkdir()
             self._at(folder).chmod(0o755)
             self._folders.append(str(folder))
 
-    def _found(self, path: Path) -> str | None:
+    def _digest_at(self, path: Path) -> str | None:
         """Return the digest of the content at a path, or None if it does not exist. Links are not followed."""
         at = self._at(path)
         try:
@@ -169,16 +171,16 @@ class Ledger:
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise self._refused(path, error) from error
+            raise self._permission_error(path, error) from error
 
     def _check_writable(self, path: Path) -> None:
         folder = self._at(path).parent
         while not folder.exists():
             folder = folder.parent
         if not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
-            raise self._refused(path, PermissionError(13, "Permission denied"))
+            raise self._permission_error(path, PermissionError(13, "Permission denied"))
 
-    def _refused(self, path: Path, error: OSError) -> ConfigError:
+    def _permission_error(self, path: Path, error: OSError) -> ConfigError:
         return ConfigError(
             f"{self._at(path)} may not be changed by this user ({error.strerror}): what is for the whole machine takes "
             "root, so sudo; without --system it is for you alone"

@@ -29,7 +29,7 @@ LIMITS: Final = f"""\
 """
 
 
-class Places(NamedTuple):
+class InstallPaths(NamedTuple):
     """Folders that programs search for units, manuals, and completion of bash and zsh; and the path of the record."""
 
     units: Path
@@ -39,7 +39,7 @@ class Places(NamedTuple):
     record: Path
 
 
-SYSTEM: Final = Places(
+SYSTEM: Final = InstallPaths(
     Path("/etc/systemd/system"),
     Path("/usr/local/share/man/man1"),
     Path("/usr/local/share/bash-completion/completions"),
@@ -48,24 +48,24 @@ SYSTEM: Final = Places(
 )
 
 
-def places_of_user(environment: Mapping[str, str], home: Path | None) -> Places:
+def user_paths(environment: Mapping[str, str], home: Path | None) -> InstallPaths:
     """Return the places by the XDG base directories.
 
     Raises ConfigError if one of them needs a home folder and there is none.
     """
 
-    def folder(name: str, otherwise: str) -> Path:
-        named = environment.get(name, "")
-        if named.startswith("/"):
-            return Path(named)
+    def folder(name: str, fallback: str) -> Path:
+        value = environment.get(name, "")
+        if value.startswith("/"):
+            return Path(value)
         if home is None:
             raise ConfigError(
                 f"this user has no home folder, neither in HOME nor in passwd: set HOME or {name}, or add --system"
             )
-        return home / otherwise
+        return home / fallback
 
     data = folder("XDG_DATA_HOME", ".local/share")
-    return Places(
+    return InstallPaths(
         folder("XDG_CONFIG_HOME", ".config") / "systemd/user",
         data / "man/man1",
         data / "bash-completion/completions",
@@ -74,8 +74,8 @@ def places_of_user(environment: Mapping[str, str], home: Path | None) -> Places:
     )
 
 
-def places(system: bool) -> Places:
-    return SYSTEM if system else places_of_user(os.environ, home_folder())
+def install_paths(system: bool) -> InstallPaths:
+    return SYSTEM if system else user_paths(os.environ, home_folder())
 
 
 def files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -> list[File]:
@@ -87,33 +87,33 @@ def files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -
 
     load_scene(scene)
     devices = load_rig(rig).tables.values()
-    at = places(system)
-    found = [
+    at = install_paths(system)
+    install_files = [
         File(at.units / "softfinger.service", unit(service(rig, scene), system)),
         File(at.manuals / "softfinger.1", manual(parser)),
         File(at.bash / "softfinger", completion("bash")),
         File(at.zsh / "_softfinger", completion("zsh")),
     ]
     if system:
-        found += [
+        install_files += [
             File(Path("/etc/udev/rules.d/70-softfinger.rules"), udev_rules(devices)),
             File(Path("/etc/security/limits.d/70-softfinger.conf"), LIMITS),
             File(Path("/etc/sysusers.d/softfinger.conf"), ACCOUNT),
         ]
-    return found
+    return install_files
 
 
 def service(rig: str, scene: str) -> list[str]:
     """Return the command of the unit, independent of the working directory."""
-    return [*program(), "run", "--rig", named(rig, Rig), "--scene", named(scene, Scene)]
+    return [*program(), "run", "--rig", resolve_name(rig, Rig), "--scene", resolve_name(scene, Scene)]
 
 
-def named(name: str, kind: type[Rig] | type[Scene]) -> str:
+def resolve_name(name: str, kind: type[Rig] | type[Scene]) -> str:
     """Return the name of a shipped rig or scene, or else its absolute path."""
     return name if name in shipped(kind) else str(find(name, kind).resolve())
 
 
-def closed_to_others(words: Sequence[str]) -> Path | None:
+def first_private_folder(words: Sequence[str]) -> Path | None:
     """Return the first folder that only its owner may enter, on the path of a program, its interpreter or its files.
 
     Returns None if there is none.

@@ -89,13 +89,13 @@ WantedBy=default.target
 
 def unit(words: Sequence[str], system: bool) -> str:
     """Return the unit that runs a command, given as a list of arguments."""
-    program, *others = map(_quoted, words)
+    program, *others = map(_quote, words)
     command = " ".join([program, *(word.replace("$", "$$") for word in others)])  # no expansion in the program
     head = HEAD.format(command=command, scope="" if system else "--user ")
     return head + (SYSTEM if system else USER)
 
 
-def _quoted(word: str) -> str:
+def _quote(word: str) -> str:
     """Quote an argument for systemd, and escape specifiers and escape characters."""
     plain = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
     return plain if plain and not any(letter in plain for letter in " \t;'\"\\") else f'"{plain}"'

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Final
 
 from softfinger.drivers.system.rules import command
-from softfinger.server.install.ledger import Act, Ledger
-from softfinger.server.install.plan import closed_to_others, files, places, service
-from softfinger.server.install.settle import STATE, after_removing, after_writing, before_removing, run_all
+from softfinger.server.install.ledger import Action, Ledger
+from softfinger.server.install.plan import files, first_private_folder, install_paths, service
+from softfinger.server.install.system_commands import STATE, after_removing, after_writing, before_removing, run_all
 
 ROOT: Final = Path("/")
 
@@ -46,7 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    ledger = Ledger((args.root or ROOT).resolve(), places(args.system).record)
+    ledger = Ledger((args.root or ROOT).resolve(), install_paths(args.system).record)
     if args.remove:
         remove(args, ledger)
     else:
@@ -57,18 +57,18 @@ def run(args: argparse.Namespace) -> int:
 def install(args: argparse.Namespace, ledger: Ledger) -> None:
     from softfinger.server.cli import make_parser
 
-    wanted, commands = files(args.system, args.rig, args.scene, make_parser()), after_writing(args.system)
+    files_to_write, commands = files(args.system, args.rig, args.scene, make_parser()), after_writing(args.system)
     if args.dry_run:
-        for file in wanted:
+        for file in files_to_write:
             print(f"##### {file.path}: {ledger.state(file)}\n{file.text}")
         print("\n".join(f"##### then: {shlex.join(words)}" for words in commands))
         return
-    show(ledger.write(wanted))
+    show(ledger.write(files_to_write))
     if args.root is None:
         run_all(commands)
-    closed = closed_to_others(service(args.rig, args.scene)) if args.system else None
-    if closed is not None:
-        print(f"the service cannot start: {closed} is its owner's alone; put the program into /opt/softfinger")
+    private_folder = first_private_folder(service(args.rig, args.scene)) if args.system else None
+    if private_folder is not None:
+        print(f"the service cannot start: {private_folder} is its owner's alone; put the program into /opt/softfinger")
     print(LATER if args.system else LATER_FOR_ONE.format(command=command()), end="")
 
 
@@ -88,6 +88,6 @@ def remove(args: argparse.Namespace, ledger: Ledger) -> None:
                 print(f"what the service has kept stays in {STATE}, and so does its account")
 
 
-def show(acts: Iterable[Act]) -> None:
-    for act in acts:
-        print(f"{act.what} {act.path}")
+def show(actions: Iterable[Action]) -> None:
+    for act in actions:
+        print(f"{act.text} {act.path}")

@@ -15,7 +15,7 @@ from prometheus_client import CollectorRegistry, make_wsgi_app
 
 import softfinger.server.metrics
 from softfinger.server.loop import shutdown
-from softfinger.server.metrics.counts import Counts
+from softfinger.server.metrics.counts import MetricsCollector
 from softfinger.server.services.base import Worker
 from softfinger.server.services.records import Sink
 from softfinger.server.wire.endpoint import Bound
@@ -23,7 +23,7 @@ from softfinger.server.wire.endpoint import Bound
 log: Final = logging.getLogger(__name__)
 
 KEY: Final = "[metrics] endpoint"
-REQUEST_S: Final = 1.0
+REQUEST_TIMEOUT_S: Final = 1.0
 """Time limit for a client to send its request and receive the answer."""
 POLL_S: Final = 0.25
 DASHBOARD: Final = Path(softfinger.server.metrics.__file__).with_name("grafana.json")
@@ -43,14 +43,14 @@ class Metrics(Worker):
         Publishes an event.
     """
 
-    def __init__(self, bound: Bound, counts: Counts, event: Callable[..., Any]) -> None:
+    def __init__(self, bound: Bound, counts: MetricsCollector, event: Callable[..., Any]) -> None:
         super().__init__("metrics")
         self.endpoint: Final = bound.endpoint.replace("tcp://", "http://")
         self._bound, self._event = bound, event
         registry = CollectorRegistry()
         registry.register(counts)
-        self._figures = make_wsgi_app(registry)
-        self.sink: Final = Sink("metrics", counts.take)
+        self._metrics_app = make_wsgi_app(registry)
+        self.sink: Final = Sink("metrics", counts.add_records)
 
     def work(self) -> None:
         with _Server(self._bound, self._answer) as server:
@@ -69,7 +69,7 @@ class Metrics(Worker):
         if environ["PATH_INFO"] == DASHBOARD_PATH:
             start_response("200 OK", [("Content-Type", "application/json")])
             return [DASHBOARD.read_bytes()]
-        answer: Iterable[bytes] = self._figures(environ, start_response)
+        answer: Iterable[bytes] = self._metrics_app(environ, start_response)
         return answer
 
 
@@ -91,21 +91,21 @@ class _Server(WSGIServer):
 
 
 class _Handler(WSGIRequestHandler):
-    timeout = REQUEST_S
+    timeout = REQUEST_TIMEOUT_S
 
     def handle(self) -> None:
-        """Answer one request within REQUEST_S.
+        """Answer one request within REQUEST_TIMEOUT_S.
 
         `timeout` only limits each read, which is not enough because clients are served one after another.
         """
-        cut_off = threading.Timer(REQUEST_S, self._cut_off)
-        cut_off.start()
+        timer = threading.Timer(REQUEST_TIMEOUT_S, self._close_connection)
+        timer.start()
         try:
             super().handle()
         finally:
-            cut_off.cancel()
+            timer.cancel()
 
-    def _cut_off(self) -> None:
+    def _close_connection(self) -> None:
         with contextlib.suppress(OSError):  # the client has closed the connection
             self.connection.shutdown(socket.SHUT_RDWR)
 

@@ -31,22 +31,22 @@ from softfinger.server.progress import CHUNK, progress
 
 Array = NDArray[np.float64]
 
-FIGURES: Final = ("ticks", "left", "excursion", "force", "energy")
+FIGURES: Final = ("ticks", "exit_tick", "excursion", "force", "energy")
 """Figures of a case that `close_many` writes: fields of `Outcome`."""
 
 
-class Nowhere(NamedTuple):
+class NullRecord(NamedTuple):
     """Record that discards all values: writes to it compile to nothing."""
 
     unused: float
 
 
-NOWHERE: Final[Any] = Nowhere(0.0)
+NULL_RECORD: Final[Any] = NullRecord(0.0)
 
 
 @overload(operator.setitem, jit_options=OPTIONS)
-def _set_nowhere(record, index, value):  # type: ignore[no-untyped-def]
-    if getattr(record, "instance_class", None) is Nowhere:
+def _set_null_record(record, index, value):  # type: ignore[no-untyped-def]
+    if getattr(record, "instance_class", None) is NullRecord:
         return lambda record, index, value: None
     return None
 
@@ -64,7 +64,7 @@ class Outcome(NamedTuple):
 
     memory, state  for the continuation
     ticks          number of ticks run
-    left           tick at which the handle left the bound around its start, or became nan; -1 if never
+    exit_tick      tick at which the handle left the bound around its start, or became nan; -1 if never
     excursion      m  largest distance of the handle from its start, at ticks
     force          N  largest norm of the commanded force
     energy         J  work of the commanded force on the handle: sum over ticks of force times displacement;
@@ -74,7 +74,7 @@ class Outcome(NamedTuple):
     memory: Memory
     state: PlantState
     ticks: float
-    left: float
+    exit_tick: float
     excursion: float
     force: float
     energy: float
@@ -99,31 +99,31 @@ def close_loop(
     """
     dt = run.dt
     origin, contact = state.position, memory
-    far, strongest, energy, left, done = 0.0, 0.0, 0.0, -1.0, 0
-    for number in range(run.first, run.first + run.ticks):
+    max_distance2, max_force2, energy, exit_tick, tick_count = 0.0, 0.0, 0.0, -1.0, 0
+    for tick_number in range(run.first, run.first + run.ticks):
         x, q = sense(plant, state), state.orientation
         sample: Any = (x[0], x[1], x[2], q[0], q[1], q[2], q[3])
-        contact = tick(tuning, start, contact, (sample,), dt, dt, number, (NOWHERE,))
+        contact = tick(tuning, start, contact, (sample,), dt, dt, tick_number, (NULL_RECORD,))
         step_bodies(tuning.scene.bodies)
         force = contact.fingers[0].guard_state.force
-        goal, orientation = goal_at(drive.intention, drive.poses, number + 1)
-        before = state.position
+        goal, orientation = goal_at(drive.intention, drive.poses, tick_number + 1)
+        previous_position = state.position
         state = advance(plant, state, force, goal, orientation, drive.line)
-        done += 1
-        strongest = max(strongest, vec3.dot(force, force))
-        energy += vec3.dot(force, vec3.sub(state.position, before))
-        away = vec3.sub(state.position, origin)
-        distance = vec3.dot(away, away)
+        tick_count += 1
+        max_force2 = max(max_force2, vec3.dot(force, force))
+        energy += vec3.dot(force, vec3.sub(state.position, previous_position))
+        displacement = vec3.sub(state.position, origin)
+        distance2 = vec3.dot(displacement, displacement)
         # not (a <= b): also true for a position of nan
-        if not distance <= far:
-            far = distance
-            if not distance <= bound * bound:
-                left = number + 1.0
+        if not distance2 <= max_distance2:
+            max_distance2 = distance2
+            if not distance2 <= bound * bound:
+                exit_tick = tick_number + 1.0
                 break
-    return Outcome(contact, state, float(done), left, sqrt(far), sqrt(strongest), energy)
+    return Outcome(contact, state, float(tick_count), exit_tick, sqrt(max_distance2), sqrt(max_force2), energy)
 
 
-class Held(NamedTuple):
+class DrivenPlant(NamedTuple):
     """Simulated device in a hand: its constants and its drive."""
 
     plant: Plant
@@ -131,37 +131,37 @@ class Held(NamedTuple):
 
 
 @by_count
-def samples_of(hands: Any, states: Any) -> Any:
+def sense_all(hands: Any, states: Any) -> Any:
     """Return the sensed pose of each device as a tuple of seven."""
 
 
-@samples_of.of(1)
-def sample_of_one(hands: Any, states: Any) -> Any:
+@sense_all.of(1)
+def sense_one(hands: Any, states: Any) -> Any:
     x, q = sense(hands[0].plant, states[0]), states[0].orientation
     return ((x[0], x[1], x[2], q[0], q[1], q[2], q[3]),)
 
 
-@samples_of.of(2)
-def samples_of_several(hands: Any, states: Any) -> Any:
-    return samples_of(hands[:1], states[:1]) + samples_of(hands[1:], states[1:])
+@sense_all.of(2)
+def sense_several(hands: Any, states: Any) -> Any:
+    return sense_all(hands[:1], states[:1]) + sense_all(hands[1:], states[1:])
 
 
 @by_count
-def advance_all(hands: Any, states: Any, fingers: Any, number: int) -> Any:
-    """Return the states of all devices at tick `number` under the wrenches in `fingers`, a FingerMemory of each."""
+def advance_all(hands: Any, states: Any, fingers: Any, tick_number: int) -> Any:
+    """Return the states of all devices at a tick under the wrenches in `fingers`, a FingerMemory of each."""
 
 
 @advance_all.of(1)
-def advance_one(hands: Any, states: Any, fingers: Any, number: int) -> Any:
+def advance_one(hands: Any, states: Any, fingers: Any, tick_number: int) -> Any:
     plant, drive = hands[0].plant, hands[0].drive
-    goal, orientation = goal_at(drive.intention, drive.poses, number)
+    goal, orientation = goal_at(drive.intention, drive.poses, tick_number)
     return (advance(plant, states[0], fingers[0].guard_state.force, goal, orientation, drive.line),)
 
 
 @advance_all.of(2)
-def advance_several(hands: Any, states: Any, fingers: Any, number: int) -> Any:
-    first = advance_all(hands[:1], states[:1], fingers[:1], number)
-    return first + advance_all(hands[1:], states[1:], fingers[1:], number)
+def advance_several(hands: Any, states: Any, fingers: Any, tick_number: int) -> Any:
+    first = advance_all(hands[:1], states[:1], fingers[:1], tick_number)
+    return first + advance_all(hands[1:], states[1:], fingers[1:], tick_number)
 
 
 @entry
@@ -178,7 +178,7 @@ def record_ticks(
 
     tuning_packed  Tuning
     memory_packed  Memory; `like` is the initial one, `values` are the current values, which are updated
-    hands          tuple of a Held for each finger
+    hands          tuple of a DrivenPlant for each finger
     states_packed  tuple of a PlantState for each finger; `values` are updated
     """
     start = memory_packed.like
@@ -187,7 +187,7 @@ def record_ticks(
     states = unpack(states_packed.like, states_packed.values)
     for i in range(records.shape[0]):
         rows = rows_of(memory.fingers, records[i], 0)
-        memory = tick(tuning, start, memory, samples_of(hands, states), dt, dt, first + i, rows)
+        memory = tick(tuning, start, memory, sense_all(hands, states), dt, dt, first + i, rows)
         step_bodies(tuning.scene.bodies)
         records[i, :, 0] = (first + i) * dt
         states = advance_all(hands, states, memory.fingers, first + i + 1)
@@ -205,7 +205,7 @@ def run_closed_loop(tuning: Tuning, devices: Sequence[Simulation], rate_hz: floa
     begin_bodies(tuning.scene, dt)
     scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
     states = packed(tuple(device.state for device in devices))
-    hands = tuple(Held(each.plant, Drive(each.intention, each.poses, np.zeros(LINE_SIZE))) for each in devices)
+    hands = tuple(DrivenPlant(each.plant, Drive(each.intention, each.poses, np.zeros(LINE_SIZE))) for each in devices)
     with progress("simulating", ticks) as done:
         for first in range(0, ticks, CHUNK):
             records = np.zeros((min(CHUNK, ticks - first), len(devices), RECORD_SIZE))
@@ -238,7 +238,7 @@ def close_many(
         drive.line[:] = 0.0
         end = close_loop(tuning, start, start, plant, state, drive, Run(0, ticks, 1.0 / plant.rate), bound)
         figures[i, 0] = end.ticks
-        figures[i, 1] = end.left
+        figures[i, 1] = end.exit_tick
         figures[i, 2] = end.excursion
         figures[i, 3] = end.force
         figures[i, 4] = end.energy

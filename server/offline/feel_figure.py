@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from softfinger.config.materials import Entry, Measured
 from softfinger.config.schema import Fingertip, Material
-from softfinger.server.offline.feels import entries, found, whole
 from softfinger.server.offline.figures import figure, legends_below, save
+from softfinger.server.offline.library_texts import entries, find_entry, library_table
 
 Array = NDArray[np.float64]
 
@@ -23,15 +23,15 @@ SHEAR_PER_YOUNG: Final = 1.0 / 3.0
 
 def draw(name: str, path: Path) -> None:
     """Draw an entry and save it as .png or .svg. Raises ConfigError if the name is unknown."""
-    kind, entry = found(name)
+    kind, entry = find_entry(name)
     drawing = figure(9.0, 3.6)
     axes = drawing.subplots(1, 2)
     if kind == "material":
-        material = whole(kind, name)
+        material = library_table(kind, name)
         friction(axes[0], entry, material)
         depth(axes[1], entry, material)
     else:
-        tip = whole(kind, name)
+        tip = library_table(kind, name)
         patch(axes[0], {name: (entry, tip)})
         torsion(axes[1], {name: tip})
     drawing.suptitle(f"{name}: {entry.about}\nholds for {entry.holds}", fontsize="x-small")
@@ -49,19 +49,19 @@ def friction(axes: Any, entry: Entry, material: Material) -> None:
     axes.plot(LOAD_N, [law.static] * 2, color="C0", label="model, static")
     axes.plot(LOAD_N, [law.kinetic] * 2, "--", color="C0", label="model, kinetic")
     points = [each for each in entry.measured if each.friction is not None]
-    free = np.geomspace(0.3, 8.0, len(points) + 2)[1:-1]
-    for place, each in enumerate(points):
-        load = free[place] if each.load_n is None else float(np.sqrt(each.load_n[0] * each.load_n[1]))
-        across = "" if each.load_n else ", load not said"
-        point(axes, load, each, f"C{place + 1}", f"{each.of}{across} ({each.paper})")
+    free_loads = np.geomspace(0.3, 8.0, len(points) + 2)[1:-1]
+    for index, each in enumerate(points):
+        load = free_loads[index] if each.load_n is None else float(np.sqrt(each.load_n[0] * each.load_n[1]))
+        load_note = "" if each.load_n else ", load not said"
+        point(axes, load, each, f"C{index + 1}", f"{each.of}{load_note} ({each.paper})")
     axes.set(xscale="log", xlabel="load [N]", ylabel="coefficient of friction")
     axes.set_ylim(0.0, 1.1 * axes.get_ylim()[1])
 
 
 def point(axes: Any, x: float, each: Measured, color: str, label: str) -> None:
     """Draw a published coefficient with its deviation and the range of loads that it averages."""
-    across = None if each.load_n is None else [[x - each.load_n[0]], [each.load_n[1] - x]]
-    axes.errorbar(x, each.friction, spread(each), across, fmt="o", ms=4, capsize=3, color=color, label=label)
+    load_range = None if each.load_n is None else [[x - each.load_n[0]], [each.load_n[1] - x]]
+    axes.errorbar(x, each.friction, spread(each), load_range, fmt="o", ms=4, capsize=3, color=color, label=label)
 
 
 def spread(each: Measured) -> list[list[float]]:
@@ -72,12 +72,16 @@ def spread(each: Measured) -> list[list[float]]:
 
 def overview(axes: Any) -> None:
     """Draw the coefficients of all materials with a published coefficient on skin, and these coefficients."""
-    known = [(name, entry) for name, (_, entry) in entries().items() if any(each.friction for each in entry.measured)]
-    rows = dict(zip((name for name, _ in known), range(len(known), 0, -1), strict=True))
-    laws = np.array([[entry.values["friction"][key] for key in ("kinetic", "static")] for _, entry in known])
+    measured_entries = [
+        (name, entry) for name, (_, entry) in entries().items() if any(each.friction for each in entry.measured)
+    ]
+    rows = dict(zip((name for name, _ in measured_entries), range(len(measured_entries), 0, -1), strict=True))
+    laws = np.array([[entry.values["friction"][key] for key in ("kinetic", "static")] for _, entry in measured_entries])
     axes.hlines(list(rows.values()), *laws.T, color="C0", lw=2.5, label="model, kinetic to static")
     axes.plot(laws[:, 1], list(rows.values()), "|", color="C0", ms=6)  # visible if both are equal
-    points = [(rows[name], each) for name, entry in known for each in entry.measured if each.friction is not None]
+    points = [
+        (rows[name], each) for name, entry in measured_entries for each in entry.measured if each.friction is not None
+    ]
     axes.errorbar(
         [each.friction for _, each in points],
         [row - 0.25 for row, _ in points],
@@ -94,17 +98,17 @@ def depth(axes: Any, entry: Entry, material: Material) -> None:
     There are no published points of force over depth: no table of them was accessible.
     """
     force = np.linspace(0.0, 3.0, 61)
-    told = "chosen for rendering, not measured" if material.normal is None else "computed, by Hertz"
+    origin = "chosen for rendering, not measured" if material.normal is None else "computed, by Hertz"
     line = [1e3 * material.depth_under(each) if each else 0.0 for each in force]
-    axes.plot(line, force, color="C0", label=f"model: {told}")
+    axes.plot(line, force, color="C0", label=f"model: {origin}")
     for each in entry.measured:
         if each.youngs_modulus_pa is not None:
             low, high = (1e3 * hertz_depth(force, young, RADIUS_M) for young in each.youngs_modulus_pa)
-            axes.fill_betweenx(force, high, low, color="C1", alpha=0.25, lw=0, label=banded(each))
+            axes.fill_betweenx(force, high, low, color="C1", alpha=0.25, lw=0, label=label_band(each))
     axes.set(xlabel="depth [mm]", ylabel="normal force [N]")
 
 
-def banded(each: Measured) -> str:
+def label_band(each: Measured) -> str:
     """Return the label of a band: a published range and a law."""
     what = "modulus, by Hertz" if each.youngs_modulus_pa is not None else "exponent"
     return f"range of the {what}: {each.of} ({each.paper})"
@@ -127,18 +131,18 @@ def hertz_depth(force: Array, youngs_modulus_pa: float, radius_m: float) -> Arra
 # --- fingertips ----------------------------------------------------------------------------------------
 
 
-def patch(axes: Any, drawn: dict[str, tuple[Entry, Fingertip]]) -> None:
+def patch(axes: Any, tips: dict[str, tuple[Entry, Fingertip]]) -> None:
     """Draw the patch radius over the load, and the bands that follow from measured moduli and exponents."""
     load = np.linspace(0.0, 10.0, 31)
-    told: set[str] = set()
-    for name, (entry, tip) in drawn.items():
+    drawn_labels: set[str] = set()
+    for name, (entry, tip) in tips.items():
         axes.plot(load, 1e3 * patch_radius(tip, load), label=f"{name}, computed")
         for each in entry.measured:
             band = patch_band(each, tip)
-            if band is not None and (text := banded(each)) not in told:
-                told.add(text)
-                at, low, high = band
-                axes.fill_between(at, 1e3 * low, 1e3 * high, alpha=0.2, lw=1.0, label=text)
+            if band is not None and (text := label_band(each)) not in drawn_labels:
+                drawn_labels.add(text)
+                loads, low, high = band
+                axes.fill_between(loads, 1e3 * low, 1e3 * high, alpha=0.2, lw=1.0, label=text)
     axes.set(xlabel="load [N]", ylabel="radius of the patch [mm]")
     axes.set_ylim(bottom=0.0)
 
@@ -175,10 +179,10 @@ def hertz_radius(load: Array, shear_modulus_pa: float, radius_m: float) -> Array
     return radius
 
 
-def torsion(axes: Any, drawn: dict[str, Fingertip]) -> None:
+def torsion(axes: Any, tips: dict[str, Fingertip]) -> None:
     """Draw the torsional limit divided by the coefficient of friction, over the load."""
     load = np.linspace(0.0, 4.0, 61)[1:]
-    for name, tip in drawn.items():
+    for name, tip in tips.items():
         assert tip.patch is not None
         arm = mean_distance(tip.patch.pressure_exponent or 2.0) * patch_radius(tip, load)
         axes.plot(load, 1e3 * arm * load, label=f"{name}, computed")

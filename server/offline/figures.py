@@ -14,7 +14,7 @@ from softfinger.config.files import new_file
 FORMATS: Final = (".png", ".svg")
 
 
-def unusable(path: Path) -> str | None:
+def reason_unsavable(path: Path) -> str | None:
     """Return why no figure can be saved as `path`; None if one can."""
     if path.suffix not in FORMATS:
         return f"a figure is {' or '.join(FORMATS)} by its file name"
@@ -28,8 +28,8 @@ def unusable(path: Path) -> str | None:
 def plot_file(text: str) -> Path:
     """Type of the option `--plot`: raises ArgumentTypeError before the work starts, not after it."""
     path = Path(text)
-    if (why := unusable(path)) is not None:
-        raise ArgumentTypeError(f"{path}: {why}")
+    if (reason := reason_unsavable(path)) is not None:
+        raise ArgumentTypeError(f"{path}: {reason}")
     return path
 
 
@@ -61,6 +61,6 @@ def save(drawing: Any, path: Path) -> None:
     text = io.StringIO()
     with rc_context({"svg.hashsalt": "softfinger", "svg.fonttype": "none"}):
         drawing.savefig(text, format="svg", metadata={"Date": None, "Creator": "softfinger"})
-    short = re.sub(r"(\.\d\d)\d+|^ +| +$", r"\1", text.getvalue(), flags=re.MULTILINE)
+    rounded = re.sub(r"(\.\d\d)\d+|^ +| +$", r"\1", text.getvalue(), flags=re.MULTILINE)
     with new_file(path) as file:
-        file.write(short.encode())
+        file.write(rounded.encode())

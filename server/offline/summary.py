@@ -23,13 +23,13 @@ from softfinger.config.schema import (
     World,
 )
 from softfinger.config.words import shown
-from softfinger.server.offline.feels import entry_rows
+from softfinger.server.offline.library_texts import entry_rows
 
 if TYPE_CHECKING:  # they import kernels, which no rig needs
     from softfinger.config.mjcf import Taken
     from softfinger.proxy.meshes.report import Report
 
-COMPILE_S: Final = (31.0, 7.0)
+COMPILE_BASE_AND_PER_GEOM_S: Final = (31.0, 7.0)
 """Compile time of a scene with bodies, and for each kind of touched geom, CPU seconds.
 
 Measured with 2, 4 and 8 free bodies of five kinds, friction and rolling, on a busy machine.
@@ -58,7 +58,7 @@ def _world_rows(world: World) -> list[tuple[str, str]]:
     geoms = list(taken(world))
     touched = sum(geom.object is not None for geom in geoms)
     rows = [("world", f"{world.model}, {touched} of {len(geoms)} geoms touched, substeps {world.substeps}")]
-    compiling = COMPILE_S[0] + COMPILE_S[1] * _compiled(geoms)
+    compiling = COMPILE_BASE_AND_PER_GEOM_S[0] + COMPILE_BASE_AND_PER_GEOM_S[1] * _compiled(geoms)
     if compiling >= LONG_S:
         few = "to touch fewer meshes give a material to these alone, by [[world.geom]]"
         rows.append(("  compiling", f"some {round(compiling, -1):g} s at the first start; {few}"))

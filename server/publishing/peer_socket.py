@@ -13,7 +13,7 @@ from zmq.utils.monitor import recv_monitor_message
 if TYPE_CHECKING:  # they take time to import, and most daemons use no keys
     from zmq.auth.thread import ThreadAuthenticator
 
-    from softfinger.server.keys import Pair
+    from softfinger.server.keys import KeyPair
     from softfinger.server.publishing.allowed import Allowed
 
 HANDSHAKE_MS: Final = 2000
@@ -47,7 +47,7 @@ class BoundEndpoint(Protocol):
 class KeyLock(NamedTuple):
     """Key pair of the server, and the keys of peers that may connect."""
 
-    pair: Pair
+    pair: KeyPair
     allowed: Allowed
 
 

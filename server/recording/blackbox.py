@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from softfinger.config.files import check_owner, home_folder
 from softfinger.proxy.record import RECORD_SIZE
-from softfinger.server.recording.writer import RecordingFile, with_whole_numbers
+from softfinger.server.recording.writer import RecordingFile, round_integer_fields
 from softfinger.server.wire.events import RecordEvents
 from softfinger.server.wire.stamps import now_s
 
 Array = NDArray[np.float64]
 
-KEPT_S: Final = 10.0
+HISTORY_S: Final = 10.0
 """Duration of the stored ticks, events and log lines."""
 FILES_MAX: Final = 20
 BYTES_MAX: Final = 256 << 20
@@ -34,8 +34,8 @@ TEXT_MAX: Final = 4000
 """Maximum length of a log line, enough for a traceback."""
 BLOCK_ROWS: Final = 1024
 """Ticks encoded per block, so that other threads can run between blocks."""
-ENDING: Final = ".mcap"
-PART: Final = ".part"
+SUFFIX: Final = ".mcap"
+PART_SUFFIX: Final = ".part"
 
 
 def folder() -> Path | None:
@@ -43,24 +43,24 @@ def folder() -> Path | None:
 
     It is $SOFTFINGER_BLACKBOX_DIR, or a folder in the user's state folder (XDG).
     """
-    named = os.environ.get("SOFTFINGER_BLACKBOX_DIR")
-    if named:
-        return Path(named).absolute()
+    configured = os.environ.get("SOFTFINGER_BLACKBOX_DIR")
+    if configured:
+        return Path(configured).absolute()
     state, home = os.environ.get("XDG_STATE_HOME", ""), home_folder()
     if not state.startswith("/") and home is None:
         return None
     return Path(state if state.startswith("/") else f"{home}/.local/state") / "softfinger" / "blackbox"
 
 
-def files(place: Path) -> list[Path]:
+def files(directory: Path) -> list[Path]:
     """Return the files of a folder, oldest first; empty if the folder does not exist."""
     with contextlib.suppress(OSError):
-        found = [(path.stat().st_mtime, path) for path in place.glob(f"*{ENDING}")]
-        return [path for _, path in sorted(found)]
+        timed_paths = [(path.stat().st_mtime, path) for path in directory.glob(f"*{SUFFIX}")]
+        return [path for _, path in sorted(timed_paths)]
     return []
 
 
-class Line(NamedTuple):
+class LogLine(NamedTuple):
     """Line of the log: time (s), level of `logging`, name of the logger, text."""
 
     time: float
@@ -69,19 +69,19 @@ class Line(NamedTuple):
     text: str
 
 
-class Log(logging.Handler):
+class LogBuffer(logging.Handler):
     """Log handler that stores the latest lines; thread-safe."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._lines: deque[Line] = deque(maxlen=LINES_MAX)
+        self._lines: deque[LogLine] = deque(maxlen=LINES_MAX)
         self.setFormatter(logging.Formatter("%(message)s"))
 
     def emit(self, record: logging.LogRecord) -> None:
         at_s = now_s() - (time.time() - record.created)
-        self._lines.append(Line(at_s, record.levelno, record.name, self.format(record)[:TEXT_MAX]))
+        self._lines.append(LogLine(at_s, record.levelno, record.name, self.format(record)[:TEXT_MAX]))
 
-    def lines(self, since_s: float) -> list[Line]:
+    def lines(self, since_s: float) -> list[LogLine]:
         """Return the lines since a time (s)."""
         return [line for line in list(self._lines) if line.time >= since_s]
 
@@ -101,27 +101,27 @@ class BlackBox:
 
     def __init__(self, fingers: Sequence[str], guards: Sequence[str], rate_hz: float) -> None:
         self._fingers, self._guards = list(fingers), tuple(guards)
-        self._rows = np.zeros((max(1, round(KEPT_S * rate_hz)), len(self._fingers) * RECORD_SIZE))
+        self._rows = np.zeros((max(1, round(HISTORY_S * rate_hz)), len(self._fingers) * RECORD_SIZE))
         self._next = self._count = 0
         self._lock = threading.Lock()
         """Locked while ticks are copied, about a millisecond."""
         self._events: deque[Mapping[str, Any]] = deque(maxlen=EVENTS_MAX)
-        self.log: Final = Log()
+        self.log: Final = LogBuffer()
 
     def take(self, records: Array) -> None:
         """Copy records (n, fingers x RECORD_SIZE) into the buffer."""
         with self._lock:
             for first in range(0, len(records), len(self._rows)):
-                some = records[first : first + len(self._rows)]
-                ahead = min(len(some), len(self._rows) - self._next)
-                self._rows[self._next : self._next + ahead] = some[:ahead]
-                self._rows[: len(some) - ahead] = some[ahead:]
-                self._next = (self._next + len(some)) % len(self._rows)
-                self._count = min(self._count + len(some), len(self._rows))
+                block = records[first : first + len(self._rows)]
+                until_wrap = min(len(block), len(self._rows) - self._next)
+                self._rows[self._next : self._next + until_wrap] = block[:until_wrap]
+                self._rows[: len(block) - until_wrap] = block[until_wrap:]
+                self._next = (self._next + len(block)) % len(self._rows)
+                self._count = min(self._count + len(block), len(self._rows))
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Store an event, a map as on the wire, that does not follow from the ticks; thread-safe."""
-        since = now_s() - KEPT_S
+        since = now_s() - HISTORY_S
         with self._lock:
             while self._events and self._events[0]["timestamp"] < since:
                 self._events.popleft()
@@ -143,14 +143,14 @@ class BlackBox:
         with self._lock:
             order = (np.arange(self._next - self._count, self._next)) % len(self._rows)
             rows = self._rows[order].reshape(self._count, len(self._fingers), RECORD_SIZE)
-        part = path.with_suffix(PART)
+        part = path.with_suffix(PART_SUFFIX)
         descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
             with open(descriptor, "wb", buffering=0) as file:  # also closed if the disk accepts only a part
                 recording = RecordingFile(file, self._fingers, about)
-                for event in self._put_ticks(recording, rows):
+                for event in self._write_ticks(recording, rows):
                     recording.event(event)
-                since = now_s() - KEPT_S
+                since = now_s() - HISTORY_S
                 for event in list(self._events):
                     if event["timestamp"] >= since:
                         recording.event(event)
@@ -162,17 +162,17 @@ class BlackBox:
             with contextlib.suppress(FileNotFoundError):
                 part.unlink()
 
-    def _put_ticks(self, recording: RecordingFile, rows: Array) -> Iterator[Mapping[str, Any]]:
+    def _write_ticks(self, recording: RecordingFile, rows: Array) -> Iterator[Mapping[str, Any]]:
         """Write ticks; yield the events that follow from them."""
-        for place, finger in enumerate(self._fingers):
-            told = RecordEvents(self._guards, finger, place == 0)
+        for index, finger in enumerate(self._fingers):
+            event_detector = RecordEvents(self._guards, finger, index == 0)
             for first in range(0, len(rows), BLOCK_ROWS):
-                some = with_whole_numbers(rows[first : first + BLOCK_ROWS, place].copy())
-                recording.ticks(some, finger)
-                yield from told.observe(some)
+                block = round_integer_fields(rows[first : first + BLOCK_ROWS, index].copy())
+                recording.ticks(block, finger)
+                yield from event_detector.observe(block)
 
 
-def make_room(place: Path) -> None:
+def prepare_folder(directory: Path) -> None:
     """Create the folder for this user only, and delete its oldest files to make room for one more.
 
     Raises
@@ -182,18 +182,18 @@ def make_room(place: Path) -> None:
     ConfigError
         If other users may write to it.
     """
-    place.mkdir(mode=0o700, parents=True, exist_ok=True)
-    check_owner(place, place.stat(), "could say what a file of ours replaces")
-    kept, left = FILES_MAX - 1, BYTES_MAX
-    for path in reversed(files(place)):
+    directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+    check_owner(directory, directory.stat(), "could say what a file of ours replaces")
+    files_left, bytes_left = FILES_MAX - 1, BYTES_MAX
+    for path in reversed(files(directory)):
         with contextlib.suppress(OSError):  # another daemon may delete files, too
-            left -= path.stat().st_size
-            if kept <= 0 or left < 0:
+            bytes_left -= path.stat().st_size
+            if files_left <= 0 or bytes_left < 0:
                 path.unlink()
-        kept -= 1
+        files_left -= 1
 
 
-def name_of(fault: str, number: int) -> str:
+def format_file_name(fault: str, number: int) -> str:
     """Return a file name from the time (UTC), the process, the number of its file, and the fault."""
-    said = "".join(letter if letter.isalnum() else "-" for letter in fault)
-    return f"{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}-{os.getpid()}-{number}-{said}{ENDING}"
+    fault_text = "".join(letter if letter.isalnum() else "-" for letter in fault)
+    return f"{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}-{os.getpid()}-{number}-{fault_text}{SUFFIX}"

@@ -20,7 +20,7 @@ from softfinger.server.recording.schemas import TICK, message_class
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-_ORDER: Final = {field.name: place for place, field in enumerate(FIELDS)}
+_ORDER: Final = {field.name: index for index, field in enumerate(FIELDS)}
 
 COLUMNS_MAX: Final = 4096
 """Maximum of numbers per tick in a file; ticks of this program have about a hundred."""
@@ -31,7 +31,7 @@ class Part(NamedTuple):
 
     name: str
     size: int
-    whole: bool
+    is_integer: bool
     at: int
 
 
@@ -50,22 +50,22 @@ class Layout:
     """
 
     def __init__(self, message: Any) -> None:
-        walked = list(self._walked(message, "", 0))
+        fields = list(self._walk_fields(message, "", 0))
         encoded = message.SerializeToString(deterministic=True)
         parts, at, column = [], list[int](), 0
         # Sort by the order of a record, which the message may not have; unknown fields follow.
-        for part in sorted(walked, key=lambda part: _ORDER.get(part.name, len(_ORDER))):
-            at += [encoded.index(_marker_bytes(part.at + i, part.whole)) for i in range(part.size)]
+        for part in sorted(fields, key=lambda part: _ORDER.get(part.name, len(_ORDER))):
+            at += [encoded.index(_marker_bytes(part.at + i, part.is_integer)) for i in range(part.size)]
             parts.append(part._replace(at=column))
             column += part.size
         self.parts: Final = parts
         self.width: Final = column
-        self._whole = np.repeat([part.whole for part in parts], [part.size for part in parts])
+        self._integer_columns = np.repeat([part.is_integer for part in parts], [part.size for part in parts])
         # Adjacent numbers are copied as one piece: (bytes, offset in a row, offset in a message).
         starts = [0, *(i for i in range(1, self.width) if at[i] != at[i - 1] + 8), self.width]
         pieces = [(8 * (b - a), 8 * a, at[a]) for a, b in pairwise(starts)]
-        self._row = _cut(8 * self.width, [(size, row) for size, row, _ in pieces])
-        self._message = _cut(len(encoded), [(size, place) for size, _, place in pieces])
+        self._row = _piece_dtype(8 * self.width, [(size, row) for size, row, _ in pieces])
+        self._message = _piece_dtype(len(encoded), [(size, offset) for size, _, offset in pieces])
         self._template = np.frombuffer(encoded, dtype=np.uint8)
         fixed = np.ones(len(encoded), dtype=bool)
         for size, _, first in pieces:
@@ -80,14 +80,14 @@ class Layout:
     def encode(self, rows: Array, out: Bytes) -> None:
         """Encode rows (n, width) into `out` (n, size); raises ValueError if an integer field has a fraction."""
         values = np.array(rows, dtype="<f8")
-        counts = values[:, self._whole]
+        counts = values[:, self._integer_columns]
         with np.errstate(invalid="ignore"):
-            whole = counts.astype("<i8")
-        if not np.array_equal(whole, counts):
-            row, column = (int(i) for i in np.argwhere(whole != counts)[0])
-            name = columns()[int(np.flatnonzero(self._whole)[column])]
+            integers = counts.astype("<i8")
+        if not np.array_equal(integers, counts):
+            row, column = (int(i) for i in np.argwhere(integers != counts)[0])
+            name = columns()[int(np.flatnonzero(self._integer_columns)[column])]
             raise ValueError(f"record {row}: {name} = {counts[row, column]}, must be a whole number")
-        values[:, self._whole] = whole.view("<f8")  # the bit pattern of the integer
+        values[:, self._integer_columns] = integers.view("<f8")  # the bit pattern of the integer
         out[:] = self._template
         out.view(self._message)[:] = values.view(self._row)
 
@@ -99,7 +99,7 @@ class Layout:
             return None
         rows = np.empty((len(messages), self.width), "<f8")
         rows.view(self._row)[:] = messages.view(self._message)
-        rows[:, self._whole] = rows[:, self._whole].view("<i8")
+        rows[:, self._integer_columns] = rows[:, self._integer_columns].view("<i8")
         return rows
 
     def row(self, message: Any) -> list[float]:
@@ -114,28 +114,28 @@ class Layout:
             raise ValueError(f"a message of {len(values)} numbers, must be {self.width}")
         return values
 
-    def _walked(self, message: Any, prefix: str, at: int) -> Iterator[Part]:
+    def _walk_fields(self, message: Any, prefix: str, at: int) -> Iterator[Part]:
         for field in message.DESCRIPTOR.fields:
             inner = getattr(message, field.name)
             if field.type == field.TYPE_MESSAGE and not field.is_repeated:
-                for part in self._walked(inner, f"{prefix}{field.name}.", at):
+                for part in self._walk_fields(inner, f"{prefix}{field.name}.", at):
                     yield part
                     at += part.size
                 continue
             if field.type not in (field.TYPE_DOUBLE, field.TYPE_SFIXED64):
                 raise ValueError(f"{prefix}{field.name} is no number of eight bytes")
-            whole = field.type == field.TYPE_SFIXED64
+            is_integer = field.type == field.TYPE_SFIXED64
             size = len(inner) if field.is_repeated else 1
             if at + size > COLUMNS_MAX:
                 raise ValueError(f"more than {COLUMNS_MAX} numbers in a message")
             if size:
                 markers: list[Any] = [_marker(at + i) for i in range(size)]
-                markers = [int(marker) for marker in markers] if whole else markers
+                markers = [int(marker) for marker in markers] if is_integer else markers
                 if field.is_repeated:
                     inner[:] = markers
                 else:
                     setattr(message, field.name, markers[0])
-                yield Part(f"{prefix}{field.name}", size, whole, at)
+                yield Part(f"{prefix}{field.name}", size, is_integer, at)
                 at += size
 
 
@@ -153,7 +153,7 @@ def tick_layout() -> Layout:
     return Layout(message)
 
 
-def _cut(size: int, pieces: Sequence[tuple[int, int]]) -> np.dtype[np.void]:
+def _piece_dtype(size: int, pieces: Sequence[tuple[int, int]]) -> np.dtype[np.void]:
     """Return a type that splits `size` bytes into pieces, each given by its length and offset."""
     return np.dtype(
         {
@@ -170,5 +170,5 @@ def _marker(number: int) -> float:
     return float(0x5AA5_3CC3_0000 + 0x0101 * (number + 1))
 
 
-def _marker_bytes(number: int, whole: bool) -> bytes:
-    return np.array(_marker(number), dtype="<i8" if whole else "<f8").tobytes()
+def _marker_bytes(number: int, is_integer: bool) -> bytes:
+    return np.array(_marker(number), dtype="<i8" if is_integer else "<f8").tobytes()

@@ -12,14 +12,14 @@ import numpy as np
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import open_recording
 from softfinger.drivers.poses import POSE_COLUMNS
-from softfinger.server.offline.results import McapResults
+from softfinger.server.recording.results import McapResults
 from softfinger.server.wire.client import Sample, record_of
 
-ENDINGS: Final = (".csv", ".mcap")
+SUFFIXES: Final = (".csv", ".mcap")
 _LINE: Final = ",".join(["%.17g"] * len(POSE_COLUMNS)) + "\n"  # 17 digits reproduce every float64
 
 
-def _new(path: Path) -> Any:
+def _create(path: Path) -> Any:
     """Create a new file; raises RecordingError if it exists, OSError if it cannot be created."""
     try:
         return open_recording(path)
@@ -45,24 +45,24 @@ class CsvPoses(PosesFile):
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            self._file = io.BufferedWriter(_new(path))
+            self._file = io.BufferedWriter(_create(path))
             self._file.write((",".join(POSE_COLUMNS) + "\n").encode())
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._write_error(error) from error
 
     def add(self, t: float, sample: Sample) -> None:
         try:
             self._file.write((_LINE % (t, *sample.probe.position, *sample.probe.orientation)).encode())
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._write_error(error) from error
 
     def close(self) -> None:
         try:
             self._file.close()
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._write_error(error) from error
 
-    def _failed(self, error: OSError) -> RecordingError:
+    def _write_error(self, error: OSError) -> RecordingError:
         return RecordingError(f"{self._path}: cannot be written: {error.strerror or error}")
 
 
@@ -73,7 +73,7 @@ class McapPoses(PosesFile):
 
     def __init__(self, path: Path) -> None:
         try:
-            self._results = McapResults(path, _new(path))
+            self._results = McapResults(path, _create(path))
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
         self._rows: list[list[float]] = []
@@ -97,6 +97,6 @@ def poses_file(path: Path) -> PosesFile:
     """Open a file of the type given by its suffix; raises ConfigError for other suffixes."""
     kinds: dict[str, Any] = {".csv": CsvPoses, ".mcap": McapPoses}
     if path.suffix.lower() not in kinds:
-        raise ConfigError(f"--poses {path}: poses are recorded as {' or '.join(ENDINGS)}, by the file's ending")
-    made: PosesFile = kinds[path.suffix.lower()](path)
-    return made
+        raise ConfigError(f"--poses {path}: poses are recorded as {' or '.join(SUFFIXES)}, by the file's ending")
+    file: PosesFile = kinds[path.suffix.lower()](path)
+    return file

@@ -21,7 +21,7 @@ from softfinger.config.files import open_input
 from softfinger.drivers.containers import mcap_records
 from softfinger.proxy.record import FIELDS
 from softfinger.server.recording.layout import Layout
-from softfinger.server.recording.schemas import class_of, event_of, world_of
+from softfinger.server.recording.schemas import decode_event, decode_world, load_message_class
 from softfinger.server.recording.writer import EVENT_TOPIC, JSON, MARK_TOPIC, WORLD_TOPIC
 from softfinger.server.wire.protocol import finger_of
 
@@ -47,8 +47,8 @@ class Ticks(NamedTuple):
 
     def missing(self) -> list[str]:
         """Return the fields of this version that the file lacks or has with another number of components."""
-        have = {(part.name, part.size) for part in self.layout.parts}
-        return [field.name for field in FIELDS if (field.name, field.size) not in have]
+        present = {(part.name, part.size) for part in self.layout.parts}
+        return [field.name for field in FIELDS if (field.name, field.size) not in present]
 
     def records(self) -> Array:
         """Return the rows as records (n, RECORD_SIZE) of this version; raises RecordingError if a field is missing."""
@@ -99,28 +99,28 @@ class _Channel:
         self.topic, self.schema, self.messages = topic, schema, 0
         self.finger = finger_of(topic)
         self.layout: Layout | None = None
-        self._class: Any = None
+        self._message_type: Any = None
 
     @property
-    def kind(self) -> Any:
+    def message_type(self) -> Any:
         """Class of its messages."""
-        if self._class is None:
+        if self._message_type is None:
             if self.schema is None or self.schema.encoding != "protobuf":
                 raise ValueError(f"messages of topic {self.topic[:40]!r} are not protobuf")
-            self._class = class_of(self.schema.data, self.schema.name)
-        return self._class
+            self._message_type = load_message_class(self.schema.data, self.schema.name)
+        return self._message_type
 
     def ticks(self, messages: list[bytes]) -> Ticks:
-        layout = self.layout = self.layout or Layout(self.kind.FromString(messages[0]))
+        layout = self.layout = self.layout or Layout(self.message_type.FromString(messages[0]))
         rows = None
         if all(len(message) == layout.size for message in messages):
             rows = layout.decode(np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1))
         if rows is None:  # another program may encode the same values differently
-            rows = np.array([layout.row(self.kind.FromString(message)) for message in messages])
+            rows = np.array([layout.row(self.message_type.FromString(message)) for message in messages])
         return Ticks(self.finger or "", layout, rows)
 
 
-def contents(path: str | Path) -> Iterator[Ticks | Event | World | Note | End]:
+def read_contents(path: str | Path) -> Iterator[Ticks | Event | World | Note | End]:
     """Yield the contents of a recording in file order, followed by an End.
 
     Raises
@@ -145,33 +145,33 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | World | N
     cut = "it ends without an index: its writer was ended, or the disk was full"
     try:
         for outer in mcap_records(file):
-            found: dict[int, list[bytes]] = {}
-            for record in _unchunked(outer.data) if isinstance(outer, Chunk) else (outer,):
+            messages_by_channel: dict[int, list[bytes]] = {}
+            for record in _unpack_chunk(outer.data) if isinstance(outer, Chunk) else (outer,):
                 if isinstance(record, tuple):
-                    found.setdefault(record[0], []).append(record[1])
+                    messages_by_channel.setdefault(record[0], []).append(record[1])
                 elif isinstance(record, Message):
-                    found.setdefault(record.channel_id, []).append(record.data)
+                    messages_by_channel.setdefault(record.channel_id, []).append(record.data)
                 elif isinstance(record, Schema):
                     schemas[record.id] = record
                 elif isinstance(record, Channel):
-                    known = schemas.get(record.schema_id)
-                    channels.setdefault(record.id, _Channel(record.topic, known))
+                    schema = schemas.get(record.schema_id)
+                    channels.setdefault(record.id, _Channel(record.topic, schema))
                 elif isinstance(record, Metadata) and notes < METADATA_MAX:
                     notes += 1
-                    yield Note(record.name, _value(record.metadata))
+                    yield Note(record.name, _decode_value(record.metadata))
                 elif isinstance(record, Footer):
                     cut = ""
-            for number, messages in found.items():
-                channel = channels[number]
+            for channel_id, messages in messages_by_channel.items():
+                channel = channels[channel_id]
                 channel.messages += len(messages)
                 if channel.finger is not None:
                     yield channel.ticks(messages)
                 elif channel.topic in (EVENT_TOPIC, MARK_TOPIC):
                     for message in messages:
-                        yield Event(event_of(channel.kind.FromString(message)))
+                        yield Event(decode_event(channel.message_type.FromString(message)))
                 elif channel.topic == WORLD_TOPIC:
                     for message in messages:
-                        yield World(world_of(channel.kind.FromString(message)))
+                        yield World(decode_world(channel.message_type.FromString(message)))
     except (GeneratorExit, OSError, RecordingError):
         raise
     except Exception as error:  # the decoders raise exceptions of many types on damaged bytes
@@ -183,7 +183,7 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | World | N
     yield End(topics, cut)
 
 
-def _value(table: Mapping[str, str]) -> Any:
+def _decode_value(table: Mapping[str, str]) -> Any:
     if set(table) == {JSON}:
         return json.loads(table[JSON])
     return dict(table)
@@ -194,7 +194,7 @@ _MESSAGE: Final = 5
 _SCHEMA, _CHANNEL = 3, 4
 
 
-def _unchunked(data: bytes) -> Iterator[Any]:
+def _unpack_chunk(data: bytes) -> Iterator[Any]:
     """Yield the records of an unpacked chunk; for messages, of which there are many, only channel and data."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Channel, Schema

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT
-from softfinger.server.recording.writer import RecordingFile, with_whole_numbers
+from softfinger.server.recording.writer import RecordingFile, round_integer_fields
 from softfinger.server.wire.events import RecordEvents
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ END: Final = "end"
 """Table of metadata of a recording with a regular end: number of written and of dropped ticks."""
 
 
-class Recorded(NamedTuple):
+class RecorderState(NamedTuple):
     """State of a recording.
 
     ticks           written ticks of the first finger
@@ -57,7 +57,7 @@ class Recorded(NamedTuple):
     worst_write_s: float
 
 
-class Bodies(dict[str, Any]):
+class WorldMessage(dict[str, Any]):
     """Message of `world` in the queue of events."""
 
 
@@ -68,7 +68,7 @@ class Recorder:
     ----------
     about
         Tables of metadata (`RecordingFile`).
-    trouble
+    on_trouble
         Called from the thread with a sentence when ticks were dropped or the recording failed; true: it failed.
     guards
         Names of the guard's bits, to derive events from the ticks; None: all events arrive by `event`.
@@ -79,24 +79,24 @@ class Recorder:
         file: IO[bytes],
         fingers: Sequence[str],
         about: Mapping[str, Any],
-        trouble: Callable[[str, bool], None],
+        on_trouble: Callable[[str, bool], None],
         guards: Sequence[str] | None = None,
     ) -> None:
-        self._file, self._fingers, self._about, self._trouble = file, list(fingers), about, trouble
-        self._told = [
-            RecordEvents(guards, finger, place == 0) if guards is not None else None
-            for place, finger in enumerate(self._fingers)
+        self._file, self._fingers, self._about, self._on_trouble = file, list(fingers), about, on_trouble
+        self._event_detectors = [
+            RecordEvents(guards, finger, index == 0) if guards is not None else None
+            for index, finger in enumerate(self._fingers)
         ]
         self._queue: deque[tuple[int, Array]] = deque()
         self._events: deque[Mapping[str, Any] | tuple[str, Any]] = deque()
-        self._counting = threading.Lock()
-        self._events_dropped = self._told_events_dropped = 0
+        self._events_lock = threading.Lock()
+        self._events_dropped = self._reported_events_dropped = 0
         self._worst_write_s = 0.0
-        self._came = self._gone = 0  # rows, each counter written by one thread
+        self._queued_rows = self._written_rows = 0  # rows, each counter written by one thread
         self._ticks = self._dropped = self._bytes = 0
-        self._newest, self._written_to = -1, -1
-        self._told_dropped = 0
-        self._dropping, self._dropped_from = False, -1
+        self._last_tick, self._last_written_tick = -1, -1
+        self._reported_dropped = 0
+        self._is_dropping, self._dropped_from = False, -1
         self._error = ""
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
@@ -106,20 +106,20 @@ class Recorder:
         """Copy records (n, RECORD_SIZE) of the finger with this index to the queue; never waits. From one thread."""
         if self._error or self._closing.is_set():
             return
-        if self._came - self._gone + len(records) > QUEUE_ROWS * len(self._fingers):
-            if not self._dropping:
-                self._dropping, self._dropped_from = True, int(records[0, AT.tick])
+        if self._queued_rows - self._written_rows + len(records) > QUEUE_ROWS * len(self._fingers):
+            if not self._is_dropping:
+                self._is_dropping, self._dropped_from = True, int(records[0, AT.tick])
             self._dropped += len(records)
             return
-        self._dropping = False
-        self._came += len(records)
+        self._is_dropping = False
+        self._queued_rows += len(records)
         self._queue.append((finger, records.copy()))
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Queue an event, a map as on the wire; never waits. Thread-safe."""
         if self._error:
             return
-        with self._counting:
+        with self._events_lock:
             if len(self._events) < QUEUE_EVENTS:
                 self._events.append(event)
             else:
@@ -127,32 +127,32 @@ class Recorder:
 
     def world(self, world: Mapping[str, Any]) -> None:
         """Queue a message of `world`, a map as on the wire; never waits. Thread-safe."""
-        self.event(Bodies(world))
+        self.event(WorldMessage(world))
 
     def note(self, name: str, value: Any) -> None:
         """Queue a table of metadata; never waits. Thread-safe."""
         self._events.append((name, value))
 
     @property
-    def recorded(self) -> Recorded:
+    def recorded(self) -> RecorderState:
         """Current state of the recording."""
         ended = not self._thread.is_alive()
-        return Recorded(
+        return RecorderState(
             self._ticks, self._dropped, self._bytes, self._error, ended and not self._error,
             self._events_dropped, self._worst_write_s,
         )  # fmt: skip
 
     @property
-    def written_to(self) -> int:
+    def last_written_tick(self) -> int:
         """Last tick written to the file; -1 before the first."""
-        return self._written_to
+        return self._last_written_tick
 
     @property
     def failed(self) -> bool:
         """Whether the recording ended because of an error."""
         return bool(self._error)
 
-    def stop(self, timeout_s: float) -> Recorded:
+    def stop(self, timeout_s: float) -> RecorderState:
         """Finish the recording, waiting at most `timeout_s` for the disk; writing continues after a timeout.
 
         May be called repeatedly.
@@ -184,7 +184,7 @@ class Recorder:
             if not isinstance(error, OSError):
                 log.exception("recording failed")
             self._queue.clear()
-            self._trouble(f"the recording ends after {self._ticks} ticks: {self._error}", True)
+            self._on_trouble(f"the recording ends after {self._ticks} ticks: {self._error}", True)
         finally:
             with contextlib.suppress(OSError):
                 self._file.close()
@@ -201,35 +201,35 @@ class Recorder:
             finger, records = self._queue.popleft()
             batches.setdefault(finger, []).append(records)
             rows += len(records)
-        for finger, each in batches.items():
-            records = with_whole_numbers(np.concatenate(each))
+        for finger, arrays in batches.items():
+            records = round_integer_fields(np.concatenate(arrays))
             if finger == len(self._fingers) - 1:  # its ticks arrive last
-                self._newest = int(records[-1, AT.tick])
-            told = self._told[finger]
+                self._last_tick = int(records[-1, AT.tick])
+            detector = self._event_detectors[finger]
             for first in range(0, len(records), BLOCK_ROWS):  # in blocks, so that other threads can run
-                some = records[first : first + BLOCK_ROWS]
-                recording.ticks(some, self._fingers[finger])
-                for event in [] if told is None else told.observe(some):
+                block = records[first : first + BLOCK_ROWS]
+                recording.ticks(block, self._fingers[finger])
+                for event in [] if detector is None else detector.observe(block):
                     recording.event(event)
         for _ in range(len(self._events)):
             event_or_note = self._events.popleft()
             if isinstance(event_or_note, tuple):
                 recording.note(*event_or_note)
-            elif isinstance(event_or_note, Bodies):
+            elif isinstance(event_or_note, WorldMessage):
                 recording.world(event_or_note)
             else:
                 recording.event(event_or_note)
         recording.flush()
         self._count(recording)
-        self._written_to = self._newest
+        self._last_written_tick = self._last_tick
         # After the write: the queue has no room while the disk accepts nothing.
-        self._gone += rows
+        self._written_rows += rows
         dropped = self._dropped
-        if count := dropped - self._told_dropped:
-            self._told_dropped = dropped
-            begun = self._dropped_from
-            self._trouble(f"{count} ticks from tick {begun} on are not recorded: the disk was too slow", False)
+        if count := dropped - self._reported_dropped:
+            self._reported_dropped = dropped
+            first_tick = self._dropped_from
+            self._on_trouble(f"{count} ticks from tick {first_tick} on are not recorded: the disk was too slow", False)
         events_dropped = self._events_dropped
-        if count := events_dropped - self._told_events_dropped:
-            self._told_events_dropped = events_dropped
-            self._trouble(f"{count} events are not recorded: the disk was too slow", False)
+        if count := events_dropped - self._reported_events_dropped:
+            self._reported_events_dropped = events_dropped
+            self._on_trouble(f"{count} events are not recorded: the disk was too slow", False)

@@ -169,10 +169,10 @@ def descriptor_set(name: str) -> bytes:
 @cache
 def message_class(name: str) -> Any:
     """Return the class of a message type of this program's recordings."""
-    return class_of(descriptor_set(name), name)
+    return load_message_class(descriptor_set(name), name)
 
 
-def class_of(descriptors: bytes, name: str) -> Any:
+def load_message_class(descriptors: bytes, name: str) -> Any:
     """Return the class of a message type in a FileDescriptorSet; damaged descriptors raise the library's exceptions."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
@@ -205,7 +205,7 @@ def log_message(time_ns: int, level: int, name: str, text: str) -> bytes:
     return bytes(message.SerializeToString())
 
 
-def event_of(message: Any) -> dict[str, Any]:
+def decode_event(message: Any) -> dict[str, Any]:
     """Return the map of a decoded event, without keys that the file does not have."""
     head = {"kind": message.kind}
     names = [key.name for key in _keys_of(head) if key.name in message.DESCRIPTOR.fields_by_name]
@@ -215,14 +215,14 @@ def event_of(message: Any) -> dict[str, Any]:
     return event | (more if isinstance(more, dict) else {})
 
 
-def world_of(message: Any) -> dict[str, Any]:
+def decode_world(message: Any) -> dict[str, Any]:
     """Return the map of a decoded message of `world`; raises ValueError for a body with a wrong number of values."""
     bodies = []
     for body in message.bodies:
-        told = {"name": body.name} | {name: list(getattr(body, name)) for name, _ in _BODY_PARTS}
-        if any(len(told[name]) != size for name, size in _BODY_PARTS):
+        values = {"name": body.name} | {name: list(getattr(body, name)) for name, _ in _BODY_PARTS}
+        if any(len(values[name]) != size for name, size in _BODY_PARTS):
             raise ValueError(f"the body {body.name[:40]!r} has other numbers than a pose and its rates")
-        bodies.append(told)
+        bodies.append(values)
     return {"schema": message.schema, "timestamp": message.timestamp, "tick": message.tick, "bodies": bodies}
 
 
@@ -234,14 +234,14 @@ def _keys_of(event: Mapping[str, Any]) -> Iterator[Key]:
 def _add_ticks(top: Any) -> None:
     nested: dict[str, Any] = {}
     for field in FIELDS:
-        message, within = top, f".{TICK}"
+        message, parent_type = top, f".{TICK}"
         *parents, leaf = field.name.split(".")
         for depth, parent in enumerate(parents):
             type_name, key = parent.capitalize(), ".".join(parents[: depth + 1])
-            within = f"{within}.{type_name}"
+            parent_type = f"{parent_type}.{type_name}"
             if key not in nested:
                 nested[key] = message.nested_type.add(name=type_name)
-                _add_field(message, parent, within)
+                _add_field(message, parent, parent_type)
             message = nested[key]
         plain = _PLAIN[field.kind]
         _add_field(message, leaf, f"[{plain}]" if field.size > 1 else plain)
@@ -262,8 +262,8 @@ def _add_foxglove(files: Any, name: str, done: set[str]) -> None:
     from google.protobuf import duration_pb2, timestamp_pb2
 
     done.add(name)
-    needed = [kind.strip("[]") for kind in _FOXGLOVE[name].values()]
-    for kind in needed:
+    dependencies = [kind.strip("[]") for kind in _FOXGLOVE[name].values()]
+    for kind in dependencies:
         if kind in _FOXGLOVE and kind not in done:
             _add_foxglove(files, kind, done)
         for known, module in ((_TIME, timestamp_pb2), (_DURATION, duration_pb2)):
@@ -274,7 +274,7 @@ def _add_foxglove(files: Any, name: str, done: set[str]) -> None:
     message = file.message_type.add(name=name)
     paths = {_TIME: "google/protobuf/timestamp.proto", _DURATION: "google/protobuf/duration.proto"}
     paths |= {kind: f"foxglove/{kind}.proto" for kind in _FOXGLOVE}
-    file.dependency.extend(dict.fromkeys(paths[kind] for kind in needed if kind in paths))
+    file.dependency.extend(dict.fromkeys(paths[kind] for kind in dependencies if kind in paths))
     for key, kind in _FOXGLOVE[name].items():
         bare = kind.strip("[]")
         if bare in _FOXGLOVE:

@@ -54,11 +54,11 @@ JSON: Final = "json"
 """Key of the JSON text in each table of metadata."""
 
 _NS: Final = 1e9
-_WHOLE: Final = [field.at for field in FIELDS if field.kind == "int"]
+_INTEGER_COLUMNS: Final = [field.at for field in FIELDS if field.kind == "int"]
 _TIME_MAX_S: Final = 9e9  # MCAP times range from 1970 to 2554
 
 
-class Sink(Protocol):
+class MessageSink(Protocol):
     """Receiver of messages: a file or a server."""
 
     def channel(self, topic: str, schema: str, descriptors: bytes) -> int:
@@ -80,20 +80,24 @@ class Topics:
         Names of several fingers; one empty name for a single finger.
     scene
         Scene to draw in addition to the fingers; None: no scene.
-    drawn
+    with_pictures
         Whether to write the topics for viewers.
     """
 
     def __init__(
-        self, sink: Sink, fingers: Sequence[str] = ("",), scene: schema.Scene | None = None, drawn: bool = True
+        self,
+        sink: MessageSink,
+        fingers: Sequence[str] = ("",),
+        scene: schema.Scene | None = None,
+        with_pictures: bool = True,
     ) -> None:
         self._sink = sink
         self._layout = tick_layout()
         ticks = descriptor_set(TICK)
         self._ticks = {finger: sink.channel(contact_topic(finger), TICK, ticks) for finger in fingers}
         self._topics: dict[str, int] = {}
-        self._drawn = drawn
-        self._pictures: dict[str, float] = {}
+        self._with_pictures = with_pictures
+        self._last_pictures: dict[str, float] = {}
         self._scene = scene
         self._scene_due_s = 0.0
 
@@ -104,21 +108,21 @@ class Topics:
         times = times_ns(records)
         sequences = records[:, AT.tick].astype(np.int64) & 0xFFFFFFFF
         self._sink.block(self._ticks[finger], times, messages, sequences)
-        if self._drawn:
+        if self._with_pictures:
             self._draw(records, times, finger)
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Write an event, a map as on the wire."""
         topic = MARK_TOPIC if event["kind"] == "mark" else EVENT_TOPIC
         self._add(topic, EVENT, event_time_ns(event), event_message(event))
-        if self._scene is not None and (moved := driven(self._scene, event)) is not None:
-            self.show(moved)
+        if self._scene is not None and (driven_scene := apply_drive(self._scene, event)) is not None:
+            self.set_scene(driven_scene)
 
     def world(self, world: Mapping[str, Any]) -> None:
         """Write the poses of the bodies of a [world], a map as on the wire."""
         time_ns = event_time_ns(world)
         self._add(WORLD_TOPIC, WORLD, time_ns, world_message(world))
-        if self._drawn:
+        if self._with_pictures:
             for message in picture.body_messages(world["bodies"], time_ns):
                 self._add(FRAME_TOPIC, FRAME, time_ns, message)
 
@@ -127,12 +131,12 @@ class Topics:
         time_ns = event_time_ns({"timestamp": time_s})
         self._add(LOG_TOPIC, LOG, time_ns, log_message(time_ns, level, name, text))
 
-    def show(self, scene: schema.Scene) -> None:
+    def set_scene(self, scene: schema.Scene) -> None:
         """Draw another scene from now on."""
         self._scene, self._scene_due_s = scene, 0.0
 
     def _draw(self, records: Array, times: NDArray[np.int64], finger: str) -> None:
-        rows, self._pictures[finger] = picture.displayed(records, self._pictures.get(finger, np.nan))
+        rows, self._last_pictures[finger] = picture.select_displayed(records, self._last_pictures.get(finger, np.nan))
         for row in rows:
             time_ns = int(times[row])
             at = f"{POSE_TOPIC}/{finger}" if finger else POSE_TOPIC
@@ -162,7 +166,7 @@ class RecordingFile(Topics):
         Names of several fingers; one empty name for a single finger.
     about
         Tables of metadata by name; the scene in `scene` is drawn.
-    drawn
+    with_pictures
         Whether to write the topics for viewers.
     """
 
@@ -171,14 +175,14 @@ class RecordingFile(Topics):
         file: IO[bytes],
         fingers: Sequence[str] = ("",),
         about: Mapping[str, Any] | None = None,
-        drawn: bool = True,
+        with_pictures: bool = True,
     ) -> None:
         self._file = file
         try:
             self.mcap: Final = McapFile(file)
             for name, value in (about or {}).items():
                 self.note(name, value)
-            super().__init__(self.mcap, fingers, scene_of(about or {}) if drawn else None, drawn)
+            super().__init__(self.mcap, fingers, parse_scene(about or {}) if with_pictures else None, with_pictures)
         except BaseException:
             file.close()
             raise
@@ -202,9 +206,9 @@ class RecordingFile(Topics):
                 self.mcap.finish()
 
 
-def with_whole_numbers(records: Array) -> Array:
+def round_integer_fields(records: Array) -> Array:
     """Round the integer fields of records (n, RECORD_SIZE) in place; non-finite ones, of a damaged record, become 0."""
-    records[:, _WHOLE] = np.rint(np.nan_to_num(records[:, _WHOLE], nan=0.0, posinf=0.0, neginf=0.0))
+    records[:, _INTEGER_COLUMNS] = np.rint(np.nan_to_num(records[:, _INTEGER_COLUMNS], nan=0.0, posinf=0.0, neginf=0.0))
     return records
 
 
@@ -219,7 +223,7 @@ def event_time_ns(event: Mapping[str, Any]) -> int:
     return round(min(max(float(event["timestamp"]), 0.0), _TIME_MAX_S) * _NS)
 
 
-def scene_of(about: Mapping[str, Any]) -> schema.Scene | None:
+def parse_scene(about: Mapping[str, Any]) -> schema.Scene | None:
     """Return the scene in a daemon's description; None if it has no scene that can be drawn."""
     try:
         return build(schema.Scene, about["scene"], "scene")
@@ -227,7 +231,7 @@ def scene_of(about: Mapping[str, Any]) -> schema.Scene | None:
         return None
 
 
-def driven(scene: schema.Scene, event: Mapping[str, Any]) -> schema.Scene | None:
+def apply_drive(scene: schema.Scene, event: Mapping[str, Any]) -> schema.Scene | None:
     """Return the scene with the pose set by an event of `drive`; None for other events."""
     what = event.get("what")
     if (event["kind"], event["name"]) != ("command", "drive") or not isinstance(what, dict):
@@ -236,7 +240,6 @@ def driven(scene: schema.Scene, event: Mapping[str, Any]) -> schema.Scene | None
     return msgspec.structs.replace(
         scene,
         object=tuple(
-            msgspec.structs.replace(thing, **pose) if thing.name == what.get("object") else thing
-            for thing in scene.object
+            msgspec.structs.replace(obj, **pose) if obj.name == what.get("object") else obj for obj in scene.object
         ),
     )

@@ -16,7 +16,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.loop.servo_thread import Servo
-from softfinger.server.recording.blackbox import BlackBox, folder, make_room, name_of
+from softfinger.server.recording.blackbox import BlackBox, folder, format_file_name, prepare_folder
 from softfinger.server.services.base import Worker
 from softfinger.server.services.records import Sink
 
@@ -62,7 +62,7 @@ class BlackBoxes(Worker):
                 if directory is None:
                     return ""
                 self._number += 1
-                self._due = time.monotonic() + AFTER_S, directory / name_of(fault, self._number)
+                self._due = time.monotonic() + AFTER_S, directory / format_file_name(fault, self._number)
             return str(self._due[1])
 
     def record_event(self, event: Mapping[str, Any]) -> None:
@@ -86,7 +86,7 @@ class BlackBoxes(Worker):
             path, self._due = due[1], None
         self._written_s = now
         try:
-            make_room(path.parent)
+            prepare_folder(path.parent)
             self.box.write(path, self._describe())
         except (OSError, ConfigError) as error:
             reason = error.strerror if isinstance(error, OSError) and error.strerror else error

@@ -16,7 +16,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_recording
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.recording.recorder import Recorded, Recorder
+from softfinger.server.recording.recorder import Recorder, RecorderState
 from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering
@@ -47,7 +47,7 @@ class RecordingTotals(NamedTuple):
     events_dropped: int
     worst_write_s: float
 
-    def with_recording(self, one: Recorded) -> RecordingTotals:
+    def with_recording(self, one: RecorderState) -> RecordingTotals:
         """Return the statistics with one recording added."""
         return RecordingTotals(
             self.ticks + one.ticks,
@@ -99,7 +99,7 @@ class Recordings:
         """
         return self._begin(Path(name), Path(self._rendering.rig.recording.directory), scene_name)
 
-    def end(self) -> tuple[Path, Recorded]:
+    def end(self) -> tuple[Path, RecorderState]:
         """End the recording; return its file and its statistics. Raises RecordingError if none is running."""
         with self._changing:
             if self._recorder is None:
@@ -120,7 +120,7 @@ class Recordings:
             if error := recorder.recorded.error:
                 failure, self._failure = self._failure, None
                 raise failure or RecordingError(f"{self._path}: the recording has ended: {error}")
-            return recorder.written_to
+            return recorder.last_written_tick
 
     def written(self) -> RecordingTotals:
         """Return the statistics of all recordings of this run so far."""

@@ -27,7 +27,7 @@ from softfinger.server.loop.handover import Loop
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import UNMOVED
 from softfinger.server.loop.tuning import make_tuning, with_armed, with_offsets, with_scene
-from softfinger.server.progress import making
+from softfinger.server.progress import report_compilation
 from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.devices import check_replacement, inject_faults, open_devices, tools
 from softfinger.server.services.force import Force
@@ -100,7 +100,7 @@ class Rendering:
         devices = self._open(scene, rig)
         try:
             self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
-            with making("kernels that call the device"):
+            with report_compilation("kernels that call the device"):
                 self.servo: Final = Servo(
                     devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s, switch
                 )

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
@@ -35,9 +35,6 @@ from softfinger.config.schema import (
 from softfinger.config.words import near, shown
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.offline.summary import mesh_report, rig_summary, scene_summary
-
-if TYPE_CHECKING:
-    pass
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
 _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
@@ -106,7 +103,7 @@ def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None
     for name, rig, wall in walls:
         freedom = None if rig.device is None else freedom_of_table(rig.device)
         for scene in scenes:
-            objects = workspace.drawn(wall, load_scene(_locate(scene)))
+            objects = workspace.place_objects(wall, load_scene(_locate(scene)))
             if plot is not None:
                 workspace.plot(wall, objects, plot, freedom)
             if not quiet:
@@ -160,7 +157,7 @@ def with_costs(finding: Finding) -> Finding:
     """Add the measured cost of a tick and of its parts to the finding of a usable scene; return any other unchanged."""
     if finding.kind != "scene" or finding.errors:
         return finding
-    from softfinger.server.offline.cost import bare, measure, touching_poses, without_parts
+    from softfinger.server.offline.cost import bare_contact, measure, touching_poses, without_parts
     from softfinger.server.progress import progress
 
     scene = load_scene(_locate(finding.file))
@@ -173,7 +170,7 @@ def with_costs(finding: Finding) -> Finding:
         for number, (name, rest) in enumerate(parts):
             rows.append((f"  {name}", f"{whole - measure(rest, poses).median_ns:+.0f} ns"))
             done(number + 2)
-        rows.append(("  bare contact", f"{measure(bare(scene), poses).median_ns:.0f} ns"))
+        rows.append(("  bare contact", f"{measure(bare_contact(scene), poses).median_ns:.0f} ns"))
     rows += [_stability_row(thing) for thing in scene.object]
     return finding._replace(summary=finding.summary + rows)
 

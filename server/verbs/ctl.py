@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import tomllib
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
@@ -14,7 +12,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import read_toml
 from softfinger.config.words import near, shown
 from softfinger.server import keys
-from softfinger.server.arguments import duration
+from softfinger.server.arguments import duration, parse_parameter
 from softfinger.server.gateway.addresses import BUSY_S, find_addresses
 from softfinger.server.progress import progress
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
@@ -53,17 +51,17 @@ def run(args: argparse.Namespace) -> int:
     """Send the command and print its result; return 0."""
     if args.method not in METHODS:
         raise ConfigError(f"no method {shown(args.method)}{near(args.method, METHODS)}: there are {', '.join(METHODS)}")
-    params = dict(map(parameter, args.params))
+    params = dict(map(parse_parameter, args.params))
     scene = params.get("scene")
     if args.method == "set_scene" and isinstance(scene, str) and scene.endswith(".toml"):
         # Read here with the rights of this user: the daemon opens no file that a client names.
         params = {"name": Path(scene).stem[:64]} | params | {"scene": read_toml(scene)}
     compiles = ", which may have to compile the scene" if args.method == "set_scene" else ""
-    shown_wait = progress(f"{args.method}: waiting for the daemon{compiles}")
-    lock = keys.of_options(args)
-    asked_s = BUSY_S if args.timeout is None else args.timeout
-    found = find_addresses(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=asked_s)
-    with Control(found.command_endpoint(), args.timeout, lock) as daemon, shown_wait:
+    wait_display = progress(f"{args.method}: waiting for the daemon{compiles}")
+    lock = keys.keys_from_options(args)
+    within_s = BUSY_S if args.timeout is None else args.timeout
+    addresses = find_addresses(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=within_s)
+    with Control(addresses.command_endpoint(), args.timeout, lock) as daemon, wait_display:
         result = msgspec.to_builtins(daemon.ask(args.method, params))
     if args.json:
         print(json.dumps(result))
@@ -71,21 +69,3 @@ def run(args: argparse.Namespace) -> int:
         for key, value in result.items():
             print(f"{key}: {json.dumps(value)}")
     return 0
-
-
-def parameter(word: str) -> tuple[str, Any]:
-    key, equals, text = word.partition("=")
-    if not equals or not key:
-        raise ConfigError(f"{shown(word)} is no parameter: write key=value")
-    return key, _value(text)
-
-
-def _value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError):
-        pass
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except (ValueError, RecursionError):
-        return text

@@ -18,11 +18,11 @@ from softfinger.drivers.system.claims import Claim, claim_on
 from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, needs, options_for
 from softfinger.drivers.system.discovery import Attached
 
-MAY_BE_ASKED: Final = ("usable", "firmware")
+OPENABLE_STATES: Final = ("usable", "firmware")
 """States in which a device can be opened. Only an opened Falcon can report whether its firmware is loaded."""
 
 
-Found = tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None]
+ListedDevice = tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None]
 """Device, claim of its driver, diagnosis, and identification that the device reported."""
 
 
@@ -38,21 +38,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     rig = None if args.rig is None else single_device(load_rig(args.rig))
-    found: list[Found] = []
+    devices: list[ListedDevice] = []
     for device in discovery.attached():
         claim = claim_on(device)
-        diagnosis, said = diagnose(device, claim, rig), None
-        if args.ask and claim is not None and diagnosis.state in MAY_BE_ASKED:
-            diagnosis, said = ask(device, claim, rig)
-        found.append((device, claim, diagnosis, said))
+        diagnosis, identification = diagnose(device, claim, rig), None
+        if args.ask and claim is not None and diagnosis.state in OPENABLE_STATES:
+            diagnosis, identification = identify_device(device, claim, rig)
+        devices.append((device, claim, diagnosis, identification))
     if args.json:
-        print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*one) for one in found]}, indent=2))
+        print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*one) for one in devices]}, indent=2))
     else:
-        print("\n".join(lines(found)))
+        print("\n".join(lines(devices)))
     return 0
 
 
-def ask(device: Attached, claim: Claim, rig: DeviceConfig | None = None) -> tuple[Diagnosis, dict[str, Any] | None]:
+def identify_device(
+    device: Attached, claim: Claim, rig: DeviceConfig | None = None
+) -> tuple[Diagnosis, dict[str, Any] | None]:
     """Open a free device and read its identification; return the diagnosis and the identification by name.
 
     The identification is None if the driver has no `identify`, or if the device could not be opened.
@@ -62,14 +64,14 @@ def ask(device: Attached, claim: Claim, rig: DeviceConfig | None = None) -> tupl
     if identify is None:
         return needs(claim, options), None
     try:
-        said = identify(device, build(driver.Options, dict(options), "[device]"))
+        identification = identify(device, build(driver.Options, dict(options), "[device]"))
     except HapticError as error:
         return Diagnosis("busy" if isinstance(error, DeviceBusy) else "error", str(error)), None
-    return needs(claim, options, said), said
+    return needs(claim, options, identification), identification
 
 
 def as_map(
-    device: Attached, claim: Claim | None, diagnosis: Diagnosis, said: Mapping[str, Any] | None = None
+    device: Attached, claim: Claim | None, diagnosis: Diagnosis, identification: Mapping[str, Any] | None = None
 ) -> dict[str, object]:
     """Return a device as a mapping for `--json`."""
     return {
@@ -82,18 +84,18 @@ def as_map(
         "driver": claim.driver if claim else None,
         "rigs": list(claim.rigs) if claim else [],
         **diagnosis._asdict(),
-        "said": said,
+        "said": identification,
     }
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     return (" and ".join(value) or "none") if isinstance(value, list) else str(value)
 
 
-def lines(found: list[Found]) -> list[str]:
+def lines(devices: list[ListedDevice]) -> list[str]:
     """Return the list as text: devices with a driver first, then the others."""
     text = []
-    for device, claim, diagnosis, said in sorted(found, key=lambda one: one[1] is None):
+    for device, claim, diagnosis, identification in sorted(devices, key=lambda one: one[1] is None):
         text.append(f"{device.node or 'no node'}  {device.ids}  {device.name}")
         if claim is None:
             hint = f": {diagnosis.remedy}" if diagnosis.remedy else ""
@@ -102,12 +104,14 @@ def lines(found: list[Found]) -> list[str]:
         command = " or ".join(f"--rig {name}" for name in claim.rigs) or f"--device {claim.driver}"
         text.append(f"    driver {claim.driver}: softfinger run {command}")
         text.append(f"    {diagnosis.state}{': ' if diagnosis.reason else ''}{diagnosis.reason}")
-        if said is not None:
-            text.append(f"    it says: {', '.join(f'{name} {_shown(value)}' for name, value in said.items())}")
+        if identification is not None:
+            text.append(
+                f"    it says: {', '.join(f'{name} {_format_value(value)}' for name, value in identification.items())}"
+            )
         if diagnosis.remedy:
             text.append(f"    mend it: {diagnosis.remedy}")
-    if not any(claim for _, claim, *_ in found):
-        where = "no device that a driver knows is attached" if found else "no USB or HID device is attached"
+    if not any(claim for _, claim, *_ in devices):
+        where = "no device that a driver knows is attached" if devices else "no USB or HID device is attached"
         bus = "" if discovery.has_usb() else f"; this system has no USB bus ({Path('/') / discovery.USB} is not there)"
         text.append(f"{where}{bus}. Without hardware: softfinger run, or softfinger run --rig simulated")
     return text

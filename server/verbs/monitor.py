@@ -33,7 +33,7 @@ _DASHBOARD_PERIOD_S: Final = 0.1
 _LINE_PERIOD_S: Final = 1.0
 _STALLED_S: Final = 1.5  # health is sent once a second, so a longer silence means that ticks stopped
 _ONCE_WAIT_S: Final = 2.5  # a full health message arrives within two seconds
-_NOTHING: Final = 1e-9
+_ROUNDING: Final = 1e-9
 """Values below this are rounding errors of a sum, in any unit of the wire; no device senses or displays so little."""
 _BAR_CELLS: Final = 32
 _EVENT_INDENT: Final = 12
@@ -67,9 +67,9 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"--{name} = {value} is not a time: give seconds above 0")
     try:
         if args.json:
-            _watch(args, lambda board: print(_json(board), flush=True), _LINE_PERIOD_S)
+            _show_until_end(args, lambda board: print(_json(board), flush=True), _LINE_PERIOD_S)
         elif args.once or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
-            _watch(args, lambda board: print(line(board), flush=True), _LINE_PERIOD_S)
+            _show_until_end(args, lambda board: print(line(board), flush=True), _LINE_PERIOD_S)
         else:
             _dashboard(args)
     except KeyboardInterrupt:
@@ -96,7 +96,7 @@ class Board:
         """True after the server reported that it stopped, until its next tick."""
         self._arrived_s = time.monotonic()
 
-    def take(self, sample: Sample) -> None:
+    def update(self, sample: Sample) -> None:
         self.messages += 1
         self._arrived_s = time.monotonic()
         finger = finger_of(sample.topic)
@@ -124,7 +124,7 @@ class Board:
         return time.monotonic() - self._arrived_s
 
     @property
-    def gone(self) -> str:
+    def outage_text(self) -> str:
         """Text on why nothing is rendered now; empty while messages arrive."""
         if self.stopped:
             return "the server has stopped"
@@ -135,14 +135,14 @@ class Board:
 
         With several fingers there is no `contact`; each finger is in `fingers`.
         """
-        named = {name: sample for name, sample in self.fingers.items() if name}
-        told = {
+        named_fingers = {name: sample for name, sample in self.fingers.items() if name}
+        fingers = {
             "fingers": {
                 name: {"mode": _mode_name(sample["contact.mode"]), "contact": sample.as_map()}
-                for name, sample in named.items()
+                for name, sample in named_fingers.items()
             }
         }
-        return (told if named else {}) | {
+        return (fingers if named_fingers else {}) | {
             "endpoint": self.endpoint,
             "silent_s": round(self.silent_s, 3),
             "mode": _mode_name(self.contact["contact.mode"]) if self.contact else None,
@@ -154,20 +154,20 @@ class Board:
         }
 
 
-def _watch(args: argparse.Namespace, show: Callable[[Board], None], period_s: float) -> None:
+def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], period_s: float) -> None:
     """Receive messages and show the board every `period_s`, until `--once` or `--duration` is satisfied."""
     started = time.monotonic()
     end = started + (args.duration or math.inf)
     next_show = started + period_s
     topics = CONTACT, EVENT, HEALTH, FINGERS
-    lock = keys.of_options(args)
+    lock = keys.keys_from_options(args)
     endpoint = find_addresses(args.endpoint, lock, within_s=args.timeout).telemetry
     with subscribe(endpoint, topics, keys=lock) as subscription:
         board = Board(endpoint)
         while True:
             sample = subscription.receive(max(0.0, min(_DASHBOARD_PERIOD_S, end - time.monotonic())))
             if sample is not None:
-                board.take(sample)
+                board.update(sample)
             now = time.monotonic()
             if not board.messages and now >= min(end, started + args.timeout):
                 raise NoTelemetry(no_telemetry_text(endpoint, min(args.timeout, args.duration or math.inf)))
@@ -191,16 +191,16 @@ def _json(board: Board) -> str:
 def line(board: Board) -> str:
     """Return the board as one line of text."""
     parts = [time.strftime("%H:%M:%S")]
-    if board.gone:
-        parts.append(f"{board.gone};")
+    if board.outage_text:
+        parts.append(f"{board.outage_text};")
     for name, sample in sorted(board.fingers.items()):
         data = sample.data
         parts.append(
             (f"{name}: " if name else "")
             + f"tick {data.tick} {_mode_name(data.contact.mode)} object {data.contact.object} "
-            f"normal {_fixed(data.contact.normal_force, 0, 3)} N "
-            f"tangential {_fixed(data.contact.tangential_force, 0, 3)} N "
-            f"depth {_fixed(data.contact.penetration * 1e3, 0, 3)} mm"
+            f"normal {_format_fixed(data.contact.normal_force, 0, 3)} N "
+            f"tangential {_format_fixed(data.contact.tangential_force, 0, 3)} N "
+            f"depth {_format_fixed(data.contact.penetration * 1e3, 0, 3)} mm"
         )
     if board.health:
         health = board.health.data
@@ -210,7 +210,7 @@ def line(board: Board) -> str:
         )
     parts.append(f"lost {board.lost} events {board.event_count}")
     if board.events:
-        parts.append(f"(last: {_event_words(board.events[-1])})")
+        parts.append(f"(last: {_format_event(board.events[-1])})")
     return " ".join(parts)
 
 
@@ -218,22 +218,22 @@ def _mode_name(mode: int) -> str:
     return MODE_NAMES[mode] if 0 <= mode < len(MODE_NAMES) else f"mode {mode}"
 
 
-def _event_words(event: Sample) -> str:
+def _format_event(event: Sample) -> str:
     common = ("schema", "timestamp", "tick", "kind", "name")
     more = " ".join(f"{key}={_short(value)}" for key, value in event.data.items() if key not in common)
-    words = f"{event.kind} {event.name} {more}".rstrip()
-    return words if words.isprintable() else repr(words)  # text from the wire must not control the terminal
+    text = f"{event.kind} {event.name} {more}".rstrip()
+    return text if text.isprintable() else repr(text)  # text from the wire must not control the terminal
 
 
 def _short(value: Any) -> str:
     if isinstance(value, float):
-        return "0" if abs(value) < _NOTHING else f"{value:.3g}"
+        return "0" if abs(value) < _ROUNDING else f"{value:.3g}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(_short(item) for item in value)}]"
     return str(value)
 
 
-def _fixed(value: float, width: int, digits: int) -> str:
+def _format_fixed(value: float, width: int, digits: int) -> str:
     """Format a number with `digits` decimals, and without a minus sign if it rounds to zero."""
     return f"{round(value, digits) + 0.0:{width}.{digits}f}"
 
@@ -244,7 +244,9 @@ def _dashboard(args: argparse.Namespace) -> None:
 
     console = Console()
     with Live(console=console, auto_refresh=False) as live:
-        _watch(args, lambda board: live.update(render(board, *console.size), refresh=True), _DASHBOARD_PERIOD_S)
+        _show_until_end(
+            args, lambda board: live.update(render(board, *console.size), refresh=True), _DASHBOARD_PERIOD_S
+        )
 
 
 def render(board: Board, width: int, height: int) -> RenderableType:
@@ -266,14 +268,16 @@ def render(board: Board, width: int, height: int) -> RenderableType:
     if board.health is not None:
         health = board.health.data
         for name, values in (("late", health.late), ("exec", health.exec)):
-            figures = "   ".join(f"{key} {_fixed(getattr(values, key) * 1e6, 8, 2)}" for key in ("p50", "p99", "max"))
+            figures = "   ".join(
+                f"{key} {_format_fixed(getattr(values, key) * 1e6, 8, 2)}" for key in ("p50", "p99", "max")
+            )
             rows.add_row(name, f"{figures}  us")
-        rows.add_row("ticks", f"{_fixed(health.rate, 0, 1)} /s   missed {health.missed}   drops {health.drops}")
-        rows.add_row("energy", f"{_fixed(health.energy_total * 1e3, 0, 3)} mJ")
+        rows.add_row("ticks", f"{_format_fixed(health.rate, 0, 1)} /s   missed {health.missed}   drops {health.drops}")
+        rows.add_row("energy", f"{_format_fixed(health.energy_total * 1e3, 0, 3)} mJ")
     rows.add_row("lost here", Text(str(board.lost), style="red" if board.lost else ""))
     title = Text(f"softfinger  {board.endpoint}")  # not markup: an IPv6 address has brackets
-    if board.gone:
-        title.append(f"  {board.gone}", style="bold red")
+    if board.outage_text:
+        title.append(f"  {board.outage_text}", style="bold red")
     # Each frame takes two rows, and the terminal needs one for the cursor.
     events = _event_lines(board, width - 4, height - rows.row_count - 5)
     return Group(Panel(rows, title=title, title_align="left"), Panel(events, title="events", title_align="left"))
@@ -283,12 +287,12 @@ def _event_lines(board: Board, width: int, height: int) -> str:
     """Return the latest events that fit completely, the latest one last."""
     lines: list[str] = []
     for event in reversed(board.events):
-        told = textwrap.wrap(
-            f"{event.tick:>10}  {_event_words(event)}", max(width, 20), subsequent_indent=" " * _EVENT_INDENT
+        lines_of_event = textwrap.wrap(
+            f"{event.tick:>10}  {_format_event(event)}", max(width, 20), subsequent_indent=" " * _EVENT_INDENT
         )
-        if len(told) + len(lines) > max(height, 1) and lines:
+        if len(lines_of_event) + len(lines) > max(height, 1) and lines:
             break
-        lines = told + lines
+        lines = lines_of_event + lines
     return "\n".join(lines) or "none yet"
 
 
@@ -296,17 +300,17 @@ def _contact_rows(rows: Any, data: Any, board: Board) -> None:
     from rich.text import Text
 
     contact = data.contact
-    style = "dim" if board.gone else ""  # outdated values
+    style = "dim" if board.outage_text else ""  # outdated values
     rows.add_row("mode", Text(_mode_name(contact.mode), style=style or _MODE_STYLES.get(contact.mode, "")))
     rows.add_row("object", f"number {contact.object} of the scene" if contact.object >= 0 else "none")
     rows.add_row("tick", str(data.tick))
     for name, value in (("normal", contact.normal_force), ("tangential", contact.tangential_force)):
-        bar = _bar(0.0 if board.gone else value, board.force_peak_n)
-        rows.add_row(name, Text(f"{bar} {_fixed(value, 7, 3)} N", style=style))
-    rows.add_row("force", Text("  ".join(_fixed(value, 8, 3) for value in data.force) + "  N", style=style))
-    rows.add_row("torque", Text("  ".join(_fixed(v * 1e3, 8, 3) for v in data.torque) + "  N mm", style=style))
-    rows.add_row("penetration", f"{_fixed(contact.penetration * 1e3, 8, 3)}  mm")
-    rows.add_row("spin", f"{_fixed(math.degrees(contact.spin), 8, 2)}  deg")
+        bar = _bar(0.0 if board.outage_text else value, board.force_peak_n)
+        rows.add_row(name, Text(f"{bar} {_format_fixed(value, 7, 3)} N", style=style))
+    rows.add_row("force", Text("  ".join(_format_fixed(value, 8, 3) for value in data.force) + "  N", style=style))
+    rows.add_row("torque", Text("  ".join(_format_fixed(v * 1e3, 8, 3) for v in data.torque) + "  N mm", style=style))
+    rows.add_row("penetration", f"{_format_fixed(contact.penetration * 1e3, 8, 3)}  mm")
+    rows.add_row("spin", f"{_format_fixed(math.degrees(contact.spin), 8, 2)}  deg")
 
 
 def _bar(value: float, full: float) -> str:

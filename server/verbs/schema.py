@@ -23,9 +23,9 @@ from softfinger.server.wire import commands
 
 KINDS: Final = ("scene", "rig", "experiment", "telemetry", "commands")
 _STRUCTS: Final[dict[str, type[msgspec.Struct]]] = {"scene": Scene, "rig": Rig, "experiment": ExperimentFile}
-_EITHER: Final = {"Scene": ("fingertip", "finger"), "Rig": ("device", "devices")}
+_EXACTLY_ONE: Final = {"Scene": ("fingertip", "finger"), "Rig": ("device", "devices")}
 """Keys of which a file has exactly one."""
-_NAMED: Final = {"Material": MATERIALS, "Fingertip": FINGERTIPS}
+_LIBRARY_TABLES: Final = {"Material": MATERIALS, "Fingertip": FINGERTIPS}
 """Tables that the name of a library entry may replace."""
 _REQUIRED: Final = "required"
 _OPTIONAL: Final = "optional"
@@ -82,13 +82,13 @@ def json_schema(kind: str) -> dict[str, Any]:
         # In the file, the options of a driver are next to `driver`; only the driver knows them.
         del device["properties"][DeviceConfig.gathers]
         device["additionalProperties"] = True
-    for title, keys in _EITHER.items():
+    for title, keys in _EXACTLY_ONE.items():
         if title in schema["$defs"]:
             schema["$defs"][title]["oneOf"] = [{"required": [key]} for key in keys]
     for table in schema["$defs"].values():
         for key, value in table["properties"].items():
             _as_toml(key, value)
-            for title, library in _NAMED.items():
+            for title, library in _LIBRARY_TABLES.items():
                 if value.get("$ref") == f"#/$defs/{title}":
                     table["properties"][key] = {"anyOf": [{"$ref": value["$ref"]}, {"enum": sorted(library.entries())}]}
     material = schema["$defs"].get("Material")
@@ -133,58 +133,60 @@ def sections(struct_type: type[msgspec.Struct], name: str = "") -> list[tuple[st
     kinds: dict[str, list[TableRows]] = {}
     for table in tables(struct_type, name):
         kinds.setdefault(table.name, []).append(table)
-    listed: dict[str, dict[str, list[str]]] = {}  # by the keys in Markdown: names by meaning
-    whole: dict[str, list[Row]] = {}
-    for at, same in kinds.items():
-        if len(same) > 1:
-            body = _several(same)
+    names_by_body: dict[str, dict[str, list[str]]] = {}  # by the keys in Markdown: names by meaning
+    listed_rows: dict[str, list[Row]] = {}
+    for table_name, variants in kinds.items():
+        if len(variants) > 1:
+            body = _format_variants(variants)
         else:
-            body = _added(whole, same[0].rows)
-            whole[at] = same[0].rows
-        listed.setdefault(body, {}).setdefault("" if len(same) > 1 else same[0].meaning, []).append(
-            f"`{at}`" if at else "Top of the file"
+            body = _format_new_keys(listed_rows, variants[0].rows)
+            listed_rows[table_name] = variants[0].rows
+        names_by_body.setdefault(body, {}).setdefault("" if len(variants) > 1 else variants[0].meaning, []).append(
+            f"`{table_name}`" if table_name else "Top of the file"
         )
-    return [_section(body, meanings) for body, meanings in listed.items()]
+    return [_section(body, meanings) for body, meanings in names_by_body.items()]
 
 
 def _section(body: str, meanings: dict[str, list[str]]) -> tuple[str, str]:
     """Return heading, and meaning and keys; if several tables have the same keys, the meaning of each."""
     heading = ", ".join(name for names in meanings.values() for name in names)
-    said = "\n".join(f"- {', '.join(names)}: {meaning}" for meaning, names in meanings.items())
-    return heading, "\n\n".join(filter(None, [next(iter(meanings)) if len(meanings) == 1 else said, body]))
+    meanings_text = "\n".join(f"- {', '.join(names)}: {meaning}" for meaning, names in meanings.items())
+    return heading, "\n\n".join(filter(None, [next(iter(meanings)) if len(meanings) == 1 else meanings_text, body]))
 
 
-def _added(whole: dict[str, list[Row]], rows: list[Row]) -> str:
+def _format_new_keys(listed_rows: dict[str, list[Row]], rows: list[Row]) -> str:
     """Format the keys of a table; if it has all keys of a table listed before, only the additional ones."""
-    for name, theirs in whole.items():
-        if len(theirs) >= SHARED_MIN and all(row in rows for row in theirs) and len(theirs) < len(rows):
-            return f"The keys of `{name}`, and:\n\n" + _keys(row for row in rows if row not in theirs)
+    for name, other_rows in listed_rows.items():
+        if len(other_rows) >= SHARED_MIN and all(row in rows for row in other_rows) and len(other_rows) < len(rows):
+            return f"The keys of `{name}`, and:\n\n" + _keys(row for row in rows if row not in other_rows)
     return _keys(rows)
 
 
-def _several(same: list[TableRows]) -> str:
+def _format_variants(variants: list[TableRows]) -> str:
     """Format a table that has several kinds: the common keys, the kinds, and the keys of single kinds."""
-    tag = same[0].rows[0].key
-    shared = [row for row in same[0].rows if all(row in other.rows for other in same)]
-    own: dict[Row, list[str]] = {}
+    tag = variants[0].rows[0].key
+    shared = [row for row in variants[0].rows if all(row in other.rows for other in variants)]
+    variant_rows: dict[Row, list[str]] = {}
     lines = []
-    for table in same:
+    for table in variants:
         kind, *rows = (row for row in table.rows if row not in shared)
         for row in rows:
-            own.setdefault(row, []).append(kind.allowed.strip('`"'))
+            variant_rows.setdefault(row, []).append(kind.allowed.strip('`"'))
         lines.append([kind.allowed, table.meaning, ", ".join(f"`{row.key}`" for row in rows) or "none"])
-    said = [row.key for row in own]
-    of = {row: f" of {', '.join(names)}" if said.count(row.key) > 1 else "" for row, names in own.items()}
+    all_keys = [row.key for row in variant_rows]
+    suffixes = {
+        row: f" of {', '.join(names)}" if all_keys.count(row.key) > 1 else "" for row, names in variant_rows.items()
+    }
     return "\n\n".join([
         *([_keys(shared)] if shared else []),
         grid([f"`{tag}`", "what it is", "its own keys"], lines),
-        _keys(own, of),
+        _keys(variant_rows, suffixes),
     ])  # fmt: skip
 
 
-def _keys(rows: Iterable[Row], of: Mapping[Row, str] = MappingProxyType({})) -> str:
-    """Format keys as Markdown; `of` names the kinds that have a key."""
-    lines = [[f"`{row.key}`{of.get(row, '')}", _allowed(row), row.meaning] for row in rows]
+def _keys(rows: Iterable[Row], suffixes: Mapping[Row, str] = MappingProxyType({})) -> str:
+    """Format keys as Markdown; `suffixes` names the kinds that have a key."""
+    lines = [[f"`{row.key}`{suffixes.get(row, '')}", _allowed(row), row.meaning] for row in rows]
     return grid(["key", "allowed (default)", "meaning"], lines)
 
 
@@ -202,12 +204,12 @@ def grid(head: list[str], lines: list[list[str]]) -> str:
 
 def tables(struct_type: type[msgspec.Struct], name: str = "") -> list[TableRows]:
     """Return all TOML tables of a struct at the key `name` (empty: the file) with their keys, in order."""
-    found: dict[tuple[str, str], TableRows] = {}
+    tables_by_key: dict[tuple[str, str], TableRows] = {}
     for table in _tables(described(struct_type), name):
         # A material is the same in all shapes: listed at its first occurrence.
         if table.rows:
-            found.setdefault((table.name, table.meaning), table)
-    return list(found.values())
+            tables_by_key.setdefault((table.name, table.meaning), table)
+    return list(tables_by_key.values())
 
 
 def _tables(info: inspect.StructType, name: str) -> Iterator[TableRows]:

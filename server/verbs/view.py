@@ -66,14 +66,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve the page until a signal, or for a duration. Raises ConfigError if viser is not installed."""
     try:
-        from softfinger.server.viewer.page import Page, each_frame
+        from softfinger.server.viewer.page import Page, run_frames
     except ImportError as error:
         if (error.name or "").partition(".")[0] != "viser":
             raise
         raise ConfigError("the page needs viser: pip install 'softfinger[viewer]'") from None
     if not 0 <= args.port < 65536:
         raise ConfigError(f"--port {args.port} is no port: give 0 to 65535")
-    from softfinger.server.viewer.door.opening import in_browser
+    from softfinger.server.viewer.door.opening import open_browser
     from softfinger.server.viewer.live import LivePage
     from softfinger.server.viewer.participant import ParticipantPage
     from softfinger.server.viewer.playback import RecordedPage, load
@@ -81,22 +81,22 @@ def run(args: argparse.Namespace) -> int:
     recording = None if args.recording is None else load(args.recording, args.scene)
     if args.host == HOST:  # probably on the machine of a servo, which may run without real-time priority
         os.nice(NICE)
-    lock = keys.of_options(args)
-    asked = list[bool]()
+    lock = keys.keys_from_options(args)
+    stop_requests = list[bool]()
     token = sys.stdin.readline().strip() or None if args.until_eof else None
     if args.until_eof:
-        threading.Thread(target=_until_eof, args=(asked,), daemon=True).start()
+        threading.Thread(target=_until_eof, args=(stop_requests,), daemon=True).start()
     page = Page(args.host, args.port, tuple(args.allow_host), token)
     try:
         if recording is None:
             daemon = find_addresses(args.endpoint, lock, args.commands)
-            fed: LivePage | ParticipantPage | RecordedPage = (
+            source: LivePage | ParticipantPage | RecordedPage = (
                 ParticipantPage(page, daemon, lock)
                 if args.role == Role.PARTICIPANT
                 else LivePage(page, daemon, lock, Role(args.role))
             )
         else:
-            fed = RecordedPage(page, recording, args.tick)
+            source = RecordedPage(page, recording, args.tick)
         try:
             if args.print_address:
                 print(page.address, flush=True)
@@ -105,20 +105,20 @@ def run(args: argparse.Namespace) -> int:
                 log.info("the page is %s; to stop it: Ctrl-C", page.address)
             if args.host != HOST:
                 log.warning("whoever has this address may command the daemon, and it crosses the network in plain text")
-            shown = nullcontext() if args.no_open or not _can_open() else in_browser(page.address)
-            with signals.asked(lambda: asked.append(True)), shown:
-                each_frame(fed.step, asked, args.duration)
+            opening = nullcontext() if args.no_open or not _can_open() else open_browser(page.address)
+            with signals.stop_on_signal(lambda: stop_requests.append(True)), opening:
+                run_frames(source.step, stop_requests, args.duration)
         finally:
-            fed.close()
+            source.close()
     finally:
         page.close()
-    return signals.code_of_stop()
+    return signals.stop_exit_code()
 
 
-def _until_eof(asked: list[bool]) -> None:
+def _until_eof(stop_requests: list[bool]) -> None:
     while os.read(sys.stdin.fileno(), 64):
         pass
-    asked.append(True)
+    stop_requests.append(True)
 
 
 def _can_open() -> bool:

@@ -16,7 +16,7 @@ from softfinger.config.load import load_scene, shipped
 from softfinger.proxy.engine import compiled
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.server.offline.simulate import simulate
-from softfinger.server.progress import making
+from softfinger.server.progress import report_compilation
 from softfinger.server.services.compilation import compile_loop
 from softfinger.server.wire.native.relay import Relay
 
@@ -40,12 +40,12 @@ def run(args: argparse.Namespace) -> int:
                 raise
             print(f"{name}: left out: {error}")
             continue
-        begun = time.monotonic()
-        with making(f"kernels for {name}"):
+        start_s = time.monotonic()
+        with report_compilation(f"kernels for {name}"):
             tuning = compile_loop(scene)
             simulate(tuning, np.array([[[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]] * len(scene.fingers)]), RATE_HZ)
             compiled(tuning.scene)
-        print(f"{name}: ready after {time.monotonic() - begun:.1f} s")
+        print(f"{name}: ready after {time.monotonic() - start_s:.1f} s")
     Relay(1).close()
     if (problem := KEPT.problem()) is not None:
         raise ConfigError(f"compiled kernels are not kept: {problem}")

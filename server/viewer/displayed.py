@@ -18,48 +18,49 @@ from softfinger.proxy.record import AT
 Array = NDArray[np.float64]
 
 GUIDE: Final = "devices/serial.md#one-or-two-degrees-of-freedom-in-a-three-dimensional-scene"
-WHERE: Final = {1: "along its line", 2: "in its plane"}
+DISPLAYED_ALONG: Final = {1: "along its line", 2: "in its plane"}
 
 
-class Handle(NamedTuple):
+class LowDofDevice(NamedTuple):
     """Device that moves on a line or in a plane, and the offset (3,) m of its fingertip from its handle."""
 
     freedom: Freedom
     offset: Array
 
-    def displayed(self, row: Array) -> Array:
+    def displayed_force(self, row: Array) -> Array:
         """Return the part (3,) N of a tick's force that the device displays."""
-        place, force = (row[at : at + 3] for at in (AT.probe_position, AT.force))
-        return self.freedom.displayed(place - self.offset, force)
+        position, force = (row[at : at + 3] for at in (AT.probe_position, AT.force))
+        return self.freedom.displayed(position - self.offset, force)
 
-    def told(self, row: Array) -> str:
+    def format_html(self, row: Array) -> str:
         """Return the displayed and the missing force of a tick as HTML."""
-        shown = self.displayed(row)
-        lost = float(np.linalg.norm(row[AT.force : AT.force + 3] - shown))
-        many = "one degree" if self.freedom.degrees == 1 else "two degrees"
+        displayed = self.displayed_force(row)
+        missing = float(np.linalg.norm(row[AT.force : AT.force + 3] - displayed))
+        degrees = "one degree" if self.freedom.degrees == 1 else "two degrees"
         return (
-            f"displayed: {np.linalg.norm(shown):.2f} N {WHERE[self.freedom.degrees]}; not displayed (grey dashes): "
-            f'{lost:.2f} N. <a href="{documentation()}/{GUIDE}" target="_blank" rel="noreferrer" '
-            f'style="color: inherit">A device of {many} of freedom</a>'
+            f"displayed: {np.linalg.norm(displayed):.2f} N {DISPLAYED_ALONG[self.freedom.degrees]}; "
+            f"not displayed (grey dashes): {missing:.2f} N. "
+            f'<a href="{documentation_url()}/{GUIDE}" target="_blank" rel="noreferrer" '
+            f'style="color: inherit">A device of {degrees} of freedom</a>'
         )
 
 
-def documentation() -> str:
+def documentation_url() -> str:
     """Return the address of the project's documentation."""
-    given = dict(str(line).split(", ", 1) for line in metadata("softfinger").get_all("Project-URL") or ())
-    return given["Documentation"]
+    urls = dict(str(line).split(", ", 1) for line in metadata("softfinger").get_all("Project-URL") or ())
+    return urls["Documentation"]
 
 
-def handles(described: Mapping[str, Any]) -> dict[str, Handle]:
+def find_low_dof_devices(description: Mapping[str, Any]) -> dict[str, LowDofDevice]:
     """Return the devices with fewer than three degrees of freedom, by finger, from a daemon's description."""
     try:
-        rig = build(schema.Rig, described["rig"], "the daemon's rig")
+        rig = build(schema.Rig, description["rig"], "the daemon's rig")
     except (ConfigError, KeyError):  # a driver that is not installed here, or an older recording
         return {}
-    found = {}
-    for finger in described.get("fingers", ({"name": ""},)):
+    devices = {}
+    for finger in description.get("fingers", ({"name": ""},)):
         table = rig.tables.get("device" if rig.device is not None else f"devices.{finger['name']}")
         freedom = None if table is None else freedom_of_table(table)
         if freedom is not None:
-            found[finger["name"]] = Handle(freedom, np.array(finger.get("offset_m", (0.0, 0.0, 0.0))))
-    return found
+            devices[finger["name"]] = LowDofDevice(freedom, np.array(finger.get("offset_m", (0.0, 0.0, 0.0))))
+    return devices

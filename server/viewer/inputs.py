@@ -10,19 +10,19 @@ from typing import Any, Final, NamedTuple
 
 from softfinger.server.viewer.scripts import add_script
 
-NUMBERS: Final = 9
+GAMEPAD_VALUES: Final = 9
 """Numbers of a gamepad: a counter, two sticks, and four buttons."""
-REST: Final = 0.15
+STICK_DEAD_ZONE: Final = 0.15
 """Dead zone of a stick: a released stick is rarely at 0."""
-SILENT_S: Final = 0.3
+GAMEPAD_TIMEOUT_S: Final = 0.3
 """Silence after which a gamepad counts as released: its page may be closed."""
-TOTALS: Final = 7
+HAND_TOTALS: Final = 7
 """Totals of two hands: three per finger, and one of the wheel."""
 SESSIONS: Final = 16
 """Maximum number of pages with stored totals; the oldest ones are dropped."""
-JUMP_M: Final = 0.02
+MAX_STEP_M: Final = 0.02
 """Maximum step of a finger by keys or a wheel."""
-SPEED: Final = 0.05
+MAX_SPEED_M_PER_S: Final = 0.05
 """m/s at full deflection of a stick or trigger."""
 SPIN_RAD_S: Final = 1.5
 STEP_M: Final = 0.001
@@ -85,16 +85,16 @@ class Gamepad:
 
     def __init__(self, gui: Any) -> None:
         self._field = add_script(gui, "gamepad")
-        self._field.on_update(self._told)
-        self._speed, self._at = Nudge(), 0.0
+        self._field.on_update(self._on_report)
+        self._speed, self._reported_s = Nudge(), 0.0
 
-    def _told(self, event: Any) -> None:
+    def _on_report(self, event: Any) -> None:
         if event.client is not None:
-            self._speed, self._at = speed_of(self._field.value), time.monotonic()
+            self._speed, self._reported_s = parse_gamepad(self._field.value), time.monotonic()
 
-    def moved(self, dt: float) -> Nudge | None:
+    def increment(self, dt: float) -> Nudge | None:
         """Return the increment of the hand in `dt` s; None while the gamepad is released."""
-        if self._speed == Nudge() or time.monotonic() - self._at > SILENT_S:
+        if self._speed == Nudge() or time.monotonic() - self._reported_s > GAMEPAD_TIMEOUT_S:
             return None
         return self._speed.times(dt)
 
@@ -104,63 +104,63 @@ class TwoHands:
 
     def __init__(self, gui: Any) -> None:
         self._field = add_script(gui, "hands")
-        self._field.on_update(self._told)
+        self._field.on_update(self._on_report)
         self._totals: dict[str, tuple[float, ...]] = {}
         self._moves: deque[tuple[float, ...]] = deque()
 
-    def _told(self, event: Any) -> None:
-        found = totals_of(self._field.value)
-        if event.client is None or found is None:
+    def _on_report(self, event: Any) -> None:
+        parsed = parse_hands(self._field.value)
+        if event.client is None or parsed is None:
             return
-        session, totals = found
-        before = self._totals.pop(session, (0.0,) * len(totals))
+        session, totals = parsed
+        previous_totals = self._totals.pop(session, (0.0,) * len(totals))
         self._totals[session] = totals
         while len(self._totals) > SESSIONS:  # drop the oldest
             del self._totals[next(iter(self._totals))]
-        self._moves.append(tuple(now - then for now, then in zip(totals, before, strict=True)))
+        self._moves.append(tuple(now - previous for now, previous in zip(totals, previous_totals, strict=True)))
 
-    def moved(self) -> tuple[Nudge, Nudge, float] | None:
+    def increment(self) -> tuple[Nudge, Nudge, float] | None:
         """Return the increments since the last call: left finger, right finger, closing (m); None without a change."""
         moves = [self._moves.popleft() for _ in range(len(self._moves))]
         if not moves:
             return None
-        far = [min(max(sum(part), -JUMP_M), JUMP_M) for part in zip(*moves, strict=True)]
-        return Nudge(*far[:3]), Nudge(*far[3:6]), far[6]
+        steps = [min(max(sum(part), -MAX_STEP_M), MAX_STEP_M) for part in zip(*moves, strict=True)]
+        return Nudge(*steps[:3]), Nudge(*steps[3:6]), steps[6]
 
 
-def totals_of(told: str) -> tuple[str, tuple[float, ...]] | None:
+def parse_hands(report: str) -> tuple[str, tuple[float, ...]] | None:
     """Parse a report of `hands.js`; None if it is invalid.
 
     Returns the page's session and the totals, m: x, y, z of the left finger, of the right finger, and closing.
     """
-    words = told.split()
+    words = report.split()
     try:
         totals = tuple(float(word) / 1000.0 for word in words[2:])
     except ValueError:
         return None
-    return (words[1], totals) if len(totals) == TOTALS and all(map(isfinite, totals)) else None
+    return (words[1], totals) if len(totals) == HAND_TOTALS and all(map(isfinite, totals)) else None
 
 
-def speed_of(told: str) -> Nudge:
+def parse_gamepad(report: str) -> Nudge:
     """Parse a report of `gamepad.js` to a speed per second; zero if it is invalid.
 
-    told  a counter; left stick right and down, right stick right and down; right and left bumper, right and left
+    report  a counter; left stick right and down, right stick right and down; right and left bumper, right and left
           trigger, each between -1 and 1
     """
     try:
-        values = [float(part) for part in told.split()]
+        values = [float(part) for part in report.split()]
     except ValueError:
         return Nudge()
-    if len(values) != NUMBERS or not all(isfinite(value) for value in values):
+    if len(values) != GAMEPAD_VALUES or not all(isfinite(value) for value in values):
         return Nudge()
     x, y, roll_x, roll_y, right, left, press, lift = (
-        0.0 if abs(value) < REST else min(max(value, -1.0), 1.0) for value in values[1:]
+        0.0 if abs(value) < STICK_DEAD_ZONE else min(max(value, -1.0), 1.0) for value in values[1:]
     )
     return Nudge(
-        x=SPEED * x,
-        y=-SPEED * y,
-        z=SPEED * (lift - press),
-        roll_x=SPEED * roll_x,
-        roll_y=-SPEED * roll_y,
+        x=MAX_SPEED_M_PER_S * x,
+        y=-MAX_SPEED_M_PER_S * y,
+        z=MAX_SPEED_M_PER_S * (lift - press),
+        roll_x=MAX_SPEED_M_PER_S * roll_x,
+        roll_y=-MAX_SPEED_M_PER_S * roll_y,
         spin=SPIN_RAD_S * (left - right),
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from softfinger.proxy.record import AT
 
 POINTS: Final = 250
-EACH_S: Final = 0.02
+POINT_PERIOD_S: Final = 0.02
 """Time between two points."""
 COLOURS: Final = ("#1f6feb", "#d1242f")
 
@@ -33,7 +33,7 @@ class Plots:
         """Add ticks (n, RECORD_SIZE) of the finger."""
         for row in rows:
             self._late = max(self._late, row[AT.servo_late])
-            if self._points and 0.0 <= row[AT.timestamp] - self._points[-1][0] < EACH_S:
+            if self._points and 0.0 <= row[AT.timestamp] - self._points[-1][0] < POINT_PERIOD_S:
                 continue
             self._points.append((
                 row[AT.timestamp],

@@ -20,9 +20,9 @@ class Theme:
         gui.configure_theme(show_logo=False, show_share_button=False)
         gui.add_html(SWITCH)
         self._field = add_script(gui, "theme")
-        self._field.on_update(self._told)
+        self._field.on_update(self._on_report)
 
-    def _told(self, event: Any) -> None:
+    def _on_report(self, event: Any) -> None:
         chosen = self._field.value.split()[1:]
         if event.client is not None and chosen in (["dark"], ["light"]):
             event.client.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=chosen == ["dark"])

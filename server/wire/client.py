@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.proxy.record import FIELDS, PATCHES, RECORD_SIZE
 from softfinger.proxy.records import Records
-from softfinger.server.closing import Closing
+from softfinger.server.closing import Closeable
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.protocol import (
     CONTACT,
@@ -105,7 +105,7 @@ class Sample:
         return plain
 
 
-class Subscription(Closing):
+class Subscription(Closeable):
     """Subscription to one endpoint, made by `subscribe`; an iterator and a context manager."""
 
     def __init__(
@@ -135,7 +135,7 @@ class Subscription(Closing):
         self._socket.maxmsgsize = _LARGEST_FRAME
         self._socket.ipv6 = "[" in self.endpoint
         if self._keys is not None:
-            self._keys.put_on(self._socket)
+            self._keys.apply_to(self._socket)
         for topic in self.topics:
             self._socket.subscribe(topic)
         try:
@@ -277,7 +277,7 @@ def _flat(values: tuple[Any, ...]) -> list[float]:
     return row
 
 
-class Window(Closing):
+class Window(Closeable):
     """Latest ticks of a finger as NumPy arrays, in tick order.
 
     `window["force"]` has shape (m, 3) and `window["tick"]` (m,), with m <= `samples`. Float fields are views that the

@@ -43,7 +43,7 @@ def connect(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> 
     socket.maxmsgsize = ANSWER_MAX  # ZeroMQ disconnects a peer that sends more, before it allocates
     socket.ipv6 = "[" in endpoint
     if keys is not None:
-        keys.put_on(socket)
+        keys.apply_to(socket)
     try:
         if endpoint.startswith(f"ipc://{runtime_folder()}/"):
             check_runtime_folder()

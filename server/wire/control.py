@@ -23,7 +23,7 @@ import zmq
 import zmq.asyncio
 
 from softfinger.config.errors import CommandRefused
-from softfinger.server.closing import Closing
+from softfinger.server.closing import Closeable
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.client_requests import (
     TIMEOUT_S,
@@ -72,7 +72,7 @@ from softfinger.server.wire.waits import milliseconds
 P = ParamSpec("P")
 
 
-class Control(Closing):
+class Control(Closeable):
     """Client that waits for each answer; for one thread only.
 
     Parameters

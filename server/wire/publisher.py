@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import commands_beside
 from softfinger.proxy.record import RECORD_SIZE, columns
-from softfinger.server.closing import Closing
+from softfinger.server.closing import Closeable
 from softfinger.server.publishing.setup import Figures, Kind, Setup, StateInfo, Ticks
 from softfinger.server.wire.events import RecordEvents, event_map
 from softfinger.server.wire.health import Health, combine
@@ -50,7 +50,7 @@ LINGER_S: Final = 0.2
 """Time for which closing waits for the last messages, such as the event with the reason of the end."""
 
 
-class Publisher(Closing):
+class Publisher(Closeable):
     """ZeroMQ publisher on `endpoints`, which it closes, or on a new endpoint.
 
     It sends one tick in `every`, with a topic for each of several `fingers`. Ticks come from a servo (`attach`); a

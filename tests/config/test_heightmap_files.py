@@ -14,7 +14,7 @@ from softfinger.config.load import FaultyConfig, build, describe, load_scene
 from softfinger.proxy.meshes.thinning import PICTURE_TRIANGLES
 from softfinger.proxy.pictures import MAP_PIXELS, picture_of
 from softfinger.proxy.scene import build_scene
-from softfinger.server.recording.picture import drawn
+from softfinger.server.recording.picture import draw_object
 from softfinger.server.verbs.check import examine_file
 
 pytestmark = pytest.mark.plain
@@ -132,14 +132,14 @@ def test_pictures_show_the_map(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.ptp(vertices, axis=0)[:2], [0.078, 0.058], atol=1e-12)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     assert (np.cross(b - a, c - a)[:, 2] > 0.0).all() and len(faces) == of == 2 * 29 * 39
-    (triangles,) = drawn(thing)["triangles"]
+    (triangles,) = draw_object(thing)["triangles"]
     assert len(triangles["points"]) == HEIGHTS.size and max(triangles["indices"]) == HEIGHTS.size - 1
     scene_file(tmp_path, np.zeros((900, 300)))
     (vertices, faces), of = picture_of(thing)
     assert len(vertices) == MAP_PIXELS**2 and len(faces) <= PICTURE_TRIANGLES and of == 2 * 899 * 299
     np.testing.assert_allclose(np.ptp(vertices, axis=0)[:2], [0.598, 1.798], atol=1e-12)
     (tmp_path / "hill.npy").unlink()
-    assert "texts" in drawn(thing)
+    assert "texts" in draw_object(thing)
     with pytest.raises(ConfigError, match=r"object 'hill': file: .*hill\.npy: cannot be read"):
         picture_of(thing)
 

@@ -14,8 +14,8 @@ from softfinger.config.load import load_scene
 from softfinger.config.mjcf import read_model
 from softfinger.proxy.engine import Engine
 from softfinger.server.experiment.files import check, load
-from softfinger.server.experiment.haptics import as_file
-from softfinger.server.experiment.masses import scene_with
+from softfinger.server.experiment.haptics import to_file_mapping
+from softfinger.server.experiment.masses import load_changed_scene
 
 pytestmark = pytest.mark.plain
 
@@ -84,7 +84,7 @@ def test_what_has_no_mass_is_refused(body: str, mass: float, tmp_path: Path) -> 
     world = {"model": str(tmp_path / "one.xml"), "material": {"stiffness_n_per_m": 500.0}}
     scene = {"fingertip": {"radius_m": 0.01}, "world": world}
     with pytest.raises(ConfigError, match=r"level 3: .*mass_kg.*(it has a, b, arm|must be a number from 1e-06)"):
-        scene_with(scene, {f"mass.{body}": mass}, "level 3")
+        load_changed_scene(scene, {f"mass.{body}": mass}, "level 3")
 
 
 def test_a_model_of_several_files(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_a_model_of_several_files(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     world = '[world]\nmodel = "whole.xml"\n[world.material]\nstiffness_n_per_m = 500'
     file.write_text(f"[fingertip]\nradius_m = 0.01\n{world}\n")
-    engine = Engine(scene_with(file, {"mass.ball": 0.2, "fingertip.radius_m": 0.02}, "overrides"))
+    engine = Engine(load_changed_scene(file, {"mass.ball": 0.2, "fingertip.radius_m": 0.02}, "overrides"))
     assert engine.model.body("ball").mass[0] == 0.2 and engine.config.fingertip.radius_m == 0.02
 
 
@@ -117,6 +117,6 @@ def test_masses_of_overrides_pass_the_check_and_stay_in_the_scene() -> None:
     experiment, folder = load("stiffness-discrimination", {"overrides": {"mass.box": 0.2}, "scene": "lift-a-box"})
     with pytest.raises(ConfigError, match="no object"):  # of the parameter: the mass is good
         check(experiment, folder)
-    scene = scene_with(experiment.scene, experiment.overrides, "overrides")
+    scene = load_changed_scene(experiment.scene, experiment.overrides, "overrides")
     assert Engine(scene).model.body("box").mass[0] == 0.2
-    assert Engine(load_scene(as_file(scene))).model.body("box").mass[0] == 0.2
+    assert Engine(load_scene(to_file_mapping(scene))).model.body("box").mass[0] == 0.2

@@ -495,14 +495,14 @@ def test_a_falcon_is_asked_for_its_firmware(stub: UsbStub) -> None:
     """Whether firmware runs, the device says itself; one that runs needs no file; the answer is in JSON and text."""
     claim = claim_on(FALCON)
     assert claim is not None
-    diagnosis, said = devices.ask(FALCON, claim)
+    diagnosis, said = devices.identify_device(FALCON, claim)
     assert (diagnosis, said) == (Diagnosis("usable"), {"firmware": True})
     assert devices.as_map(FALCON, claim, diagnosis, said)["said"] == {"firmware": True}
     assert "    it says: firmware True" in devices.lines([(FALCON, claim, diagnosis, said)])
     stub.update(firmware=1000)
-    diagnosis, said = devices.ask(FALCON, claim)
+    diagnosis, said = devices.identify_device(FALCON, claim)
     assert (diagnosis.state, said) == ("firmware", {"firmware": False})
     assert stub["opens"] == stub["closes"] and stub["loads"] == 0
     stub["held"] = 1
-    diagnosis, said = devices.ask(FALCON, claim)
+    diagnosis, said = devices.identify_device(FALCON, claim)
     assert (diagnosis.state, said) == ("busy", None)

@@ -329,13 +329,13 @@ def test_a_device_is_asked_without_force(stub: Stub) -> None:
     rig = DeviceConfig(driver="forcedimension", options={"library_file": str(stub.path)})
     stub.update(type=34, wrist=1, initialized=0)
     omega = Attached("usb", 0x1451, 0x0402, "omega.x haptic device", "", "/dev/bus/usb/001/005")
-    diagnosis, said = devices.ask(omega, claim, rig)
+    diagnosis, said = devices.identify_device(omega, claim, rig)
     assert diagnosis == Diagnosis("usable")
     assert said == {"model": "omega.6 right", "serial": 1230, "system_type": 34, "calibrated": False}
     assert stub["opens"] == stub["closes"] == 1
     assert stub["moved"] == stub["force_on"] == stub["writes"] == 0
     stub["held"] = 1
-    diagnosis, said = devices.ask(omega, claim, rig)
+    diagnosis, said = devices.identify_device(omega, claim, rig)
     assert (diagnosis.state, said) == ("busy", None)
 
 

@@ -18,7 +18,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import ENDINGS, RESULT_COLUMNS, Poses, checked, load_poses, shipped_names
 from softfinger.drivers.resample import close_loop, resample
 from softfinger.proxy.record import AT, RECORD_SIZE, columns
-from softfinger.server.offline.results import write_results
+from softfinger.server.recording.results import write_results
 
 pytestmark = pytest.mark.plain
 

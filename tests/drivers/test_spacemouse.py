@@ -34,7 +34,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.simulate import with_devices
+from softfinger.server.offline.simulate import simulate_devices
 
 PAST = 350 - 15
 """Counts past the usual deadband at full deflection."""
@@ -433,7 +433,7 @@ def test_a_puck_is_the_only_intention() -> None:
             build(SimulatedOptions, {"puck": {}, key: value}, "rig")
     rig = load_rig("simulated-spacemouse")
     with pytest.raises(ConfigError, match="cannot be run without a clock"):
-        whole(with_devices(load_scene("paper-plane"), rig, 0.1))
+        whole(simulate_devices(load_scene("paper-plane"), rig, 0.1))
 
 
 def test_pucks_are_found_and_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

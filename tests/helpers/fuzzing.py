@@ -117,7 +117,7 @@ def _records() -> Any:
 
 
 def _results(path: Path) -> None:
-    from softfinger.server.offline.results import write_results
+    from softfinger.server.recording.results import write_results
 
     write_results(path, _records())
 
@@ -145,9 +145,9 @@ def targets() -> dict[str, Target]:
     from softfinger.config.mjcf import read_model
     from softfinger.drivers.poses import load_poses
     from softfinger.proxy.meshes.reading import arrays_of
-    from softfinger.server.offline.results import read_results
     from softfinger.server.recording.compare import FIELDS
-    from softfinger.server.recording.reader import contents
+    from softfinger.server.recording.reader import read_contents
+    from softfinger.server.recording.results import read_results
     from softfinger.server.recording.run import load_run
     from softfinger.server.recording.summary import summary
     from softfinger.server.wire.envelope import Declined, parse
@@ -155,7 +155,7 @@ def targets() -> dict[str, Target]:
     config, recording = (ConfigError,), (RecordingError,)
 
     def every(path: Path, _: bytes) -> None:
-        for read in (lambda: list(contents(path)), lambda: summary(path), lambda: load_run(path, FIELDS)):
+        for read in (lambda: list(read_contents(path)), lambda: summary(path), lambda: load_run(path, FIELDS)):
             try:
                 read()
             except RecordingError as error:

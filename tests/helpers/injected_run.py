@@ -19,7 +19,7 @@ from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.recording.reader import End, Event, Ticks, contents
+from softfinger.server.recording.reader import End, Event, Ticks, read_contents
 from softfinger.server.recording.recorder import Recorder
 from softfinger.server.services.supervisor import Supervisor
 
@@ -103,7 +103,7 @@ def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None], each: Callable[
 
 def read(path: Path) -> tuple[list[str], np.ndarray]:
     """Names of a whole recording's events, and its ticks."""
-    parts = list(contents(path))
+    parts = list(read_contents(path))
     (end,) = [part for part in parts if isinstance(part, End)]
     assert end.cut == ""
     ticks = [part.records() for part in parts if isinstance(part, Ticks)]

@@ -17,7 +17,7 @@ from softfinger.proxy.record import RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.closed_loop import Held, record_ticks
+from softfinger.server.offline.closed_loop import DrivenPlant, record_ticks
 
 DT = 1e-3
 
@@ -39,7 +39,7 @@ class SimulatedHands:
         devices = [simulation(build(Options, each.device.options, each.table), 1.0 / DT) for each in pairs]
         self._names = [each.finger for each in pairs]
         self._hands = tuple(
-            Held(each.plant, Drive(each.intention, each.poses, np.zeros(LINE_SIZE))) for each in devices
+            DrivenPlant(each.plant, Drive(each.intention, each.poses, np.zeros(LINE_SIZE))) for each in devices
         )
         self._tuning, self._memory = packed(tuning), packed(begin(tuning.scene))
         self._states = packed(tuple(each.state for each in devices))

@@ -24,9 +24,8 @@ from softfinger.proxy.kernels.query.world import advance, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.scene import start_state
-from softfinger.server import cli
-from softfinger.server.viewer.nodes import meshes
-from softfinger.server.viewer.nodes.bodies import Began, Bodies
+from softfinger.server import cli, surface_meshes
+from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
 
 pytestmark = pytest.mark.plain
 
@@ -165,15 +164,15 @@ def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> No
     np.testing.assert_allclose(vertices, expected, atol=1e-8)  # 32 bits
     server = viser.ViserServer(port=0, verbose=False)
     try:
-        bodies = Bodies(server.scene, scene, Began(0, 0, 1e-3, True))
-        bodies.draw(0, meshes.sent(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
+        bodies = Bodies(server.scene, scene, SceneStart(0, 0, 1e-3, True))
+        bodies.draw(0, surface_meshes.decode_mesh(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
         half = math.sqrt(0.5)  # the body turned so that the geom lies in the world as it does in its own frame
         turn, back = np.empty(4), np.empty(4)
         mujoco.mju_negQuat(back, np.array(thing.orientation_wxyz))
         mujoco.mju_mulQuat(turn, np.array([half, 0.0, 0.0, half]), back)
         offset = np.empty(3)
         mujoco.mju_rotVecQuat(offset, np.array(thing.position_m), turn)
-        bodies.ride({thing.motion.body: (tuple(np.array([0.3, 0.2, 0.1]) - offset), tuple(turn))})
+        bodies.move_bodies({thing.motion.body: (tuple(np.array([0.3, 0.2, 0.1]) - offset), tuple(turn))})
         for row, column in ((2, 3), (6, 9)):  # a quarter turn: x of the map is y of the world
             foot = bodies.below(np.array([0.3 - y[row], 0.2 + x[column], 1.0]))
             assert foot is not None and foot.point[2] == pytest.approx(0.1 + elevations_m()[row, column], abs=1e-7)

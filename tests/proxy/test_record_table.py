@@ -94,7 +94,7 @@ import numpy as np
 from softfinger.drivers.poses import decoded_messages
 from softfinger.proxy.record import AT, FIELDS, NAMED, RECORD_SIZE, columns
 from softfinger.server.cli import main
-from softfinger.server.offline.results import read_results, write_results
+from softfinger.server.recording.results import read_results, write_results
 from softfinger.server.publishing.messages import Messages
 from softfinger.server.publishing.setup import Shown, Ticks
 from softfinger.server.wire.client import record_of

@@ -12,7 +12,7 @@ import pytest
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import DISARMED, RAMPING, TOO_FAST
 from softfinger.server.services.arming import Arming
-from softfinger.server.states import FAST, UNARMED, State, States
+from softfinger.server.states import FAST, UNARMED, DaemonState, States
 
 pytestmark = pytest.mark.plain
 
@@ -61,7 +61,7 @@ def test_each_batch_is_followed_and_the_first_makes_ready() -> None:
     arming = Arming(cast(Any, asked), states)
     assert arming.sink.name == "arming"
     arming.take(batch((0, [(0, 0)])), 0)
-    assert asked.acts == ["update_state"] and states.now is State.READY
+    assert asked.acts == ["update_state"] and states.now is DaemonState.READY
 
 
 @pytest.mark.parametrize("fingers", [1, 2])

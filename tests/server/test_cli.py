@@ -18,7 +18,7 @@ from helpers.called import called
 
 from softfinger.proxy.record import columns
 from softfinger.server.cli import VERBS, make_parser
-from softfinger.server.offline.results import read_results
+from softfinger.server.recording.results import read_results
 
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 FREE = ["--endpoint", "tcp://127.0.0.1:*"]

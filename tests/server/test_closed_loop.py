@@ -151,7 +151,7 @@ def test_figures_are_those_of_the_records() -> None:
     x, force = records[:, POSITION], records[:-1, FORCE]
     assert end.state.position == tuple(x[ticks])
     assert end.memory.fingers[0].guard_state.force == tuple(force[-1])
-    assert (end.ticks, end.left) == (ticks, -1.0)
+    assert (end.ticks, end.exit_tick) == (ticks, -1.0)
     assert end.excursion == pytest.approx(np.linalg.norm(x[1:] - x[0], axis=1).max(), rel=1e-15)
     assert end.force == pytest.approx(np.linalg.norm(force, axis=1).max(), rel=1e-15) and end.force > 1.0
     assert end.energy == pytest.approx(np.sum(force * np.diff(x, axis=0)), rel=1e-12)
@@ -174,9 +174,9 @@ def test_many_cases_are_each_on_its_own() -> None:
         0.005,
         figures,
     )
-    left = figures[:, FIGURES.index("left")]
+    left = figures[:, FIGURES.index("exit_tick")]
     assert (left[[0, 2, 4]] == -1.0).all() and (left[[1, 3]] > 0.0).all()
     assert figures[0].tolist() == figures[4].tolist() and figures[1].tolist() == figures[3].tolist()
     assert (figures[[0, 2], FIGURES.index("ticks")] == 5000.0).all()
-    assert figures[1, FIGURES.index("ticks")] == figures[1, FIGURES.index("left")]
+    assert figures[1, FIGURES.index("ticks")] == figures[1, FIGURES.index("exit_tick")]
     assert figures[1, FIGURES.index("excursion")] > 0.005

@@ -40,7 +40,7 @@ from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import PAUSE_MAX_S
 from softfinger.server.publishing.clients import BURST
 from softfinger.server.publishing.process import UNANSWERED_MAX
-from softfinger.server.recording.reader import Event, contents
+from softfinger.server.recording.reader import Event, read_contents
 from softfinger.server.recording.summary import summary
 from softfinger.server.remote import Client as RemoteClient
 from softfinger.server.services import compilation
@@ -267,7 +267,7 @@ def test_what_every_command_tells_is_recorded(rig, tmp_path):
         stopped = control.record_stop()
     assert stopped.error == "" and stopped.dropped == 0
     assert eventually(lambda: summary(tmp_path / "all.mcap")["whole"])
-    found = [part.event for part in contents(tmp_path / "all.mcap") if isinstance(part, Event)]
+    found = [part.event for part in read_contents(tmp_path / "all.mcap") if isinstance(part, Event)]
     own = {"schema", "timestamp", "tick"}  # when each of the two was written
 
     def essence(events):

@@ -14,7 +14,7 @@ from softfinger.drivers.openhaptics import exchange as openhaptics
 from softfinger.server.loop import health, limits
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services import device_warnings, swapping
-from softfinger.server.states import State
+from softfinger.server.states import DaemonState
 from softfinger.server.viewer.door import process
 from softfinger.server.wire import link
 from softfinger.server.wire.events import ADVICE
@@ -70,7 +70,7 @@ def test_each_fault_that_is_told_has_a_row():
     assert rows - faults - {f"guard {name}" for name in GUARD_NAMES} == {
         "servo missed", "command heartbeat_missed", FAILED,
     }  # fmt: skip
-    assert f"state {State.FAULTED}" == FAILED
+    assert f"state {DaemonState.FAULTED}" == FAILED
 
 
 def test_each_row_was_seen_to_fit_what_it_says():
@@ -83,7 +83,7 @@ def test_each_row_was_seen_to_fit_what_it_says():
     for each in (each for each in seen if "driver" in each):
         hazard = by_name[each["hazard"]]
         assert each["event"] == "none" or each["event"] in hazard.events, each
-        assert each["state"] in set(State), each
+        assert each["state"] in set(DaemonState), each
         if each["ticks"] is None:
             assert hazard.within is None, each
         else:

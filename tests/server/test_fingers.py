@@ -34,8 +34,8 @@ from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, POSE_REFUSED
 from softfinger.server.loop.health import JUMPING, NO_POSE
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.results import read_results
 from softfinger.server.offline.simulate import simulate, tick_many
+from softfinger.server.recording.results import read_results
 
 GUARD = load_rig("replay", {"guard.ramp_s": 0.01}).guard
 CLOCKED = [AT.timestamp, AT.servo_late, AT.servo_exec, AT.servo_missed, AT.servo_busy]

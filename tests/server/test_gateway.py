@@ -94,7 +94,7 @@ class Listener:
         if not asks:
             self.socket.subscribe(b"")
         if keys is not None:
-            keys.put_on(self.socket)
+            keys.apply_to(self.socket)
         self.socket.connect(endpoint.replace("0.0.0.0", "127.0.0.1"))
         self.messages = self.away = self.let_in = 0
         self.events: list[dict[str, Any]] = []

@@ -25,7 +25,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.load import find
 from softfinger.config.schema import Rig
 from softfinger.proxy.record import AT
-from softfinger.server.recording.reader import Ticks, contents
+from softfinger.server.recording.reader import Ticks, read_contents
 
 pytestmark = pytest.mark.real_time
 
@@ -76,7 +76,7 @@ def gone(pid: int) -> bool:
 def readable(path: Path) -> int:
     """Ticks in a recording, which are one behind the other; none in a file that was cut before its first."""
     try:
-        parts = [part.records() for part in contents(path) if isinstance(part, Ticks)]
+        parts = [part.records() for part in read_contents(path) if isinstance(part, Ticks)]
     except RecordingError:
         assert path.stat().st_size < 4096, "a recording with something in it cannot be read"
         return 0

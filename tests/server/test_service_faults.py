@@ -11,13 +11,13 @@ import pytest
 
 from softfinger.config.errors import SafetyStop
 from softfinger.proxy.record import AT, CAUSE_TOUCH, RECORD_SIZE, ROLLING
-from softfinger.server.metrics.counts import Counts, Wire
+from softfinger.server.metrics.counts import MetricsCollector, PublisherCounts
 from softfinger.server.metrics.service import Metrics
 from softfinger.server.services.commands import Commands
 from softfinger.server.services.hotplug import HotplugWatch
 from softfinger.server.services.recordings import RecordingTotals
 from softfinger.server.services.world import WorldState
-from softfinger.server.states import State
+from softfinger.server.states import DaemonState
 from softfinger.server.wire.events import RecordEvents
 from softfinger.server.wire.health import Health
 
@@ -45,7 +45,12 @@ def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
 
     broken = cast(Any, Broken())
     if name == "metrics":
-        counts = Counts([""], lambda: Wire(0, 0, 0, 0), lambda: RecordingTotals(0, 0, 0, 0, 0.0), lambda: State.READY)
+        counts = MetricsCollector(
+            [""],
+            lambda: PublisherCounts(0, 0, 0, 0),
+            lambda: RecordingTotals(0, 0, 0, 0, 0.0),
+            lambda: DaemonState.READY,
+        )
         bound = SimpleNamespace(
             endpoint="tcp://127.0.0.1:1", listener=broken, files=SimpleNamespace(close=lambda: None)
         )

@@ -19,10 +19,10 @@ import pytest
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
 from softfinger.drivers import opened
 from softfinger.drivers.base import FORCE_OFF, LOST, PROTOCOL, TIMEOUT, Device, DeviceIO
-from softfinger.server.closing import Closing
+from softfinger.server.closing import Closeable
 from softfinger.server.loop import health, shutdown
 from softfinger.server.loop.shutdown import READ_FAILED, STOPPED, WRITE_FAILED, LoopEnd
-from softfinger.server.watcher import take_force_off
+from softfinger.server.watcher import zero_force
 
 pytestmark = pytest.mark.plain
 
@@ -150,7 +150,7 @@ def test_a_watcher_drops_what_waits_before_its_zero() -> None:
     with suppress(BlockingIOError):
         while os.write(near, b"force"):
             pass
-    assert take_force_off("the node", near, b"zero!") == "zero force was written to the node"
+    assert zero_force("the node", near, b"zero!") == "zero force was written to the node"
     got = os.read(far, 1 << 16)
     while not got.endswith(b"zero!" * 3):
         got += os.read(far, 1 << 16)
@@ -286,7 +286,7 @@ def test_a_loop_that_could_not_go_on_is_told_with_what_to_do() -> None:
 def test_with_closes_whatever_happens() -> None:
     """At the end of a block and when it raises, which goes through."""
 
-    class Door(Closing):
+    class Door(Closeable):
         closed = 0
 
         def close(self) -> None:

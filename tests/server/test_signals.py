@@ -247,8 +247,8 @@ def callback(a, b):
     signal.raise_signal(signal.SIGTERM)
     for _ in range(1000): pass
     return 0
-with signals.handled():
-    signals.imported()
+with signals.handle_signals():
+    signals.mark_imported()
     opened.devices.add(device)
     threading.Thread(target=soon if sys.argv[1] != "callback" else time.time).start()
     try:
@@ -262,7 +262,7 @@ with signals.handled():
             time.sleep(60)
     except signals.Interrupted as error:
         device.close()
-        sys.exit(signals.code_of(error.number))
+        sys.exit(signals.exit_code(error.number))
 """
 
 
@@ -291,12 +291,12 @@ opened.devices.add(device)
 if sys.argv[1] == "TSTP":
     from softfinger.server import signals
     os.setsid()  # nobody there who would stop us: the system leaves an orphaned group running
-    with signals.handled():
-        signals.imported()
+    with signals.handle_signals():
+        signals.mark_imported()
         try:
             signal.raise_signal(signal.SIGTSTP)
         except signals.Interrupted as error:
-            sys.exit(signals.code_of(error.number))
+            sys.exit(signals.exit_code(error.number))
 sys.argv = ["softfinger", *sys.argv[1:]]
 sys.exit(cli.main())
 """
@@ -323,15 +323,15 @@ def test_a_device_that_cannot_be_stopped_is_named_and_changes_no_way_out(words: 
 SWALLOWED = """
 import signal, sys, threading
 from softfinger.server import signals
-with signals.handled():
-    signals.imported()
+with signals.handle_signals():
+    signals.mark_imported()
     try:
         signal.raise_signal(signal.SIGTERM)
     except BaseException:
         pass  # as a library does that imports another one
     stop = threading.Event()
-    with signals.asked(stop.set):
-        sys.exit(signals.code_of_stop() if stop.wait(30.0) else 1)
+    with signals.stop_on_signal(stop.set):
+        sys.exit(signals.stop_exit_code() if stop.wait(30.0) else 1)
 """
 
 
@@ -344,16 +344,16 @@ def test_a_signal_that_was_swallowed_is_not_lost() -> None:
 def test_a_second_signal_raises_nothing() -> None:
     """The first one is raised; what comes during its shutdown changes neither that nor the exit code."""
     before = signal.getsignal(signal.SIGINT)
-    with signals.handled():
-        signals.imported()
+    with signals.handle_signals():
+        signals.mark_imported()
         with pytest.raises(signals.Interrupted) as interrupted:
             signal.raise_signal(signal.SIGTERM)
         try:
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 signal.raise_signal(number)
         except signals.Interrupted as second:  # which would end this program of tests, as one at its keyboard does
-            pytest.fail(f"{signals.named(second.number)} was raised besides")
-        assert interrupted.value.number == signal.SIGTERM and signals.code_of_stop() == 0
+            pytest.fail(f"{signals.signal_name(second.number)} was raised besides")
+        assert interrupted.value.number == signal.SIGTERM and signals.stop_exit_code() == 0
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -366,8 +366,8 @@ class Device:
     def stop(self): say("zero")
     def close(self): say("closed")
 device = Device()
-with signals.handled():
-    signals.imported()
+with signals.handle_signals():
+    signals.mark_imported()
     opened.devices.add(device)
     try:
         say("ready")
@@ -375,7 +375,7 @@ with signals.handled():
     except signals.Interrupted as error:
         device.close()
         opened.devices.discard(device)
-        sys.exit(signals.code_of(error.number))
+        sys.exit(signals.exit_code(error.number))
 """
 
 SHELL = """

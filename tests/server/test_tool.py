@@ -27,7 +27,7 @@ from softfinger.server.loop.guard import TORQUE_CLAMPED, Guard
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning, begin, tick
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.simulate import simulate, with_devices
+from softfinger.server.offline.simulate import simulate, simulate_devices
 from softfinger.server.offline.summary import rig_summary
 
 DT = 1e-3
@@ -185,7 +185,7 @@ def test_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
     assert other.device.tool is None  # it is on the other device's handle
     scene = load_scene("paper-plane")
     bare = load_rig(file, {"device.tool": {}})
-    having, without = (whole(with_devices(scene, each, 0.002)) for each in (rig, bare))
+    having, without = (whole(simulate_devices(scene, each, 0.002)) for each in (rig, bare))
     position, orientation = (slice(at, at + size) for at, size in ((AT.probe_position, 3), (AT.probe_orientation, 4)))
     handle = matrix(without[0, orientation])
     expected = without[0, position] + handle @ [0.0, 0.0, -0.1]

@@ -21,7 +21,7 @@ from softfinger.config.schema import commands_beside
 from softfinger.server.app import Daemon
 from softfinger.server.cli import main
 from softfinger.server.gateway.addresses import find_addresses
-from softfinger.server.recording.reader import Note, contents
+from softfinger.server.recording.reader import Note, read_contents
 from softfinger.server.remote import Client
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.endpoint import listen
@@ -115,7 +115,9 @@ def test_a_daemon_that_names_its_commands_is_found_from_either_address(
         folder.mkdir(mode=0o700, exist_ok=True)
         kept = folder / f"{number}.mcap"
         assert main(["record", str(kept), "--endpoint", endpoint, "--duration", "0.05", "--timeout", "60"]) == 0
-        assert any(isinstance(part, Note) and part.name == "scene" for part in contents(kept))  # the daemon said it
+        assert any(
+            isinstance(part, Note) and part.name == "scene" for part in read_contents(kept)
+        )  # the daemon said it
         with Client(endpoint, timeout_s=WAIT_S) as client:
             assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
             assert client.describe()["endpoints"]["telemetry"] == named.publisher.endpoint

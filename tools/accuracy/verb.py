@@ -17,7 +17,7 @@ from typing import Any, Final
 import llvmlite.binding as llvm
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.offline.figures import unusable
+from softfinger.server.offline.figures import reason_unsavable
 from softfinger.server.progress import progress
 from softfinger.tools.accuracy import meshes, pixels
 from softfinger.tools.accuracy.cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
@@ -136,7 +136,7 @@ def prepare_figures(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"--figures {folder}: {error.strerror}: name a folder that can be written") from error
-    if (why := unusable(folder / next(iter(FIGURES)))) is not None:
+    if (why := reason_unsavable(folder / next(iter(FIGURES)))) is not None:
         raise ConfigError(f"--figures {folder}: {why}")
 
 

@@ -17,8 +17,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.drivers.poses import POSE_COLUMNS, load_poses
 from softfinger.drivers.resample import close_loop, resample
 from softfinger.server.offline.figures import figure, save
-from softfinger.server.offline.results import ENDINGS, csv_lines
 from softfinger.server.progress import progress
+from softfinger.server.recording.results import SUFFIXES, csv_lines
 from softfinger.tools.measure import Array, add_output_options, show
 
 RATE_HZ: Final = 1000.0
@@ -42,17 +42,17 @@ def run(args: argparse.Namespace) -> int:
     ticks, rounds = args.ticks, max(args.rounds, 1)
     if ticks < TICKS_MIN:
         raise ConfigError(f"--ticks {ticks}: too few to tell: {TICKS_MIN} or more")
-    taken: dict[str, list[tuple[float, float]]] = {ending: [] for ending in ENDINGS}
+    taken: dict[str, list[tuple[float, float]]] = {ending: [] for ending in SUFFIXES}
     with tempfile.TemporaryDirectory(dir=args.folder) as made:
         poses = Path(made, "poses.csv")
         with progress("a run before, which compiles what is not kept"):
             poses.write_bytes(",".join(POSE_COLUMNS).encode() + b"\n" + csv_lines(motion(args.poses, ticks)))
             simulate(args.scene, poses, Path(made, "warm.npz"))
-        with progress("simulating", rounds * len(ENDINGS)) as done:
+        with progress("simulating", rounds * len(SUFFIXES)) as done:
             for turn in range(rounds):
-                for place, ending in enumerate(ENDINGS):
+                for place, ending in enumerate(SUFFIXES):
                     taken[ending].append(simulate(args.scene, poses, Path(made, f"results{ending}")))
-                    done(turn * len(ENDINGS) + place + 1)
+                    done(turn * len(SUFFIXES) + place + 1)
     rows = [{"format": ending[1:]} | told(turns, ticks) for ending, turns in taken.items()]
     lines = [f"{ticks} ticks on {args.scene}, poses from CSV, with the start of the program; {rounds} turns each"]
     lines += [

@@ -146,7 +146,7 @@ def watched(trees: dict[str, int], act: Callable[[int], None], seconds: float) -
     begun, passed, number = time.monotonic(), 0.0, 0
     times, seen = list[float](), list[Sizes]()
     stopped = threading.Event()
-    with progress("soaking", round(seconds)) as done, signals.asked(stopped.set):
+    with progress("soaking", round(seconds)) as done, signals.stop_on_signal(stopped.set):
         while passed < seconds and not stopped.is_set():
             act(number)
             if passed >= SAMPLE_S * len(times):

@@ -269,7 +269,7 @@ def receive(endpoint: str, seconds: float, path: str, *keys: str) -> None:
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.rcvhwm, socket.rcvtimeo, socket.linger = 0, 10_000, 0
         if keys:
-            client_keys(*keys).put_on(socket)
+            client_keys(*keys).apply_to(socket)
         socket.subscribe(b"contact")
         socket.connect(endpoint)
         seen: list[tuple[float, bytes]] = []

@@ -20,7 +20,7 @@ from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.cost import measure as step_cost
 from softfinger.server.offline.cost import touching_poses
-from softfinger.server.progress import making, progress
+from softfinger.server.progress import progress, report_compilation
 from softfinger.server.wire.publisher import Publisher
 from softfinger.tools.bench import loop
 from softfinger.tools.doctor.check import STATES, Check, graded
@@ -71,7 +71,7 @@ def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
     """Check whether compiled kernels are cached, and compile the missing ones."""
     bare = without_device(rig)
     begun = time.monotonic()
-    with making("kernels of the scene"), open_device(single_device(bare), bare.servo.rate_hz) as device:
+    with report_compilation("kernels of the scene"), open_device(single_device(bare), bare.servo.rate_hz) as device:
         servo = Servo([device] * len(scene.fingers), make_tuning(scene, bare.guard), bare.servo.rate_hz)
         warm = servo.compile()
         servo.close()

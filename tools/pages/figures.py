@@ -23,7 +23,7 @@ from softfinger.config.schema import Scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
-from softfinger.server.offline import feel_figure, feels
+from softfinger.server.offline import feel_figure, library_texts
 from softfinger.server.offline.figures import figure, legends_below, save
 from softfinger.tools.pages import moving, sketches, states
 
@@ -108,7 +108,9 @@ def materials(axes: Any) -> None:
     """Draw the friction of the library with published coefficients, and a finger pad's patch growing by two laws."""
     feel_figure.overview(axes[0])
     names = ("human-index", "human-index-plateau")
-    feel_figure.patch(axes[1], {name: (fingertips()[name], feels.whole("fingertip", name)) for name in names})
+    feel_figure.patch(
+        axes[1], {name: (fingertips()[name], library_texts.library_table("fingertip", name)) for name in names}
+    )
     axes[0].figure.set_figheight(3.6)
     legends_below(axes[0].figure, axes, "small")
 

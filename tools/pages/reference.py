@@ -18,7 +18,7 @@ from softfinger.config.materials import flat, papers
 from softfinger.drivers import registry
 from softfinger.proxy.record import CAUSE_NAMES, FIELDS, MODE_NAMES, Field
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.offline import feels
+from softfinger.server.offline import library_texts
 from softfinger.server.verbs import schema, shipped
 from softfinger.server.wire import commands, protocol
 from softfinger.server.wire.protocol import Key
@@ -272,7 +272,7 @@ def materials_page() -> str:
 
 What a scene may name: `material = "rubber"`, `fingertip = "human-index"`. [Materials](../model/materials.md) shows how,
 and the models beside what was published; `softfinger materials NAME` prints one, with `--plot` its figure."""
-    listed = feels.entries()
+    listed = library_texts.entries()
     parts = []
     for kind, title in (("material", "## Materials"), ("fingertip", "## Fingertips")):
         rows = [
@@ -281,7 +281,7 @@ and the models beside what was published; `softfinger materials NAME` prints one
                 f"{entry.about} {'Friction: ' + entry.friction_of + '.' if entry.friction_of else ''}".strip(),
                 "<br>".join(f"`{key}` {value:g}" for key, value in flat(entry.values)),
                 entry.holds,
-                "<br>".join(map(feels.measured_text, entry.measured)),
+                "<br>".join(map(library_texts.measured_text, entry.measured)),
                 ", ".join(entry.papers),
             ]
             for name, (each, entry) in listed.items()
@@ -338,7 +338,7 @@ def _numbers(values: Iterable[tuple[int, str]]) -> str:
 
 
 def _listed(verb: str) -> str:
-    rows = [[f"`{each['name']}`", each["description"]] for each in shipped.shipped_in(verb)]
+    rows = [[f"`{each['name']}`", each["description"]] for each in shipped.list_shipped(verb)]
     return schema.grid(["name", "what it is"], rows)
 
 

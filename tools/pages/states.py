@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from softfinger.server.states import CAUSES, MEANINGS, TRANSITIONS, State
+from softfinger.server.states import CAUSES, MEANINGS, TRANSITIONS, DaemonState
 from softfinger.server.verbs import schema
 
 PLACES: Final = {
-    State.STARTING: (0.0, 1.0),
-    State.READY: (2.4, 1.0),
-    State.ARMED: (5.6, 1.0),
-    State.FAULTED: (3.9, 2.1),
-    State.STOPPING: (5.6, -0.4),
+    DaemonState.STARTING: (0.0, 1.0),
+    DaemonState.READY: (2.4, 1.0),
+    DaemonState.ARMED: (5.6, 1.0),
+    DaemonState.FAULTED: (3.9, 2.1),
+    DaemonState.STOPPING: (5.6, -0.4),
 }
 """Position of each state in the figure."""
 
@@ -23,7 +23,7 @@ _ALOFT: Final = 0.14
 def tables() -> tuple[str, str]:
     """Return the table of states with their meaning, and the table of transitions with their causes."""
     states = schema.grid(["state", "meaning"], [[f"`{state}`", meaning] for state, meaning in MEANINGS.items()])
-    ways: dict[tuple[Any, State], list[str]] = {}
+    ways: dict[tuple[Any, DaemonState], list[str]] = {}
     for (before, trigger), after in _ways():
         ways.setdefault((trigger, after), []).append(f"`{before}`")
     rows = [
@@ -32,7 +32,7 @@ def tables() -> tuple[str, str]:
     return states, schema.grid(["from", "by", "to"], rows)
 
 
-def _ways() -> list[tuple[tuple[State, Any], State]]:
+def _ways() -> list[tuple[tuple[DaemonState, Any], DaemonState]]:
     return list(TRANSITIONS.items())
 
 

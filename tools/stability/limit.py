@@ -44,7 +44,7 @@ from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.limits import UNLIMITED
 from softfinger.server.loop.passivity import Passivity
 from softfinger.server.loop.tick import Memory, Tuning, begin, tick
-from softfinger.server.offline.closed_loop import NOWHERE
+from softfinger.server.offline.closed_loop import NULL_RECORD
 from softfinger.server.progress import progress
 from softfinger.tools.stability.predicted import LinearLoop, linear_limit, passive_limit
 
@@ -219,7 +219,7 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
     for k in range(int(ticks)):
         x, y, z = sense(plant, state)
         sample: Any = (x, y, z, 1.0, 0.0, 0.0, 0.0)
-        memory = tick(tuning, start, memory, (sample,), loop.period, loop.period, k, (NOWHERE,))
+        memory = tick(tuning, start, memory, (sample,), loop.period, loop.period, k, (NULL_RECORD,))
         state = advance(plant, state, memory.fingers[0].guard_state.force, zero, upright, line)
         if not abs(state.position[2]) < REACH * knock:
             return True, k + 1.0

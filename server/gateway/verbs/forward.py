@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     """Forward until a signal; returns 0, or the exit code of the signal."""
     if not (args.to or args.commands_to or args.lsl):
         raise ConfigError("nothing to do: give --to, --commands-to or --lsl")
-    upstream = None if args.server_key is None else keys.of_options(args)
+    upstream = None if args.server_key is None else keys.keys_from_options(args)
     origin = find_addresses(args.source, upstream, args.commands_from)
     stop = threading.Event()
     with ExitStack() as stack:
@@ -81,11 +81,11 @@ def run(args: argparse.Namespace) -> int:
                 log.info("%s forwarded on %s, to %s", name, part.peers.endpoint, who)
         if args.until_eof:
             threading.Thread(target=_end_with_input, args=(stop,), daemon=True).start()
-        with signals.asked(stop.set), counter() as show:
+        with signals.stop_on_signal(stop.set), counter() as show:
             forward.run(stop.is_set, show)
         found, line = forward.statistics(), forward.line()
     print(json.dumps(found) if args.json else f"{line}; {found['seconds']:.1f} s", flush=True)
-    return signals.code_of_stop()
+    return signals.stop_exit_code()
 
 
 def _end_with_input(stop: threading.Event) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from softfinger.server.arguments import keep_apart
+from softfinger.server.arguments import check_distinct
 from softfinger.server.recording.export import export
 
 
@@ -18,7 +18,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Export the recording; return 0."""
-    keep_apart("--out", args.out, [args.recording])
+    check_distinct("--out", args.out, [args.recording])
     count = export(args.recording, args.out, args.finger)
     print(f"{args.out}: {count} ticks")
     return 0

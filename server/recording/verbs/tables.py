@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from softfinger.config.errors import ConfigError, RecordingError
-from softfinger.server.arguments import keep_apart
-from softfinger.server.offline.tables import layout_of, read_table, write_poses
+from softfinger.server.arguments import check_distinct
+from softfinger.server.recording.tables import make_layout, read_table, write_poses
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -28,10 +28,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Convert the table; return 0."""
-    layout = layout_of(args.columns, args.unit_s, args.unit_m, args.rate, args.skip)
+    layout = make_layout(args.columns, args.unit_s, args.unit_m, args.rate, args.skip)
     if args.out.suffix.lower() != ".csv":
         raise ConfigError(f"--out {args.out}: poses are written as .csv")
-    keep_apart("--out", args.out, [args.table])
+    check_distinct("--out", args.out, [args.table])
     poses = read_table(args.table, layout)
     try:
         write_poses(args.out, poses)

@@ -20,7 +20,7 @@ from softfinger.server.wire.endpoint import make_runtime_folder
 
 log: Final = logging.getLogger(__name__)
 
-LEADS: Final = """<!doctype html>
+REDIRECT_HTML: Final = """<!doctype html>
 <meta charset="utf-8"><meta name="referrer" content="no-referrer">
 <meta http-equiv="refresh" content="0; url={address}">
 <title>softfinger</title>
@@ -29,7 +29,7 @@ LEADS: Final = """<!doctype html>
 
 
 @contextmanager
-def in_browser(address: str) -> Iterator[None]:
+def open_browser(address: str) -> Iterator[None]:
     """Open a browser at a secret address by a file that exists during the block, so that the browser can reload it.
 
     The file is in this user's runtime folder, mode 600, and redirects to the address.
@@ -44,7 +44,7 @@ def in_browser(address: str) -> Iterator[None]:
         return
     try:
         with os.fdopen(file, "w") as out:
-            out.write(LEADS.format(address=html.escape(address, quote=True)))
+            out.write(REDIRECT_HTML.format(address=html.escape(address, quote=True)))
         webbrowser.open(path.as_uri())
         yield
     finally:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
+PoseTuple = tuple[tuple[float, float, float], Quaternion]
+"""Position (3,) m and orientation."""
 
 ARC_PIECES: Final = 32
 ARC_MAX: Final = 1.85 * pi
@@ -20,12 +22,12 @@ HEAD_RAD: Final = 0.32
 DASHES: Final = 8
 GROWTH: Final = 20
 """Segments by which the node of a trace grows."""
-LONGEST: Final = 25.0
+MAX_SEGMENT_STEPS: Final = 25.0
 """Maximum length of a segment, in steps: 5 mm."""
-UNSEEN: Final = 0.12
+MAX_DEVIATION_STEPS: Final = 0.12
 """Maximum distance of an omitted point from its segment, in steps: 0.02 mm, or a fifth of a pixel."""
 
-UNTURNED: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
+IDENTITY: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
 
 
 def arc(angle: float, radius: float) -> Array:
@@ -36,16 +38,16 @@ def arc(angle: float, radius: float) -> Array:
     angle = copysign(min(abs(angle), ARC_MAX), angle)
     turn = np.linspace(0.0, angle, ARC_PIECES + 1)
     line = radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
-    back = angle - copysign(min(HEAD_RAD, 0.6 * abs(angle)), angle)
-    barbs = [(r * radius * cos(back), r * radius * sin(back), 0.0) for r in (0.82, 1.18)]
+    head_start = angle - copysign(min(HEAD_RAD, 0.6 * abs(angle)), angle)
+    barbs = [(r * radius * cos(head_start), r * radius * sin(head_start), 0.0) for r in (0.82, 1.18)]
     head = [(line[-1], barb) for barb in barbs]
     return np.concatenate([np.stack([line[:-1], line[1:]], axis=1), np.array(head)])
 
 
-def dashes(start: Array, way: Array) -> Array:
-    """Return segments (DASHES, 2, 3) of a line from `start` (3,) to `start + way` with a dash at both ends."""
+def dashes(start: Array, displacement: Array) -> Array:
+    """Return segments (DASHES, 2, 3) of a line from `start` (3,) to `start + displacement` with a dash at both ends."""
     share = np.linspace(0.0, 1.0, 2 * DASHES)
-    return (start + share[:, None] * way).reshape(DASHES, 2, 3)
+    return (start + share[:, None] * displacement).reshape(DASHES, 2, 3)
 
 
 def circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:
@@ -56,7 +58,7 @@ def circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:
     return np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
 
 
-def towards(normal: Array) -> Quaternion:
+def rotation_to(normal: Array) -> Quaternion:
     """Return a rotation from +z to the unit vector `normal` (3,)."""
     x, y, z = (float(n) for n in normal)
     if z < -0.999999:
@@ -65,11 +67,11 @@ def towards(normal: Array) -> Quaternion:
     return (w, -y / (2.0 * w), x / (2.0 * w), 0.0)
 
 
-def rotated(q: Quaternion, points: Array) -> Array:
+def rotate(q: Quaternion, points: Array) -> Array:
     """Rotate points (..., 3) by the unit quaternion `q`."""
     w, v = q[0], np.array(q[1:])
-    across = 2.0 * np.cross(v, points)
-    return np.asarray(points + w * across + np.cross(v, across))
+    cross = 2.0 * np.cross(v, points)
+    return np.asarray(points + w * cross + np.cross(v, cross))
 
 
 def product(a: Quaternion, b: Quaternion) -> Quaternion:
@@ -89,75 +91,83 @@ def inverse(q: Quaternion) -> Quaternion:
     return (q[0], -q[1], -q[2], -q[3])
 
 
-def about(axis: Array, angle: float) -> Quaternion:
+def axis_angle_rotation(axis: Array, angle: float) -> Quaternion:
     """Return the rotation by `angle` rad about an axis (3,) of any non-zero length."""
     x, y, z = axis / np.linalg.norm(axis) * sin(0.5 * angle)
     return (cos(0.5 * angle), float(x), float(y), float(z))
 
 
-class Way:
+class Trace:
     """Latest part of a trace as coloured segments, as few as possible because each costs drawing time.
 
     Parameters
     ----------
-    least
+    min_distance
         Minimum distance between points; closer points are ignored.
     segments
         Maximum number of segments.
     """
 
-    def __init__(self, least: float, segments: int = 120) -> None:
+    def __init__(self, min_distance: float, segments: int = 120) -> None:
         self._segments = np.zeros((segments, 2, 3))
         self._colours = np.zeros((segments, 2, 3), np.uint8)
-        self._least, self._count, self._last = least, 0, None
+        self._min_distance, self._count, self._last = min_distance, 0, None
 
     _last: Array | None
 
     @property
     def segments(self) -> Array:
         """Segments (n, 2, 3), padded with zero-length ones, so that the node grows only every GROWTH segments."""
-        return self._segments[: self._shown()]
+        return self._segments[: self._padded_count()]
 
     @property
     def colours(self) -> NDArray[np.uint8]:
         """Colours of the segments (n, 2, 3)."""
-        return self._colours[: self._shown()]
+        return self._colours[: self._padded_count()]
 
-    def _shown(self) -> int:
+    def _padded_count(self) -> int:
         return min(self._count + GROWTH - self._count % GROWTH, len(self._segments))
 
-    def lift(self) -> None:
+    def break_line(self) -> None:
         """Start a new line at the next point."""
-        self._last, self._goes_on = None, False
+        self._last, self._can_extend = None, False
 
-    _goes_on = False
+    _can_extend = False
 
     def clear(self) -> None:
         self._segments[:], self._count = 0.0, 0
-        self.lift()
+        self.break_line()
 
     def add(self, point: Array, colour: tuple[int, int, int]) -> bool:
         """Append a point (3,); return True if a segment was added or extended."""
         if self._last is None:
             self._last = point
             return False
-        if np.linalg.norm(point - self._last) < self._least:
+        if np.linalg.norm(point - self._last) < self._min_distance:
             return False
-        newest = (self._count - 1) % len(self._segments)
-        if self._goes_on and self._straight(newest, point) and (self._colours[newest, 0] == colour).all():
-            self._segments[newest, 1] = point
+        last_segment = (self._count - 1) % len(self._segments)
+        if (
+            self._can_extend
+            and self._is_extension(last_segment, point)
+            and (self._colours[last_segment, 0] == colour).all()
+        ):
+            self._segments[last_segment, 1] = point
         else:
-            place = self._count % len(self._segments)
-            self._segments[place], self._colours[place] = (self._last, point), colour
+            segment = self._count % len(self._segments)
+            self._segments[segment], self._colours[segment] = (self._last, point), colour
             self._count += 1
-        self._last, self._goes_on = point, True
+        self._last, self._can_extend = point, True
         return True
 
-    def _straight(self, newest: int, point: Array) -> bool:
+    def _is_extension(self, last_segment: int, point: Array) -> bool:
         """Return whether the last segment can be extended to a point: forward, short, without visible deviation."""
-        start, end = self._segments[newest]
-        long = point - start
-        length = float(np.linalg.norm(long))
-        beside = float(np.linalg.norm(np.cross(end - start, long))) / max(length, self._least)
+        start, end = self._segments[last_segment]
+        chord = point - start
+        length = float(np.linalg.norm(chord))
+        deviation = float(np.linalg.norm(np.cross(end - start, chord))) / max(length, self._min_distance)
         forward = float(np.dot(end - start, point - end)) >= 0.0
-        return forward and length < LONGEST * self._least and beside < UNSEEN * self._least
+        return (
+            forward
+            and length < MAX_SEGMENT_STEPS * self._min_distance
+            and deviation < MAX_DEVIATION_STEPS * self._min_distance
+        )

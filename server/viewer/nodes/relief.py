@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from trimesh import Scene, Trimesh
 from trimesh.exchange.gltf import export_glb
 
+from softfinger.server.surface_meshes import Mesh
 from softfinger.server.viewer.nodes.board import UNLIT
 from softfinger.server.viewer.nodes.looks import CM, Colour
-from softfinger.server.viewer.nodes.meshes import Mesh
 
 LIGHT: Final = np.array([-0.6, -0.45, 0.66])
 """Direction to the light, a unit vector to three digits: from the left, as on maps."""
@@ -24,7 +24,7 @@ DARK: Final = 0.6
 
 def add_relief(api: Any, node: str, mesh: Mesh, colour: Colour) -> None:
     """Add the triangles of a height map, in its frame."""
-    paint = tints(mesh, colour)
+    paint = shade_vertices(mesh, colour)
     surface = Trimesh(CM * mesh.vertices, mesh.faces, vertex_colors=paint, process=False)
     api.add_glb(node, export_glb(Scene(surface), tree_postprocessor=_unlit), cast_shadow=False, receive_shadow=False)
 
@@ -38,7 +38,7 @@ def _unlit(tree: dict[str, Any]) -> None:
             part["material"] = 0
 
 
-def tints(mesh: Mesh, colour: Colour) -> NDArray[np.uint8]:
+def shade_vertices(mesh: Mesh, colour: Colour) -> NDArray[np.uint8]:
     """Return the colours (n, 4) of the vertices."""
     heights = mesh.vertices[:, 2]
     share = (heights - heights.min()) / max(float(np.ptp(heights)), 1e-9)
@@ -50,7 +50,7 @@ def tints(mesh: Mesh, colour: Colour) -> NDArray[np.uint8]:
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     lit = np.clip(normals @ LIGHT / LIGHT[2], 0.0, 1.3)  # 1 on horizontal parts
     shade = (DARK + (1.0 - DARK) * share) * (0.35 + 0.65 * lit)
-    seen = np.clip(np.outer(shade, colour) / 255.0, 0.0, 1.0)
+    srgb = np.clip(np.outer(shade, colour) / 255.0, 0.0, 1.0)
     # Colours of vertices in glTF are linear: IEC 61966-2-1.
-    rgb = 255.0 * np.where(seen <= 0.04045, seen / 12.92, ((seen + 0.055) / 1.055) ** 2.4)
+    rgb = 255.0 * np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     return np.column_stack([rgb, np.full(len(rgb), 255.0)]).astype(np.uint8)

@@ -30,7 +30,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.memory import address_of
-from softfinger.server.closing import Closing
+from softfinger.server.closing import Closeable
 from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows
 
 log: Final = logging.getLogger(__name__)
@@ -185,7 +185,7 @@ def sleep(broadcast: Broadcast, bell: int, timespec: NDArray[np.int64]) -> None:
     _syscall(_FUTEX, address_of(broadcast.head, _BELL), _WAIT, bell & 0xFFFFFFFF, address_of(timespec, 0), 0, 0)
 
 
-class Local(Closing):
+class Local(Closeable):
     """Reader of every tick of a daemon on this machine, from the memory that `describe` returns as `ring`.
 
     Raises ConfigError if the memory does not exist, or belongs to another user or version. For one thread only.

@@ -24,7 +24,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows, write_row
 from softfinger.server.loop.shared.eventfd import wait_for
 from softfinger.server.loop.shared.ring import Feed, make_ring, take
-from softfinger.server.progress import making
+from softfinger.server.progress import report_compilation
 from softfinger.server.wire.native.memory import make_memory, remove, wake_readers, wake_readers_from_python
 from softfinger.server.wire.native.system import reset_eventfd, signal_eventfd, wait_eventfd
 
@@ -204,7 +204,7 @@ class Relay:
             (serve, (self._state, self._idle_feed, 0, 0, self._file)),
             (wake_readers_from_python, (self._state.readers,)),
         ]
-        with making("kernels that hand ticks on"):
+        with report_compilation("kernels that hand ticks on"):
             for kernel, arguments in kernels:
                 kernel.compile(_types(*arguments))
 

@@ -15,8 +15,8 @@ from helpers.forgotten import forget_user
 from softfinger.config.errors import ConfigError
 from softfinger.server.cli import main
 from softfinger.server.install.ledger import File, Ledger
-from softfinger.server.install.plan import SYSTEM, closed_to_others, places_of_user
-from softfinger.server.install.settle import after_removing, run_all
+from softfinger.server.install.plan import SYSTEM, first_private_folder, user_paths
+from softfinger.server.install.system_commands import after_removing, run_all
 
 UNIT = "etc/systemd/system/softfinger.service"
 RULES = "etc/udev/rules.d/70-softfinger.rules"
@@ -233,7 +233,7 @@ def test_a_user_installs_without_root(home: Path) -> None:
 
 def test_a_users_folders_are_those_of_xdg() -> None:
     """Named by the environment, where that is an absolute path."""
-    named = places_of_user({"XDG_CONFIG_HOME": "/c", "XDG_DATA_HOME": "relative"}, Path("/h"))
+    named = user_paths({"XDG_CONFIG_HOME": "/c", "XDG_DATA_HOME": "relative"}, Path("/h"))
     assert named.units == Path("/c/systemd/user") and named.manuals == Path("/h/.local/share/man/man1")
 
 
@@ -284,4 +284,4 @@ def test_a_program_in_a_private_folder_is_noticed(tmp_path: Path) -> None:
     program = tmp_path / "private" / "bin" / "softfinger"
     program.parent.mkdir(parents=True)
     program.parent.parent.chmod(0o700)
-    assert closed_to_others([str(program)]) in (program.parent.parent, *program.parents)
+    assert first_private_folder([str(program)]) in (program.parent.parent, *program.parents)

@@ -10,7 +10,7 @@ import pytest
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.drivers.poses import load_poses
 from softfinger.server.cli import main
-from softfinger.server.offline.tables import Layout, layout_of, read_table
+from softfinger.server.recording.tables import Layout, make_layout, read_table
 
 COUNT = 200
 TIME = np.arange(COUNT) * 1e-3
@@ -28,7 +28,7 @@ def test_columns_and_units_are_as_they_are_named(between: str, tmp_path: Path) -
     """Milliseconds and millimetres among columns of no interest: the same motion, as far as the units round it."""
     rows = np.column_stack((PLACE[:, 1] * 1e3, np.full(COUNT, 7.0), 500.0 + TIME * 1e3, PLACE[:, [0, 2]] * 1e3))
     file = table(tmp_path / "theirs.txt", rows, between, "# made by hand\n\n")
-    poses = read_table(file, layout_of("y,-,t,x,z", 1e-3, 1e-3, None, 0))
+    poses = read_table(file, make_layout("y,-,t,x,z", 1e-3, 1e-3, None, 0))
     # a float64 of 500 ms plus t, of which 500 is taken again; a multiplication for each unit
     np.testing.assert_allclose(poses.t, TIME, rtol=0, atol=1e-15)
     np.testing.assert_allclose(poses.position, PLACE, rtol=4e-16)
@@ -66,7 +66,7 @@ def test_the_verb_writes_what_a_replay_plays(tmp_path: Path, capsys: pytest.Capt
 def test_a_layout_that_makes_no_poses_is_refused(parts: tuple, fault: str) -> None:
     """By the option, its value and what it must be."""
     with pytest.raises(ConfigError, match=fault):
-        layout_of(*parts)
+        make_layout(*parts)
 
 
 @pytest.mark.parametrize(

@@ -218,7 +218,7 @@ def test_a_control_is_held_to_the_limits_that_it_shows(page: Page, endpoints: tu
     """A stiffness far beyond its slider, none at all and a scene that is not on the list go back, and are not sent."""
     live = LivePage(page, Addresses(*endpoints))
     try:
-        slider, choice = live._tuning._knobs["stiffness"].slider, live._tuning._choice
+        slider, choice = live._tuning._knobs["stiffness"].slider, live._tuning._scene_list
         fed(live, lambda: page.fingers and slider.value == 1000.0)
         asked: list[Any] = []
         live._tuning._params = lambda name, values: asked.append(values)

@@ -11,8 +11,8 @@ from helpers.browser import Screen, coloured, eventually, served, why_none
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
-from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
+from softfinger.server.recording.results import write_results
 from softfinger.server.remote import Client
 from softfinger.server.viewer.nodes.looks import CM
 

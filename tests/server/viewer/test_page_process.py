@@ -96,10 +96,10 @@ def test_a_page_that_says_nothing_is_ended(tmp_path: Path, monkeypatch: pytest.M
     hangs.write_text("#!/bin/sh\nexec sleep 600\n")
     hangs.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(hangs))
-    monkeypatch.setattr(of_page, "START_S", 0.2)
+    monkeypatch.setattr(of_page, "START_TIMEOUT_S", 0.2)
     told: list[str] = []
-    shown = of_page.Shown(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", [], told.append)
-    shown.look()
+    shown = of_page.PageProcess(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", [], told.append)
+    shown.supervise()
     shown.close()
     assert len(told) == 1 and "the page has ended, with exit code -9" in told[0]
 

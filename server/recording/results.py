@@ -30,21 +30,21 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.files import followed, new_file, open_input, open_output
 from softfinger.drivers.poses import LINE_MAX
 from softfinger.proxy.record import FIELDS, RECORD_SIZE, Field, columns
-from softfinger.server.closing import Closing
+from softfinger.server.closing import Closeable
 from softfinger.server.progress import progress
-from softfinger.server.recording.reader import End, Ticks, contents
+from softfinger.server.recording.reader import End, Ticks, read_contents
 from softfinger.server.recording.writer import RecordingFile
 from softfinger.server.wire.protocol import contact_topic
 
 Array = NDArray[np.float64]
 
-ENDINGS: Final = (".csv", ".npz", ".mcap")
+SUFFIXES: Final = (".csv", ".npz", ".mcap")
 BLOCK_ROWS: Final = 2_000
 RESULTS_MAX: Final = 2_000_000
 """Limit of records read: 33 minutes at 1 kHz, 3 GB."""
-CSV_ROWS: Final = 500
+CSV_CHUNK_ROWS: Final = 500
 """Rows formatted at a time; they fit into the processor's cache."""
-WHOLE_MAX: Final = 1e16
+MAX_PLAIN_INTEGER: Final = 1e16
 """Integers from here on are written with an exponent."""
 PROGRESS_MIN_ROWS: Final = 50_000  # about a second of writing; for less, the bar would only flash
 
@@ -71,8 +71,8 @@ def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> Non
     RecordingError
         If the records have another shape, or the file cannot be written.
     """
-    given = records if isinstance(records, Mapping) else {"": records}
-    fingers = {name: np.asarray(each, dtype=np.float64) for name, each in given.items()}
+    by_finger = records if isinstance(records, Mapping) else {"": records}
+    fingers = {name: np.asarray(each, dtype=np.float64) for name, each in by_finger.items()}
     for each in fingers.values():
         if each.ndim != 2 or each.shape[1] != RECORD_SIZE:
             raise RecordingError(f"{path}: records of shape {each.shape}, must be (n, {RECORD_SIZE})")
@@ -87,7 +87,7 @@ def write_blocks(path: str | Path, fingers: Sequence[str], blocks: Iterable[Arra
     target = Path(path)
     writer = {".csv": _write_csv, ".npz": _write_npz, ".mcap": _write_mcap}.get(target.suffix.lower())
     if writer is None:
-        raise RecordingError(_unknown_ending(target))
+        raise RecordingError(_unknown_suffix(target))
     try:
         with new_file(target) as file:
             writer(target, file, fingers, blocks)
@@ -118,7 +118,7 @@ def read_results(path: str | Path, finger: str = "") -> Array:
     source = Path(path)
     reader = {".csv": _read_csv, ".npz": _read_npz, ".mcap": _read_mcap}.get(source.suffix.lower())
     if reader is None:
-        raise RecordingError(_unknown_ending(source))
+        raise RecordingError(_unknown_suffix(source))
     try:
         return reader(source, finger)
     except OSError as error:
@@ -130,52 +130,55 @@ def _check_count(path: Path, count: int) -> None:
         raise RecordingError(f"{path}: more than {RESULTS_MAX:,} records, the most that are read")
 
 
-def _unknown_ending(path: Path) -> str:
-    seen = f"'{path.suffix}'" if path.suffix else "no ending"
-    return f"{path}: {seen} names no results format: use one of {', '.join(ENDINGS)}"
+def _unknown_suffix(path: Path) -> str:
+    suffix = f"'{path.suffix}'" if path.suffix else "no ending"
+    return f"{path}: {suffix} names no results format: use one of {', '.join(SUFFIXES)}"
 
 
-def _of(finger: str) -> str:
+def _prefix(finger: str) -> str:
     """Return the prefix of column and array names."""
     return f"{finger}." if finger else ""
 
 
 def _write_csv(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
-    file.write((",".join(_of(name) + column for name in fingers for column in columns()) + "\n").encode())
+    file.write((",".join(_prefix(name) + column for name in fingers for column in columns()) + "\n").encode())
     for block in blocks:
         file.write(csv_lines(block.reshape(len(block), -1)))
 
 
 def csv_lines(rows: Array) -> bytes:
     """Format rows (n, width) as lines of CSV, which restore every float64 exactly."""
-    return b"".join(_some_lines(rows[at : at + CSV_ROWS]) for at in range(0, len(rows), CSV_ROWS))
+    return b"".join(_format_chunk(rows[at : at + CSV_CHUNK_ROWS]) for at in range(0, len(rows), CSV_CHUNK_ROWS))
 
 
-def _some_lines(rows: Array) -> bytes:
+def _format_chunk(rows: Array) -> bytes:
     """Format rows with the JSON encoder: the shortest exact digits, several times as fast as in Python."""
     if not np.isfinite(rows).all():
         line = ",".join(repeat("%.17g", rows.shape[1])) + "\n"  # 17 digits restore every float64
         return "".join([line % tuple(row) for row in rows.tolist()]).encode()
-    across = np.array(rows.T, order="C")
-    bits = across.view(np.int64)
-    still = (bits == bits[:, :1]).all(axis=1)
+    by_column = np.array(rows.T, order="C")
+    bits = by_column.view(np.int64)
+    is_constant = (bits == bits[:, :1]).all(axis=1)
     # JSON writes an integral float with `.0` unless it is an int, and no int is -0.
-    whole = (np.rint(across) == across) & (np.abs(across) < WHOLE_MAX)
-    odd = whole.any(axis=1).tolist()
+    is_integral = (np.rint(by_column) == by_column) & (np.abs(by_column) < MAX_PLAIN_INTEGER)
+    has_integral = is_integral.any(axis=1).tolist()
     columns: list[Iterable[Any]] = []
-    for same, group in groupby(range(len(across)), still.tolist().__getitem__):
-        if same:  # values that are constant over the rows are formatted once
-            text = _JSON.encode(across[list(group), 0].tolist())[1:-1] + b","
+    for is_constant_group, group in groupby(range(len(by_column)), is_constant.tolist().__getitem__):
+        if is_constant_group:  # values that are constant over the rows are formatted once
+            text = _JSON.encode(by_column[list(group), 0].tolist())[1:-1] + b","
             columns.append(repeat(msgspec.Raw(text.replace(b".0,", b",")[:-1]), len(rows)))
         else:
-            columns.extend(_with_integers(across[at], whole[at]) if odd[at] else across[at].tolist() for at in group)
+            columns.extend(
+                _with_integers(by_column[at], is_integral[at]) if has_integral[at] else by_column[at].tolist()
+                for at in group
+            )
     return _JSON.encode_lines(list(zip(*columns, strict=True))).translate(None, b"[]")
 
 
-def _with_integers(column: Array, whole: NDArray[np.bool_]) -> list[Any]:
+def _with_integers(column: Array, is_integral: NDArray[np.bool_]) -> list[Any]:
     """Return the numbers of a column (n,), with integral ones as int, which JSON writes without `.0`."""
     numbers: list[Any] = column.tolist()
-    for row in whole.nonzero()[0].tolist():
+    for row in is_integral.nonzero()[0].tolist():
         numbers[row] = int(numbers[row]) or (_MINUS_ZERO if math.copysign(1.0, numbers[row]) < 0.0 else 0)
     return numbers
 
@@ -184,10 +187,12 @@ def _read_csv(path: Path, finger: str) -> Array:
     try:
         with open_input(path) as file:
             header = file.readline(LINE_MAX).decode("ascii").rstrip("\n").split(",")
-            wanted = [_of(finger) + column for column in columns()]
-            first = header.index(wanted[0]) if wanted[0] in header else 0
-            if header[first : first + RECORD_SIZE] != wanted or len(header) % RECORD_SIZE:
-                raise RecordingError(f"{path}, line 1: not the columns of this version's results{_whose(finger)}")
+            expected = [_prefix(finger) + column for column in columns()]
+            first = header.index(expected[0]) if expected[0] in header else 0
+            if header[first : first + RECORD_SIZE] != expected or len(header) % RECORD_SIZE:
+                raise RecordingError(
+                    f"{path}, line 1: not the columns of this version's results{_finger_suffix(finger)}"
+                )
             values = array("d")
             while line := file.readline(LINE_MAX):
                 cells = line.split(b",")
@@ -200,7 +205,7 @@ def _read_csv(path: Path, finger: str) -> Array:
         raise RecordingError(f"{path}: not a results file: {error}") from error
 
 
-def _whose(finger: str) -> str:
+def _finger_suffix(finger: str) -> str:
     return f" of a finger '{finger}'" if finger else ""
 
 
@@ -213,14 +218,14 @@ def _write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iter
         TemporaryFile(dir=followed(path).parent) as file_of_fields,
         ZipFile(file, "w", ZIP_DEFLATED, compresslevel=1) as archive,
     ):
-        waiting = _Fields(file_of_fields, len(fingers))
+        stored = _Fields(file_of_fields, len(fingers))
         for block in blocks:
-            waiting.put(block)
-        for place, finger in enumerate(fingers):
-            _add_array(archive, _of(finger) + "records", (waiting.count, RECORD_SIZE), waiting.rows(place))
+            stored.append(block)
+        for index, finger in enumerate(fingers):
+            _add_array(archive, _prefix(finger) + "records", (stored.count, RECORD_SIZE), stored.rows(index))
             for f in FIELDS:
-                shape = (waiting.count, f.size)[: 2 if f.size > 1 else 1]
-                _add_array(archive, _of(finger) + f.name, shape, waiting.field(place, f))
+                shape = (stored.count, f.size)[: 2 if f.size > 1 else 1]
+                _add_array(archive, _prefix(finger) + f.name, shape, stored.field(index, f))
 
 
 class _Fields:
@@ -234,24 +239,24 @@ class _Fields:
     def count(self) -> int:
         return sum(self._lengths)
 
-    def put(self, block: Array) -> None:
+    def append(self, block: Array) -> None:
         """Append a block (m, fingers, RECORD_SIZE)."""
         self._lengths.append(len(block))
-        for place in range(self._fingers):
+        for index in range(self._fingers):
             for f in FIELDS:
-                self._file.write(np.ascontiguousarray(block[:, place, f.at : f.at + f.size]).data)
+                self._file.write(np.ascontiguousarray(block[:, index, f.at : f.at + f.size]).data)
 
-    def field(self, place: int, f: Field) -> Iterator[Array]:
+    def field(self, index: int, f: Field) -> Iterator[Array]:
         """Yield for each block the columns (m, size) of a field of a finger."""
         at, row = 0, 8 * RECORD_SIZE
         for length in self._lengths:
-            self._file.seek(at + length * (place * row + 8 * f.at))
+            self._file.seek(at + length * (index * row + 8 * f.at))
             yield np.frombuffer(self._file.read(8 * length * f.size)).reshape(length, f.size)
             at += length * self._fingers * row
 
-    def rows(self, place: int) -> Iterator[Array]:
+    def rows(self, index: int) -> Iterator[Array]:
         """Yield for each block the records (m, RECORD_SIZE) of a finger."""
-        for parts in zip(*(self.field(place, f) for f in FIELDS), strict=True):
+        for parts in zip(*(self.field(index, f) for f in FIELDS), strict=True):
             yield np.concatenate(parts, axis=1)
 
 
@@ -265,7 +270,7 @@ def _add_array(archive: ZipFile, name: str, shape: tuple[int, ...], blocks: Iter
 def _read_npz(path: Path, finger: str) -> Array:
     try:
         with open_input(path) as file:
-            records = open_npz(file)[_of(finger) + "records"]
+            records = open_npz(file)[_prefix(finger) + "records"]
     except OSError:
         raise
     except Exception as error:  # zip and npy decoders raise many types of errors on damaged bytes
@@ -279,14 +284,14 @@ def _read_npz(path: Path, finger: str) -> Array:
 def _write_mcap(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
     with McapResults(path, file, fingers) as recording:
         for block in blocks:
-            for place, finger in enumerate(fingers):
-                recording.append(block[:, place], finger)
+            for index, finger in enumerate(fingers):
+                recording.append(block[:, index], finger)
 
 
 def _read_mcap(path: Path, finger: str) -> Array:
     blocks: list[Array] = []
     count = 0
-    for part in contents(path):
+    for part in read_contents(path):
         if isinstance(part, Ticks) and part.finger == finger:
             try:
                 blocks.append(part.records())
@@ -301,7 +306,7 @@ def _read_mcap(path: Path, finger: str) -> Array:
     return np.concatenate(blocks)
 
 
-class McapResults(Closing):
+class McapResults(Closeable):
     """Records streamed into an MCAP file, on topic `contact`, or on a topic for each of several fingers.
 
     Chunks of 64 KiB are passed to the system as soon as they are full: after a crash or a kill, all but the last one
@@ -312,21 +317,21 @@ class McapResults(Closing):
     def __init__(self, path: str | Path, file: IO[bytes] | None = None, fingers: Sequence[str] = ("",)) -> None:
         """Open the file; `file` replaces the path as the target, and is closed at the end."""
         self._path = Path(path)
-        with self._told():
-            self._recording = RecordingFile(file or open_output(path, 0), fingers, drawn=False)
+        with self._translate_errors():
+            self._recording = RecordingFile(file or open_output(path, 0), fingers, with_pictures=False)
 
     def append(self, records: Array, finger: str = "") -> None:
         """Add records (n, RECORD_SIZE) of a finger; a single one may be (RECORD_SIZE,)."""
-        with self._told():
+        with self._translate_errors():
             self._recording.ticks(np.atleast_2d(records), finger)
 
     def close(self) -> None:
         """Write the remaining records and the index. May be called repeatedly."""
-        with self._told():
+        with self._translate_errors():
             self._recording.close()
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _translate_errors(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
@@ -340,6 +345,6 @@ def _blocks(fingers: Sequence[Array], kind: str) -> Iterator[Array]:
     count = min(map(len, fingers))
     with progress(f"writing {kind}", count) if count >= PROGRESS_MIN_ROWS else nullcontext(lambda number: None) as done:
         for start in range(0, count, BLOCK_ROWS):
-            some = [records[start : min(start + BLOCK_ROWS, count)] for records in fingers]
-            yield some[0][:, None] if len(some) == 1 else np.stack(some, axis=1)
+            block = [records[start : min(start + BLOCK_ROWS, count)] for records in fingers]
+            yield block[0][:, None] if len(block) == 1 else np.stack(block, axis=1)
             done(min(start + BLOCK_ROWS, count))

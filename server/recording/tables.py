@@ -13,12 +13,12 @@ import numpy as np
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import new_file, open_input
 from softfinger.drivers.poses import LINE_MAX, POSE_COLUMNS, POSES_MAX, Poses, checked
-from softfinger.server.offline.results import csv_lines
+from softfinger.server.recording.results import csv_lines
 
 SKIPPED: Final = "-"
 """Name of a column that does not belong to the pose."""
-_REMARK: Final = re.compile(rb"\s*(#|%|//|;|$)")
-_BETWEEN: Final = re.compile(r"\s*[,;\s]\s*")
+_COMMENT: Final = re.compile(rb"\s*(#|%|//|;|$)")
+_SEPARATOR: Final = re.compile(r"\s*[,;\s]\s*")
 
 
 class Layout(NamedTuple):
@@ -38,18 +38,18 @@ class Layout(NamedTuple):
     skip: int = 0
 
 
-def layout_of(columns: str, unit_s: float, unit_m: float, rate_hz: float | None, skip: int) -> Layout:
+def make_layout(columns: str, unit_s: float, unit_m: float, rate_hz: float | None, skip: int) -> Layout:
     """Return a Layout; `columns` is a comma-separated list. Raises ConfigError if it does not describe poses."""
     names = tuple(name.strip() for name in columns.split(","))
-    odd = [name for name in names if name != SKIPPED and (name not in POSE_COLUMNS or names.count(name) > 1)]
-    if odd:
+    invalid = [name for name in names if name != SKIPPED and (name not in POSE_COLUMNS or names.count(name) > 1)]
+    if invalid:
         raise ConfigError(
-            f"--columns {columns}: '{odd[0]}' is not one of {','.join(POSE_COLUMNS)}, each once, or {SKIPPED} for a "
-            "column that is left out"
+            f"--columns {columns}: '{invalid[0]}' is not one of {','.join(POSE_COLUMNS)}, each once, or {SKIPPED} for "
+            "a column that is left out"
         )
     missing = [name for name in "xyz" if name not in names]
-    turned = [name for name in POSE_COLUMNS[4:] if name in names]
-    if missing or len(turned) not in (0, 4):
+    quaternion_names = [name for name in POSE_COLUMNS[4:] if name in names]
+    if missing or len(quaternion_names) not in (0, 4):
         raise ConfigError(
             f"--columns {columns}: a pose needs x, y and z, and of qw, qx, qy, qz all or none; without them the "
             "fingertip is not turned"
@@ -76,37 +76,37 @@ def read_table(path: Path, layout: Layout) -> Poses:
             number = 0
             while line := file.readline(LINE_MAX):
                 number += 1
-                if number <= layout.skip or _REMARK.match(line):
+                if number <= layout.skip or _COMMENT.match(line):
                     continue
                 if len(numbers) >= POSES_MAX:
                     raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the most that are read: cut it up")
                 numbers.append(number)
-                values.extend(_row(f"{path}, line {number}", line, layout.columns))
+                values.extend(_parse_row(f"{path}, line {number}", line, layout.columns))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
     table = np.frombuffer(values).reshape(-1, len(layout.columns))
-    wanted = {name: table[:, at] for at, name in enumerate(layout.columns)}
+    columns_by_name = {name: table[:, at] for at, name in enumerate(layout.columns)}
     if layout.rate_hz is None:
-        t = layout.unit_s * (wanted["t"] - wanted["t"][:1])
+        t = layout.unit_s * (columns_by_name["t"] - columns_by_name["t"][:1])
     else:
         t = np.arange(len(table)) / layout.rate_hz
-    position = layout.unit_m * np.column_stack([wanted[name] for name in "xyz"])
+    position = layout.unit_m * np.column_stack([columns_by_name[name] for name in "xyz"])
     orientation = np.tile([1.0, 0.0, 0.0, 0.0], (len(table), 1))
-    if "qw" in wanted:
-        orientation = np.column_stack([wanted[name] for name in POSE_COLUMNS[4:]])
+    if "qw" in columns_by_name:
+        orientation = np.column_stack([columns_by_name[name] for name in POSE_COLUMNS[4:]])
     return checked(
         t, position, orientation, lambda row: f"{path}, line {numbers[row]}" if row < len(numbers) else str(path)
     )
 
 
-def _row(place: str, line: bytes, columns: Sequence[str]) -> list[float]:
+def _parse_row(location: str, line: bytes, columns: Sequence[str]) -> list[float]:
     try:
-        cells = _BETWEEN.split(line.decode().strip().rstrip(",;"))
+        cells = _SEPARATOR.split(line.decode().strip().rstrip(",;"))
     except UnicodeDecodeError as error:
-        raise RecordingError(f"{place}: not a text file (not UTF-8)") from error
+        raise RecordingError(f"{location}: not a text file (not UTF-8)") from error
     if len(cells) != len(columns):
         raise RecordingError(
-            f"{place}: {len(cells)} values where --columns has {len(columns)}: give a name or {SKIPPED} for each; "
+            f"{location}: {len(cells)} values where --columns has {len(columns)}: give a name or {SKIPPED} for each; "
             "--skip leaves lines out at the beginning"
         )
     row = []
@@ -114,7 +114,7 @@ def _row(place: str, line: bytes, columns: Sequence[str]) -> list[float]:
         try:
             row.append(0.0 if name == SKIPPED else float(cell))
         except ValueError as error:
-            raise RecordingError(f"{place}, column '{name}': {cell[:40]!r} is not a number") from error
+            raise RecordingError(f"{location}, column '{name}': {cell[:40]!r} is not a number") from error
     return row
 
 

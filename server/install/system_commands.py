@@ -53,10 +53,13 @@ def after_removing(system: bool, state: Path = STATE) -> list[Command]:
 
 def run_all(commands: Iterable[Command]) -> None:
     """Run the available commands and print each with its result; a failure does not stop the next."""
-    for words in commands:
-        if shutil.which(words[0]) is None:
-            print(f"not run, for {words[0]} is not here: {shlex.join(words)}")
+    for command in commands:
+        if shutil.which(command[0]) is None:
+            print(f"not run, for {command[0]} is not here: {shlex.join(command)}")
             continue
-        done = subprocess.run(words, capture_output=True, text=True, timeout=WAIT_S, stdin=subprocess.DEVNULL)
-        said = (done.stderr or done.stdout).strip().splitlines()
-        print(f"ran {shlex.join(words)}" + (f": {said[-1] if said else done.returncode}" if done.returncode else ""))
+        result = subprocess.run(command, capture_output=True, text=True, timeout=WAIT_S, stdin=subprocess.DEVNULL)
+        output = (result.stderr or result.stdout).strip().splitlines()
+        print(
+            f"ran {shlex.join(command)}"
+            + (f": {output[-1] if output else result.returncode}" if result.returncode else "")
+        )

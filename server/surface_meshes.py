@@ -17,7 +17,7 @@ from softfinger.config.schema import shapes
 Array = NDArray[np.float64]
 Faces = NDArray[np.uint32]
 
-AROUND: Final = 40
+CIRCLE_CORNERS: Final = 40
 """Corners of a circle: it deviates half a pixel on a usual page. Without a graphics card, each corner costs time."""
 PLANE_M: Final = 0.13
 """Edge of the drawn part of a plane."""
@@ -33,7 +33,7 @@ class Mesh(NamedTuple):
     flat: bool = False
 
 
-def sent(vertices: bytes, triangles: bytes) -> Mesh:
+def decode_mesh(vertices: bytes, triangles: bytes) -> Mesh:
     """Decode the triangles of the command `mesh`; raises ValueError for an invalid vertex index."""
     points = np.frombuffer(vertices, "<f4").reshape(-1, 3).astype(np.float64)
     faces = np.frombuffer(triangles, "<u4").reshape(-1, 3)
@@ -42,10 +42,10 @@ def sent(vertices: bytes, triangles: bytes) -> Mesh:
     return Mesh(points, faces)
 
 
-def mesh_of(thing: shapes.ObjectBase) -> Mesh | None:
+def surface_mesh(obj: shapes.ObjectBase) -> Mesh | None:
     """Return the surface of an object; None for shapes of other packages and for objects loaded from files."""
-    triangles = TRIANGLES.get(type(thing))
-    return None if triangles is None else triangles(thing)
+    triangles = TRIANGLES.get(type(obj))
+    return None if triangles is None else triangles(obj)
 
 
 def plane(edge: float) -> Mesh:
@@ -57,7 +57,7 @@ def plane(edge: float) -> Mesh:
 
 def ellipsoid(radii: tuple[float, float, float]) -> Mesh:
     """Return an ellipsoid with half lengths along x, y, z."""
-    angle = np.linspace(-0.5 * pi, 0.5 * pi, AROUND // 2 + 1)
+    angle = np.linspace(-0.5 * pi, 0.5 * pi, CIRCLE_CORNERS // 2 + 1)
     unit = lathe(np.column_stack([np.cos(angle), np.sin(angle)]))
     return Mesh(unit.vertices * radii, unit.faces)
 
@@ -68,19 +68,19 @@ def cylinder(radius: float, length: float, closed: bool) -> Mesh:
     side = lathe(np.array([(radius, -h), (radius, h)]))
     if not closed:
         return side
-    return joined(lathe(np.array([(0.0, -h), (radius, -h)])), side, lathe(np.array([(radius, h), (0.0, h)])))
+    return join_meshes(lathe(np.array([(0.0, -h), (radius, -h)])), side, lathe(np.array([(radius, h), (0.0, h)])))
 
 
 def capsule(radius: float, length: float) -> Mesh:
     """Return a capsule about the z axis; `length` is the distance between the centres of its round ends."""
-    angle = np.linspace(0.0, 0.5 * pi, AROUND // 4 + 1)
+    angle = np.linspace(0.0, 0.5 * pi, CIRCLE_CORNERS // 4 + 1)
     end = np.column_stack([radius * np.cos(angle), radius * np.sin(angle) + 0.5 * length])
     return lathe(np.concatenate([end[::-1] * (1.0, -1.0), end]))
 
 
 def torus(major: float, minor: float) -> Mesh:
     """Return a torus about the z axis."""
-    angle = np.linspace(0.0, 2.0 * pi, AROUND + 1)
+    angle = np.linspace(0.0, 2.0 * pi, CIRCLE_CORNERS + 1)
     return lathe(np.column_stack([major + minor * np.cos(angle), minor * np.sin(angle)]))
 
 
@@ -99,20 +99,20 @@ def cone(height: float, radius: float) -> Mesh:
 
 def lathe(profile: Array) -> Mesh:
     """Rotate a profile (n, 2) of radius and z about the z axis; the outside is to the right of its direction."""
-    angle = np.linspace(0.0, 2.0 * pi, AROUND, endpoint=False)
+    angle = np.linspace(0.0, 2.0 * pi, CIRCLE_CORNERS, endpoint=False)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    rings = [np.column_stack([r * circle, np.full(AROUND, z)]) for r, z in profile]
-    here = np.arange(AROUND)
-    beside = np.roll(here, -1)
+    rings = [np.column_stack([r * circle, np.full(CIRCLE_CORNERS, z)]) for r, z in profile]
+    corner = np.arange(CIRCLE_CORNERS)
+    next_corner = np.roll(corner, -1)
     faces = []
     for ring in range(len(profile) - 1):
-        low, high = ring * AROUND, (ring + 1) * AROUND
-        faces += [np.column_stack([low + here, low + beside, high + beside])]
-        faces += [np.column_stack([low + here, high + beside, high + here])]
+        low, high = ring * CIRCLE_CORNERS, (ring + 1) * CIRCLE_CORNERS
+        faces += [np.column_stack([low + corner, low + next_corner, high + next_corner])]
+        faces += [np.column_stack([low + corner, high + next_corner, high + corner])]
     return Mesh(np.concatenate(rings), np.concatenate(faces).astype(np.uint32))
 
 
-def joined(*parts: Mesh) -> Mesh:
+def join_meshes(*parts: Mesh) -> Mesh:
     """Return one mesh of several."""
     first = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])]).astype(np.uint32)
     faces = [part.faces + start for part, start in zip(parts, first, strict=True)]
@@ -120,14 +120,12 @@ def joined(*parts: Mesh) -> Mesh:
 
 
 TRIANGLES: Final[dict[type[shapes.ObjectBase], Callable[[Any], Mesh]]] = {
-    shapes.Plane: lambda thing: plane(PLANE_M),
-    shapes.Sphere: lambda thing: ellipsoid((thing.radius_m,) * 3),
-    shapes.Cylinder: lambda thing: cylinder(
-        thing.radius_m, thing.length_m or ENDLESS_M, closed=thing.length_m is not None
-    ),
-    shapes.Capsule: lambda thing: capsule(thing.radius_m, thing.length_m),
-    shapes.Box: lambda thing: box(thing.size_m),
-    shapes.Ellipsoid: lambda thing: ellipsoid(thing.semi_axes_m),
-    shapes.Torus: lambda thing: torus(thing.major_radius_m, thing.minor_radius_m),
+    shapes.Plane: lambda obj: plane(PLANE_M),
+    shapes.Sphere: lambda obj: ellipsoid((obj.radius_m,) * 3),
+    shapes.Cylinder: lambda obj: cylinder(obj.radius_m, obj.length_m or ENDLESS_M, closed=obj.length_m is not None),
+    shapes.Capsule: lambda obj: capsule(obj.radius_m, obj.length_m),
+    shapes.Box: lambda obj: box(obj.size_m),
+    shapes.Ellipsoid: lambda obj: ellipsoid(obj.semi_axes_m),
+    shapes.Torus: lambda obj: torus(obj.major_radius_m, obj.minor_radius_m),
 }
 """Function that returns the surface of each shape, by its configuration class."""

@@ -24,17 +24,17 @@ def entries() -> dict[str, tuple[str, Entry]]:
     return {name: (kind, entry) for kind, each in LIBRARIES.items() for name, entry in each.entries().items()}
 
 
-def found(name: str) -> tuple[str, Entry]:
+def find_entry(name: str) -> tuple[str, Entry]:
     """Return one of `entries`. Raises ConfigError if the name is unknown."""
-    known = entries()
-    if name not in known:
+    by_name = entries()
+    if name not in by_name:
         raise ConfigError(
-            f"no material or fingertip is called {shown(name)}{near(name, known)}; there are {', '.join(known)}"
+            f"no material or fingertip is called {shown(name)}{near(name, by_name)}; there are {', '.join(by_name)}"
         )
-    return known[name]
+    return by_name[name]
 
 
-def whole(kind: str, name: str) -> Any:
+def library_table(kind: str, name: str) -> Any:
     """Return the table of an entry, as built from a scene that gives only its name."""
     return build(_TABLES[kind], {LIBRARIES[kind].key: name}, name)
 
@@ -51,13 +51,19 @@ def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
         return []
     if name not in library.entries():
         return [("  library", f"{name}, which is not in this version's; the values are those of the scene")]
-    theirs = dict(flat(describe(whole(kind, name))))
+    library_values = dict(flat(describe(library_table(kind, name))))
     keys = _TABLES[kind].__struct_fields__
-    ours = {key: value for key, value in flat(mapping) if key.partition(".")[0] in keys}
-    own = [f"{key} {shown(value)}" for key, value in ours.items() if theirs.get(key, msgspec.UNSET) != value]
-    lacking = sorted({key.partition(".")[0] for key in theirs} - {key.partition(".")[0] for key in ours})
-    told = [*own, *(f"no {key}" for key in lacking)]
-    return [("  library", f"{name}; of the scene itself: {', '.join(told)}" if told else f"{name}, all of it")]
+    scene_values = {key: value for key, value in flat(mapping) if key.partition(".")[0] in keys}
+    changed = [
+        f"{key} {shown(value)}"
+        for key, value in scene_values.items()
+        if library_values.get(key, msgspec.UNSET) != value
+    ]
+    missing = sorted(
+        {key.partition(".")[0] for key in library_values} - {key.partition(".")[0] for key in scene_values}
+    )
+    changes = [*changed, *(f"no {key}" for key in missing)]
+    return [("  library", f"{name}; of the scene itself: {', '.join(changes)}" if changes else f"{name}, all of it")]
 
 
 def value_rows(entry: Entry) -> list[tuple[str, str]]:
@@ -90,7 +96,7 @@ def paper_rows(names: Collection[str]) -> list[tuple[str, str]]:
     ]
 
 
-def cited(entry: Entry) -> set[str]:
+def cited_papers(entry: Entry) -> set[str]:
     """Return the names of the papers cited for an entry's values, measurements and range."""
     return {
         *entry.papers,
