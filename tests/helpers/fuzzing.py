@@ -176,6 +176,7 @@ def targets() -> dict[str, Target]:
         "mesh-stl": Target(lambda: packets.STL, arrays_of, config, ".stl"),
         "mesh-obj": Target(lambda: packets.OBJ, arrays_of, config, ".obj"),
         "mesh-ply": Target(lambda: packets.PLY, arrays_of, config, ".ply"),
+        "mesh-glb": Target(lambda: [packets.GLB], arrays_of, config, ".glb"),
         "grid-png": Target(packets.pictures, lambda path, _: read_grid(path), config, ".png"),
         "grid-npy": Target(packets.arrays, lambda path, _: read_grid(path), config, ".npy"),
         "command": Target(packets.commands, lambda _, data: parse(data), (Declined,), named=False),
