@@ -1,4 +1,4 @@
-"""Limits of a model's XML, checked before MuJoCo reads it: files of its folder only, and at most a second of reading.
+"""Limits of a model's XML, checked before MuJoCo reads it: files below one folder, and at most a second of reading.
 
 A line of MJCF may expand to a million bodies, and MuJoCo cannot be interrupted while it creates them. Therefore the
 elements are counted here, times the copies that `<replicate>`, `<include>` and `<attach>` make of them.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from softfinger.config import limits
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
-from softfinger.config.urdf import places
+from softfinger.config.urdf import is_urdf, places
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -33,6 +34,9 @@ CHUNK: Final = 1 << 15
 """Characters parsed at a time, which takes a millisecond."""
 DEPTH_MAX: Final = 8
 """Deepest nesting of models attached to models."""
+PICTURES: Final = ("texture", "skin")
+PARSED: Final = ("include", "model")
+"""Elements whose files are XML."""
 FILES: Final = ("file", "filename", "meshdir", "texturedir", "assetdir")
 ROWS_PER_BYTE: Final = 1 / 50
 """Vertices per byte of a mesh file, at most, in the usual notation."""
@@ -71,20 +75,43 @@ LISTS: Final = ("vertex", "normal", "texcoord", "face", "point", "element", "ele
 """Attributes that are lists of numbers."""
 
 
-def check_files(text: str, path: Path, name: str) -> None:
-    """Raise ConfigError if a model with this text reads files outside of its folder or is too large."""
-    _Model(path.resolve().parent, name).read(text, path, name, 1, 0)
+def outside(what: str, file: Path, home: Path) -> ConfigError:
+    """Return the error for a file of a model that is not below `home`."""
+    above = os.path.relpath(os.path.commonpath([home, file]), home)
+    return ConfigError(
+        f"world.model {what} is outside of its folder: put the file beside the model, or name a folder above both: "
+        f'[world] root = "{above}"'
+    )
+
+
+class Names(NamedTuple):
+    """Names of files, without folders, that a model has as pictures, and of those that contacts need."""
+
+    pictures: set[str]
+    needed: set[str]
+
+
+def check_files(text: str, path: Path, name: str, home: Path) -> Names:
+    """Return the names of the files of a model with this text.
+
+    Raises ConfigError if it is too large, or if it includes or attaches a file that is not below `home`.
+    """
+    model = _Model(home, name, is_urdf(str(path)))
+    model.read(text, path, name, 1, 0)
+    return model.names
 
 
 class _Model:
     """Counts of a model so far.
 
-    home  folder of the model
+    home  folder below which its files must lie
     name  name of its file, for messages
+    urdf  whether it is one
     """
 
-    def __init__(self, home: Path, name: str) -> None:
-        self._home, self._name = home, name
+    def __init__(self, home: Path, name: str, urdf: bool) -> None:
+        self._home, self._name, self._urdf = home, name, urdf
+        self.names = Names(set(), set())
         self._counted = Counter[str]()
         self._bytes = 0
 
@@ -146,14 +173,17 @@ class _Model:
             return None
 
     def _check_paths(self, element: Element, folder: Path, name: str) -> None:
+        """Check the files that are read here; MuJoCo lists the others of an MJCF file, with their folders."""
+        names = self.names.pictures if element.tag in PICTURES else self.names.needed
+        names.update(re.split(r"[/\\]", given)[-1] for key, given in element.items() if key.startswith("file"))
+        if not self._urdf and element.tag not in PARSED:
+            return
         for key in FILES:
             given = element.get(key)
             for way in places(given or ""):
-                if not Path(os.path.realpath(folder / way)).is_relative_to(self._home):
-                    raise ConfigError(
-                        f"world.model {name}: <{element.tag} {key}={given!r}> is outside of its folder: put the file "
-                        "beside the model"
-                    )
+                real = Path(os.path.realpath(folder / way))
+                if not real.is_relative_to(self._home):
+                    raise outside(f"{name}: <{element.tag} {key}={given!r}>", real, self._home)
 
     def _check_numbers(self, element: Element, name: str) -> None:
         for bound in BOUNDS.get(element.tag, ()):

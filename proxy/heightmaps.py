@@ -61,7 +61,7 @@ def _levels(thing: schema.Heightmap) -> Grid:
         return read_grid(thing.file, even=True)
     from softfinger.config.mjcf import read_hfield  # it needs MuJoCo
 
-    return read_hfield(thing.file, thing.hfield)
+    return read_hfield(thing.file, thing.root, thing.hfield)
 
 
 def kernel_heightmap(heights: Grid, pitch: float) -> model.Heightmap:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
@@ -20,20 +20,13 @@ from softfinger.config.schema import (
     Texture,
     Textured,
     Workspace,
-    World,
 )
 from softfinger.config.words import shown
 from softfinger.server.offline.feels import entry_rows
+from softfinger.server.offline.worlds import world_rows
 
 if TYPE_CHECKING:  # with the kernels behind them, which no rig needs
-    from softfinger.config.mjcf import Taken
     from softfinger.proxy.meshes.report import Report
-
-COMPILE_S: Final = (31.0, 7.0)
-"""Of a scene with bodies, and of each kind of geom that a finger touches: seconds of a processor, measured with 2, 4
-and 8 free bodies of five kinds, friction and rolling, on a busy machine."""
-LONG_S: Final = 90.0
-"""From here on a first start is worth a word."""
 
 
 def scene_summary(scene: Scene) -> list[tuple[str, str]]:
@@ -46,28 +39,7 @@ def scene_summary(scene: Scene) -> list[tuple[str, str]]:
     for item in scene.object:
         rows += _object_rows(item, scene.soft)
     rows += [(f"effect {effect.kind}", _values(effect)) for effect in scene.effect]
-    return rows + ([] if scene.world is None else _world_rows(scene.world))
-
-
-def _world_rows(world: World) -> list[tuple[str, str]]:
-    """The model, and how its geoms were taken where that is not as they are."""
-    from softfinger.config.mjcf import taken
-
-    geoms = list(taken(world))
-    touched = sum(geom.object is not None for geom in geoms)
-    rows = [("world", f"{world.model}, {touched} of {len(geoms)} geoms touched, substeps {world.substeps}")]
-    compiling = COMPILE_S[0] + COMPILE_S[1] * _compiled(geoms)
-    if compiling >= LONG_S:
-        few = "to touch fewer meshes give a material to these alone, by [[world.geom]]"
-        rows.append(("  compiling", f"some {round(compiling, -1):g} s at the first start; {few}"))
-    return rows + [(f"  geom '{geom.name}'", geom.note) for geom in geoms if geom.note]
-
-
-def _compiled(geoms: list[Taken]) -> int:
-    """How many geoms have code of their own: all of a kind share theirs, but each mesh has its own."""
-    objects = [geom.object for geom in geoms if geom.object is not None]
-    meshes = sum(isinstance(each, Mesh) for each in objects)
-    return meshes + len({(each.shape, each.motion is None) for each in objects if not isinstance(each, Mesh)})
+    return rows + ([] if scene.world is None else world_rows(scene.world))
 
 
 def _finger_rows(scene: Scene, finger: FingerParts) -> list[tuple[str, str]]:

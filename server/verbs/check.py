@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
@@ -35,9 +35,7 @@ from softfinger.config.schema import (
 from softfinger.config.words import near, shown
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.offline.summary import mesh_report, rig_summary, scene_summary
-
-if TYPE_CHECKING:  # with the kernels behind it, which no rig needs
-    pass
+from softfinger.server.offline.worlds import check_start
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
 _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
@@ -73,7 +71,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check every file and print what it is; returns 0, or ConfigError's exit code if any is faulty."""
-    findings = [examine_file(file) for file in args.files]
+    findings = _with_starts([examine_file(file) for file in args.files])
     if args.explain:
         findings = [with_costs(finding) for finding in findings]
     if args.json:
@@ -83,6 +81,23 @@ def run(args: argparse.Namespace) -> int:
             _show(finding)
     _draw_walls(findings, args.plot, quiet=args.json)
     return ConfigError.exit_code if any(finding.errors for finding in findings) else 0
+
+
+def _with_starts(findings: list[Finding]) -> list[Finding]:
+    """Return the findings with an error for each scene whose [world] cannot begin at the rate of a rig beside it."""
+    usable = [finding for finding in findings if not finding.errors]
+    rates = {load_rig(_locate(each.file)).servo.rate_hz for each in usable if each.kind == "rig"}
+    checked = []
+    for finding in findings:
+        try:
+            world = load_scene(_locate(finding.file)).world if finding.kind == "scene" and not finding.errors else None
+            for rate_hz in rates or {Servo().rate_hz}:
+                if world is not None:
+                    check_start(world, rate_hz)
+        except ConfigError as error:
+            finding = finding._replace(summary=[], errors=[str(error)])
+        checked.append(finding)
+    return checked
 
 
 def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None:

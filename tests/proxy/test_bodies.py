@@ -19,7 +19,7 @@ from scipy.special import ellipk
 
 from softfinger.config.errors import ConfigError, SafetyStop
 from softfinger.config.load import load_scene
-from softfinger.config.mjcf import taken
+from softfinger.config.mjcf_geoms import taken
 from softfinger.proxy.bodies import RigidBodies, bodies_of
 from softfinger.proxy.engine import Engine, PoseError
 from softfinger.proxy.kernels.fingers import poses_in
@@ -381,8 +381,10 @@ HOSTILE = {
         '<mujoco><include file="inner.xml"/></mujoco>',
         "outside of its folder",
     ),
-    "a folder outside": ('<mujoco><compiler meshdir="/etc"/></mujoco>', "outside of its folder"),
-    "another time step": (f"<mujoco><worldbody>{BALL}</worldbody></mujoco>", "0.002 s"),
+    "a folder outside": (
+        '<mujoco><compiler meshdir="/etc"/><asset><mesh name="m" file="hosts.stl"/></asset></mujoco>',
+        "outside of its folder",
+    ),
     "too many bodies": (f"<mujoco>{OPTION}<worldbody>{BALL * 6000}</worldbody></mujoco>", "1,001 bodies"),
     "too many bodies in a few words": (
         f'<mujoco>{OPTION}<worldbody><replicate count="1100" offset="1 0 0">{BALL}</replicate></worldbody></mujoco>',

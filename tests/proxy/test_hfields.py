@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
-from softfinger.config.mjcf import taken
+from softfinger.config.mjcf_geoms import taken
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.heightmaps import read_heights
 from softfinger.proxy.kernels.jit.decorators import PLAIN
