@@ -123,6 +123,7 @@ def _compile(path: str, root: str | None) -> Compiled:
             files = [path, *(str(Path(path).parent / mesh.file) for mesh in spec.meshes)]
         _remove_pictures(spec)
         states = {file: _state(file) for file in files}
+        package.mj_clearCache(package.mj_getCache())  # which takes a file that changed within a second for the old one
         model = spec.compile()
     except (ValueError, package.FatalError) as error:
         raise ConfigError(f"world.model {name}: {_line(error)}") from error

@@ -143,7 +143,7 @@ def _mended(thing: schema.Mesh, data: bytes) -> tuple[Arrays, Report]:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
     except ValueError as error:
         raise ConfigError(f"object '{thing.name}': file: {thing.file}: {error}") from error
-    return mended.arrays, report_of(mended, loose)
+    return mended.arrays, report_of(mended, loose, thing.scale if thing.mesh is None else None)
 
 
 def _about(mended: tuple[Arrays, Report]) -> About:

@@ -392,6 +392,24 @@ def test_what_a_glb_has_besides_is_refused_by_name(tmp_path: Path) -> None:
     assert "has no data for accessor 2" in refusal(path, made.data([{"attributes": {"POSITION": 2}, "indices": 1}]))
 
 
+def test_a_size_in_another_unit_is_asked_about(tmp_path: Path) -> None:
+    """Above 1 m and below 1 mm, with the scale that would be right; not between."""
+    path = tmp_path / "a.stl"
+    path.write_bytes(stl())
+
+    def noted(scale: float) -> str:
+        material = schema.Material(stiffness_n_per_m=500.0)
+        return about(schema.Mesh(name="m", file=str(path), material=material, scale=scale)).report.noted[0]
+
+    assert "in size" not in noted(1.0) + noted(0.03) + noted(20.0)
+    path.write_bytes(TEXT.replace("e-02", "e+01").encode())  # a box of 40 x 40 x 20
+    assert noted(1.0) == (
+        "it is 40 m in size: if that is not meant, give scale = 0.001 (millimetres, 0.04 m), or scale = 0.01 "
+        "(centimetres, 0.4 m)"
+    )
+    assert "give scale = 0.001 (a thousand times larger, 0.04 m)" in noted(1e-6)
+
+
 def test_a_box_is_a_box() -> None:
     """The box of these tests by a closed form, and by trimesh."""
     box = Arrays(CORNERS, np.array(FACES, np.int32))
