@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -18,7 +17,8 @@ from softfinger.server.offline.results import csv_lines
 SKIPPED: Final = "-"
 """Stands for a column that is none of a pose's."""
 _REMARK: Final = re.compile(rb"\s*(#|%|//|;|$)")
-_BETWEEN: Final = re.compile(r"\s*[,;\s]\s*")
+_BETWEEN: Final = tuple(re.compile(each) for each in (r"\s*;\s*", r" *\t *", r"\s*,\s*", r"\s+", r"\s*[,;\s]\s*"))
+"""What may be between two cells; the first that gives as many cells as there are columns is it."""
 
 
 class Layout(NamedTuple):
@@ -65,23 +65,25 @@ def layout_of(columns: str, unit_s: float, unit_m: float, rate_hz: float | None,
 
 
 def read_table(path: Path, layout: Layout) -> Poses:
-    """The poses in a text file of numbers with commas, semicolons, tabs or blanks between, one row a line.
+    """Return the poses in a text file of numbers with commas, semicolons, tabs or blanks between, one row a line.
 
-    Empty lines, and those that begin with #, %, // or ;, are left out. Times count from the first row. RecordingError,
-    with the line, for what is no such table; the file's own units are not known to it.
+    Numbers have decimal points, or decimal commas if something else is between them. Empty lines and those that begin
+    with #, %, // or ; are skipped. Times count from the first row. Raises RecordingError, with the line, for a file
+    that is no such table; the units are not in it.
     """
-    numbers, values = array("q"), array("d")
+    numbers, values, commas = array("q"), array("d"), set[bool]()
     try:
         with open_input(path) as file:
             number = 0
             while line := file.readline(LINE_MAX):
                 number += 1
-                if number <= layout.skip or _REMARK.match(line):
+                line = line.removeprefix(b"\xef\xbb\xbf") if number == 1 else line
+                if number <= layout.skip or (_REMARK.match(line) and line.count(b";") != len(layout.columns) - 1):
                     continue
                 if len(numbers) >= POSES_MAX:
                     raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the most that are read: cut it up")
                 numbers.append(number)
-                values.extend(_row(f"{path}, line {number}", line, layout.columns))
+                values.extend(_row(f"{path}, line {number}", line, layout, commas))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
     table = np.frombuffer(values).reshape(-1, len(layout.columns))
@@ -99,23 +101,40 @@ def read_table(path: Path, layout: Layout) -> Poses:
     )
 
 
-def _row(place: str, line: bytes, columns: Sequence[str]) -> list[float]:
+def _row(place: str, line: bytes, layout: Layout, commas: set[bool]) -> list[float]:
+    """Return the numbers of a line; `commas` gets whether a decimal comma or a decimal point was found."""
     try:
-        cells = _BETWEEN.split(line.decode().strip().rstrip(",;"))
+        text = line.decode().strip()
     except UnicodeDecodeError as error:
         raise RecordingError(f"{place}: not a text file (not UTF-8)") from error
-    if len(cells) != len(columns):
-        raise RecordingError(
-            f"{place}: {len(cells)} values where --columns has {len(columns)}: give a name or {SKIPPED} for each; "
-            "--skip leaves lines out at the beginning"
-        )
     row = []
-    for name, cell in zip(columns, cells, strict=True):
+    for name, cell in zip(layout.columns, _cells(place, text, len(layout.columns)), strict=True):
         try:
-            row.append(0.0 if name == SKIPPED else float(cell))
+            row.append(0.0 if name == SKIPPED else float(cell.replace(",", ".")))
         except ValueError as error:
-            raise RecordingError(f"{place}, column '{name}': {cell[:40]!r} is not a number") from error
+            what = f"{cell[:40]!r} is not a number" if cell else "the cell is empty"
+            raise RecordingError(f"{place}, column '{name}': {what}; --skip leaves a heading out") from error
+        commas |= {mark == "," for mark in ",." if name != SKIPPED and mark in cell}
+    if len(commas) > 1:
+        raise RecordingError(f"{place}: has decimal commas and decimal points: write all numbers with points")
     return row
+
+
+def _cells(place: str, text: str, columns: int) -> list[str]:
+    """Return the cells of a line; empty ones at its end may be more than there are columns."""
+    counts = []
+    for between in _BETWEEN:
+        cells = between.split(text)
+        while len(cells) > columns and not cells[-1]:
+            cells.pop()
+        if len(cells) == columns:
+            return cells
+        counts.append(len(cells))
+    found = next((count for count in counts if count > 1), 1)
+    raise RecordingError(
+        f"{place}: {found} values where --columns has {columns}: give a name or {SKIPPED} for each; "
+        "--skip leaves lines out at the beginning"
+    )
 
 
 def write_poses(path: Path, poses: Poses) -> None:
