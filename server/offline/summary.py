@@ -37,7 +37,7 @@ def scene_summary(scene: Scene) -> list[tuple[str, str]]:
         first, *others = _finger_rows(scene, finger)
         rows += [first, *entry_rows(table), *others]
     for item in scene.object:
-        rows += _object_rows(item, scene.soft)
+        rows += object_rows(item, scene.soft)
     rows += [(f"effect {effect.kind}", _values(effect)) for effect in scene.effect]
     return rows + ([] if scene.world is None else world_rows(scene.world))
 
@@ -79,7 +79,8 @@ def _size(item: ObjectBase) -> str:
     return "".join(f", {name} {shown(getattr(item, name))}" for name in own if getattr(item, name) is not None)
 
 
-def _object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
+def object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
+    """Return the rows of an object. Raises ConfigError for a file of it that cannot be used."""
     material = item.material
     friction, torsion = "left out: frictionless", "left out: no moment about the normal"
     if material.friction is not None:

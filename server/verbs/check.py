@@ -34,7 +34,7 @@ from softfinger.config.schema import (
 )
 from softfinger.config.words import near, shown
 from softfinger.server.offline.figures import plot_file
-from softfinger.server.offline.summary import mesh_report, rig_summary, scene_summary
+from softfinger.server.offline.summary import mesh_report, object_rows, rig_summary, scene_summary
 from softfinger.server.offline.worlds import check_start
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
@@ -141,6 +141,8 @@ def examine_file(file: str) -> Finding:
             return _experiment(file, path)
         config = load_scene(path) if kind == "scene" else load_rig(path)
         if isinstance(config, Scene):
+            if faults := _object_faults(config):
+                return Finding(file, kind, [], faults, {}, {})
             summary = scene_summary(config)
         else:
             if config.security is not None:
@@ -164,6 +166,17 @@ def _experiment(file: str, path: Path) -> Finding:
 
     experiment = Experiment(path).file
     return Finding(file, "experiment", summary(experiment), [], describe(experiment), {})
+
+
+def _object_faults(scene: Scene) -> list[str]:
+    """Return what is wrong with the files of each object."""
+    faults = []
+    for item in scene.object:
+        try:
+            object_rows(item, scene.soft)
+        except ConfigError as error:
+            faults.append(str(error))
+    return faults
 
 
 def _reports(config: Scene | Rig) -> dict[str, Any]:
