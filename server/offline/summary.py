@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
@@ -27,6 +27,10 @@ from softfinger.server.offline.worlds import world_rows
 
 if TYPE_CHECKING:  # with the kernels behind them, which no rig needs
     from softfinger.proxy.meshes.report import Report
+
+
+OVERSHOOT: Final = 0.02
+"""Share of a map's height by which its surface may leave its pixels before the summary mentions it."""
 
 
 def scene_summary(scene: Scene) -> list[tuple[str, str]]:
@@ -115,7 +119,7 @@ def mesh_report(item: Mesh) -> Report:
 
 
 def _heightmap_rows(item: Heightmap) -> list[tuple[str, str]]:
-    from softfinger.proxy.heightmaps import read_heights, tightest
+    from softfinger.proxy.heightmaps import overshoot, read_heights, tightest
 
     heights = read_heights(item)
     rows, columns = heights.shape
@@ -123,10 +127,15 @@ def _heightmap_rows(item: Heightmap) -> list[tuple[str, str]]:
     low, high = float(heights.min()), float(heights.max())
     valley = tightest(heights, item.pitch_m)
     bends = "no valley" if valley == 0.0 else f"valleys bend with {1.0 / valley:.3g} m or more"
-    return [
+    found = [
         ("  map", f"{size}, heights {low:g} to {high:g} m"),
         ("    bends", f"{bends}; where that is less than the fingertip's radius it touches in several places"),
     ]
+    if (over := overshoot(heights)) > OVERSHOOT * (high - low):
+        found.append(
+            ("    steps", f"the smooth surface is up to {over:.3g} m higher or lower than the pixels beside them")
+        )
+    return found
 
 
 def _texture_rows(item: Textured, texture: Texture) -> list[tuple[str, str]]:

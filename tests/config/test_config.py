@@ -498,7 +498,7 @@ def test_all_faults_are_reported_at_once() -> None:
 
 
 def test_faults_behind_an_unknown_kind_are_reported_too() -> None:
-    """In keys of the kind that was meant, in those that all kinds share, and keys of none; none is said to be missing."""
+    """In keys of the kind that was meant, in those that all kinds share, and keys of none; no guess what is missing."""
     bad = scene()
     bad["object"] = [
         {"name": "a", "shape": "spher", "radius_m": -2, "colour": 3, "material": {"stiffness_n_per_m": -5}},
