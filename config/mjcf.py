@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import os
 import threading
+import warnings
 from collections import OrderedDict
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,7 +21,8 @@ from softfinger.config import schema
 from softfinger.config.arrays.grids import Grid
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
-from softfinger.config.mjcf_size import SIZE_MAX, Names, check_files, outside
+from softfinger.config.mjcf_files import check_flexes, check_place, place_files
+from softfinger.config.mjcf_size import SIZE_MAX, check_files
 from softfinger.config.urdf import complete, is_urdf
 
 if TYPE_CHECKING:
@@ -114,28 +116,26 @@ def _compile(path: str, root: str | None) -> Compiled:
         raise ConfigError(f"world.model {name}: cannot be read: {reason}") from error
     home = Path(os.path.realpath(Path(path).parent if root is None else root))
     names = check_files(text, Path(path), name, home)
+    folder = os.path.dirname(os.path.abspath(path))
     try:
-        files = package.mju_getXMLDependencies(path)
-        _check_places(files, home, names, name)
-        spec = package.MjSpec.from_file(path)
-        if is_urdf(path):
-            complete(spec, Path(path).parent)
-            files = [path, *(str(Path(path).parent / mesh.file) for mesh in spec.meshes)]
-        _remove_pictures(spec)
-        states = {file: _state(file) for file in files}
-        package.mj_clearCache(package.mj_getCache())  # which takes a file that changed within a second for the old one
-        model = spec.compile()
+        listed = package.mju_getXMLDependencies(path)
+        parts = [path, *(file for file in listed if os.path.basename(file) in names.parts)]
+        for file in parts[1:]:
+            check_place(file, home, f"{name}: the file {file}")
+        check_flexes(folder, names.folders, names.flexes, home, name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # MuJoCo's, of deprecated attributes
+            spec = package.MjSpec.from_file(path)
+            if is_urdf(path):
+                complete(spec, Path(folder))
+            _remove_pictures(spec)
+            files = [*parts, *place_files(spec, listed, bool(names.attaches), home, name)]
+            states = {file: _state(file) for file in files}
+            package.mj_clearCache(package.mj_getCache())  # which misses that a file changed within a second
+            model = spec.compile()
     except (ValueError, package.FatalError) as error:
         raise ConfigError(f"world.model {name}: {_line(error)}") from error
     return Compiled(spec, model, states)
-
-
-def _check_places(files: list[str], home: Path, names: Names, model: str) -> None:
-    """Raise ConfigError if MuJoCo would read a file that is not below `home`; pictures are not read."""
-    for file in files[:-1]:  # the last one is the model itself
-        real, name = Path(os.path.realpath(file)), os.path.basename(file)
-        if not real.is_relative_to(home) and not (name in names.pictures and name not in names.needed):
-            raise outside(f"{model}: the file {file}", real, home)
 
 
 def _remove_pictures(spec: mujoco.MjSpec) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.mjcf import compiled, mujoco_module, read_model
+from softfinger.config.mjcf_files import has_groups
 
 SQUARE: Final = 1e-6
 """Relative difference of the sides of a pixel that counts as rounding of sizes in a file: 1 pixel in a million."""
@@ -64,6 +65,8 @@ def taken(world: schema.World) -> Iterator[Taken]:
         if material is None:
             yield Taken(name, None, "has no material: give [world.material], or a [[world.geom]] that fits it")
             continue
+        if geom.meshname and model.geom_type[geom.id] == package.mjtGeom.mjGEOM_MESH:
+            _check_groups(name, spec, int(model.geom_dataid[geom.id]))
         yield _object(name, geom.id, world, material, model, data)
 
 
@@ -112,6 +115,15 @@ def _object(name: str, geom: int, world: schema.World, material: schema.Material
             return Taken(name, schema.Mesh(**source, **place), _hull_note(model, number))
     kind = kinds(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
     return Taken(name, None, f"is of the type {kind}, which fingers do not touch")
+
+
+def _check_groups(name: str, spec: Any, number: int) -> None:
+    file = next((mesh.file for mesh in spec.meshes if mesh.id == number), "")
+    if file.lower().endswith(".obj") and has_groups(file):
+        raise ConfigError(
+            f"geom {name!r}: {file} has faces in several groups, and MuJoCo reads only the first: export it without "
+            "groups"
+        )
 
 
 def _hull_note(model: Any, number: int) -> str:

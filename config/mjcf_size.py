@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from softfinger.config import limits
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
+from softfinger.config.mjcf_files import check_place
 from softfinger.config.urdf import is_urdf, places
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ CHUNK: Final = 1 << 15
 """Characters parsed at a time, which takes a millisecond."""
 DEPTH_MAX: Final = 8
 """Deepest nesting of models attached to models."""
-PICTURES: Final = ("texture", "skin")
 PARSED: Final = ("include", "model")
 """Elements whose files are XML."""
 FILES: Final = ("file", "filename", "meshdir", "texturedir", "assetdir")
@@ -75,24 +74,23 @@ LISTS: Final = ("vertex", "normal", "texcoord", "face", "point", "element", "ele
 """Attributes that are lists of numbers."""
 
 
-def outside(what: str, file: Path, home: Path) -> ConfigError:
-    """Return the error for a file of a model that is not below `home`."""
-    above = os.path.relpath(os.path.commonpath([home, file]), home)
-    return ConfigError(
-        f"world.model {what} is outside of its folder: put the file beside the model, or name a folder above both: "
-        f'[world] root = "{above}"'
-    )
-
-
 class Names(NamedTuple):
-    """Names of files, without folders, that a model has as pictures, and of those that contacts need."""
+    """Names in a model with which it asks for files.
 
-    pictures: set[str]
-    needed: set[str]
+    parts     XML files, without folders
+    folders   values of meshdir and assetdir
+    flexes    files of <flexcomp>
+    attaches  whether it attaches other models
+    """
+
+    parts: set[str]
+    folders: set[str]
+    flexes: set[str]
+    attaches: list[str]
 
 
 def check_files(text: str, path: Path, name: str, home: Path) -> Names:
-    """Return the names of the files of a model with this text.
+    """Return names in a model with this text.
 
     Raises ConfigError if it is too large, or if it includes or attaches a file that is not below `home`.
     """
@@ -111,7 +109,7 @@ class _Model:
 
     def __init__(self, home: Path, name: str, urdf: bool) -> None:
         self._home, self._name, self._urdf = home, name, urdf
-        self.names = Names(set(), set())
+        self.names = Names(set(), set(), set(), [])
         self._counted = Counter[str]()
         self._bytes = 0
 
@@ -173,17 +171,23 @@ class _Model:
             return None
 
     def _check_paths(self, element: Element, folder: Path, name: str) -> None:
-        """Check the files that are read here; MuJoCo lists the others of an MJCF file, with their folders."""
-        names = self.names.pictures if element.tag in PICTURES else self.names.needed
-        names.update(re.split(r"[/\\]", given)[-1] for key, given in element.items() if key.startswith("file"))
+        """Check the files that are read here, and note those that only MuJoCo finds."""
+        given = element.get("file") or ""
+        match element.tag:
+            case "include" | "model":
+                self.names.parts.add(os.path.basename(given))
+            case "attach":
+                self.names.attaches.append(element.get("model") or "")
+            case "flexcomp":
+                self.names.flexes.add(given)
+            case "compiler":
+                self.names.folders.update(element.get(key) or "" for key in ("meshdir", "assetdir"))
         if not self._urdf and element.tag not in PARSED:
             return
         for key in FILES:
-            given = element.get(key)
-            for way in places(given or ""):
-                real = Path(os.path.realpath(folder / way))
-                if not real.is_relative_to(self._home):
-                    raise outside(f"{name}: <{element.tag} {key}={given!r}>", real, self._home)
+            given = element.get(key) or ""
+            for way in places(given):
+                check_place(folder / way, self._home, f"{name}: <{element.tag} {key}={given!r}>")
 
     def _check_numbers(self, element: Element, name: str) -> None:
         for bound in BOUNDS.get(element.tag, ()):

@@ -86,6 +86,46 @@ ATTACHED = (
 PART = '<asset><mesh name="wedge" file="{}"/></asset><worldbody><body name="part">' + BOX_GEOM + "</body></worldbody>"
 
 
+def test_folders_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
+    """`strippath`, and a `meshdir` that an included file sets for all: its list of files has neither."""
+    stl(tmp_path / "meshes/wedge.stl")
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "inner/more.xml").write_text(
+        f'<mujocoinclude><compiler meshdir="meshes"/>{MESH.format("wedge.stl")}</mujocoinclude>'
+    )
+    scenes = [
+        written(
+            tmp_path / "strip.xml", MESH.format("../far/wedge.stl"), '<compiler meshdir="meshes" strippath="true"/>'
+        ),
+        written(tmp_path / "outer.xml", '<include file="inner/more.xml"/>'),
+        written(tmp_path / "last.xml", '<include file="inner/more.xml"/>', '<compiler meshdir="none"/>'),
+    ]
+    for scene in scenes:
+        (part,) = load_scene(scene).object
+        np.testing.assert_allclose(by_row(placed(part)), by_row(0.01 * WEDGE), atol=FLOAT32)
+    flex = (
+        '<worldbody><body name="b"><flexcomp name="f" type="mesh" file="../wedge.obj" dim="2" mass="1"/></body>'
+        '<geom name="ball" size="0.1"/></worldbody>'
+    )
+    (tmp_path / "a").mkdir()
+    with pytest.raises(ConfigError, match=r"<flexcomp file='\.\./wedge\.obj'> is outside"):
+        load_scene(written(tmp_path / "a/flex.xml", flex, '<compiler meshdir="sub"/>'))
+
+
+def test_groups_of_an_obj_file_are_refused(tmp_path: Path) -> None:
+    """MuJoCo would read the first one alone, without a word."""
+    lines = [f"v {x} {y} {z}" for x, y, z in (0.01 * WEDGE).tolist()]
+    faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]
+    path = tmp_path / "part.obj"
+    scene = written(tmp_path / "part.xml", MESH.format("part.obj"))
+    path.write_text("\n".join(["o part", *lines, "g a", *faces[:6], "g b", *faces[6:]]))
+    with pytest.raises(ConfigError, match=r"geom 'part': .*part\.obj has faces in several groups"):
+        load_scene(scene)
+    path.write_text("\n".join(["o part", *lines, "g a", *faces]))
+    (part,) = load_scene(scene).object
+    np.testing.assert_allclose(by_row(placed(part)), by_row(0.01 * WEDGE), atol=FLOAT32)
+
+
 def test_an_attached_model_reads_its_own_folder_alone(tmp_path: Path) -> None:
     """Not one outside of the scene's, by whatever its own `meshdir` and the name of the file add up to."""
     stl(tmp_path / "wedge.stl")

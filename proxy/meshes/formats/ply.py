@@ -66,7 +66,9 @@ def read(data: bytes) -> Faces:
         rows[element.name] = element.rows
         tables[element.name], at = _rows(element, body, at, order)
     if behind := body[at:].strip(b" \t\r\n"):
-        raise ValueError(f"is damaged: {len(behind):,} bytes follow the elements that its head names")
+        raise ValueError(f"has other rows than its head names: {len(behind):,} bytes are left over")
+    if not rows.get("vertex"):
+        return Faces(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64), 0)
     points = np.stack([_scalar(tables, axis) for axis in "xyz"], axis=1)
     if not rows.get("tristrips"):
         empty = Column(np.empty(0, np.int64), np.empty(0, np.int64))
