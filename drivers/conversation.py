@@ -1,13 +1,13 @@
-"""What every conversation with a board on a file descriptor does: tick by tick, over a pause and into a silence.
+"""Exchange with a board on a file descriptor: each tick, after a pause of the loop, and during silence of the board.
 
-A tick never waits: it takes what has come up to the newest, and sends one packet. Over a silence of `quiet` no force is
-sent, for where the arm is now a force for where it was may push it the wrong way; the board is woken every `kick`, and
-after `timeout_after` it is given up. After a pause of the loop (`pause`) what is queued is thrown away and a sample of
-now is awaited. Whatever put zero in the place of a force is told by WITHHELD, so that the guard fades in anew; a force
-that did not go out by HELD, for the device keeps the one before.
+A tick never waits: it reads everything received, uses the latest sample, and sends one packet. During a silence longer
+than `quiet` it sends no force: computed for an old position, the force may push the arm in the wrong direction. It
+wakes the board every `kick`, and reports a failure after `timeout_after`. After a pause of the loop (`pause`) it
+discards queued samples and waits for a current one. WITHHELD reports that zero replaced the force, so that the guard
+fades the force in again. HELD reports that a force was not sent, because the device keeps the previous one.
 
-A driver says what is its own in six kernels, chosen by a named tuple of its: `drain`, `pose`, `busy`, `send_zero`,
-`command` and `wake`. `serial.exchange` is the shortest to copy.
+A driver implements six kernels, dispatched by the type of a named tuple that it defines: `drain`, `pose`, `busy`,
+`send_zero`, `command` and `wake`. `serial.exchange` is the shortest example.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
 
 TORQUE_MAX_NM: Final = 1e2
-"""No motor turns the handle, but the torque is taken: it belongs to the contact and to telemetry."""
+"""No motor turns the handle, but torque is accepted: contact and telemetry use it."""
 WAIT_MS: Final = 10
-"""Time of one wait for a sample of now."""
+"""Duration of one wait for a current sample."""
 
-_POLLIN: Final = 1 << 32  # `events` of a struct pollfd read as one little-endian word
+_POLLIN: Final = 1 << 32  # `events` of a struct pollfd, read as one little-endian word
 
 
 class Words(NamedTuple):
-    """The words of any conversation, in front of the driver's own."""
+    """Fields of every exchange; the fields of the driver follow."""
 
     fd: Annotated[int, word("file descriptor, below 0 once it is closed")]
     armed: Annotated[int, word("whether a force may go out")]
@@ -74,7 +74,7 @@ TALK: Final = lay_out(Words)
 
 
 class Times(NamedTuple):
-    """Spans of a conversation, s; see `Words`."""
+    """Time spans of an exchange, s; see `Words`."""
 
     quiet: float
     kick: float
@@ -83,7 +83,7 @@ class Times(NamedTuple):
 
 
 def begin(block: Block, fd: int, times: Times, answer: int = 1) -> None:
-    """Fill in the words of a conversation on `fd`; `answer` as in `Words`."""
+    """Initialize the fields of an exchange on `fd`; `answer` as in `Words`."""
     at = block.word
     at[TALK.fd], at[TALK.armed], at[TALK.answer] = fd, 1, answer
     at[TALK.opened_at] = time.monotonic_ns()
@@ -108,7 +108,7 @@ class Board(Protocol):
 
 
 def info_of(board: Board, name: str, sensed_dof: int, actuated_dof: int = 3) -> DeviceInfo:
-    """What a board can do: motors that do not turn the handle, in a box about its origin."""
+    """Return the capabilities of a board: no motors for the handle's rotation, workspace a box around its origin."""
     x, y, z = (float(v) for v in board.mounting.position_m)
     r = board.workspace_radius_m
     return DeviceInfo(
@@ -124,40 +124,40 @@ def info_of(board: Board, name: str, sensed_dof: int, actuated_dof: int = 3) -> 
     )
 
 
-# --- what a driver says ----------------------------------------------------------------------------
+# --- kernels of a driver ---------------------------------------------------------------------------
 
 
 @by_type
 def drain(driver: Any, handle: int) -> Any:
-    """Read until nothing is left; how many samples came, the newest kept, or a status below 0."""
+    """Read until nothing is left and store the latest sample. Return the number of samples, or a status below 0."""
 
 
 @by_type
 def pose(driver: Any, handle: int) -> Any:
-    """Put the newest into TALK.sample, but for its time; False where it holds no pose."""
+    """Convert the latest sample into TALK.sample, except its time. Return False if it contains no pose."""
 
 
 @by_type
 def busy(driver: Any, handle: int, deaf: bool) -> Any:
-    """Whether nothing more is to be sent just now but a zero that ends a force; `deaf`: no sample is of now."""
+    """Return True if only a zero that ends a force may be sent now; `deaf`: there is no current sample."""
 
 
 @by_type
 def send_zero(driver: Any, handle: int) -> Any:
-    """Send a zero; OK, HELD when the device took nothing just now, or a status below 0."""
+    """Send a zero. Return OK, HELD if the device accepts nothing at the moment, or a status below 0."""
 
 
 @by_type
 def command(driver: Any, handle: int, wrench: Any) -> Any:
-    """Send a wrench; as `send_zero`, and STALE when it had to be limited."""
+    """Send a wrench. Return like `send_zero`, or STALE if the driver limited it."""
 
 
 @by_type
 def wake(driver: Any, handle: int) -> Any:
-    """Send what makes a silent device speak, and no force; as `send_zero`."""
+    """Send a packet without force that makes a silent device answer. Return like `send_zero`."""
 
 
-# --- the same for all ------------------------------------------------------------------------------
+# --- common to all drivers -------------------------------------------------------------------------
 
 
 @jit
@@ -167,7 +167,7 @@ def _now(handle: int) -> int:
 
 @jit
 def _kick(driver: Any, handle: int) -> int:
-    """Wake the device; unless who stops it is writing: then that is the kick."""
+    """Wake the device, unless another thread is writing to stop it: then its write wakes the device."""
     if exchange_int64(handle + 8 * TALK.lock, 1) != 0:
         return STALE
     status: int = wake(driver, handle)
@@ -178,13 +178,13 @@ def _kick(driver: Any, handle: int) -> int:
 
 @jit
 def _mute(handle: int, misread: int) -> int:
-    """What it means that so many bytes have come and no sample."""
+    """Return the status of a silence in which `misread` unusable bytes arrived."""
     return PROTOCOL if misread >= int64_at(handle)[TALK.answer] else TIMEOUT
 
 
 @jit
 def _ready(handle: int, wait_ms: int) -> None:
-    """Wait until the device has sent something, or for so long."""
+    """Wait until the device has sent something, or `wait_ms` have passed."""
     at = int64_at(handle)
     at[TALK.poll] = at[TALK.fd] | _POLLIN
     poll_fd(int64_at(handle + 8 * TALK.poll), 1, wait_ms)
@@ -192,14 +192,14 @@ def _ready(handle: int, wait_ms: int) -> None:
 
 @jit
 def _await(driver: Any, handle: int) -> int:
-    """Throw away what is queued and wait for a sample of now, kicking; how many came, or a status below 0.
+    """Discard queued samples and wait for a current one, waking the device. Return like `drain`.
 
-    With a sample to repeat the wait is short.
+    The wait is short if there is a sample to repeat.
     """
     at = int64_at(handle)
     came: int = drain(driver, handle)
     if came >= 0:
-        _ready(handle, 0)  # a terminal hands on what is under way, before it says that nothing is there
+        _ready(handle, 0)  # poll makes a terminal deliver bytes in transit before it reports that there are none
         came = drain(driver, handle)
     begun = now = _now(handle)
     misread = at[TALK.misread]
@@ -224,7 +224,7 @@ def _await(driver: Any, handle: int) -> int:
 
 @jit
 def read_once(driver: Any, handle: int, sample: Any) -> int:
-    """The `read` of a driver."""
+    """Implement `read` of a driver."""
     at = int64_at(handle)
     if at[TALK.fd] < 0:
         return LOST
@@ -257,7 +257,7 @@ def read_once(driver: Any, handle: int, sample: Any) -> int:
     if paused:
         at[TALK.read_at] = _now(handle)  # waiting for the device is no pause of the loop
     if loaded and at[TALK.loaded] == 0:
-        status = WITHHELD  # a kick has ended the force, and an answer to it must not bring it back at once
+        status = WITHHELD  # waking has removed the force, and the answer to it must not restore the force at once
     for k in range(SAMPLE_SIZE):
         sample[k] = kept[k]
     return status
@@ -265,13 +265,13 @@ def read_once(driver: Any, handle: int, sample: Any) -> int:
 
 @jit
 def write_once(driver: Any, handle: int, wrench: Any) -> int:
-    """The `write` of a driver."""
+    """Implement `write` of a driver."""
     at = int64_at(handle)
-    # Never wait here: who holds the lock is stopping the device, so refusing is right as well.
+    # Never wait here: the lock's owner may be stopping the device, and then refusing is right as well.
     if exchange_int64(handle + 8 * TALK.lock, 1) != 0:
         return WITHHELD
     finite, zero = True, True
-    for k in range(3):  # no motor turns the handle: torque is taken, and not displayed
+    for k in range(3):  # no motor turns the handle: torque is accepted, but not displayed
         finite = finite and isfinite(wrench[k])
         zero = zero and wrench[k] == 0.0
     status = OK
@@ -292,11 +292,11 @@ def write_once(driver: Any, handle: int, wrench: Any) -> int:
 
 @jit
 def silence_once(driver: Any, handle: int) -> int:
-    """Disarm and send a zero; 1 when it is done, 0 when it was not taken and must be tried again."""
+    """Disarm and send a zero. Return 1 if that is done, 0 if it was not accepted and the call must be repeated."""
     at = int64_at(handle)
     at[TALK.armed] = 0
     if exchange_int64(handle + 8 * TALK.lock, 1) != 0:
-        return 0  # a write is under way
+        return 0  # a write is in progress
     status = OK
     if at[TALK.fd] >= 0:
         status = send_zero(driver, handle)
@@ -313,7 +313,7 @@ class Functions(NamedTuple):
 
 
 def c_functions(driver: tuple[()]) -> Functions:
-    """Compile the conversation of a driver; its kernels have been registered for the type of `driver`."""
+    """Compile the exchange of a driver; its kernels must be registered for the type of `driver` before."""
 
     @c_function(IO_SIGNATURE)
     def read(handle: int, sample: Any) -> int:

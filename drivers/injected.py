@@ -1,7 +1,7 @@
-"""A device with faults injected between it and the loop, for tests and for `softfinger run --inject`.
+"""Device with faults injected between driver and loop, for tests and for `softfinger run --inject`.
 
-It wraps any driver behind the same two C functions. Without it nothing of this is called or compiled. What stops and
-closes the device goes straight to its driver.
+It wraps any driver behind the same two C functions. Runs without it neither call nor compile any of this. `stop` and
+`close` go directly to the driver.
 """
 
 from __future__ import annotations
@@ -61,23 +61,34 @@ WRENCH_SIZE: Final = 6
 POSE_SIZE: Final = len(NUMBERS)
 
 ROW: Final = 8
-"""Numbers of a fault in the table: what it does, first tick, tick behind the last, one in so many, then its own."""
+"""Columns of the fault table: action, first tick, tick after the last, period in ticks, then its parameters."""
 DOES, FIRST, BEHIND, EVERY, A, B, C = range(7)
 
 REPEAT, PUT, MOVE, BLOCK_READ, BLOCK_WRITE, CUT, FLIP, PRESS, FAIL_READ, FAIL_WRITE, UNPLUG, ZERO, KEEP = range(13)
-"""What a fault does: repeat the sample (status A); put B at number A of the pose; move by A, B, C (m); block for A
-(us); cut behind the first A numbers; flip a bit; press buttons A; fail with status A; unplug; write zero, with status A
-of the read; keep the force of before (status A of the write)."""
+"""Actions of faults.
+
+REPEAT       repeat the sample, with status A
+PUT          set number A of the pose to B
+MOVE         add A, B, C (m) to the position
+BLOCK_READ   block for A (us) while reading; BLOCK_WRITE: while writing
+CUT          set the numbers from index A to zero
+FLIP         flip a bit of the pose
+PRESS        toggle buttons A
+FAIL_READ    fail with status A while reading; FAIL_WRITE: while writing
+UNPLUG       report a disconnected device
+ZERO         write zero, and read with status A
+KEEP         keep the previous force, and write with status A
+"""
 
 US_PER_S: Final = 1e6
 BLOCK_US: Final = 500_000
-"""Longest single wait: usleep need not take a second."""
+"""Longest single wait: usleep need not accept a second."""
 
 _usleep: Any = types.ExternalFunction("usleep", types.int32(types.uint32))
 
 
 class Words(NamedTuple):
-    """The words of an injected device."""
+    """Fields of an injected device."""
 
     ticks: Annotated[int, word("reads so far")]
     injected_ticks: Annotated[int, counter("reads and writes in which a fault has acted")]
@@ -119,8 +130,10 @@ def _block(microseconds: float) -> None:
 
 @jit
 def _instead(handle: int, tick: int) -> tuple[int, bool]:
-    """What a tick's faults make of the read before it is made: a status, and whether the sample of before comes again.
-    A status below zero is that of a read that fails."""
+    """Apply a tick's faults that replace the read. Return the status, and True to repeat the previous sample.
+
+    A status below zero fails the read.
+    """
     word = int64_at(handle)
     status, again = OK, False
     for place in range(word[AT.length]):
@@ -142,7 +155,7 @@ def _instead(handle: int, tick: int) -> tuple[int, bool]:
 
 @jit
 def _spoil(handle: int, tick: int) -> None:
-    """Do what a tick's faults do to the sample that was read."""
+    """Apply a tick's faults to the sample that was read."""
     word = int64_at(handle)
     sample = float64_at(handle + 8 * AT.sample)
     bits = int64_at(handle + 8 * AT.sample)
@@ -162,7 +175,7 @@ def _spoil(handle: int, tick: int) -> None:
         elif does == PRESS:
             sample[SAMPLE_BUTTONS] = float(int(sample[SAMPLE_BUTTONS]) ^ int(row[A]))
         elif does == FLIP:
-            # Knuth's linear congruential generator (MMIX), whose upper bits are the random ones
+            # Knuth's linear congruential generator (MMIX); only its upper bits are random
             state = word[AT.random] * 6364136223846793005 + 1442695040888963407
             word[AT.random] = state
             drawn = (state >> 33) & 0x3FFFFFFF
@@ -221,10 +234,9 @@ def _write(handle: int, wrench: Any) -> int:
 
 
 class Injected(Device):
-    """An open device with faults; it is the caller's no more, and is stopped and closed with this one.
+    """Open device with faults. It takes ownership of the device: stop and close this one instead.
 
-    It counts as one that a hand holds, whatever is behind: its poses are doubted, and its ticks take as long as they
-    take.
+    For any wrapped device `own_clock` is False: poses are checked for jumps, and ticks use the measured time.
     """
 
     def __init__(self, device: Device, faults: Faults, rate_hz: float, finger: str = "") -> None:
@@ -276,7 +288,7 @@ class Injected(Device):
 
 
 def table(faults: list[Injection], rate_hz: float) -> NDArray[np.float64]:
-    """The faults as the kernels have them (count, ROW)."""
+    """Return the fault table for the kernels (count, ROW)."""
     rows = np.zeros((len(faults), ROW))
     for row, fault in zip(rows, faults, strict=True):
         row[FIRST], row[BEHIND] = fault.window(rate_hz)
@@ -288,7 +300,7 @@ def table(faults: list[Injection], rate_hz: float) -> NDArray[np.float64]:
 
 
 def _deed(fault: FaultBase) -> tuple[float, ...]:
-    """What a fault does, and the numbers of that."""
+    """Return the action of a fault and its parameters."""
     match fault:
         case Stale():
             return REPEAT, STALE

@@ -1,6 +1,6 @@
-"""The devices that this process has open: what a signal zeroes and closes, whoever opened them.
+"""Open devices of this process, which a signal handler zeroes and closes.
 
-Imports nothing of the program: signals are handled before the rest of it is there.
+Imports nothing else of the program, because signals are handled before other modules are loaded.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from collections.abc import Callable, Sequence
 from typing import Final, Protocol, TypeVar
 
 END_S: Final = 2.0
-"""How long a device may take to stop or to close. One that takes longer hangs: the shutdown goes on without it."""
+"""Time for a device to stop or close. A slower one hangs: the shutdown continues without it."""
 
 
 class Stoppable(Protocol):
-    """A device (drivers.base.Device), as far as it matters here."""
+    """Device (drivers.base.Device), reduced to the methods used here."""
 
     def stop(self) -> None: ...
     def close(self) -> None: ...
@@ -25,13 +25,17 @@ class Stoppable(Protocol):
 Each = TypeVar("Each", bound=Stoppable)
 
 devices: Final[weakref.WeakSet[Stoppable]] = weakref.WeakSet()
-"""Until nobody holds a device any more, it can be stopped and closed any number of times."""
+"""While a device is referenced, it can be stopped and closed any number of times."""
 
 
 def at_once(act: Callable[[Each], None], some: Sequence[Each]) -> list[tuple[Each, BaseException]]:
-    """Do something to each at the same time: one that fails or hangs keeps no other from its turn.
+    """Call `act` for all devices in parallel, so that a failing or hanging device delays no other.
 
-    Returns those that failed, and how: TimeoutError for one that has not ended after END_S, and goes on in its thread.
+    Returns
+    -------
+    list
+        Failed devices with their errors: TimeoutError for a call that did not return within END_S; it continues in its
+        thread.
     """
     failures: dict[int, BaseException] = {}
 
@@ -53,10 +57,10 @@ def at_once(act: Callable[[Each], None], some: Sequence[Each]) -> list[tuple[Eac
 
 
 def stop_all() -> list[BaseException]:
-    """Stop every one of them, whatever becomes of the others; returns what those said that could not be."""
+    """Stop every open device, despite failures; return the errors."""
     return [error for _, error in at_once(lambda device: device.stop(), list(devices))]
 
 
 def close_all() -> None:
-    """Close every one of them, whatever becomes of the others."""
+    """Close every open device, despite failures."""
     at_once(lambda device: device.close(), list(devices))

@@ -1,9 +1,9 @@
-"""Recorded poses: read from CSV, from this program's results (CSV, npz, MCAP), and checked.
+"""Recorded poses, read from CSV and from results of this program (CSV, npz, MCAP), and checked.
 
-A recording is foreign input. Whatever its bytes are, reading it gives poses or a RecordingError
-that says where the fault is; nothing in it is ever unpickled.
+A recording is untrusted input. For any bytes, reading it returns poses or raises a RecordingError with the location of
+the fault; nothing in it is ever unpickled.
 
-The three formats stay in one file, since they share the checks and the way in which a fault is located.
+The three formats share one file because they share the checks and the location of a fault.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from softfinger.drivers.containers import mcap_messages
 Array = NDArray[np.float64]
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "config" / "recordings"
-"""Where the recordings that come with the program stand."""
+"""Folder of the shipped recordings."""
 POSE_COLUMNS: Final = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 RESULT_COLUMNS: Final = (
     "timestamp",
@@ -38,22 +38,22 @@ RESULT_COLUMNS: Final = (
 )
 TOPIC: Final = "contact"
 FINGERS: Final = "finger/"
-"""Topics of ticks: of a single finger, and what those of several begin with."""
+"""Topics of ticks: TOPIC of a single finger, FINGERS and the name of one of several."""
 DT_MIN_S: Final = 1e-6
 DT_MAX_S: Final = 3600.0
-"""From a thousandth of the shortest period to a pause that nobody records over."""
+"""Range from a thousandth of the shortest period to a pause longer than that of any recording."""
 POSES_MAX: Final = 5_000_000
-"""Poses read at most: 83 minutes at 1 kHz, 320 MB."""
+"""Maximum number of poses: 83 minutes at 1 kHz, 320 MB."""
 LINE_MAX: Final = 1 << 16
-"""Bytes of a line of a CSV file at most; the longest of this program have 4 KB."""
+"""Maximum bytes of a line of a CSV file; the longest of this program have 4 KB."""
 BLOCK_BYTES: Final = 1 << 18
-"""Of a CSV file, read at once."""
+"""Bytes of a CSV file read at a time."""
 ENDINGS: Final = (".csv", ".npz", ".mcap")
 
 POSITION_MAX_M: Final = 1e6
-STEP_MIN_S: Final = 1e-9  # below it a velocity between two rows says nothing
-NORM_MIN, NORM_MAX = 0.5, 2.0  # a quaternion outside was never meant to be a unit one
-NORM_ROUNDING: Final = 1e-15  # a quaternion this close to a unit one was normalised before, and is kept to the bit
+STEP_MIN_S: Final = 1e-9  # the velocity over a shorter step is meaningless
+NORM_MIN, NORM_MAX = 0.5, 2.0  # a quaternion outside was not meant to be a unit quaternion
+NORM_ROUNDING: Final = 1e-15  # a quaternion this close to unit norm was normalised before, and is not changed
 
 _ROWS: Final = msgspec.json.Decoder(list[list[float]])
 
@@ -61,8 +61,12 @@ log: Final = logging.getLogger(__name__)
 
 
 class Poses(NamedTuple):
-    """A recorded motion: t (N,) s, strictly increasing; position (N, 3) m; orientation (N, 4) unit
-    quaternions w, x, y, z, fingertip to world, neighbours on the same half of the sphere."""
+    """Recorded motion.
+
+    t            (N,)    s  strictly increasing
+    position     (N, 3)  m
+    orientation  (N, 4)     unit quaternions w, x, y, z, fingertip to world; signs continuous from row to row
+    """
 
     t: Array
     position: Array
@@ -70,15 +74,27 @@ class Poses(NamedTuple):
 
 
 def load_poses(recording: str | Path, finger: str = "") -> Poses:
-    """Read a file, or a shipped recording by its name; RecordingError when it cannot be used.
+    """Read a file, or a shipped recording by its name.
 
-    finger  whose poses, in an MCAP recording of several
+    Parameters
+    ----------
+    recording
+        The ending determines the format: .csv (`t,x,y,z,qw,qx,qy,qz` in s, m and unit quaternions, in any column
+        order, or a results file), .npz (results) or .mcap (a recording of this program; a truncated one is read up
+        to the damage, with a warning in the log).
+    finger
+        Name of the finger to read from an MCAP recording of several.
 
-    The file's ending says what it is: .csv (`t,x,y,z,qw,qx,qy,qz` in s, m and unit quaternions, in
-    any column order, or a results file), .npz (results) or .mcap (a recording of this program; a
-    truncated one is read as far as it goes, with a warning in the log). Times of results count
-    from their first row; those of an MCAP recording are whole numbers of the loop's periods, so that a replay at
-    the same rate plays each pose in a tick of its own.
+    Returns
+    -------
+    Poses
+        Times of results start at their first row. Times of an MCAP recording are multiples of the loop's period, so
+        that a replay at the same rate plays one pose per tick.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be used.
     """
     path = find_recording(recording)
     readers: dict[str, Callable[[Path], Poses]] = {
@@ -100,17 +116,17 @@ def load_poses(recording: str | Path, finger: str = "") -> Poses:
 
 
 def shipped_names() -> list[str]:
-    """Names of the recordings that come with the program."""
+    """Return the names of the shipped recordings."""
     return sorted(path.stem for path in SHIPPED.glob("*.csv"))
 
 
 def find_recording(recording: str | Path) -> Path:
-    """The file meant by a path or by a shipped name (with or without .csv)."""
+    """Return the file for a path or a shipped name (with or without .csv); raises RecordingError."""
     try:
         path = Path(recording)
         if path.exists():
             return path
-    except (ValueError, OSError) as error:  # too long, or a NUL in it
+    except (ValueError, OSError) as error:  # too long, or contains a NUL
         raise RecordingError(f"recording {str(recording)[:80]!r} is not a usable file name: {error}") from error
     names = shipped_names()
     name = str(recording).removesuffix(".csv")
@@ -124,9 +140,11 @@ def find_recording(recording: str | Path) -> Path:
 
 
 def checked(t: Array, position: Array, orientation: Array, place: Callable[[int], str]) -> Poses:
-    """Poses from raw columns (N,), (N, 3), (N, 4): finite, in order, quaternions normalised and continuous in sign.
+    """Return checked poses from raw columns (N,), (N, 3), (N, 4).
 
-    `place(row)` says where a row stands, for the RecordingError.
+    Values are finite, times increase, and quaternions are normalised and continuous in sign.
+
+    `place(row)` returns the location of a row for the message of RecordingError.
     """
     if len(t) < 2:
         raise RecordingError(f"{place(0)}: {len(t)} pose(s), at least 2 are needed")
@@ -144,7 +162,7 @@ def checked(t: Array, position: Array, orientation: Array, place: Callable[[int]
             f"{place(row)}, column '{'xyz'[column]}': {position[row, column]:g} m is outside "
             f"{-POSITION_MAX_M:g} to {POSITION_MAX_M:g} m: positions are in metres"
         )
-    with np.errstate(over="ignore"):  # an infinite norm or step is refused below
+    with np.errstate(over="ignore"):  # an infinite norm or step is rejected below
         step = np.diff(t)
         norm = np.sqrt(np.sum(orientation**2, axis=1))
     late = step < STEP_MIN_S
@@ -173,7 +191,7 @@ def _read_csv(path: Path) -> Poses:
 
 
 def _lines(path: Path, file: IO[bytes], number: int) -> Iterator[str]:
-    """The text of each line, one at a time; `number` is the first one's."""
+    """Yield the text of each line; `number` is that of the first one, for messages."""
     while line := file.readline(LINE_MAX):
         if len(line) == LINE_MAX:
             raise RecordingError(f"{path}, line {number}: longer than {LINE_MAX:,} bytes: this is no table of poses")
@@ -215,9 +233,9 @@ def _read_rows(path: Path, first: str, file: IO[bytes]) -> Poses:
 
 
 def _rows_at_once(lines: bytes, width: int) -> Array | None:
-    """Rows (n, width) of lines that are a list of JSON but for its brackets, read four times as fast as one by one.
+    """Return rows (n, width) of lines that form a JSON list without its brackets; else None, even for valid lines.
 
-    None where they are anything else, even if it is right.
+    Four times as fast as line by line.
     """
     text = lines.replace(b"\r\n", b"\n")
     if any(letter in text for letter in (b"[", b" ", b"\t", b"\r")):
@@ -231,7 +249,7 @@ def _rows_at_once(lines: bytes, width: int) -> Array | None:
 
 
 def _row(place: str, line: str, names: Sequence[str], index: Sequence[int]) -> Iterator[float]:
-    """The numbers of a line in the columns `index`; RecordingError with the place where there are none."""
+    """Yield the numbers of a line in the columns `index`; RecordingError with `place` if one is not a number."""
     cells = line.split(",")
     if len(cells) != len(names):
         raise RecordingError(f"{place}: {len(cells)} values, the header names {len(names)}")
@@ -260,7 +278,7 @@ def _read_npz(path: Path) -> Poses:
                 columns.append(found.astype(np.float64))
     except (RecordingError, OSError, MemoryError):
         raise
-    except Exception as error:  # zip and npy decoders fail in many ways on damaged bytes
+    except Exception as error:  # the decoders of zip and npy fail in many ways on damaged bytes
         raise RecordingError(
             f"{path}: not a readable results file: {_reason(error)}: it must be an .npz with timestamp, "
             "probe.position and probe.orientation"
@@ -296,8 +314,10 @@ def _read_mcap(path: Path, finger: str) -> Poses:
 
 
 def _by_ticks(timestamp: Array, tick: Array, dt: Array) -> Array:
-    """Times (n,) of ticks, s from the first: the periods of the loop that each one's time step has, and one for each
-    tick that is missing. Where ticks or steps are none of a loop's, the times are those of the clock."""
+    """Return times (n,) s of ticks, from the first: each step in whole periods of the loop, plus one per missing tick.
+
+    Return times relative to the first timestamp if ticks or steps cannot be from a loop.
+    """
     with np.errstate(invalid="ignore", over="ignore"):
         apart = np.diff(tick)
         usable = len(dt) > 1 and bool(np.all((dt > DT_MIN_S) & (dt < DT_MAX_S)) and np.all(apart >= 1))
@@ -310,7 +330,7 @@ def _by_ticks(timestamp: Array, tick: Array, dt: Array) -> Array:
 
 @cache
 def rate_of(period_s: float) -> float:
-    """The roundest rate (Hz) whose period is this to the nanosecond, as the loop's is: the one that its rig says."""
+    """Return the roundest rate (Hz) with this period to the nanosecond, as in the loop: the rate in its rig."""
     nanoseconds = round(period_s * 1e9)
     for digits in range(7):
         rate = round(1e9 / nanoseconds, digits)
@@ -320,9 +340,9 @@ def rate_of(period_s: float) -> float:
 
 
 def decoded_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
-    """Messages of a topic, decoded with the descriptor in the file, in file order.
+    """Yield the messages of a topic, decoded with the descriptor in the file, in file order.
 
-    A file cut short ends early with a warning in the log; one without a readable message is a RecordingError.
+    A truncated file ends early, with a warning in the log. Raises RecordingError if no message is readable.
     """
     from mcap_protobuf.decoder import DecoderFactory
 
@@ -347,7 +367,7 @@ def decoded_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
 
 
 def _check_count(path: Path, before: int) -> None:
-    """Refuse one pose more than POSES_MAX; `before` were read."""
+    """Raise RecordingError if `before` poses were read and another would exceed POSES_MAX."""
     if before >= POSES_MAX:
         raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the most that are read: cut it into parts")
 
@@ -362,7 +382,7 @@ def _place(path: Path, line_numbers: Sequence[int] | None = None) -> Callable[[i
 
 
 def _from_first(t: Array, relative: bool) -> Array:
-    """Times of results are since the epoch; the motion starts at its first row."""
+    """Return times from the first row if `relative`, because results have times since the epoch."""
     with np.errstate(invalid="ignore", over="ignore"):
         return t - t[0] if relative and len(t) else t
 

@@ -1,8 +1,8 @@
-"""Drivers by name: built in, or added by another package through an entry point.
+"""Drivers by name: built in, or provided by another package through an entry point.
 
-A driver is a module with `Options` (a msgspec Struct, what a rig's [device] table may say) and
-`open_device(options, rate_hz) -> Device`. It is imported when it is asked for, so that a vendor
-library missing on this machine costs nothing until its device is wanted.
+A driver is a module with `Options` (a msgspec Struct of the keys in a rig's [device] table) and
+`open_device(options, rate_hz) -> Device`. It is imported on first use, so that a missing vendor library affects only
+the devices that need it.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ ENTRY_POINT_GROUP: Final = "softfinger.drivers"
 BUILT_IN: Final = (
     "falcon", "forcedimension", "haply", "hid", "openhaptics", "replay", "serial", "simulated", "spacemouse",
 )  # fmt: skip
-"""Each is the folder of its name here, and `device` in it is the driver."""
+"""Names of folders here; module `device` in each is the driver."""
 _added: Final[dict[str, ModuleType]] = {}
 
 
 def names() -> list[str]:
-    """Every driver that can be asked for: built in ones first, then those of this program and of installed packages."""
+    """Return the names of all drivers: built in, then added by this program and by installed packages."""
     return [*BUILT_IN, *sorted({*_added, *_outside()} - set(BUILT_IN))]
 
 
 def add(name: str, module: ModuleType) -> None:
-    """Let rigs in this process say `driver = name` for a module of the program itself, which no package offers.
+    """Register a module of the running program as driver `name`, for rigs in this process.
 
-    Raises DeviceError where the module is no driver, or the name is a built in one's.
+    Raises DeviceError if the module is not a driver, or if the name is that of a built in driver.
     """
     if name in BUILT_IN:
         raise DeviceError(f"driver '{name}' is built in: give yours another name")
@@ -45,8 +45,7 @@ def add(name: str, module: ModuleType) -> None:
 def load(name: str) -> ModuleType:
     """Import the driver `name`.
 
-    Raises DeviceNotFound when there is no such driver, DeviceError when it cannot be imported or
-    is not a driver.
+    Raises DeviceNotFound if there is no such driver, DeviceError if it cannot be imported or is not a driver.
     """
     if name in BUILT_IN:
         return importlib.import_module(f"softfinger.drivers.{name}.device")
@@ -57,7 +56,7 @@ def load(name: str) -> ModuleType:
         raise DeviceNotFound(_unknown(name))
     try:
         module = entry.load()
-    except Exception as error:  # another package's import may fail in any way
+    except Exception as error:  # the import of another package may raise any error
         raise DeviceError(
             f"driver '{name}' ({entry.value}) cannot be imported: {error}: "
             "repair or reinstall the package that provides it"
@@ -66,12 +65,12 @@ def load(name: str) -> ModuleType:
 
 
 def options(config: DeviceConfig, where: str = "[device]") -> Any:
-    """The [device] table of a rig as its driver's Options; ConfigError for a key or value that it refuses."""
+    """Return a rig's [device] table as the Options of its driver; raises ConfigError for an invalid key or value."""
     return build(load(config.driver).Options, config.options, where)
 
 
 def check(config: DeviceConfig, rate_hz: float, where: str = "[device]") -> Any:
-    """Return the Options of a [device] table; ConfigError if its driver refuses them, or with them the rate (Hz)."""
+    """Return the Options of a [device] table; raises ConfigError if the driver rejects them or the rate (Hz)."""
     given = options(config, where)
     refuse = getattr(load(config.driver), "check", None)
     if refuse is not None:
@@ -80,9 +79,9 @@ def check(config: DeviceConfig, rate_hz: float, where: str = "[device]") -> Any:
 
 
 def open_device(config: DeviceConfig, rate_hz: float, where: str = "[device]") -> Device:
-    """Open the device a rig names; ConfigError for options its driver does not know, at `where` in its file.
+    """Open the device that a rig describes; raises ConfigError for invalid options, with their location `where`.
 
-    It is zeroed before the process stops by a signal, and closed when one ends the process from another thread.
+    A signal that stops the process zeroes the device; one that ends the process from another thread closes it.
     """
     driver, given = load(config.driver), check(config, rate_hz, where)
     device: Device = driver.open_device(given, rate_hz)

@@ -1,7 +1,7 @@
-"""How long Python threads may keep the interpreter from each other while some thread has to be prompt.
+"""Switch interval of Python threads, shortened while a thread has to respond quickly.
 
-An exchange with a device's service, or a command, gives up the interpreter's lock with each system call. A busy thread
-hands it back after the switch interval: 5 ms by default, several times in an exchange.
+An exchange with a device's service, or a command, releases the interpreter lock with each system call. A busy thread
+returns it after the switch interval: 5 ms by default, several times in one exchange.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import threading
 from typing import Final
 
 SWITCH_S: Final = 2e-4
-"""Switch interval while anybody has asked for it."""
+"""Switch interval while at least one caller has shortened it."""
 
 _lock: Final = threading.Lock()
 _before: Final[list[float]] = []
-"""The interval that was found, once for each who asked."""
+"""Interval found by each `shorten` that is still in effect."""
 
 
 def shorten() -> None:
@@ -26,7 +26,7 @@ def shorten() -> None:
 
 
 def restore() -> None:
-    """Undo one `shorten`; the last one restores the interval that the first one found."""
+    """Undo one `shorten`; the last call restores the interval that the first `shorten` found."""
     with _lock:
         found = _before.pop()
         if not _before:

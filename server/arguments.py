@@ -1,4 +1,4 @@
-"""The parser of every verb, and types of arguments that several take: refused before the work and not after it."""
+"""Argument parser of all verbs, and argument types that several verbs share; refuses bad values before work starts."""
 
 import argparse
 import re
@@ -12,27 +12,27 @@ _NAMED: Final = re.compile(r"([A-Za-z0-9_-]+)=(.+)", re.DOTALL)
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse's, that takes -v and -q before a verb and behind it, and says which name is near a misspelt one.
+    """ArgumentParser that accepts -v and -q before and after the verb and suggests names similar to a misspelt one.
 
-    Parsers of verbs, and of what is below these, are of the same class: argparse sees to that.
+    argparse creates the parsers of verbs and of their sub-commands from the same class.
     """
 
     def __init__(self, *given: Any, **options: Any) -> None:
         super().__init__(*given, **options)
-        # Without a default: one of a verb would undo what stood before it.
+        # SUPPRESS: a default of the verb's parser would overwrite the value parsed before the verb.
         how_much = self.add_mutually_exclusive_group()
         for flags, help in ((("-v", "--verbose"), "log more"), (("-q", "--quiet"), "log warnings and errors alone")):
             how_much.add_argument(*flags, action="store_true", default=argparse.SUPPRESS, help=help)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Refuse what no parser knows here, where its near names are known, and not in the parser above."""
+        """Refuse unknown arguments here, where similar option names are known, and not in the parent parser."""
         found, left = super().parse_known_args(args, namespace)
         if left:
             self._refuse(left)
         return found, left
 
     def _refuse(self, words: Sequence[str]) -> NoReturn:
-        from softfinger.config.words import near  # takes longer to import than a command line to parse
+        from softfinger.config.words import near  # importing it takes longer than parsing a command line
 
         known = [flag for action in self._actions for flag in action.option_strings]
         told = [word + (near(word.partition("=")[0], known) if word.startswith("--") else "") for word in words]
@@ -49,9 +49,24 @@ class Parser(argparse.ArgumentParser):
 
 
 def by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
-    """Files of an option that is given once, FILE, or for each of several fingers, NAME=FILE, by name.
+    """Return the files of a repeatable option by finger name.
 
-    A FILE alone has the name "". Raises ConfigError for what is neither.
+    Parameters
+    ----------
+    values
+        FILE, given once, or NAME=FILE for each of several fingers.
+    flag
+        Name of the option, for the message.
+
+    Returns
+    -------
+    dict
+        File by name; a FILE without a name has the key "".
+
+    Raises
+    ------
+    ConfigError
+        If a name is repeated, or if values with and without a name are mixed.
     """
     files: dict[str, str] = {}
     for value in values:
@@ -64,7 +79,7 @@ def by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
 
 
 def keep_apart(flag: str, written: str | Path, read: Iterable[str | Path]) -> None:
-    """Raise ConfigError where what an option has written is what is read: it would be lost."""
+    """Raise ConfigError if an output option names an input file, which would be lost."""
     from softfinger.config.files import is_same_file
 
     for each in read:
@@ -73,7 +88,7 @@ def keep_apart(flag: str, written: str | Path, read: Iterable[str | Path]) -> No
 
 
 def default_rig(scene: str, otherwise: str) -> str:
-    """The rig of a run that names none: the shipped one of its scene, else another."""
+    """Return the default rig of a run: the shipped rig `simulated-<scene>` if it exists, else `otherwise`."""
     from softfinger.config.load import shipped
     from softfinger.config.schema import Rig
 
@@ -82,7 +97,7 @@ def default_rig(scene: str, otherwise: str) -> str:
 
 
 def duration(text: str) -> float:
-    """A time of the command line, s."""
+    """Parse a duration in seconds from a command line argument."""
     seconds = float(text)
     if not 0.0 < seconds < 1e9:
         raise argparse.ArgumentTypeError(f"{text}: a duration is more than 0 s and less than 1e9 s")

@@ -1,4 +1,4 @@
-"""The command line: one program, a verb each, imported when it is asked for.
+"""Command line: one program with verbs; the module of a verb is imported when it is used.
 
 Exit codes: 0 done or stopped in order, 1 a defect in this program, 2 a bad command line or configuration,
 3 a recording that cannot be used, 4 a device, 5 real-time settings refused, 6 a safety stop, 7 an address
@@ -21,16 +21,16 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from softfinger.config.errors import Exhausted, HapticError
 from softfinger.server import signals
 
-if TYPE_CHECKING:  # what is imported before `main` has its handlers, Ctrl-C ends with a traceback
+if TYPE_CHECKING:  # before `main` installs its handlers, Ctrl-C during an import ends with a traceback
     import argparse
     import logging
 
 DESCRIPTORS_MIN: Final = 64
-"""Files a process needs that loads a compiler, opens a device and publishes; ZeroMQ aborts when it gets none."""
+"""File descriptors needed to load a compiler, open a device and publish; ZeroMQ aborts if it gets none."""
 
 
 class Verb(NamedTuple):
-    """Module with `configure(parser)` and `run(args) -> exit code`, and what the verb does."""
+    """Module with `configure(parser)` and `run(args) -> exit code`, and the help text of the verb."""
 
     module: str
     help: str
@@ -76,11 +76,11 @@ VERBS: Final = {
     "calibrate": Verb("softfinger.tools.calibrate", "measure: a Falcon's motor counts per N m, with a known weight"),
     "bench": Verb("softfinger.tools.bench.verb", "measure: cost per step, wake-up lateness, telemetry latency"),
 }
-"""Every verb. A verb of `tools` is named, not imported: the server does not depend on the tools."""
+"""All verbs. Verbs of `tools` are named, not imported: the server does not depend on the tools."""
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line and return the exit code."""
     if argv is None:
         set_up_process()
     open_streams()
@@ -93,20 +93,20 @@ def main(argv: list[str] | None = None) -> int:
             return failed(str(error), error.exit_code)
         except signals.Interrupted as error:
             code = failed(f"ended by {signals.named(error.number)}", signals.code_of(error.number))
-            if argv is None:  # everything is closed; to take a half-done compilation apart takes seconds
+            if argv is None:  # all is closed; freeing an unfinished compilation would take seconds
                 flush_or_discard(sys.stdout)
                 os._exit(code)
             return code
         except KeyboardInterrupt:
             return signals.code_of(signal.SIGINT)
         except BrokenPipeError:
-            # The reader of our output has left (`| head`): no complaint, and none while closing either.
+            # The reader of stdout has closed the pipe (`| head`): this is no error, nor while closing.
             discard(sys.stdout)
             return 0
         except (OSError, MemoryError) as error:
             if {"-v", "--verbose"} & set(sys.argv):
                 raise
-            discard(sys.stdout)  # what could not be written is not tried again while closing
+            discard(sys.stdout)  # Python would retry the failed write at exit
             return failed(reason(error), Exhausted.exit_code)
         finally:
             flush_or_discard(sys.stdout)
@@ -114,13 +114,13 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def run_verb(words: list[str]) -> int:
-    """Parse the command line and run its verb; returns the exit code."""
+    """Parse the command line, run its verb and return the exit code."""
     import logging
 
     from softfinger.server import progress
 
     check_descriptors()
-    # Only the verb that was asked for is imported: another verb's plotting library must not delay the first tick.
+    # Import only the requested verb: the plotting library of another verb must not delay the first tick.
     parser = make_parser([word for word in words if word in VERBS][:1])
     args = parser.parse_args(words)
     logging.basicConfig(
@@ -130,7 +130,7 @@ def run_verb(words: list[str]) -> int:
     )
     progress.show(not args.quiet)
     signals.imported()
-    if not gc.isenabled():  # what is imported by now stays, and is not looked through any more
+    if not gc.isenabled():  # imported objects are never garbage: exclude them from collections
         gc.freeze()
         gc.enable()
     code: int = args.run(args)
@@ -138,15 +138,15 @@ def run_verb(words: list[str]) -> int:
 
 
 def set_up_process() -> None:
-    """What makes a start shorter, before anything large is imported; `run_verb` puts the garbage collector back."""
-    gc.disable()  # nothing that an import makes is garbage, and it would be looked through again and again
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no matrix here is large enough for two
-    if isinstance(sys.stdout, io.TextIOWrapper):  # names in a scene may be of letters that the terminal has not
+    """Set up the process for a fast start, before large imports; `run_verb` enables the garbage collector again."""
+    gc.disable()  # imports create no garbage, and each collection would scan their objects
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no matrix here is large enough for two threads
+    if isinstance(sys.stdout, io.TextIOWrapper):  # names in a scene may have characters that the terminal cannot encode
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def to_stderr() -> logging.Handler:
-    """Logs to what standard error is at the time: while a progress line is shown, that keeps clear of it."""
+    """Return a log handler that always writes to the current `sys.stderr`, which a progress line replaces."""
     import logging
 
     class ToStderr(logging.StreamHandler[Any]):
@@ -162,14 +162,14 @@ def to_stderr() -> logging.Handler:
 
 
 def failed(message: str, code: int) -> int:
-    """Say what ended the program; returns `code`."""
-    with contextlib.suppress(OSError):  # standard error has gone as well
+    """Print the error that stops the program; return `code`."""
+    with contextlib.suppress(OSError):  # standard error may be closed, too
         print(f"softfinger: {message}", file=sys.stderr, flush=True)
     return code
 
 
 def reason(error: OSError | MemoryError) -> str:
-    """What the system refused, and how to look further."""
+    """Return a message with the error of the system and a hint."""
     said = "out of memory"
     if isinstance(error, OSError):
         said = f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
@@ -177,18 +177,18 @@ def reason(error: OSError | MemoryError) -> str:
 
 
 def open_streams() -> None:
-    """Put the null device where a standard stream was closed (`>&-`), else a device or socket would become it."""
+    """Replace closed standard streams (`>&-`) by the null device; otherwise a device would get their numbers."""
     for fd, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(fd)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # the lowest that is free, which is this one
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor, which is this one
         if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w" if fd else "r"))  # noqa: SIM115 - for as long as the process
+            setattr(sys, name, open(os.devnull, "w" if fd else "r"))  # noqa: SIM115 - open until the process exits
 
 
 def flush_or_discard(stream: Any) -> None:
-    """Leave nothing to be written while Python ends: where nobody reads it, the exit code would be 120."""
+    """Flush a stream before Python exits; discard its data if it is closed, because Python would exit with code 120."""
     try:
         stream.flush()
     except OSError:
@@ -196,14 +196,14 @@ def flush_or_discard(stream: Any) -> None:
 
 
 def discard(stream: Any) -> None:
-    """Let what a stream still holds go nowhere."""
+    """Redirect a stream to the null device, which discards its buffered data."""
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, stream.fileno())
     os.close(null)
 
 
 def check_descriptors() -> None:
-    """Raise Exhausted where this process may not open the files that it needs."""
+    """Raise the limit of open files to DESCRIPTORS_MIN if needed; raises Exhausted if that is not allowed."""
     try:
         import resource
     except ImportError:  # Windows
@@ -217,7 +217,7 @@ def check_descriptors() -> None:
 
 
 def make_parser(verbs: list[str] | None = None) -> argparse.ArgumentParser:
-    """The parser, with the options of the named verbs, or of all."""
+    """Return the parser with the options of the named verbs, or of all."""
     from importlib.metadata import version
 
     from softfinger.server.arguments import Parser
@@ -241,7 +241,7 @@ def make_parser(verbs: list[str] | None = None) -> argparse.ArgumentParser:
 
 
 def add_completion(parser: argparse.ArgumentParser) -> None:
-    """`--print-completion SHELL`: the completion script, made from the options of every verb."""
+    """Add `--print-completion SHELL`, which prints the completion script for the options of all verbs."""
     import argparse
 
     class Print(argparse.Action):
@@ -255,7 +255,7 @@ def add_completion(parser: argparse.ArgumentParser) -> None:
 
 
 def completion(shell: str) -> str:
-    """The completion script for bash, zsh or tcsh."""
+    """Return the completion script for bash, zsh or tcsh."""
     import shtab
 
     from softfinger.server.verbs.shipped import offer_names

@@ -1,14 +1,14 @@
-"""How a program ends by a signal: in order, by the first one, within a second; and how Ctrl-Z leaves no force behind.
+"""Signal handling: the first signal ends the program in an orderly way within a second; Ctrl-Z removes all forces.
 
-`cli.main` has every signal that would end the process handled here. What becomes of one depends on what is going on:
+`cli.main` installs these handlers for every signal that would end the process. Their effect depends on the context:
 
-    while modules are imported    the process leaves at once: nothing is open yet
-    in any verb                   `Interrupted` is raised in the main thread, once: contexts close what they opened
-    inside `asked`                a function is called and nothing raised: a servo or a recording ends in order
-    inside `held`                 it is only noted: a closing is not interrupted
+    during imports    the process exits at once, because nothing is open yet
+    in any verb       `Interrupted` is raised in the main thread, once, and contexts close their resources
+    inside `asked`    a function is called and nothing is raised: a servo or a recording ends in an orderly way
+    inside `held`     the signal is only stored: closing is not interrupted
 
-A main thread that is in a compiler of half a minute takes no exception. Then the devices are closed from another
-thread and the process leaves from there.
+A main thread inside a compiler may not raise the exception for half a minute. In that case another thread closes the
+devices and exits the process.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from typing import Any, Final
 from softfinger.drivers import opened
 
 STOPPING: Final = frozenset({signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU})
-"""Stop the process until SIGCONT."""
+"""Signals that stop the process until SIGCONT."""
 _HARMLESS: Final = frozenset({signal.SIGCHLD, signal.SIGCONT, signal.SIGURG, signal.SIGWINCH})
 _NOT_CAUGHT: Final = frozenset({signal.SIGKILL, signal.SIGSTOP})
 _FAULTS: Final = frozenset({signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP})
-"""A handler of these would return to the instruction that failed."""
+"""A handler would return to the instruction that failed."""
 ENDING: Final = frozenset(signal.valid_signals()) - STOPPING - _HARMLESS - _NOT_CAUGHT - _FAULTS
-"""Every signal that would end the process and can be caught."""
+"""All signals that end the process and can be caught."""
 USUAL: Final = frozenset({signal.SIGINT, signal.SIGTERM})
-"""The ways of asking a daemon to stop, so no failure."""
+"""Normal requests to stop a daemon; they give exit code 0."""
 
 GRACE_S: Final = 0.5
-"""How long the main thread has to take a signal. Python's own code takes it in a switch interval."""
+"""Time for the main thread to handle a signal. Python code does so within one switch interval."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal asks for the end. As with KeyboardInterrupt, `except Exception` does not catch it."""
+    """A signal requested the end. As for KeyboardInterrupt, `except Exception` does not catch it."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -51,7 +51,7 @@ class Interrupted(KeyboardInterrupt):
 class _State:
     def __init__(self) -> None:
         self.number = 0
-        """The first signal that asked for the end; 0 before there is one."""
+        """First signal that requested the end; 0 if there is none."""
         self.importing = False
         self.held = 0
         self.stop: Callable[[], None] | None = None
@@ -63,7 +63,7 @@ _state = _State()
 
 
 def named(number: int) -> str:
-    """Name of a signal; the real-time ones between the first and the last have none."""
+    """Return the name of a signal; real-time signals other than the first and last have none."""
     try:
         return signal.Signals(number).name
     except ValueError:
@@ -71,20 +71,23 @@ def named(number: int) -> str:
 
 
 def code_of(number: int) -> int:
-    """Exit code of a process that a signal ended, as a shell has it."""
+    """Return the exit code that shells use for a process killed by a signal."""
     return 128 + number
 
 
 def code_of_stop() -> int:
-    """Exit code of what was asked to stop and did in order: 0 after the usual signals and after none."""
+    """Return the exit code after an orderly stop: 0 without a signal and after the usual ones."""
     return 0 if _state.number in USUAL else code_of(_state.number) if _state.number else 0
 
 
 @contextmanager
 def handled(to_the_end: bool = False) -> Iterator[None]:
-    """Signals are handled as this module says. Where they cannot be, outside the main thread, nothing changes.
+    """Handle signals in the block as described above; has no effect outside the main thread.
 
-    to_the_end  the process ends behind the block: signals are ignored from there on, and change no exit code
+    Parameters
+    ----------
+    to_the_end
+        The process exits after the block: ignore signals from there on, so that none changes the exit code.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -98,7 +101,7 @@ def handled(to_the_end: bool = False) -> Iterator[None]:
     wakeup = signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
     before = {}
     for number in sorted(ENDING | STOPPING):
-        # nohup, and a shell in the background, have had some ignored for us; Python itself SIGPIPE.
+        # nohup and shells set some signals to ignored for background processes, and Python ignores SIGPIPE.
         if number in USUAL or signal.getsignal(number) is not signal.SIG_IGN:
             before[number] = signal.signal(number, _pause if number in STOPPING else _end)
     watch = threading.Thread(target=_watch_main, args=(receiver, _state), name="signals", daemon=True)
@@ -107,7 +110,7 @@ def handled(to_the_end: bool = False) -> Iterator[None]:
         yield
     finally:
         with held():
-            _stop_all()  # what an interrupt left between its opening and its context
+            _stop_all()  # devices opened by an interrupted call, before their context started
             for number, handler in before.items():
                 signal.signal(number, signal.SIG_IGN if to_the_end else handler)
         signal.set_wakeup_fd(wakeup)
@@ -119,20 +122,25 @@ def handled(to_the_end: bool = False) -> Iterator[None]:
 
 
 def imported() -> None:
-    """Imports are done: from here on a signal raises `Interrupted`."""
+    """Mark the imports as complete: signals raise `Interrupted` from now on."""
     _state.importing = False
 
 
 @contextmanager
 def asked(stop: Callable[[], None], pause: Callable[[], Callable[[], None]] | None = None) -> Iterator[None]:
-    """Inside, a signal calls `stop`, as often as one comes, and raises nothing.
+    """Call `stop` on each signal in the block instead of raising an exception.
 
-    pause  called before the process stops (Ctrl-Z): takes the force off, and returns what puts it back
+    Parameters
+    ----------
+    stop
+        Requests the end; may be called repeatedly, from a signal handler or another thread.
+    pause
+        Called before the process is stopped (Ctrl-Z): removes the force and returns a function that restores it.
     """
     state = _state
     before = state.stop, state.pause
     state.stop, state.pause = stop, pause
-    if state.number:  # what it raised was swallowed: some libraries import others and take whatever comes of it
+    if state.number:  # the exception was swallowed: some libraries ignore every exception of an optional import
         stop()
     try:
         yield
@@ -142,7 +150,7 @@ def asked(stop: Callable[[], None], pause: Callable[[], Callable[[], None]] | No
 
 @contextmanager
 def held() -> Iterator[None]:
-    """Inside, a signal is noted and nothing else."""
+    """Store signals during the block without acting on them."""
     state = _state
     state.held += 1
     try:
@@ -165,7 +173,7 @@ def _end(number: int, _: FrameType | None) -> None:
 
 
 def _pause(number: int, _: FrameType | None) -> None:
-    """No force while the process is stopped. What does not pause is ended after it, in order."""
+    """Remove all forces before the process is stopped; a verb without `pause` exits after it resumes."""
     state = _state
     if state.held:
         return
@@ -173,7 +181,7 @@ def _pause(number: int, _: FrameType | None) -> None:
     go_on = None if state.pause is None else state.pause()
     if devices:
         _stop_all()
-    # The system's own action, so that shells see what they know, and a group of processes without a shell goes on.
+    # The system's own action, so that shells notice the stop and an orphaned process group continues.
     signal.signal(number, signal.SIG_DFL)
     signal.raise_signal(number)
     signal.signal(number, _pause)
@@ -184,7 +192,7 @@ def _pause(number: int, _: FrameType | None) -> None:
 
 
 def _watch_main(receiver: int, state: _State) -> None:
-    """See to it that a signal is taken, wherever the main thread is."""
+    """End the process if the main thread has not handled a signal within GRACE_S."""
     while numbers := os.read(receiver, 64):
         for number in numbers:
             if number in ENDING and not state.arrived.wait(GRACE_S):
@@ -195,26 +203,26 @@ def _watch_main(receiver: int, state: _State) -> None:
 
 
 def _leave(number: int) -> None:
-    """End the process from any thread, with the devices closed."""
+    """Close the devices and exit the process, from any thread."""
     opened.close_all()
     _say(f"ended by {named(number)}")
     os._exit(code_of(number))
 
 
 def _stop_all() -> None:
-    """Zero what is open. One that refuses is named and changes nothing else: not the shutdown, not the exit code."""
+    """Zero all open devices; a failure is printed and changes neither the shutdown nor the exit code."""
     for error in opened.stop_all():
         _say(f"a device could not be stopped ({type(error).__name__}: {error}): it may still push, switch it off")
 
 
 def _say(line: str) -> None:
-    """A line on standard error from wherever this is: a signal may have come while another was being written."""
+    """Write a line to standard error without a lock: a signal may have interrupted another write."""
     with contextlib.suppress(OSError):
         os.write(2, (b"\r\x1b[K" if os.isatty(2) else b"") + f"softfinger: {line}\n".encode())
 
 
 def _unraisable(otherwise: Callable[[Any], Any]) -> Callable[[Any], None]:
-    """An `Interrupted` that was raised where nothing can be, in a callback of C or a finalizer, ends the process."""
+    """Return a hook that exits the process if `Interrupted` was raised in a C callback or a finalizer."""
 
     def hook(seen: Any) -> None:
         if isinstance(seen.exc_value, Interrupted):

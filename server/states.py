@@ -1,6 +1,6 @@
-"""The states of the daemon, and every way from one to another: the table TRANSITIONS, and nothing besides.
+"""States of the daemon and all transitions between them, in the table TRANSITIONS.
 
-`docs/reference/states.md` and its figure are made from it.
+`docs/reference/states.md` and its figure are generated from this file.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Final
 
 
 class State(StrEnum):
-    """What the daemon is in: `health.state`, `describe`, events of kind `state`."""
+    """State of the daemon: `health.state`, `describe` and events of kind `state`."""
 
     STARTING = "starting"
     READY = "ready"
@@ -31,7 +31,7 @@ MEANINGS: Final = {
 
 
 class Trigger(StrEnum):
-    """What leads from one state to another."""
+    """Cause of a transition."""
 
     TICK = "tick"
     ARM = "arm"
@@ -63,21 +63,24 @@ TRANSITIONS: Final = {
     (State.FAULTED, Trigger.CLEAR): State.READY,
     (State.FAULTED, Trigger.END): State.STOPPING,
 }
-"""The state after a trigger; what is not here changes nothing."""
+"""Next state by state and trigger; all other triggers are ignored."""
 
 UNARMED: Final = "not armed yet"
 COMMANDED: Final = "disarmed by command"
 SILENT: Final = "no heartbeat"
 FAST: Final = "the handle was too fast"
-"""Why there is no force."""
+"""Reasons for zero force."""
 FAULTS: Final = frozenset({SILENT, FAST})
-"""Those of them that are faults."""
+"""Reasons for zero force that are faults."""
 
 
 class States:
-    """The state of a daemon; from any thread.
+    """State machine of a daemon; thread-safe.
 
-    tell  is given the state before, the new one, and its cause, in order
+    Parameters
+    ----------
+    tell
+        Called on each transition, in order, with the previous state, the new state and the cause.
     """
 
     def __init__(self, tell: Callable[[State, State, str], None] = lambda before, after, cause: None) -> None:
@@ -88,11 +91,11 @@ class States:
 
     @property
     def now(self) -> State:
-        """The present state."""
+        """Current state."""
         return self._now
 
     def fire(self, trigger: Trigger, cause: str) -> bool:
-        """Go where TRANSITIONS leads; False where it leads nowhere, and nothing has changed."""
+        """Change to the state given by TRANSITIONS; return False if there is none, which changes nothing."""
         with self._lock:
             after = TRANSITIONS.get((self._now, trigger))
             if after is None:
@@ -102,13 +105,13 @@ class States:
             return True
 
     def fail(self, cause: str) -> None:
-        """An error ends the run: nothing clears it any more."""
+        """Enter FAULTED because an error ends the run; the fault cannot be cleared."""
         with self._lock:
             self._failed = True
             self.fire(Trigger.FAULT, cause)
 
     def follow(self, reasons: Set[str]) -> None:
-        """Go by why there is no force, none of them where there is."""
+        """Update the state from the reasons for zero force; an empty set means that forces are rendered."""
         with self._lock:
             if self._now is State.STARTING or self._failed:
                 return

@@ -269,7 +269,9 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
             "part.ply",
         ),
     ]
-    mesh: Annotated[str, sized(limits.NAME_LENGTH, "mesh of a MuJoCo model, in its frame of inertia, m", "handle")] | None = None
+    mesh: (
+        Annotated[str, sized(limits.NAME_LENGTH, "mesh of a MuJoCo model, in its frame of inertia, m", "handle")] | None
+    ) = None
     root: ModelRoot = None
     scale: Annotated[float, within(limits.MESH_SCALE, "metres per unit of the file; 0.001 for mm", 0.001)] = 1.0
     inside: Inside = False

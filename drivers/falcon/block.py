@@ -1,4 +1,4 @@
-"""The block of memory that a Falcon's C functions share with Python; its address is the device's handle."""
+"""Block of memory that a Falcon's C functions share with Python; its address is the device's handle."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ IN_BYTES: Final = 64
 
 
 class Words(NamedTuple):
-    """What is in the block."""
+    """Fields of the block."""
 
     replies: Annotated[int, counter("whole packets received")]
     passed: Annotated[int, counter("of these, older ones passed over for a newer")]
@@ -34,12 +34,12 @@ class Words(NamedTuple):
     kick: Annotated[int, word("ns of silence")]
     timeout_after: Annotated[int, word("ns of silence")]
     lights: Annotated[int, word("bits of the state byte, the homing request among them")]
-    # shared with other threads
+    # written by several threads
     open: Annotated[int, word("whether libusb may be called")]
     armed: Annotated[int, word("whether a force may go out")]
     stopped: Annotated[int, word("for good: an `arm` after it, or under way beside it, does nothing")]
     lock: Annotated[int, word("held in every exchange")]
-    # of the exchange
+    # state of the exchange
     in_done: Annotated[int, word("set by libusb's call back; together with the next, each transfer's user data")]
     out_done: Annotated[int, word("the same")]
     awaited: Annotated[int, word("packets without an answer")]
@@ -55,7 +55,7 @@ class Words(NamedTuple):
     error: Annotated[int, word("libusb's, at the failure")]
     older: Annotated[int, word("replies still to come that answer packets of before a pause of the loop")]
     zeroed: Annotated[int, word("a zero went out that the loop did not command, since the last read")]
-    # memory
+    # buffers and values
     packet: Annotated[int, octets("being put together", packets.SIZE)]
     newest: Annotated[int, octets("the newest reply", packets.SIZE)]
     timespec: Annotated[int, numbers("for the clock, also a struct timeval", TIMESPEC_WORDS)]

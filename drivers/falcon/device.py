@@ -1,4 +1,4 @@
-"""A Falcon behind the contract: memory of the exchange, homing, and zero force on every shutdown path."""
+"""Falcon: memory of the exchange, homing, and zero force on every shutdown path."""
 
 from __future__ import annotations
 
@@ -21,21 +21,20 @@ from softfinger.drivers.system.discovery import Attached
 log: Final = logging.getLogger(__name__)
 
 TORQUE_MAX_NM: Final = 1e2
-"""No motor turns the knob, but the torque is taken: it belongs to the contact and to telemetry."""
+"""No motor turns the knob, but torque is accepted: contact and telemetry use it."""
 FORCE_MAX_N: Final = 8.0
 STIFFNESS_MAX_N_PER_M: Final = 3000.0
 DAMPING_MAX_NS_PER_M: Final = 20.0
 RADIUS_M: Final = 0.04
-"""Recommended maxima for the device, about the workspace centre."""
+"""Recommended maxima of the device; radius around the workspace centre."""
 STOP_WAIT_S: Final = 1.0
-"""How long a stop tries. A packet that hangs is withdrawn after the rig's `timeout_s`, 0.2 s at most; then a zero
-goes."""
+"""Maximum duration of a stop. A packet that hangs is cancelled after the rig's `timeout_s`, then a zero is sent."""
 PAUSE_S: Final = 0.001
-"""Between exchanges of homing, and between tries to stop."""
+"""Pause between exchanges while homing; a stop is tried ten times as often."""
 
 _TRANSFER_BULK: Final = 2
 _COMPLETED: Final = 0
-"""Status of a transfer that has gone through, or was never under way."""
+"""Status of a transfer that was completed, or never submitted."""
 
 
 class Transfer(ctypes.Structure):
@@ -58,7 +57,7 @@ class Transfer(ctypes.Structure):
 
 
 class Falcon(Device):
-    """An open device on a line behind which firmware runs; it owns the line from now on. No force until `arm`."""
+    """Open device, owner of a line to a device with running firmware. No force until `arm`."""
 
     def __init__(self, options: Options, line: usb.Line) -> None:
         self._options, self._line, self._zero_failure = options, line, ""
@@ -84,7 +83,7 @@ class Falcon(Device):
                     "several times smaller or larger; `counts_per_nm` in the rig sets it (docs/devices/falcon.md)",
                     self.info.name, COUNTS_PER_NM,
                 )  # fmt: skip
-            self._word[AT.sensed] = 0  # the first sample is one of the servo's own time
+            self._word[AT.sensed] = 0  # the first sample must be from the time of the servo loop
         except BaseException:
             self.close()
             raise
@@ -93,7 +92,7 @@ class Falcon(Device):
         word, options = self._word, self._options
         self._libusb = libusb = self._line.libusb()
         call = libusb.library
-        # pyusb has declared these already, in its own types: called by address, they need none.
+        # pyusb has declared these already with its types: calls by address need none
         self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_address(call, "libusb_free_transfer"))
         allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(_address(call, "libusb_alloc_transfer"))
         word[AT.context] = libusb.context
@@ -110,7 +109,7 @@ class Falcon(Device):
         numbers(AT.position, 3)[:] = delta.HOME
         numbers(AT.sample + 3, 1)[:] = 1.0  # it senses no rotation
         at = self._block.handle
-        word[AT.in_done] = word[AT.out_done] = 1  # not under way
+        word[AT.in_done] = word[AT.out_done] = 1  # not submitted
         for place, endpoint, flag, buffer, length in (
             (AT.transfer_in, usb.ENDPOINT_IN, AT.in_done, AT.buffer_in, IN_BYTES),
             (AT.transfer_out, usb.ENDPOINT_OUT, AT.out_done, AT.buffer_out, packets.SIZE),
@@ -129,7 +128,7 @@ class Falcon(Device):
             raise DeviceLost(f"{self.info.name} takes no transfer (libusb's error {word[AT.error]}): replug it")
 
     def _home(self) -> None:
-        """Wait until the device knows where its encoders' zeros are: the user moves the knob out and in."""
+        """Wait until the device knows the zeros of its encoders: the user pulls the knob out and pushes it in."""
         word, read, write = self._word, exchange.read.ctypes, exchange.write.ctypes
         word[AT.lights] = packets.RED | packets.HOMING
         pointer = read.argtypes[1]
@@ -160,7 +159,7 @@ class Falcon(Device):
         return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
-        # Nothing in the device counts time: it holds the last packet's light and force, here a zero.
+        # The device has no timeout: the light and the force of the last packet persist, here a zero.
         if not self._word[AT.stopped]:
             self._word[AT.lights] = packets.GREEN
             self._word[AT.armed] = 1
@@ -183,17 +182,17 @@ class Falcon(Device):
             self._line.close()
             return
         self._word[AT.lights] = packets.RED
-        self._word[AT.pushes] = 1  # so that a last zero goes out in any case, and the light with it
+        self._word[AT.pushes] = 1  # so that the last zero and the light are sent in any case
         self.stop()
         if self._until_done(exchange.withdraw):
             for place in (AT.transfer_in, AT.transfer_out):
                 if self._word[place]:
                     self._free(int(self._word[place]))
             _under_way.pop(self._block.handle, None)
-        elif self._word[AT.open]:  # a thread is in libusb with the transfers in its hands: nothing may go
+        elif self._word[AT.open]:  # a thread is inside libusb and uses the transfers: free nothing
             log.error("%s: libusb does not return to the loop: the device stays open", self.info.name)
             return
-        else:  # closing takes them from libusb; neither they nor the block are given back
+        else:  # closing removes them from libusb; they and the block are not freed
             log.error("%s: libusb does not end its transfers", self.info.name)
         self._word[AT.transfer_in] = self._word[AT.transfer_out] = 0
         self._line.close()
@@ -209,7 +208,7 @@ class Falcon(Device):
 
     @property
     def counts_per_nm(self) -> float:
-        """Motor counts per N m at a leg that forces are sent with."""
+        """Motor counts per N m at a leg, used to send forces."""
         return self._options.counts_per_nm or COUNTS_PER_NM
 
     def _until_done(self, function: Any) -> bool:
@@ -222,7 +221,7 @@ class Falcon(Device):
 
 
 _under_way: Final[dict[int, Any]] = {}
-"""Blocks that libusb may write to, by their address: they outlive a device that is dropped without `close`."""
+"""Blocks that libusb may write to, by address: they outlive a device that is deleted without `close`."""
 
 
 def _address(library: ctypes.CDLL, name: str) -> int:
@@ -230,7 +229,7 @@ def _address(library: ctypes.CDLL, name: str) -> int:
 
 
 def identify(device: Attached, options: Options) -> dict[str, bool]:
-    """Whether firmware runs in an attached Falcon, which has to be opened to be asked; none is sent.
+    """Return whether firmware runs in an attached Falcon; opens it to find out, and sends none.
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceLost or DeviceError.
     """
@@ -243,8 +242,8 @@ def identify(device: Attached, options: Options) -> dict[str, bool]:
 
 
 def open_device(options: Options, rate_hz: float) -> Falcon:
-    """Open the Falcon a rig names: firmware sent where none runs, homed by the user. Any `rate_hz` will do.
+    """Open the Falcon that a rig describes, at any rate: sends the firmware if none runs, and waits for homing.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceTimeout or DeviceError, each with what to do.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceTimeout or DeviceError, each with the remedy.
     """
     return Falcon(options, firmware.start(partial(usb.open_line, options.serial), options.firmware))

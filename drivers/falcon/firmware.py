@@ -1,7 +1,7 @@
-"""Starting the Falcon: whether firmware runs in it, and sending a user's file where none does.
+"""Start of the Falcon: check whether firmware runs, and send the user's file if not.
 
-The device has no firmware of its own when it is switched on. Its boot loader takes one over the serial line, and sends
-back every byte. The files that exist are under a licence that forbids passing them on, so none comes with this program.
+After power-on the device has no firmware. Its boot loader receives one over the serial line, and returns every byte.
+The licence of the existing files forbids redistribution, so this program includes none.
 
 Source: the boot sequence of libnifalcon.
 """
@@ -22,25 +22,25 @@ from softfinger.drivers.falcon.usb import Line
 log: Final = logging.getLogger(__name__)
 
 ROUNDS: Final = 1000
-"""Exchanges without a valid reply after which nothing runs in the device; each takes a millisecond or two."""
+"""Exchanges without a valid reply after which no firmware runs in the device; each takes one or two milliseconds."""
 GREETINGS: Final = 100
 TRIES: Final = 10
-"""Times that the file is sent from its beginning; a byte gets lost now and then."""
+"""Number of attempts to send the file; bytes are lost occasionally."""
 CHUNK_BYTES: Final = 62
-"""What comes back in one packet of the chip, next to its status."""
+"""Bytes returned in one packet of the chip, without its status."""
 ECHO_TRANSFERS: Final = 200
-"""Of a millisecond or more each. 62 bytes take 4 ms at 140000 baud."""
+"""Maximum number of transfers for an echo, each of at least a millisecond; 62 bytes take 4 ms at 140000 baud."""
 FILE_BYTES: Final = range(1000, 65537)
-"""Known files have 7324 to 8492 bytes."""
+"""Accepted size of a file; known files have 7324 to 8492 bytes."""
 
 GREETING, ANSWER = bytes.fromhex("0a430d"), bytes.fromhex("0a442c0d")
 READY: Final = b"A"
 
 
 def start(open_line: Callable[[], Line], path: str | None) -> Line:
-    """An open line behind which firmware runs, in run mode; the file at `path` is sent where none does.
+    """Open a line to a device, send it the file at `path` if no firmware runs, and return the line in run mode.
 
-    Raises what `open_line` raises, and DeviceError for a file that cannot be used or is not taken.
+    Raises the errors of `open_line`, and DeviceError if the file cannot be used or the device does not accept it.
     """
     line = open_line()
     try:
@@ -71,7 +71,7 @@ def start(open_line: Callable[[], Line], path: str | None) -> Line:
 
 
 def runs(line: Line) -> bool:
-    """Whether firmware answers a packet of zeros."""
+    """Return True if firmware answers a packet of zeros."""
     out, reply, fill = np.zeros(packets.SIZE, np.uint8), np.zeros(packets.SIZE, np.uint8), 0
     packets.encode((0, 0, 0), packets.RED, out)
     for _ in range(ROUNDS):
@@ -102,7 +102,7 @@ def _file(path: str | None) -> bytes:
 
 
 def _send(line: Line, data: bytes) -> str | None:
-    """Greet the boot loader and send the file; what went wrong, or None."""
+    """Greet the boot loader and send the file; return a description of the failure, or None."""
     line.purge()
     for request, value in (
         (usb.LATENCY, usb.LATENCY_BOOT_MS),
@@ -136,7 +136,7 @@ def _greeted(line: Line) -> bool:
     for _ in range(GREETINGS):
         line.write(GREETING)
         answer = line.read(len(ANSWER), 2)
-        if answer.startswith(b"\0"):  # a byte of noise from the switching of the line
+        if answer.startswith(b"\0"):  # noise byte from switching the line
             answer = answer[1:] + line.read(1, 1)
         if answer == ANSWER:
             return True

@@ -1,4 +1,4 @@
-"""Keys of a rig's [device] with `driver = "falcon"`."""
+"""Configuration of a rig's [device] with `driver = "falcon"`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GIVE_UP_S: Final = Range(0.005, 2.0, "a reply takes 2 ms; above, nobody notices 
 HOMING_S: Final = Range(0.0, 600.0, "a person pulls the knob out and pushes it in")
 
 COUNTS_PER_NM: Final = 10000.0
-"""What libnifalcon takes. Nobody has published a measurement."""
+"""Value of libnifalcon. There is no published measurement."""
 
 
 class Options(Table, frozen=True, kw_only=True):

@@ -1,6 +1,6 @@
-"""Replies into samples, forces into motor counts: what stands between the Falcon's packets and the contract.
+"""Conversion of the Falcon's replies to samples, and of forces to motor counts.
 
-The world has x to the right, y away from the user, z up; the device x to the right, y up, z out to the user.
+The world has x to the right, y away from the user, z up; the device x to the right, y up, z towards the user.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from softfinger.proxy.kernels.numerics import vec3
 
 @jit
 def feed(handle: int, byte: int) -> bool:
-    """Take one byte of the device's stream; whether it ends a reply, which is then in NEWEST."""
+    """Process one byte of the device's stream; return True if it completes a reply, stored in the field `newest`."""
     word = int64_at(handle)
     fill, garbled = packets.assemble(byte, word[AT.fill], uint8_at(handle + 8 * AT.packet))
     if garbled:
@@ -39,7 +39,7 @@ def feed(handle: int, byte: int) -> bool:
 
 @jit
 def _to_world(v: Vec3) -> Vec3:
-    """Device's frame (right, up, out to the user) to the world's (right, away from the user, up)."""
+    """Convert from the device's frame (right, up, towards the user) to the world's (right, away from the user, up)."""
     return (v[0], -v[2], v[1])
 
 
@@ -50,9 +50,9 @@ def _to_device(v: Vec3) -> Vec3:
 
 @jit
 def pose(handle: int) -> int:
-    """The newest reply as the sample: OK, or FORCE_OFF when the device has lost its homing.
+    """Convert the latest reply to the sample; return OK, or FORCE_OFF if the device has lost its homing.
 
-    Counts to which no place belongs give NaN, which the guard answers with zero force.
+    If no position has these counts, the sample is NaN, and the guard sets the force to zero.
     """
     word = int64_at(handle)
     counts, state = packets.decode(uint8_at(handle + 8 * AT.newest))
@@ -88,9 +88,9 @@ def pose(handle: int) -> int:
 
 @jit
 def motor_counts(gain: float, place: Vec3, force: Vec3) -> tuple[packets.Counts, bool]:
-    """Motor counts (3,) for a force (3,) N in the device's frame with the knob at `place`, and whether it was limited.
+    """Return motor counts (3,) for a force (3,) N, device's frame, knob at `place`, and True if they were limited.
 
-    A count past the largest brings all three down, so that the force keeps its direction.
+    If a count exceeds the maximum, all three are scaled down, so that the force keeps its direction.
     """
     torque, able = torques_for(delta.FALCON, place, force)
     counts = vec3.scale(gain, torque)
@@ -104,6 +104,6 @@ def motor_counts(gain: float, place: Vec3, force: Vec3) -> tuple[packets.Counts,
 
 @jit
 def command(handle: int, force: Vec3) -> tuple[packets.Counts, bool]:
-    """Motor counts (3,) for a force (3,) N in the world's frame where the knob is now, and whether it was limited."""
+    """Return motor counts (3,) for a force (3,) N, world frame, at the present position, and True if it was limited."""
     at = float64_at(handle + 8 * AT.position)
     return motor_counts(float64_at(handle + 8 * AT.gain)[0], (at[0], at[1], at[2]), _to_device(force))

@@ -1,6 +1,6 @@
-"""The Falcon on the bus: found, opened for this process alone, its serial chip set.
+"""Falcon on the USB bus: search, exclusive opening, and setup of its serial chip.
 
-Everything before the loop goes through pyusb; the loop takes pyusb's own libusb and handle, and calls libusb itself.
+Everything before the loop uses pyusb; the loop calls libusb with the library and the handle of pyusb.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ENDPOINT_OUT: Final = 0x02
 ENDPOINT_IN: Final = 0x81
 PACKET_BYTES: Final = 64
 STATUS_BYTES: Final = 2
-"""In front of every packet from the chip: its modem status."""
+"""Modem status before every packet from the chip."""
 TIMEOUT_MS: Final = 1000
 
 NODES: Final = Path("/dev/bus/usb")
@@ -47,7 +47,7 @@ LATENCY_BOOT_MS, LATENCY_RUN_MS = 16, 1
 
 
 class Libusb(NamedTuple):
-    """What the loop calls: libusb as pyusb has loaded it, its context, and the open device."""
+    """Arguments of the loop's calls: libusb as loaded by pyusb, its context, and the open device."""
 
     library: ctypes.CDLL
     context: int
@@ -55,7 +55,7 @@ class Libusb(NamedTuple):
 
 
 class Line:
-    """An open Falcon: requests to its serial chip, bytes over it. DeviceLost when it does not take them."""
+    """Open Falcon: requests to its serial chip, and bytes over it. Raises DeviceLost if it does not accept them."""
 
     def __init__(self, device: Any) -> None:
         self._device = device
@@ -79,7 +79,7 @@ class Line:
             raise _gone(error) from error
 
     def read(self, count: int, transfers: int) -> bytes:
-        """Up to `count` bytes, from at most so many transfers: a transfer without data takes the chip's latency."""
+        """Return up to `count` bytes from at most `transfers` transfers; one without data takes the chip's latency."""
         for _ in range(transfers):
             if len(self._waiting) >= count:
                 break
@@ -94,14 +94,14 @@ class Line:
         return data
 
     def run_mode(self) -> None:
-        """Set the chip as the running firmware has it."""
+        """Set the chip to the parameters of the running firmware."""
         self.purge()
         self.request(LATENCY, LATENCY_RUN_MS)
         self.request(BAUD, BAUD_1500000)
         self.purge()
 
     def libusb(self) -> Libusb:
-        # pyusb hands out neither; both stand in its context since 1.0.
+        # pyusb publishes neither; both have been in its context since 1.0
         try:
             backend = self._device._ctx.backend
             handle = self._device._ctx.handle.handle
@@ -113,14 +113,14 @@ class Line:
             ) from error
 
     def close(self) -> None:
-        """Release the device. Any number of times."""
-        with contextlib.suppress(usb.core.USBError):  # it may be gone
+        """Release the device. May be called repeatedly."""
+        with contextlib.suppress(usb.core.USBError):  # it may be disconnected
             usb.util.release_interface(self._device, INTERFACE)
         usb.util.dispose_resources(self._device)
 
 
 def open_line(serial: str | None, node: str | None = None) -> Line:
-    """The one Falcon that is attached, or the one with this serial number or node, claimed for this process.
+    """Open the only attached Falcon, or the one with this serial number or node, and claim it for this process.
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy or DeviceError.
     """
@@ -135,7 +135,7 @@ def open_line(serial: str | None, node: str | None = None) -> Line:
     device = _choose(found, serial)
     name = f"Falcon ({_ids()}) at {_node(device)}"
     try:
-        with contextlib.suppress(NotImplementedError):  # libusb where the system has no drivers to detach
+        with contextlib.suppress(NotImplementedError):  # libusb on a system without drivers to detach
             if device.is_kernel_driver_active(INTERFACE):
                 device.detach_kernel_driver(INTERFACE)
         usb.util.claim_interface(device, INTERFACE)
@@ -160,9 +160,9 @@ def _choose(found: list[Any], serial: str | None) -> Any:
     for device in found:
         try:
             serials[device.serial_number or f"none, at {_node(device)}"] = device
-        except (usb.core.USBError, ValueError):  # ValueError: pyusb's word for a device it may not ask
+        except (usb.core.USBError, ValueError):  # ValueError: pyusb has no permission to open the device
             serials[f"? at {_node(device)}"] = device
-        usb.util.dispose_resources(device)  # to be asked it was opened
+        usb.util.dispose_resources(device)  # reading the serial number opened it
     listed = ", ".join(f"'{one}'" for one in sorted(serials))
     if serial is None:
         raise DeviceNotFound(f"{len(found)} Falcons are attached: name one with serial: {listed}")

@@ -1,4 +1,4 @@
-"""A rig's keys of numbers in the bytes of a device: where each is, its type, and what it means."""
+"""Configuration of numbers in the bytes of a device: position, type and meaning of each."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ SCALE: Final = Range(-1e9, 1e9, "past this a 32-bit field has no digit left")
 
 Type = Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32"]
 TYPES: Final[tuple[str, ...]] = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32")
-"""Types of a field; a kernel knows each by its place here."""
+"""Types of a field; kernels use the index in this tuple."""
 TYPE_BYTES: Final = {name: struct.calcsize(code) for name, code in zip(TYPES, "bBhHiIf", strict=True)}
 
 Sensed = Literal["a", "b", "c", "d", "e", "f", "x", "y", "z", "qw", "qx", "qy", "qz", "gripper", "buttons"]
 SENSED: Final[tuple[str, ...]] = get_args(Sensed)
-"""What a field from a device may mean: joints or encoders, position (m), orientation, bits of the button mask."""
+"""Meanings of a field from a device: joints or encoders, position (m), orientation, bits of the button mask."""
 
 Commanded = Literal[
     "current_a", "current_b", "current_c", "force_x", "force_y", "force_z",
@@ -33,7 +33,7 @@ COMMANDED: Final[tuple[str, ...]] = (
     "current_a", "current_b", "current_c", "force_x", "force_y", "force_z",
     "torque_a", "torque_b", "torque_c", "preset_a", "preset_b", "preset_c", "constant",
 )  # fmt: skip
-"""What a field to a device may mean: currents (A), forces (N), torques (N m), counts to preset, or its `scale`."""
+"""Meanings of a field to a device: currents (A), forces (N), torques (N m), counts to preset, or a constant `scale`."""
 
 
 class InputField(Table, frozen=True, kw_only=True):
@@ -67,7 +67,7 @@ class OutputField(Table, frozen=True, kw_only=True):
 def layout_faults(
     bytes_: int, fields: tuple[InputField | OutputField, ...], of: str, rest: str = ""
 ) -> Iterator[Complaint]:
-    """Complaints about fields that reach past `bytes_` or into each other."""
+    """Yield complaints about fields that exceed `bytes_` or overlap."""
     taken: dict[int, int] = {}
     for n, one in enumerate(fields):
         if not known(one) or not known(one.offset, one.type):
@@ -84,7 +84,7 @@ def layout_faults(
 
 
 def repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint]:
-    """Complaints about two fields that mean the same; `buttons` may be several, which are added."""
+    """Yield complaints about repeated meanings; `buttons` may be repeated, and are added."""
     seen = set()
     for n, one in enumerate(fields):
         if known(one) and known(one.meaning) and one.meaning != "buttons":
@@ -94,14 +94,14 @@ def repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint]:
 
 
 def meanings(fields: Iterable[InputField | OutputField]) -> set[str] | None:
-    """What fields mean; None where that is not known."""
+    """Return the meanings of fields; None if they are unknown."""
     if not known(fields) or not known(*fields):
         return None
     return {one.meaning for one in fields if known(one.meaning)}
 
 
 def lacking(key: str, has: set[str], needs: set[str], kind: str) -> Iterator[Complaint]:
-    """The complaint about meanings that a `kind` of kinematics needs and fields at `key` do not have."""
+    """Yield a complaint if the fields at `key` lack meanings that kinematics of this `kind` need."""
     missing = ", ".join(sorted(needs - has))
     if missing:
         yield f"{key}.field", msgspec.UNSET, f"lacks {missing}, which a {kind} needs: add a field for each"

@@ -1,4 +1,4 @@
-"""The block of memory that the C functions share with Python; its address is the device's handle."""
+"""Block of memory that the C functions share with Python; its address is the device's handle."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ STATUS_WORDS: Final = 17
 
 
 class Words(NamedTuple):
-    """What is in the block."""
+    """Fields of the block."""
 
     # addresses of the library's functions
     get_frame: Annotated[int, address("dhdGetPositionAndOrientationFrame")]
@@ -31,12 +31,12 @@ class Words(NamedTuple):
     turns: Annotated[int, word("whether motors turn the handle: else no torque is sent")]
     status_every: Annotated[int, word("reads from one question for the status to the next")]
     started_at: Annotated[int, word("ns")]
-    # shared with other threads
+    # written by several threads
     open: Annotated[int, word("whether the library may be called")]
     armed: Annotated[int, word("whether a force may go out")]
     stopped: Annotated[int, word("for good; set before `armed` is cleared: an `arm` under way switches nothing on")]
     lock: Annotated[int, word("held while the library is called: it is not said to bear two threads")]
-    # counts, and what was said last
+    # counters and last errors
     reads: Annotated[int, counter("readings")]
     reads_guarded: Annotated[int, counter("reads that the library answered with the last reading, TIMEGUARD")]
     writes: Annotated[int, counter("forces given")]
@@ -45,7 +45,7 @@ class Words(NamedTuple):
     error: Annotated[int, word("of the library, at the failure")]
     cause: Annotated[int, word("why the device turned its force off; -1: it did not")]
     faulty: Annotated[int, word("its error word, where that was not 0")]
-    # memory for the calls
+    # buffers of the calls
     timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
     gripper: Annotated[int, numbers("rad", 1)]
     frame: Annotated[int, numbers("position, then the matrix row by row", 12)]

@@ -1,8 +1,8 @@
-"""A device of Force Dimension, opened through the maker's library.
+"""Device of Force Dimension, opened through the maker's library.
 
-The order of opening is the maker's: open, calibrate if that is needed and allowed, end the library's own regulation,
-settings. Whatever fails on the way, the device is stopped and closed again. Force and watchdog come with `arm`: the
-watchdog counts real time since the last force, and between opening and the first tick lie kernels to compile.
+The maker prescribes the order of opening: open, calibrate if needed and allowed, end the library's regulation, apply
+settings. If a step fails, the device is stopped and closed. `arm` switches on force and watchdog: the watchdog measures
+real time since the last force, and kernels are compiled between opening and the first tick.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from softfinger.drivers.system.makers_library import address
 log: Final = logging.getLogger(__name__)
 
 TORQUE_MAX_NM: Final = 1e2
-"""Where no motor turns the handle, torque is taken and not sent: it belongs to the contact and to telemetry."""
+"""If no motor turns the handle, torque is accepted but not sent: contact and telemetry use it."""
 
 ZERO: Final = (0.0,) * 7
 ZERO_TRIES: Final = 20
 LOCK_WAIT_S: Final = 0.1
-"""How long `stop` waits for an exchange under way; one that takes longer hangs, and the device is stopped over it."""
+"""Maximum wait of `stop` for a running exchange; a slower one hangs, and the device is stopped in parallel to it."""
 
 HANG_WAIT_S: Final = 0.3
-"""How long a call over a hanging one is waited for: the library may let it wait too."""
+"""Maximum wait for a call in parallel to a hanging one, because the library may block it too."""
 
 NO_WATCHDOG: Final = (
     "firmware before 3.0 has no watchdog, and then nothing takes the force off if this program is killed: keep a hand "
@@ -60,7 +60,7 @@ LOOP_CALLS: Final = {
 
 
 class ForceDimension(Device):
-    """An open device, its force off until `arm`. `stop` takes the force off for good: to go on, open it again."""
+    """Open device with its force off until `arm`. `stop` is final: to resume, open the device again."""
 
     def __init__(self, options: Options, rate_hz: float) -> None:
         _check_watchdog(options.watchdog_s, rate_hz)
@@ -83,7 +83,7 @@ class ForceDimension(Device):
     def arm(self) -> None:
         block = self._block.handle
         if not exchange.lock.ctypes(block):
-            return  # who holds it is stopping the device, and that is for good
+            return  # the lock's owner is stopping the device, and that is final
         try:
             self._switch_on()
         finally:
@@ -92,7 +92,7 @@ class ForceDimension(Device):
     def stop(self) -> None:
         if self._word[AT.stopped]:
             return
-        self._word[AT.stopped] = 1  # before the lock: no force of the loop's follows the zero
+        self._word[AT.stopped] = 1  # before the lock: the loop sends no force after the zero
         self._word[AT.armed] = 0
         if self._word[AT.open]:
             self._zero_failure = "the library has not answered"
@@ -134,13 +134,13 @@ class ForceDimension(Device):
         call = self._library
         taken = False
         for _ in range(ZERO_TRIES):
-            # 1, TIMEGUARD, may mean that it was held back; -1 that the device is gone.
+            # 1 (TIMEGUARD) may mean that it was not sent; -1 that the device is disconnected.
             if call.dhdSetForceAndTorqueAndGripperForce(*ZERO, self._id) in (0, 2):
                 taken = True
                 break
             time.sleep(0.001)
         off = call.dhdEnableForce(0, self._id) in library.SUCCESS
-        braked = call.dhdStop(self._id) in library.SUCCESS  # into brake mode
+        braked = call.dhdStop(self._id) in library.SUCCESS  # switches to brake mode
         self._zero_failure = "" if taken or off or braked else f"the library says: {library.error_text(call)}"
         if not self._options.brakes:
             call.dhdSetBrakes(0, self._id)
@@ -150,17 +150,18 @@ class ForceDimension(Device):
         word[AT.armed] = 1
         try:
             self._set_watchdog(self._options.watchdog_s)
-            # A watchdog may mind the force before the one that switches it on; whether one is taken yet, nobody says.
+            # The watchdog may require a force already before dhdEnableForce. Whether the library accepts one then is
+            # not documented, so the result is ignored.
             call.dhdSetForceAndTorqueAndGripperForce(*ZERO, self._id)
             if not word[AT.stopped]:
                 self._do("dhdEnableForce", call.dhdEnableForce, 1)
                 self._do("dhdSetForceAndTorqueAndGripperForce", call.dhdSetForceAndTorqueAndGripperForce, *ZERO)
         finally:
-            if word[AT.stopped]:  # over a call of these that hung, so what it did came after the stop
+            if word[AT.stopped]:  # during one of these calls that hung, so it took effect after the stop
                 self._take_force_off()
 
     def _alone(self, work: Callable[[], object]) -> None:
-        """Run `work` while the loop is not in the library; where a call of the loop hangs, over it."""
+        """Run `work` while the loop is not inside the library; if a call of the loop hangs, run it in parallel."""
         block = self._block.handle
         deadline = time.monotonic() + LOCK_WAIT_S
         while not exchange.lock.ctypes(block):
@@ -199,19 +200,19 @@ class ForceDimension(Device):
             )  # fmt: skip
         self._choose_pose()
         self._calibrate()
-        self._do("drdStop", call.drdStop, True)  # ends the library's regulation, leaves the force to us
-        self._do("dhdEnableForce", call.dhdEnableForce, 0)  # one that a killed program left on, too
+        self._do("drdStop", call.drdStop, True)  # ends the library's regulation, so that this program sets the force
+        self._do("dhdEnableForce", call.dhdEnableForce, 0)  # a killed program may have left it on
         if call.dhdSetBrakes(int(options.brakes), self._id) not in library.SUCCESS and not options.brakes:
             log.warning("%s: refuses to take its brakes off, so brakes = false is not kept", self._model.full_name)
         self._do("dhdSetGravityCompensation", call.dhdSetGravityCompensation, int(options.gravity_compensation))
         self._do("dhdSetMaxForce", call.dhdSetMaxForce, self._model.limits.force_max_n)
-        self._set_watchdog(0.0)  # until `arm`; a device that has none says so here
+        self._set_watchdog(0.0)  # until `arm`; fails here if the device has no watchdog
         if options.velocity_threshold is not None:
             with self._expert():
                 self._do("dhdSetVelocityThreshold", call.dhdSetVelocityThreshold, options.velocity_threshold)
 
     def _choose_pose(self) -> None:
-        """The frame is documented for devices with a wrist: others may give their position alone."""
+        """Select frame or position: the frame is documented only for devices with a wrist."""
         call, word = self._library, self._word
         at = word[AT.frame :].view(np.float64)
         at[3:12] = np.eye(3).ravel()
@@ -219,7 +220,7 @@ class ForceDimension(Device):
         word[AT.has_frame] = (
             call.dhdHasWrist(self._id)
             or call.dhdGetPositionAndOrientationFrame(*place, self._id) in library.SUCCESS
-            or call.dhdGetPosition(*place[:3], self._id) not in library.SUCCESS  # neither: the loop will say why
+            or call.dhdGetPosition(*place[:3], self._id) not in library.SUCCESS  # neither works: the loop reports it
         )
         at[3:12] = np.eye(3).ravel()
 
@@ -242,7 +243,7 @@ class ForceDimension(Device):
 
     @contextmanager
     def _expert(self) -> Iterator[None]:
-        """The library lets only experts set some things; what fails in here is told before the mode is left."""
+        """Enter the expert mode that some settings need; report errors inside, before the mode ends."""
         if self._library.dhdEnableExpertMode() < 0:
             self._refused("dhdEnableExpertMode")
         try:
@@ -278,9 +279,9 @@ class ForceDimension(Device):
 
 
 def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
-    """What the library says of the device that the options name, or of the first that opens; no force is switched on.
+    """Return the library's description of the device that the options select, or of the first; switches no force on.
 
-    Of several that are attached, nothing says which of them is `device` on the bus: name one in the options.
+    USB does not identify which of several attached devices is `device`: select one in the options.
 
     Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.
     """
@@ -300,7 +301,7 @@ def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
 def open_device(options: Options, rate_hz: float) -> ForceDimension:
     """Open a device of Force Dimension.
 
-    Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError, each with what to do.
+    Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError, each with the remedy.
     """
     return ForceDimension(options, rate_hz)
 

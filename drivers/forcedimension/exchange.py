@@ -1,8 +1,8 @@
-"""What the servo loop calls: one exchange with the library each way, and the turn between its frame and the world's.
+"""Functions of the servo loop: one exchange with the library in each direction, and conversion of frames.
 
-The library's frame has x towards the user, y to the right, z up. The world's has x to the right, y away from the user,
-z up: world (x, y, z) = (y, -x, z), for positions, forces and torques, and for both sides of the orientation, so that a
-handle at rest is not turned.
+The library's frame has x towards the user, y to the right, z up. The world has x to the right, y away from the user, z
+up: world (x, y, z) = (y, -x, z), for positions, forces and torques, and for both sides of the orientation, so that an
+unrotated handle is unrotated in both frames.
 """
 
 from __future__ import annotations
@@ -35,15 +35,17 @@ from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import from_matrix
 
-# Of the library's status words.
+# Indices of the library's status.
 STATUS_FORCE: Final = 5
 STATUS_ERROR: Final = 9
 STATUS_CAUSE: Final = 14
 
 NS_PER_S: Final = 1_000_000_000
 NOT_A_ROTATION: Final = 0.01
-"""How far the rows' lengths and the determinant may be from 1; a matrix that is off by more is a fault, not a sensed
-rotation. Rows of length 1 that span a volume of 1 are at right angles."""
+"""Tolerance of the rows' lengths and of the determinant; a larger deviation from 1 is a fault, not a rotation.
+
+Rows of length 1 that span a volume of 1 are orthogonal.
+"""
 
 
 @jit
@@ -54,7 +56,7 @@ def _device_time(handle: int) -> float:
 
 @jit
 def _ask_status(handle: int) -> int:
-    """Ask for the status words; FORCE_OFF when the device has turned its force off or reports an error, noted why."""
+    """Read the device's status; return FORCE_OFF and store the cause if its force is off or it reports an error."""
     word = int64_at(handle)
     status = int32_at(handle + 8 * AT.status)
     if call_int32(word[AT.get_status], (status, np.int32(word[AT.id]))) < 0:
@@ -68,18 +70,18 @@ def _ask_status(handle: int) -> int:
 
 @jit
 def _failed(handle: int) -> int:
-    """What a call that returned -1 means, from the library's error of this thread."""
+    """Return the status for a failed call, from the library's error of this thread."""
     word = int64_at(handle)
     word[AT.error] = call_int32(word[AT.get_error], ())
     if word[AT.error] == ERROR_TIMEOUT:
         return TIMEOUT
-    _ask_status(handle)  # a device that still answers may say why
+    _ask_status(handle)  # a device that still answers may report the cause
     return LOST
 
 
 @jit
 def _take_frame(handle: int, sample: Any) -> None:
-    """The library's pose in the world frame; NaN for an orientation that is no rotation."""
+    """Convert the library's pose to the world frame; the orientation is NaN if its matrix is no rotation."""
     p = float64_at(handle + 8 * AT.frame)
     sample[0] = p[1]
     sample[1] = -p[0]
@@ -126,7 +128,7 @@ def _read_locked(handle: int, sample: Any) -> int:
     _take_frame(handle, sample)
     sample[SAMPLE_TIME] = _device_time(handle)
     sample[SAMPLE_BUTTONS] = float(np.int64(buttons) & 0xFFFFFFFF)
-    sample[SAMPLE_GRIPPER] = float64_at(handle + 8 * AT.gripper)[0]  # 0 as it was where there is none
+    sample[SAMPLE_GRIPPER] = float64_at(handle + 8 * AT.gripper)[0]  # initially 0, and unchanged without a gripper
     kept = float64_at(handle + 8 * AT.sample)
     for k in range(SAMPLE_SIZE):
         kept[k] = sample[k]
@@ -138,7 +140,7 @@ def _read_locked(handle: int, sample: Any) -> int:
 
 @c_function(IO_SIGNATURE)
 def read(handle: int, sample: Any) -> int:
-    # Never wait here: who holds the lock is stopping the device.
+    # Never wait here: the lock's owner is stopping the device.
     if exchange_int64(handle + 8 * AT.lock, 1) != 0:
         kept = float64_at(handle + 8 * AT.sample)
         for k in range(SAMPLE_SIZE):
@@ -176,7 +178,7 @@ def _write_locked(handle: int, wrench: Any) -> int:
         word[AT.saturated] += 1
     if not usable:
         return WITHHELD
-    if code == 1:  # held back, as far as is known: of the two ways to be wrong the one with less force
+    if code == 1:  # probably not sent; if it was, this assumption errs towards less force
         return HELD
     return OK if code == 0 else STALE
 
@@ -192,7 +194,7 @@ def write(handle: int, wrench: Any) -> int:
 
 @c_function(types.int64(types.int64))
 def lock(handle: int) -> int:
-    """Take the lock; 0 when the loop is in the library just now and it must be tried again."""
+    """Acquire the lock and return 1; return 0 if the loop is inside the library, and try again."""
     return 1 if exchange_int64(handle + 8 * AT.lock, 1) == 0 else 0
 
 

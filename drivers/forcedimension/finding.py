@@ -1,4 +1,4 @@
-"""Which of the attached devices a rig means, and what to do where none can be opened."""
+"""Selection of the attached device that a rig describes, and diagnosis if none can be opened."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ log: Final = logging.getLogger(__name__)
 
 
 def find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
-    """Open the device that the options name, or the first that opens; its ID and what it is."""
+    """Open the device that the options select, or the first that opens; return its ID and model."""
     count = call.dhdGetDeviceCount()
     if count <= 0:
         _nothing_found(call, count)
@@ -53,7 +53,7 @@ def find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
 
 
 def load(named: str | None) -> ctypes.CDLL:
-    """The library; without it, the error also names what is attached, since USB shows that much."""
+    """Load the library; if it is missing, the error also lists devices attached over USB."""
     try:
         loaded = library.load(named)
     except DeviceNotFound as error:

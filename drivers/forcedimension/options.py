@@ -1,4 +1,4 @@
-"""Keys of a rig's [device] with `driver = "forcedimension"`."""
+"""Configuration of a rig's [device] with `driver = "forcedimension"`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from softfinger.config.limits import Range
 from softfinger.config.schema import Table, said, within
 
 WATCHDOG_UNIT_S: Final = 125e-6
-"""The library counts its watchdog in these, in one byte."""
+"""Unit of the library's watchdog, which it stores in one byte."""
 
 WATCHDOG_S: Final = Range(0.0, 255 * WATCHDOG_UNIT_S, "the library counts it in one byte of 125 us; 0: none")
 NUMBER: Final = Range(0, 126, "the library counts its devices in a char")

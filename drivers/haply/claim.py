@@ -1,4 +1,4 @@
-"""A lock on a device at the service: the service accepts forces of any number of programs, and adds them up."""
+"""Lock on a device at the service, because the service accepts forces of any number of programs and adds them up."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _CREDENTIALS: Final = struct.Struct("3i")
 
 
 def claim(port: int, device: Which) -> socket.socket:
-    """Lock a device of the service on `port`, until the returned socket is closed or this process has ended.
+    """Lock a device of the service on `port`, until the returned socket is closed or this process ends.
 
-    The lock is the name of an abstract Unix socket. Such names belong to a network namespace, as the service's port
-    does, and the system releases them however a process ends.
+    The lock is the name of an abstract Unix socket. Such names belong to a network namespace, like the service's port,
+    and the system releases them however a process ends.
 
     Raises DeviceBusy if this or another process has locked the device, DeviceError if the system has no such names.
     """
@@ -41,14 +41,14 @@ def claim(port: int, device: Which) -> socket.socket:
 
 
 def _holder(address: str) -> str:
-    """Return the process that listens on a Unix socket, as messages name it."""
+    """Return the process that listens on a Unix socket, as text for messages."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.setblocking(False)
         try:
             asking.connect(address)
             pid, _, _ = _CREDENTIALS.unpack(asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
-        except OSError:  # it has ended, or its queue of connections is full
+        except OSError:  # it has exited, or its connection queue is full
             pid = 0
-    if pid <= 0:  # of another namespace
+    if pid <= 0:  # in another namespace
         return "another process"
     return "this program" if pid == os.getpid() else str(discovery.process(pid))

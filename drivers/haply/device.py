@@ -1,5 +1,7 @@
-"""A device at the Inverse Service behind the contract: opened with its filters set, and zero force on every shutdown
-path: a zero is sent and its answer received, then the connection is closed."""
+"""Device at the Inverse Service: filters set when opened, and zero force on every shutdown path.
+
+A shutdown sends a zero, waits for its answer, then closes the connection.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +26,12 @@ __all__ = ["HaplyDevice", "Options", "identify", "open_device", "rows"]
 log: Final = logging.getLogger(__name__)
 
 STOP_WAIT_S: Final = 1.0
-"""Time that a stop waits for the service's answer to a zero."""
+"""Maximum wait of a stop for the service's answer to a zero."""
 POLL_S: Final = 2e-4
 
 
 class HaplyDevice(Device):
-    """An open device; the connection of `found` is its own from now on."""
+    """Open device, owner of the connection in `found`."""
 
     def __init__(self, options: Options, found: opening.Found) -> None:
         self._options, self._zero_failure = options, ""
@@ -51,7 +53,7 @@ class HaplyDevice(Device):
         return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
-        """Wait for a state of now, and let forces out."""
+        """Wait for a current state, and allow forces."""
         word = self._block.word
         before, until = int(word[AT.states]), time.monotonic() + self._options.timeout_s
         while word[AT.states] == before:
@@ -65,10 +67,10 @@ class HaplyDevice(Device):
 
     def stop(self) -> None:
         word = self._block.word
-        word[AT.armed] = 0  # from now on the thread sends nothing but zeros
+        word[AT.armed] = 0  # from now on the thread sends only zeros
         if word[AT.wake] < 0:
             return
-        if word[AT.stopped] == word[AT.stops]:  # else a zero of a stop before is still unanswered
+        if word[AT.stopped] == word[AT.stops]:  # otherwise a zero of an earlier stop is still unanswered
             word[AT.stops] += 1
             os.eventfd_write(int(word[AT.wake]), 1)
         known = bool(self._zero_failure)
@@ -100,12 +102,12 @@ class HaplyDevice(Device):
         return self._block.counts()
 
     def settled(self) -> bool:
-        """Return whether the service has answered the message with the newest wrench, or never will."""
+        """Return True if the service has answered the message with the latest wrench, or cannot any more."""
         word = self._block.word
         return bool(word[AT.answered] >= word[AT.written]) or not self._pump.running
 
     def _why_unconfirmed(self) -> str:
-        """Return why nothing confirms the zero of a stop; empty if its answer or the end of the connection does."""
+        """Return why a stop's zero is unconfirmed; empty if its answer or the end of the connection confirms it."""
         if self._block.word[AT.stopped] == self._block.word[AT.stops] or self._pump.ended_by_service:
             return ""
         if self._pump.running:
@@ -114,7 +116,7 @@ class HaplyDevice(Device):
 
 
 def _info(options: Options, name: str, sensed_dof: int) -> DeviceInfo:
-    """What the device can do: three motors, which do not turn the handle, in a box about the world's origin."""
+    """Return the capabilities: three motors that do not turn the handle, workspace a box around the world's origin."""
     r = options.workspace_radius_m
     return DeviceInfo(
         name=name,
@@ -130,10 +132,10 @@ def _info(options: Options, name: str, sensed_dof: int) -> DeviceInfo:
 
 
 def open_device(options: Options, rate_hz: float) -> HaplyDevice:
-    """Open the device a rig names; DeviceError and its kinds when it cannot be used. Any `rate_hz` will do."""
+    """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
     return HaplyDevice(options, opening.find(options))
 
 
 def identify(_: Attached, options: Options) -> dict[str, Any]:
-    """What the service says of itself and its devices; nothing is sent to a device."""
+    """Return the service's description of itself and its devices; sends nothing to a device."""
     return opening.identify(options.port, options.version)

@@ -17,16 +17,18 @@ from softfinger.drivers.haply.options import OLD_FORMAT_PORT
 HOST: Final = "localhost"
 START: Final = "sudo systemctl start haply-inverse-service, or open the Haply Hub"
 MESSAGE_MAX: Final = 262_144
-"""Bytes; an inventory has some 2000 for each device."""
+"""Maximum bytes of a message; an inventory has about 2000 per device."""
 CHUNK: Final = 65536
 SEND_BUFFER: Final = 8192
-"""Bytes of the system's send buffer (Linux doubles it), so that few messages queue here for a service that reads
-nothing; the default takes some 26 000. What the service's own receive buffer holds is beyond reach."""
+"""Bytes of the system's send buffer (doubled by Linux): few messages queue here if the service does not read.
+
+The default queues about 26 000 bytes. The size of the service's receive buffer cannot be limited.
+"""
 _LENGTH: Final = re.compile(rb"\r\ncontent-length: *(\d{1,9})\r\n", re.IGNORECASE)
 
 
 def remaining(until: float) -> float:
-    """Time (s) that is left until a time of the monotonic clock; DeviceTimeout where there is none."""
+    """Return the time (s) until `until` (monotonic clock); raises DeviceTimeout if it has passed."""
     left = until - time.monotonic()
     if left <= 0.0:
         raise DeviceTimeout(f"the Inverse Service does not answer in time: restart it ({START})")
@@ -34,7 +36,7 @@ def remaining(until: float) -> float:
 
 
 def dial(port: int, until: float) -> socket.socket:
-    """A connection with the service. Raises DeviceNotFound, DeviceTimeout, DeviceError."""
+    """Connect to the service. Raises DeviceNotFound, DeviceTimeout, DeviceError."""
     try:
         end = socket.create_connection((HOST, port), timeout=remaining(until))
     except ConnectionRefusedError:
@@ -49,7 +51,7 @@ def dial(port: int, until: float) -> socket.socket:
 
 
 def ask(port: int, method: str, path: str, body: Any, until: float) -> tuple[int, bytes]:
-    """Status and body of a page; `body` (None: none) is sent as JSON. Raises DeviceError and its kinds."""
+    """Send a request, with `body` as JSON unless None; return status and body. Raises DeviceError or a subclass."""
     content = b"" if body is None else msgspec.json.encode(body)
     head = (
         f"{method} {path} HTTP/1.1\r\nHost: {HOST}:{port}\r\nConnection: close\r\n"
@@ -77,7 +79,7 @@ def ask(port: int, method: str, path: str, body: Any, until: float) -> tuple[int
 
 
 class _Got:
-    """A page as `HTTPResponse` reads it."""
+    """Response in memory, with the interface that `HTTPResponse` reads."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -93,7 +95,7 @@ def _whole(got: bytearray) -> bool:
 
 
 def _old(port: int) -> str:
-    """What is said where a service of the old format runs."""
+    """Return an addition to the message if a service of the old format runs."""
     try:
         socket.create_connection((HOST, OLD_FORMAT_PORT), timeout=0.2).close()
     except OSError:

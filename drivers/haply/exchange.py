@@ -1,9 +1,9 @@
-"""The servo's side: the newest pose out of the block, the wrench into it, from nopython.
+"""Servo's side of the exchange, in nopython mode: read the latest pose from the block, write the wrench to it.
 
-Servo and the thread that speaks to the service (`pump`) exchange data through two sequence locks, one for each
+Servo and the thread that talks to the service (`pump`) exchange data through two sequence locks, one for each
 direction, so that neither waits for the other. A write wakes the thread. WITHHELD reports zero in place of a force, so
-that the guard fades in again: no state for `quiet`, not armed, or the thread dropped the wrench. HELD reports a force
-that was not taken because the one before still waits to be sent.
+that the guard fades in again: no state for `quiet`, disarmed, or the thread dropped the wrench. HELD reports a force
+that was not accepted because the previous one is not sent yet.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, normalize, rotate
 
 COUNTERS: Final = 8
-"""Words of a sequence lock's counter: a line of the cache."""
+"""Size of a sequence counter in int64: one cache line."""
 POSE: Final = 9
-"""Numbers of a pose: position (3,) m, orientation (4,), buttons, and when it came (ns, monotonic clock)."""
+"""Numbers of a pose: position (3,) m, orientation (4,), buttons, and time of arrival (ns, monotonic clock)."""
 CAME: Final = 8
 WRENCH: Final = 5
-"""Numbers of a wrench: force (3,) N in the service's frame, when it was written (ns, monotonic clock), its number."""
+"""Numbers of a wrench: force (3,) N in the service's frame, time of the write (ns, monotonic clock), its number."""
 WRITTEN: Final = 3
 NUMBER: Final = 4
 
 
 class Model(NamedTuple):
-    """What turns the service's pose into the world's, and a force back.
+    """Parameters of the conversion between the service's frame and the world.
 
     position     (3,) m  service's origin in the world
     orientation  (4,)    service to world
@@ -64,7 +64,7 @@ MODEL_SIZE: Final = len(flatten(MODEL_LIKE))
 
 
 class Words(NamedTuple):
-    """The words of a device at the service. Each is written by one side, but for `armed`."""
+    """Shared fields of a device at the service. Each has a single writer, except `armed`."""
 
     states: Annotated[int, counter("states received")]
     messages: Annotated[int, counter("messages sent")]
@@ -111,8 +111,10 @@ AT: Final = lay_out(Words)
 
 @jit
 def _take(handle: int, poses: Slot, copied: Any) -> bool:
-    """Turn the newest pose into the sample, if there is one that the loop has not had. `poses` and `copied` are the
-    words of these names as arrays."""
+    """Convert the latest pose to the sample and return True, if the loop has not read it yet.
+
+    `poses` and `copied` are the fields of these names as arrays.
+    """
     at, sample = int64_at(handle), float64_at(handle + 8 * AT.sample)
     newest = refresh(poses, at[AT.seen], copied)
     if newest == at[AT.seen]:
@@ -143,7 +145,7 @@ def read(handle: int, sample: Any) -> int:
     status = OK if _take(handle, poses, carray(float64_at(handle + 8 * AT.copied), (POSE,))) else STALE
     silence = now - at[AT.heard_at]
     if at[AT.read_at] != 0 and now - at[AT.read_at] > RESUME_NS and silence > at[AT.quiet]:
-        # nobody listened during a pause, which may have stopped the thread too: no silence, but no pose of now either
+        # the thread may have been paused too: neither a silence nor a current pose
         at[AT.heard_at] = heard_at(at[AT.heard_at], at[AT.read_at], now, at[AT.quiet])
         status = STALE
     elif silence > at[AT.timeout_after]:
@@ -189,7 +191,7 @@ def write(handle: int, wrench: Any) -> int:
     if at[AT.failed] < 0:
         zero = wrench[0] == 0.0 and wrench[1] == 0.0 and wrench[2] == 0.0
         return OK if zero else int(at[AT.failed])
-    # Never wait here: who holds the lock writes a zero or closes the device, so refusing is right as well.
+    # Never wait here: the lock's owner writes a zero or closes the device, so refusing is right as well.
     if exchange_int64(handle + 8 * AT.lock, 1) != 0:
         return WITHHELD
     now = monotonic_ns(handle + 8 * AT.timespec)

@@ -1,7 +1,7 @@
-"""The WebSocket to the service, which never blocks.
+"""WebSocket to the service that never blocks.
 
-`websockets` implements the protocol without a socket of its own (sans I/O), so that one thread does everything and
-every wait has an end. Nothing is compressed, and no message may be longer than `MESSAGE_MAX`.
+`websockets` implements the protocol without a socket (sans I/O), so that one thread does everything and every wait is
+limited. There is no compression, and the maximum length of a message is `MESSAGE_MAX`.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from softfinger.drivers.haply.dial import CHUNK, HOST, MESSAGE_MAX, dial, remain
 from softfinger.drivers.haply.messages import Malformed, excerpt
 
 LAST_S: Final = 0.2
-"""Time for the service to take the last message and close the connection."""
+"""Time for the service to read the last message and close the connection."""
 
 
 class Link:
-    """An open WebSocket, used by one thread at a time. Raises DeviceError and its kinds while it opens."""
+    """Open WebSocket, used by one thread at a time. Opening raises DeviceError or a subclass."""
 
     def __init__(self, port: int, until: float) -> None:
         client, uri, self._frames = library()
@@ -32,7 +32,7 @@ class Link:
         self._end.setblocking(False)
         self._part = bytearray()
         self._unsent = bytearray()
-        """Bytes that the system has not accepted: the rest of a frame, and what follows it."""
+        """Bytes not accepted by the system yet: the end of a frame, and what follows it."""
         self._protocol = client.ClientProtocol(uri.parse_uri(f"ws://{HOST}:{port}"), max_size=MESSAGE_MAX)
         try:
             self._protocol.send_request(self._protocol.connect())
@@ -46,7 +46,7 @@ class Link:
         return self._end.fileno()
 
     def send(self, message: bytes) -> None:
-        """Send a text message. Raises DeviceLost, or DeviceTimeout if the service reads nothing."""
+        """Send a text message. Raises DeviceLost, or DeviceTimeout if the service does not read."""
         self._protocol.send_text(message)
         self._flush()
 
@@ -57,7 +57,8 @@ class Link:
     def receive(self) -> list[bytes]:
         """Return the complete messages that have arrived, without waiting.
 
-        Raises DeviceLost if the connection is closed, Malformed if the data is no WebSocket's, or a message too long.
+        Raises DeviceLost if the connection is closed, Malformed if the data violates the protocol or a message is too
+        long.
         """
         found, self._first = self._first, []
         try:
@@ -78,14 +79,14 @@ class Link:
     def close(self, last: bytes = b"") -> bool:
         """Send `last` and a Close frame, wait up to `LAST_S` until the service closes the connection, close the socket.
 
-        `websockets` answers a Close frame or a breach of the protocol with its own Close frame, and accepts no message
-        after it. So `last` is framed here and precedes what the library wants to send. If the service does not accept
-        all of it, the connection is reset, so that no earlier message in the send buffer is delivered later.
+        `websockets` answers a Close frame or a protocol violation with a Close frame, and accepts no message after it.
+        So `last` is framed here and precedes the bytes of the library. If the service does not accept all of it, the
+        connection is reset, so that no earlier message in the send buffer is delivered later.
 
         Returns
         -------
         bool
-            Whether the service closed the connection: it has read `last`, or its session was over before.
+            True if the service closed the connection: it has read `last`, or its session was over before.
         """
         if self._end.fileno() < 0:
             return True
@@ -103,7 +104,7 @@ class Link:
         return closed
 
     def _finish(self, until: float) -> bool:
-        """Send what is unsent and discard what arrives, until the service closes; False if it does not by then."""
+        """Send unsent bytes and discard received ones until the service closes; return False if it does not in time."""
         reading = True
         while reading or self._unsent:
             wait = max(until - time.monotonic(), 0.0)
@@ -112,7 +113,7 @@ class Link:
                 del self._unsent[: self._end.send(self._unsent)]
                 if not self._unsent:
                     self._end.shutdown(socket.SHUT_WR)
-            if readable:  # data left unread would turn the close into a reset
+            if readable:  # unread data would turn the close into a reset
                 reading = bool(self._end.recv(CHUNK))
             if not wait:
                 break
@@ -121,7 +122,7 @@ class Link:
         return not reading and not self._unsent
 
     def _opened(self, until: float) -> list[bytes]:
-        """Wait for the service's consent; the messages that came with it."""
+        """Wait until the service accepts the connection; return messages received with the acceptance."""
         while True:
             found = self.receive_handshake(until)
             if self._protocol.handshake_exc is not None:
@@ -160,7 +161,7 @@ class Link:
                 found.append(bytes(self._part))
                 self._part.clear()
         if protocol.state.name in ("CLOSING", "CLOSED") and protocol.handshake_exc is None:
-            # The library's Close frame stays where it is: `close` sends the last message ahead of it.
+            # The library's Close frame is not sent yet: `close` sends the last message before it.
             if protocol.parser_exc is not None and not isinstance(protocol.parser_exc, EOFError):
                 raise Malformed(f"the service's WebSocket: {protocol.parser_exc}: {excerpt(data)}")
             raise DeviceLost("the Inverse Service closed the connection: was it stopped or restarted?")
@@ -181,7 +182,7 @@ class Link:
 
 
 def library() -> tuple[Any, Any, Any]:
-    """Return the modules `client`, `uri` and `frames` of websockets; DeviceError if it is not installed."""
+    """Return the modules `client`, `uri` and `frames` of websockets; raises DeviceError if it is not installed."""
     try:
         from websockets import client, frames, uri
     except ImportError as error:

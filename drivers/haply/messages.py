@@ -1,8 +1,8 @@
-"""What the service and its clients say: read with types and bounds, written with the keys of the service's version.
+"""Messages of the service and its clients: decoded with types and limits, encoded for the service's version.
 
 Source: docs.haply.co/inverseSDK, pages "WebSocket Protocol", "Control Commands" and "Device Configuration" of 3.5; the
-key `values` of 3.1 to 3.4 from Haply's public Python examples. The service ignores keys that it does not know without a
-word, so a force under the wrong key would be none.
+key `values` of 3.1 to 3.4 from Haply's public Python examples. The service silently ignores unknown keys, so a force
+under the wrong key would not act.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from softfinger.config.errors import DeviceError
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 
 GROUPS: Final = ("inverse3", "inverse3x", "minverse")
-"""Lists of devices in a message."""
+"""Keys of the lists of devices in a message."""
 GRIPS: Final = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
-"""Lists of grips."""
+"""Keys of the lists of grips."""
 OLDEST: Final = (3, 1)
 VECTOR_SINCE: Final = (3, 5)
 AFTER: Final = (4, 0)
 
 FAR_M: Final = 10.0
-"""A cursor farther away is no place of a device."""
+"""Maximum distance of a cursor; beyond it is an invalid position."""
 SHOWN: Final = 120
-"""Characters of a message that an error repeats."""
+"""Characters of a message that an error quotes."""
 
 Name = Annotated[str, Meta(pattern=r"^[\w.:-]{1,64}$")]
 Number = float | None
-"""JSON has no NaN; the maker's library writes null for one."""
+"""JSON has no NaN; the maker's library writes null for it."""
 
 
 class Malformed(Exception):
-    """A message that is none of the service's."""
+    """The message is not one of the service."""
 
 
 class Missing(Exception):
-    """The device or its grip is not in the service's list."""
+    """The service does not list the device or its grip."""
 
 
 class Vector(Struct):
@@ -107,14 +107,14 @@ class GripEntry(Struct):
 
 
 class Listed(Struct):
-    """An entry of the inventory."""
+    """Entry of the inventory."""
 
     device_id: Name
     config: Config = msgspec.field(default_factory=Config)
 
 
 class State(Struct):
-    """An answer to a message."""
+    """Answer of the service to a message."""
 
     inverse3: list[DeviceEntry] = []
     inverse3x: list[DeviceEntry] = []
@@ -125,7 +125,7 @@ class State(Struct):
 
 
 class Inventory(Struct):
-    """What a client that connects is told."""
+    """Device inventory that the service sends on connect."""
 
     session_id: int = 0
     inverse3: list[Listed] = []
@@ -140,7 +140,7 @@ class Inventory(Struct):
 
 
 class Which(NamedTuple):
-    """A device or grip: the list that it is in, and its name."""
+    """Device or grip: its list and its name."""
 
     group: str
     name: str
@@ -150,8 +150,13 @@ class Which(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """A pose in the service's frame: position (3,) m, orientation w x y z, buttons, NaN where it said no usable number;
-    and what is not as it should be."""
+    """Pose in the service's frame.
+
+    position     (3,) m        NaN if unusable
+    orientation  (4,)          w x y z, NaN if unusable
+    buttons                    one bit each
+    warning                    problems of the device; empty without any
+    """
 
     position: Vec3
     orientation: Quaternion
@@ -167,12 +172,12 @@ _UNTURNED: Final = (1.0, 0.0, 0.0, 0.0)
 
 
 def read_inventory(message: bytes) -> Inventory:
-    """Raises Malformed."""
+    """Decode an inventory. Raises Malformed."""
     return _decoded(_INVENTORIES, message)  # type: ignore[no-any-return]
 
 
 def read_state(message: bytes, device: Which, grip: Which | None) -> Seen:
-    """The pose of a device in an answer, with that of its grip. Raises Malformed, Missing."""
+    """Return the pose of a device, with the orientation of its grip, from an answer. Raises Malformed, Missing."""
     state: State = _decoded(_STATES, message)
     mine: DeviceEntry = _entry(state, device)
     held: GripEntry | None = None if grip is None else _entry(state, grip)
@@ -185,7 +190,7 @@ def read_state(message: bytes, device: Which, grip: Which | None) -> Seen:
 
 
 def command(device: Which, key: str, force: Vec3, basis: bool = False) -> bytes:
-    """A message with a force (N, service's frame); the first of a session also asks for the axes of the device."""
+    """Encode a message with a force (N, service's frame); the first of a session also sets the axes of the device."""
     x, y, z = force
     entry = {"device_id": device.name, "commands": {"set_cursor_force": {key: {"x": x, "y": y, "z": z}}}}
     message: dict[str, Any] = {device.group: [entry]}
@@ -195,7 +200,7 @@ def command(device: Which, key: str, force: Vec3, basis: bool = False) -> bytes:
 
 
 def number_of(version: str) -> tuple[int, int]:
-    """Major and minor number of a version; DeviceError where it is none that this driver speaks."""
+    """Return major and minor number of a version; raises DeviceError if this driver does not support it."""
     parts = version.lstrip("v").split(".")
     try:
         number = int(parts[0]), int(parts[1])
@@ -213,18 +218,18 @@ def number_of(version: str) -> tuple[int, int]:
 
 
 def force_key(version: tuple[int, int]) -> str:
-    """Under which key a force is looked for."""
+    """Return the key of a force in a message."""
     return "vector" if version >= VECTOR_SINCE else "values"
 
 
 def is_identity(mount: Mount) -> bool:
-    """Whether a mount leaves places and sizes as they are."""
+    """Return True if a mount changes neither position, orientation nor scale."""
     at, turn, scale = mount.position, mount.rotation, mount.scale
     return (at.x, at.y, at.z, turn.x, turn.y, turn.z, scale.x, scale.y, scale.z) == (0, 0, 0, 0, 0, 0, 1, 1, 1)
 
 
 def excerpt(message: bytes) -> str:
-    """The beginning of a message, for an error."""
+    """Return the start of a message, for an error."""
     return repr(message[:SHOWN])[1:] + ("..." if len(message) > SHOWN else "")
 
 

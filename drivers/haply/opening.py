@@ -1,4 +1,4 @@
-"""Finding a device at the service, and setting what the service does to its forces."""
+"""Search of a device at the service, and setup of the service's filters on its forces."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from softfinger.drivers.haply.messages import (
 from softfinger.drivers.haply.options import Filters, Options
 
 PORT: Final = 10001
-"""Of a service whose settings nobody changed."""
+"""Default port of the service."""
 OPEN_S: Final = 2.0
-"""Time for everything: version, inventory, filters, the first state."""
+"""Maximum time for version, inventory, filters and the first state together."""
 _ZERO: Final = (0.0, 0.0, 0.0)
 
 
@@ -54,7 +54,7 @@ class Reply(Struct):
 
 
 class Found(NamedTuple):
-    """An open connection, and the lock, device, grip, key of forces and first pose that belong to it."""
+    """Open connection with its lock, device, grip, key of forces and first pose."""
 
     link: Link
     lock: socket.socket
@@ -66,7 +66,7 @@ class Found(NamedTuple):
 
 def find(options: Options) -> Found:
     """Find, lock and set up the device of a rig. Raises DeviceNotFound, DeviceBusy, DeviceTimeout, DeviceError."""
-    library()  # before a service is looked for
+    library()  # report a missing library before a missing service
     until = time.monotonic() + OPEN_S
     version = number_of(options.version or _version(options.port, until))
     with ExitStack() as opened:
@@ -88,7 +88,7 @@ def find(options: Options) -> Found:
 
 
 def identify(port: int, version: str | None) -> dict[str, Any]:
-    """What the service says of itself: its version, and the names of its devices and grips."""
+    """Return version, devices and grips of the service."""
     until = time.monotonic() + OPEN_S
     said = version or _version(port, until)
     number_of(said)
@@ -102,7 +102,7 @@ def identify(port: int, version: str | None) -> dict[str, Any]:
 
 
 def choose_device(inventory: Inventory, wanted: str | None) -> tuple[Which, Listed]:
-    """The device of that id, or the only one."""
+    """Return the device with the id `wanted`, or the only one; raises DeviceNotFound."""
     there = inventory.of(GROUPS)
     fitting = [one for one in there if wanted in (None, one[0].name)]
     if len(fitting) == 1:
@@ -118,7 +118,7 @@ def choose_device(inventory: Inventory, wanted: str | None) -> tuple[Which, List
 
 
 def choose_grip(inventory: Inventory, wanted: str) -> Which | None:
-    """The grip of that id; for "auto" the only one, or none."""
+    """Return the grip with the id `wanted`; for "auto" the only one, or None without any. Raises DeviceNotFound."""
     there = [which for which, _ in inventory.of(GRIPS)]
     if wanted == "none":
         return None
@@ -161,7 +161,7 @@ def _inventory(link: Link, until: float) -> Inventory:
 
 
 def _set(options: Options, version: tuple[int, int], device: Which, config: Config, session: int, until: float) -> None:
-    """Make the service's filters those of the rig; DeviceError where it does not take one."""
+    """Set the service's filters as in the rig; raises DeviceError if it rejects one."""
     if config.mount is not None and not is_identity(config.mount):
         raise DeviceError(
             f"{device}: the service moves, turns or scales its positions (mount): reset its workspace in the Haply Hub"
@@ -177,8 +177,11 @@ def _set(options: Options, version: tuple[int, int], device: Which, config: Conf
 
 
 def _changes(device: Which, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:
-    """Pages of 3.5 to post, for what is not yet as the rig has it; those of a session always, for a program that
-    configures sessions (the Haply Hub) may have changed them."""
+    """Return the pages of 3.5 to post where the rig differs from the present configuration.
+
+    Pages of a session are always posted, because a program that configures sessions (the Haply Hub) may have changed
+    them.
+    """
     at = f"/{device.group}/{quote(device.name, safe='')}/config"
     pages: list[tuple[str, Any]] = [
         (f"{at}/force_gate?session={session}", {"gain": filters.force_gate}),
@@ -196,7 +199,7 @@ def _changes(device: Which, config: Config, filters: Filters, session: int) -> l
 
 
 def _old_changes(device: Which, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:
-    """Pages of 3.1 to 3.4: no public page says how force gate and damping are set there."""
+    """Return the pages of 3.1 to 3.4 to post; no public page describes force gate and damping there."""
     if (filters.force_gate, filters.damping) != (Filters().force_gate, Filters().damping):
         raise DeviceError(
             f"{device}: force_gate and damping can only be set at a service of 3.5 or later: "

@@ -1,4 +1,4 @@
-"""Keys of a rig's [device] with `driver = "haply"`."""
+"""Configuration of a rig's [device] with `driver = "haply"`."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Options(Table, frozen=True, kw_only=True):
 
 
 def rows(options: Options) -> list[tuple[str, str]]:
-    """What `softfinger check` says of the filters, which change every force."""
+    """Return rows for `softfinger check` about the filters, which change every force."""
     filters = options.filters
     weight = f"times {filters.gravity_scale:g}" if filters.gravity_compensation else "off"
     return [

@@ -1,10 +1,11 @@
-"""The thread that exchanges messages with the service: one with the newest wrench, then the state that answers it.
+"""Thread that exchanges messages with the service: sends the latest wrench, and receives the state that answers it.
 
-The service sends one state for each message. So the thread sends a message when the servo has written and the last one
-is answered, and every `KEEP_S` if nobody writes: one force at most is on its way. A zero after a force waits for no
-answer. The thread sends zero in place of a wrench that is older than `stale`, and of every wrench while the device is
-not armed or the service reads nothing, whatever the servo does. It never blocks: a service that floods, hangs or closes
-ends the thread, and `read` returns why. Its last message is a zero, ahead of any Close frame.
+The service sends one state per message. So the thread sends a message when the servo has written a wrench and the last
+message is answered, and every `KEEP_S` without a new wrench: at most one force is in transmission. A zero after a force
+does not wait for an answer. The thread sends zero instead of a wrench that is older than `stale`, and instead of every
+wrench while the device is disarmed or the service does not read, regardless of the servo. It never blocks: a service
+that floods, hangs or closes ends the thread, and `read` returns the status. Its last message is a zero, before any
+Close frame.
 """
 
 from __future__ import annotations
@@ -32,25 +33,25 @@ from softfinger.proxy.kernels.model import Vec3
 log: Final = logging.getLogger(__name__)
 
 KEEP_S: Final = 0.005
-"""From one message to the next where nothing new is to be said, so that poses keep coming."""
+"""Interval of messages without a new wrench, so that poses continue to arrive."""
 UNREAD_MAX: Final = 2
-"""Messages that may wait for the service to read them; with more, it sends states without reading."""
+"""Maximum number of messages unread by the service; with more, it sends states without reading."""
 UNREAD: Final = "the Inverse Service reads no messages, so forces are withheld: restart it"
 UNASKED_MAX: Final = 100
-"""States more than messages, after which this is no Inverse Service."""
+"""Maximum surplus of states over messages; with more, the program at the port is not an Inverse Service."""
 CLOSE_WAIT_S: Final = 1.0
 _ZERO: Final = (0.0, 0.0, 0.0)
 
 
 class Asked(NamedTuple):
-    """A message that waits for its state: the number of its wrench, and how many stops had been asked for."""
+    """Message without an answer yet: number of its wrench, and number of stops requested before it."""
 
     number: int
     stops: int
 
 
 class Pump:
-    """The thread and what it keeps. The link of `found` is the pump's from now on; `block` is laid out by AT."""
+    """Exchange thread, owner of the link in `found`; AT lays out `block`."""
 
     def __init__(self, found: Found, block: Block) -> None:
         self._found, self._word = found, block.word
@@ -68,8 +69,8 @@ class Pump:
         self.failure = ""
         """Reason why the thread ended before it was closed; empty if it did not."""
         self.ended_by_service = False
-        """Whether the service closed the connection, so that its session is over, and with it what it gave."""
-        read(self._wrenches, -1, self._copy)  # compiled now, and not in the thread
+        """True if the service closed the connection, which ends its session and the forces of the session."""
+        read(self._wrenches, -1, self._copy)  # compile it before the thread runs
         self._publish(found.seen)
         self._thread = threading.Thread(target=self._run, name="haply exchange", daemon=True)
 
@@ -83,11 +84,11 @@ class Pump:
 
     @property
     def warning(self) -> str:
-        """What is not as it should be, from the newest state and the connection; empty if nothing is."""
+        """Return problems reported by the latest state and the connection; empty without any."""
         return "; ".join(filter(None, (self._warning, UNREAD if self._unread else "")))
 
     def close(self) -> None:
-        """End the thread and the connection. Any number of times."""
+        """End the thread and the connection. May be called repeatedly."""
         self._ending.set()
         if self._thread.ident is None:
             self._leave()
@@ -105,7 +106,7 @@ class Pump:
             self._fail(TIMEOUT if isinstance(error, DeviceTimeout) else LOST, str(error))
         except Malformed as error:
             self._fail(PROTOCOL, str(error))
-        except Exception as error:  # a defect here must not leave a loop that waits
+        except Exception as error:  # after a defect here, the loop must not wait forever
             log.exception("the exchange with the Inverse Service failed")
             self._fail(PROTOCOL, repr(error))
         finally:
@@ -113,7 +114,7 @@ class Pump:
             self._leave()
 
     def _leave(self) -> None:
-        """Send a last zero, whatever has ended the exchange, and end the connection."""
+        """Send a last zero, after any end of the exchange, and close the connection."""
         with self._found.lock:
             link, device, key = self._found.link, self._found.device, self._found.key
             self.ended_by_service = link.close(command(device, key, _ZERO))
@@ -154,7 +155,7 @@ class Pump:
         self._word[AT.taken] = number
 
     def _force(self) -> Vec3:
-        """Return the newest force, or zero if none may be sent."""
+        """Return the latest force, or zero if none may be sent."""
         sequence = read(self._wrenches, self._sequence, self._copy)
         if sequence != self._sequence:
             self._sequence = sequence
@@ -163,7 +164,7 @@ class Pump:
         force = (x, y, z)
         old = not self._word[AT.armed] or time.monotonic_ns() - at > self._word[AT.stale]
         if force != _ZERO and (old or self._unread):
-            self._newest[:WRITTEN] = 0.0  # for good: it must not be sent once the service reads again
+            self._newest[:WRITTEN] = 0.0  # permanently: it must not be sent when the service reads again
             self._word[AT.dropped] += 1
             self._word[AT.taken] = int(self._newest[NUMBER])
             return _ZERO

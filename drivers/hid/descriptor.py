@@ -1,6 +1,6 @@
-"""Whether a device that is attached has the reports that a rig describes; its ids alone do not tell.
+"""Check that an attached device has the reports that a rig describes; its ids do not identify them.
 
-Boards of one vendor share their ids with other programs, and one board may have several interfaces under them.
+Boards with other programs share the ids of one vendor, and one board may have several interfaces under its ids.
 """
 
 from __future__ import annotations
@@ -11,20 +11,20 @@ from softfinger.drivers.system.descriptor import Announced, announced
 
 
 def lengths(reports: Reports) -> Announced:
-    """The reports that a rig describes."""
+    """Return the reports that a rig describes."""
     return Announced({reports.input.id: reports.input.bytes}, {reports.output.id: reports.output.bytes})
 
 
 def fits(descriptor: bytes, reports: Reports) -> bool:
-    """Whether a descriptor announces the reports of a rig; one that is not known may be anything."""
+    """Return True if a descriptor announces the reports of a rig; also True for an unknown descriptor."""
     try:
         return not descriptor or announced(descriptor).has(lengths(reports))
     except ValueError:
-        return True  # opening says that it is damaged
+        return True  # opening reports the damage
 
 
 def check_reports(descriptor: bytes, path: str, reports: Reports) -> None:
-    """DeviceError when the device at `path` announces other reports than the rig describes; the message shows both."""
+    """Raise DeviceError, with both lists, if the device at `path` announces other reports than the rig describes."""
     try:
         theirs = announced(descriptor)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""A HID device behind the contract: memory of the exchange, calibration, and zero force on every shutdown path."""
+"""HID device: memory of the exchange, calibration, and zero force on every shutdown path."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from softfinger.proxy.kernels.jit.pack import flatten
 log: Final = logging.getLogger(__name__)
 
 STOP_WAIT_S: Final = 1.0
-"""How long a stop waits for a write under way. One that takes longer hangs in the kernel."""
+"""Maximum wait of a stop for a write in progress. A slower one hangs in the kernel."""
 PRESET_WAIT_S: Final = 1.0
 PRESET_NEAR: Final = 20.0
-"""Counts by which an arm held in its calibration pose may have moved before the answer comes."""
+"""Counts by which an arm held in its calibration pose may move before the answer arrives."""
 
 
 class HidDevice(Device):
-    """An open device on the file descriptor `fd`, which it owns from now on: of its node, or of `pump`, with that."""
+    """Open device, owner of the file descriptor `fd` (of its node or of `pump`) and of `pump`."""
 
     def __init__(self, options: Options, fd: int, pump: Pump | None = None, node: str = "") -> None:
         self._options, self.pump, self._node, self._zero_failure = options, pump, node, ""
@@ -51,14 +51,14 @@ class HidDevice(Device):
         try:
             if options.calibrate:
                 self._calibrate()
-                self._block.word[TALK.sensed] = 0  # the sample of before the calibration is no place of now
+                self._block.word[TALK.sensed] = 0  # the sample from before the calibration has a wrong position
         except BaseException:
             self.close()
             raise
 
     def _make_block(self, fd: int, kind: int, turns: bool) -> Block:
         block, options = Block(TALK, AT), self._options
-        # A board that is being awaited has a zero report with each wait.
+        # While waiting for a board, each wait sends a zero report.
         begin(block, fd, Times(options.kick_s, options.kick_s, kick_awaiting=0.0, timeout=options.timeout_s))
         word, spec = block.word, options.reports
         word[AT.kind], word[AT.turns] = kind, turns
@@ -85,11 +85,11 @@ class HidDevice(Device):
         return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
-        """Wake the board and wait for a report of now: minutes may have passed since the device was opened."""
+        """Wake the board and wait for a current report: minutes may have passed since the device was opened."""
         self._fresh_report()
 
     def stop(self) -> None:
-        # However often it is asked to stop, a write under way has its time once.
+        # For repeated calls the full wait applies once to a write in progress.
         hung_s = 0.0 if self.pump is None else self.pump.hangs_s()
         until = time.monotonic() + STOP_WAIT_S - hung_s
         told, self._zero_failure = bool(self._zero_failure), ""
@@ -106,7 +106,7 @@ class HidDevice(Device):
             self._zero_failure = "its node takes no report"
 
     def _tell_no_zero(self, told: bool) -> None:
-        """Log it once: the loop, the daemon and `close` each stop the device."""
+        """Log that no zero was sent, once: the loop, the daemon and `close` each stop the device."""
         self._zero_failure = self.reason() or f"writes have not gone out for {STOP_WAIT_S:g} s"
         if not told:
             log.error("%s: no zero has reached it: %s", self.info.name, self._zero_failure)
@@ -139,9 +139,9 @@ class HidDevice(Device):
         return self._block.counts()
 
     def _calibrate(self) -> None:
-        """Make the encoders show the calibration counts where the arm is now.
+        """Set the encoders to the calibration counts at the arm's present pose.
 
-        With a preset report the device keeps them over a restart of the program, else they are added here.
+        With a preset report the device stores them beyond a restart of the program, otherwise they are added here.
         """
         given = self._options.kinematics
         assert isinstance(given, Chain)
@@ -180,8 +180,8 @@ class HidDevice(Device):
             raise DeviceTimeout(f"{self.info.name} takes no report{because}: check its power, and its firmware")
 
     def _fresh_report(self) -> None:
-        """Read a report of now; DeviceTimeout or DeviceLost when none comes."""
-        self._block.word[TALK.sensed] = 0  # the next read waits for a report rather than repeat one
+        """Read a current report; raises DeviceTimeout or DeviceLost if there is none."""
+        self._block.word[TALK.sensed] = 0  # the next read waits for a report instead of repeating one
         sample = np.zeros(SAMPLE_SIZE)
         status = exchange.read.ctypes(
             self._block.handle, sample.ctypes.data_as(exchange.read.ctypes.argtypes[1])
@@ -192,13 +192,13 @@ class HidDevice(Device):
             raise DeviceLost(f"{self.info.name} cannot be read (status {status}): plug it in again")
 
     def _read_counts(self) -> NDArray[np.float64]:
-        """Counts of encoders a, b, c in a report of now, without what is added to them."""
+        """Return the counts of encoders a, b, c in a current report, without the offset added to them."""
         self._fresh_report()
         return self._block.numbers(AT.values + table.COUNTS, 3).copy()
 
 
 def _encoded(report: OutputReport, commanded: dict[int, float]) -> bytes:
-    """A report with its id in front; what is not in `commanded` (value by place) is 0."""
+    """Return a report with its id first; values that are not in `commanded` (by index) are 0."""
     values, out = np.zeros(table.COMMANDED_SIZE), np.zeros(1 + report.bytes, np.uint8)
     out[0], values[table.CONSTANT] = report.id, 1.0
     for place, value in commanded.items():
@@ -208,11 +208,11 @@ def _encoded(report: OutputReport, commanded: dict[int, float]) -> bytes:
 
 
 def rows(options: Options) -> list[tuple[str, str]]:
-    """What `softfinger check` shows beside the options."""
+    """Return additional rows for `softfinger check`."""
     return freedom_rows(options.kinematics, options.mounting)
 
 
 def open_device(options: Options, rate_hz: float) -> HidDevice:
-    """Open the device a rig names; DeviceError and its kinds when it cannot be used. Any `rate_hz` will do."""
+    """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
     link = open_link(options)
     return HidDevice(options, link.fd, link.pump, link.node)

@@ -1,8 +1,8 @@
-"""One tick with a hidraw node, from nopython: reports drained to the newest, one report written.
+"""One tick with a hidraw node, in nopython mode: read all reports up to the latest, write one report.
 
-The node may be the socket of `pump`, which behaves as one. What is the same for any board is in `conversation`. A
-device of this family answers each report it is sent, so the answer to the report of one tick is read in the next, and
-nobody waits. A zero report wakes it.
+The node may be the socket of `pump`, which behaves like one. `conversation` has the part that all boards share. A
+device of this family answers each report, so the answer to the report of one tick is read in the next, without waiting.
+A zero report wakes it.
 """
 
 from __future__ import annotations
@@ -40,20 +40,23 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, normalize, rotate
 
 DRAIN_MAX: Final = 256
-"""Reads in one tick: four times what the kernel keeps for a node; a device that floods cannot hold the loop."""
+"""Maximum number of reads per tick, four times the kernel's queue: a device that floods cannot block the loop."""
 WAITING_MAX: Final = 2
-"""Reports that the pump may have: one on its way, the next behind it. With more a force would come late, and with some
-passed over the device would meet forces further apart than those of two ticks."""
+"""Maximum number of reports in the pump: one in transmission and the next.
+
+With more, a force would be late; if some were skipped, successive forces of the device would differ by more than those
+of two ticks.
+"""
 IN_SPARE: Final = 1
-"""A buffer is so much longer than its report: a longer one than described is then seen to be longer."""
+"""Additional bytes of a buffer, so that a report longer than described is detected."""
 
 
 class Hid(NamedTuple):
-    """Marks the kernels of this driver."""
+    """Type that selects the kernels of this driver."""
 
 
 class Model(NamedTuple):
-    """What turns a report into a pose and a force into a report.
+    """Parameters of the conversion between reports and poses or forces.
 
     mechanism
     position     (3,) m  device's origin in the world
@@ -70,7 +73,7 @@ MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
 
 
 class Words(NamedTuple):
-    """The words of this driver, behind those of the conversation."""
+    """Fields of this driver, after the fields of `conversation`."""
 
     reports: Annotated[int, counter("reports received")]
     drained: Annotated[int, counter("of these, older ones passed over for a newer")]
@@ -156,7 +159,7 @@ def _pose(driver: Hid, handle: int) -> bool:
 
 @jit
 def _send(handle: int) -> int:
-    """Write the report; OK, HELD when the device took nothing just now, or a status below 0."""
+    """Write the report; return OK, HELD if the device accepts nothing at the moment, or a status below 0."""
     at = int64_at(handle)
     count = write_now(at[TALK.fd], at[AT.out_buffer], at[AT.out_bytes])
     if count == at[AT.out_bytes]:
@@ -181,13 +184,13 @@ def _clear(handle: int) -> None:
 def _encode(handle: int) -> bool:
     at = int64_at(handle)
     values = float64_at(handle + 8 * AT.command)
-    # The report id stands before the data, 0 where reports have none.
+    # The report id precedes the data; it is 0 if reports have none.
     return encode(values, at[AT.out_table], at[AT.out_rows], handle + 8 * AT.scratch, at[AT.out_buffer] + 1)
 
 
 @jit
 def _crowded(handle: int) -> bool:
-    """Whether the pump has as many reports as it may."""
+    """Return True if the pump has the maximum number of reports."""
     at = int64_at(handle)
     return bool(at[AT.taken] != 0 and at[AT.written] - int64_at(at[AT.taken])[0] >= WAITING_MAX)
 
@@ -201,7 +204,7 @@ def _busy(driver: Hid, handle: int, deaf: bool) -> bool:
 def _zero(handle: int) -> int:
     at = int64_at(handle)
     if at[TALK.loaded] == 0 and _crowded(handle):
-        return OK  # the newest of those that wait is a zero
+        return OK  # the latest queued report is a zero
     _clear(handle)
     _encode(handle)
     status = _send(handle)
@@ -223,7 +226,7 @@ def _wake(driver: Hid, handle: int) -> int:
 
 @jit
 def _fill(handle: int, wrench: Any) -> int:
-    """Put a wrench into the report; WHOLE, or why it had to be limited."""
+    """Encode a wrench into the report; return WHOLE, or why it was limited."""
     at = int64_at(handle)
     _clear(handle)
     model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)

@@ -1,4 +1,4 @@
-"""Which way reports take: the node itself, or two threads between hidapi and the exchange."""
+"""Selection of the path of reports: the node, or two threads between hidapi and the exchange."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from softfinger.drivers.system.hidraw import ids
 
 
 class Link(NamedTuple):
-    """What the exchange reads and writes: a node, or with a pump the socket that stands in for one.
+    """File descriptor that the exchange reads and writes: a node, or with a pump the socket that replaces it.
 
-    node  path of the hidraw node behind it; empty on the USB bus
+    node  path of the device's hidraw node; empty on the USB bus
     """
 
     fd: int
@@ -27,10 +27,10 @@ class Link(NamedTuple):
 
 
 def open_link(options: Options) -> Link:
-    """Find the device of a rig and open it, the way the rig asks for.
+    """Find the device of a rig and open it with the method that the rig selects.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device, or one whose
-    reports are not those of the rig.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
+    than the rig.
     """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"driver 'hid' exchanges reports through Linux's hidraw or usbfs, and this is {sys.platform}")
@@ -49,29 +49,29 @@ def open_link(options: Options) -> Link:
 
 
 def pumped(device: HidApi, options: Options, held: int | None = None) -> Link:
-    """The way through threads, for a device that is open in hidapi; `held` is closed with it."""
+    """Return a link through threads for a device that is open in hidapi; `held` is closed with it."""
     report = options.reports.input
     pump = Pump(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, options.timeout_s, held)
     return Link(pump.fd, pump)
 
 
 def find(options: Options) -> str:
-    """Path of the one device with the rig's ids and reports: its node, or where it has none, hidapi's path on the bus.
+    """Return the path of the only device with the rig's ids and reports: its node, or else hidapi's path on the bus.
 
-    Raises DeviceNotFound when there is none, or more than one; and what `usb.open_usb` raises, where interfaces of one
-    device on the bus have to be asked which of them has the reports.
+    Raises DeviceNotFound if there is none or more than one. If it has to read the reports of several interfaces of one
+    device, it also raises the errors of `usb.open_usb`.
     """
     every = list(discovery.hidraw_nodes())
     wanted = (options.vendor_id, options.product_id)
     nodes = {one.node: one for one in every if (one.vendor, one.product) == wanted}
-    # In a container the system's table may list nodes that were not passed on.
+    # In a container, the system's table may list nodes that the container cannot access.
     if options.through != "node" and not any(map(os.path.exists, nodes)):
         interfaces = usb.attached(*wanted)
         if interfaces:
             return _choose_on_bus(options, interfaces)
     if nodes:
         fitting = {path: one.serial for path, one in nodes.items() if fits(one.descriptor, options.reports)}
-        # Where none has the rig's reports, opening one says what it has.
+        # If none has the rig's reports, opening one fails with a message about its reports.
         return _choose(options, fitting or {path: one.serial for path, one in nodes.items()})
     bare = [one for one in discovery.usb_devices() if (one.vendor, one.product) == wanted]
     if bare:
@@ -85,7 +85,7 @@ def find(options: Options) -> str:
 
 
 def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
-    """The path of the rig's device among interfaces on the bus (serial number by path)."""
+    """Return the path of the rig's device from interfaces on the bus (serial number by path)."""
     of_device: dict[str, list[str]] = {}
     for path in sorted(interfaces):
         of_device.setdefault(path.partition(":")[0], []).append(path)
@@ -96,7 +96,7 @@ def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
 
 
 def _choose(options: Options, serials: dict[str, str]) -> str:
-    """The path of the rig's serial number, of those that have its ids (serial number by path)."""
+    """Return the path with the rig's serial number from devices with its ids (serial number by path)."""
     wanted = ids(options.vendor_id, options.product_id)
     matching = [path for path, serial in serials.items() if options.serial is None or serial == options.serial]
     if len(matching) == 1:

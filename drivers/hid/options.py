@@ -1,4 +1,4 @@
-"""A rig's keys of a HID device: which one, its reports byte by byte, its kinematics, its limits."""
+"""Configuration of a HID device: selection, bytes of its reports, kinematics, limits."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ GIVE_UP_S: Final = Range(
 )
 
 Through = Literal["auto", "node", "thread"]
-"""What carries the reports: the loop itself at a hidraw node; threads at hidapi; the first where there is a node."""
+"""Carrier of the reports: the loop at a hidraw node, or threads at hidapi; auto: the loop if there is a node."""
 
 LIBRARY: Final = Path(__file__).with_name("reports.toml")
 
@@ -73,7 +73,7 @@ def _library() -> Mapping[str, Mapping[str, Any]]:
 
 
 def library_lengths() -> dict[str, Announced]:
-    """Lengths of the reports of each format of the library."""
+    """Return the lengths of the reports of each shipped format."""
     return {
         name: Announced(*({one[way].get("id", 0): one[way]["bytes"]} for way in ("input", "output")))
         for name, one in _library().items()
@@ -88,7 +88,7 @@ class Reports(Table, frozen=True, kw_only=True):
     """The wire format: one of the library by name, or every report described."""
 
     library: ClassVar[Library] = Library("name", _formats, marked=False)
-    """Formats that a rig may name; reports of the named one stand wherever the rig gives none itself."""
+    """Shipped formats; a rig that names one uses its reports where it defines none."""
 
     name: Annotated[str, sized(limits.NAME_LENGTH, "a format of the library", "woodenhaptics-v2")] | None = None
     input: InputReport

@@ -1,8 +1,8 @@
-"""Reports carried between hidapi and a socket that stands in for a node, by two threads.
+"""Transfer of reports between hidapi and a socket that replaces a node, by two threads.
 
-hidapi's calls are Python's, so the loop cannot make them. A packet socket keeps the borders of reports as a hidraw node
-does, and its end is a file descriptor: the exchange reads and writes it as it would the node, and never waits for the
-bus. A device that fails closes the socket, which the exchange sees as a node that is gone.
+hidapi is called from Python, so the loop cannot use it. A packet socket preserves the boundaries of reports like a
+hidraw node, and its end is a file descriptor: the exchange reads and writes it like a node, and never waits for the
+bus. A device that fails closes the socket, which the exchange detects like a disconnected node.
 """
 
 from __future__ import annotations
@@ -21,37 +21,37 @@ import numpy as np
 log: Final = logging.getLogger(__name__)
 
 QUEUE_BYTES: Final = 24576
-"""Room of the socket each way, as the system counts it: 64 short reports, as many as it keeps for a node."""
+"""Buffer size of the socket in each direction, as counted by the system: 64 short reports, like a node's queue."""
 REPORT_MAX: Final = 1025
-"""Bytes of the longest report, with its id."""
+"""Maximum bytes of a report, with its id."""
 READ_MS: Final = 20
-"""Time of one wait for a report; closing may take as long."""
+"""Timeout of a read; closing may take as long."""
 CLOSE_WAIT_S: Final = 0.5
-"""How long closing waits for the threads. One that takes longer hangs in hidapi."""
+"""Maximum wait of `close` for the threads. A slower one hangs in hidapi."""
 FLUSH_POLL_S: Final = 1e-4
 
 
 class HidApi(Protocol):
-    """What is used of hidapi's device, whichever its backend. Both calls release the interpreter lock."""
+    """Used part of hidapi's device, for both backends. Both calls release the interpreter lock."""
 
     def read(self, max_length: int, timeout_ms: int = ...) -> list[int]:
-        """The next report, empty when none came in time. OSError when the device is gone."""
+        """Return the next report, empty after a timeout. Raises OSError if the device is disconnected."""
 
     def write(self, buff: bytes) -> int:
-        """Send a report with its id in front; how many bytes went, -1 when the device is gone or took none."""
+        """Send a report, its id first; return the number of bytes, -1 if the device is disconnected or accepts none."""
 
     def close(self) -> None: ...
 
 
 class Pump:
-    """The threads, and their end of the socket.
+    """Threads between a device and their end of the socket.
 
-    device      open, and the pump's from now on: the thread that ends last closes it
-    read_bytes  what is asked for in one read
-    patience_s  a device that takes no report for so long counts as silent: none of its own are passed on
-    held        a file descriptor that is closed with the device, whose lock keeps others out; None: there is none
+    device      open; the pump owns it, and the thread that ends last closes it
+    read_bytes  size of one read
+    patience_s  a write that takes longer marks the device as silent: its reports are dropped
+    held        file descriptor, locked against other programs, to close with the device; None: none
 
-    `fd` is the driver's end, which belongs to whoever made the pump.
+    `fd` is the driver's end; the caller owns it.
     """
 
     def __init__(self, device: HidApi, read_bytes: int, patience_s: float, held: int | None = None) -> None:
@@ -62,12 +62,12 @@ class Pump:
         ours.setblocking(False)
         self.fd: Final = ours.detach()
         self.failure = ""
-        """What ended the pump before it was closed; empty while nothing did."""
+        """Error that ended the pump before it was closed; empty without one."""
         self._taken = np.zeros(1, dtype=np.int64)
         self._zero: bytes | None = None
-        self._began: float | None = None  # s, monotonic clock: of the write under way
+        self._began: float | None = None  # s, monotonic clock: start of the write in progress
         self._ending = threading.Event()
-        # A device that cannot be read may still take a zero: the writer goes on until the driver's end is closed.
+        # A device that cannot be read may still accept a zero: the writer continues until the driver's end is closed.
         self._reader = threading.Thread(
             target=self._run, args=(self._read, socket.SHUT_WR), name="hid reader", daemon=True
         )
@@ -81,36 +81,36 @@ class Pump:
 
     @property
     def taken(self) -> int:
-        """Reports of the driver that the device has taken."""
+        """Number of the driver's reports that the device has accepted."""
         return int(self._taken[0])
 
     @property
     def taken_at(self) -> int:
-        """Address of `taken`, an int64, valid as long as the pump is there."""
+        """Address of `taken`, an int64, valid as long as this object."""
         return int(self._taken.ctypes.data)
 
     def hangs_s(self) -> float:
-        """For how long (s) a write has been under way; 0 while that is within the patience."""
+        """Return the duration (s) of the write in progress; 0 up to `patience_s`."""
         began = self._began
         lasted = 0.0 if began is None else time.monotonic() - began
         return lasted if lasted > self._patience_s else 0.0
 
     def disarm(self, zero: bytes) -> None:
-        """From now on send `zero` in the place of whatever the driver has sent, also of what waits in the socket."""
+        """Replace every report of the driver by `zero` from now on, including queued ones."""
         self._zero = zero
 
     def flush(self, sent: int, until: float) -> bool:
-        """Wait until the device has taken the first `sent` reports of the driver.
+        """Wait until the device has accepted the first `sent` reports of the driver.
 
         until    s, monotonic clock
-        returns  False if it has not by then, or never will
+        returns  False if it has not by then, or cannot any more
         """
         while self.taken < sent and self._writer.is_alive() and time.monotonic() < until:
             time.sleep(FLUSH_POLL_S)
         return self.taken >= sent
 
     def close(self) -> None:
-        """End the threads and with them the device. Any number of times; the driver's end is to be closed before."""
+        """End the threads, which closes the device. May be called repeatedly; close the driver's end before."""
         self._ending.set()
         until = time.monotonic() + CLOSE_WAIT_S
         for thread in (self._reader, self._writer):
@@ -129,7 +129,7 @@ class Pump:
             with self._leaving:
                 self._running -= 1
                 last = self._running == 0
-            if last:  # no call of hidapi is under way any more
+            if last:  # no call of hidapi is in progress any more
                 self._device.close()
                 self._end.close()
                 if self._held is not None:
@@ -139,14 +139,14 @@ class Pump:
         while not self._ending.is_set():
             report = bytes(self._device.read(self._bytes, READ_MS))
             if report and not self.hangs_s():
-                # Full: nobody has read for long, and the newest is lost, as in the system's queue. Broken: the driver
-                # has closed its end.
+                # Full: the driver has not read for long, and the new report is lost, as in the system's queue. Broken:
+                # the driver has closed its end.
                 with suppress(BlockingIOError, BrokenPipeError, ConnectionResetError):
                     self._end.send(report, socket.MSG_DONTWAIT)
 
     def _write(self) -> None:
         try:
-            # In their order, and none passed over: the driver sends no more than may wait.
+            # In order and without skipping any: the driver limits the number of queued reports.
             while report := self._receive():
                 report = self._zero or report
                 self._began = time.monotonic()
@@ -160,9 +160,9 @@ class Pump:
             self._ending.set()
 
     def _receive(self) -> bytes:
-        """The next report of the driver; empty once its end is closed."""
+        """Return the next report of the driver; empty after its end is closed."""
         while True:
             try:
                 return self._end.recv(REPORT_MAX)
             except ConnectionResetError:
-                pass  # said once, of a driver's end closed over unread reports: what it had sent is still there
+                pass  # raised once if the driver closed its end before reading all; what it sent remains

@@ -1,7 +1,7 @@
-"""A HID device on the USB bus, without a hidraw node: through hidapi's libusb backend.
+"""HID device on the USB bus without a hidraw node, through hidapi's libusb backend.
 
-That backend takes the interface from the system's own HID driver and gives it back when it is closed. It says of no
-failure what it was, so the node on the bus is opened and locked first, which does.
+The backend detaches the interface from the system's HID driver and attaches it again when closed. Its errors have no
+cause, so the node on the bus is opened and locked first, which reports one.
 """
 
 from __future__ import annotations
@@ -21,25 +21,28 @@ from softfinger.drivers.system.rules import how_to_permit
 
 
 class Opened(NamedTuple):
-    """The device in hidapi, and the file descriptor whose lock keeps others out."""
+    """Device in hidapi, and a file descriptor that is locked against other programs."""
 
     device: HidApi
     held: int
 
 
 def attached(vendor: int, product: int) -> dict[str, str]:
-    """Serial numbers of the HID interfaces of these ids, by hidapi's path, as in 1-2.3:1.0: bus, ports, interface."""
+    """Return the serial numbers of HID interfaces with these ids, by hidapi's path.
+
+    A path such as 1-2.3:1.0 contains bus, ports and interface.
+    """
     found: list[dict[str, Any]] = hidapi("hid").enumerate(vendor, product)
     named = {os.fsdecode(one["path"]): one["serial_number"] or "" for one in found}
-    # hidapi has to open a device to learn its serial number, and may not; the system's table tells everybody
+    # hidapi needs permission to open a device for its serial number; the system's table is readable by all users
     return {path: seen.serial if (seen := _on_bus(path)) else serial for path, serial in named.items()}
 
 
 def open_usb(path: str, options: Options) -> Opened:
-    """The interface at hidapi's `path`, claimed for this process.
+    """Open the interface at hidapi's `path`, and claim it for this process.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device, or one whose
-    reports are not those of the rig.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
+    than the rig.
     """
     opened, descriptor = _open(path, options)
     try:
@@ -51,9 +54,9 @@ def open_usb(path: str, options: Options) -> Opened:
 
 
 def fitting(paths: list[str], options: Options) -> list[str]:
-    """Those interfaces of one device that have the rig's reports: each is opened, asked, and closed again.
+    """Return the interfaces of a device that have the rig's reports: opens, reads and closes each.
 
-    Raises what `open_usb` raises, but for other reports.
+    Raises the errors of `open_usb`, except for other reports.
     """
     found = []
     for path in paths:
@@ -70,7 +73,7 @@ def _close(opened: Opened) -> None:
 
 
 def _open(path: str, options: Options) -> tuple[Opened, bytes]:
-    """The interface at `path`, and its report descriptor."""
+    """Return the opened interface at `path`, and its report descriptor."""
     vendor, product = options.vendor_id, options.product_id
     seen = _on_bus(path)
     if seen is None:
@@ -99,12 +102,12 @@ def _open(path: str, options: Options) -> tuple[Opened, bytes]:
 
 
 def _on_bus(path: str) -> Attached | None:
-    """The device that an interface belongs to: hidapi's path begins with the system's name for it."""
+    """Return the device of an interface: hidapi's path starts with the system's name for it."""
     return discovery.described(str(discovery.USB / path.partition(":")[0]))
 
 
 def _unopened(path: str, node: str) -> DeviceError:
-    """hidapi names no cause. The node could be opened and locked; what is left is who has claimed the interface."""
+    """Return the error for an unopened interface: hidapi gives no cause, so find the process that has claimed it."""
     who = discovery.holder(node)
     if who is not None and who.pid != os.getpid():
         return DeviceBusy(f"{path} ({node}) is held by {who}: end that one first")

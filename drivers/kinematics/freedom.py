@@ -1,5 +1,4 @@
-"""What a device of one or two degrees of freedom has of a scene: the arc or the plane in which it moves, and the part
-of a force that it displays."""
+"""Motion and displayed force of a device with one or two degrees of freedom, in the world frame."""
 
 from __future__ import annotations
 
@@ -18,12 +17,12 @@ Array = NDArray[np.float64]
 
 
 class Freedom(NamedTuple):
-    """In the world.
+    """Arc or plane of the handle's motion, in the world.
 
     degrees  1 or 2
     axis     (3,)    of the arc, or normal of the plane
     origin   (3,) m  a point of the arc's axis, or of the plane
-    middle   (3,) m  where the handle is in the middle of its range
+    middle   (3,) m  position of the handle in the middle of its range
     """
 
     degrees: int
@@ -32,7 +31,7 @@ class Freedom(NamedTuple):
     middle: Array
 
     def displayed(self, position: Array, force: Array) -> Array:
-        """The part (3,) of a force (N) that is displayed where the handle is: along the arc, or in the plane."""
+        """Return the displayed part (3,) of a force (N) at the handle's position: along the arc, or in the plane."""
         if self.degrees == 2:
             return np.asarray(force - (force @ self.axis) * self.axis)
         tangent = np.cross(self.axis, position - self.origin)
@@ -40,7 +39,7 @@ class Freedom(NamedTuple):
         return 0.0 * force if length == 0.0 else np.asarray((force @ tangent) / length**2 * tangent)
 
     def words(self) -> str:
-        """Where the handle moves, and what becomes of the other forces."""
+        """Return a description of the handle's motion and of the forces that are not displayed."""
         if self.degrees == 2:
             where = f"in the plane across ({_components(self.axis)}) of the world; forces out of it"
         else:
@@ -51,7 +50,7 @@ class Freedom(NamedTuple):
 
 
 def freedom_of(kinematics: Kinematics | None, mounting: Mounting) -> Freedom | None:
-    """None for a mechanism of three degrees of freedom."""
+    """Return the freedom of a mechanism; None if it has three degrees."""
     place, turned = mounting.frame()
     middle = np.array(place)
     if isinstance(kinematics, Pantograph):  # z = 0
@@ -63,7 +62,7 @@ def freedom_of(kinematics: Kinematics | None, mounting: Mounting) -> Freedom | N
 
 
 def freedom_of_table(table: DeviceConfig) -> Freedom | None:
-    """Of a rig's device; None too where its driver is somebody else's, with other options of these names."""
+    """Return the freedom of a rig's device; None also for an external driver with other options of these names."""
     try:
         kinematics: Any = msgspec.convert(table.options.get("kinematics"), Kinematics | None)
         return freedom_of(kinematics, msgspec.convert(table.options.get("mounting", {}), Mounting))
@@ -72,7 +71,7 @@ def freedom_of_table(table: DeviceConfig) -> Freedom | None:
 
 
 def freedom_rows(kinematics: Kinematics | None, mounting: Mounting) -> list[tuple[str, str]]:
-    """For `softfinger check`: a row for fewer than three degrees of freedom, else none."""
+    """Return rows for `softfinger check`: one for fewer than three degrees of freedom, else none."""
     freedom = freedom_of(kinematics, mounting)
     return [] if freedom is None else [("  moves", freedom.words())]
 

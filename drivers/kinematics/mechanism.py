@@ -1,7 +1,7 @@
-"""The mechanism of a device that a rig describes: from the numbers it senses to a pose, from a force to its numbers.
+"""Mechanism of a device that a rig describes: pose from sensed numbers, commanded numbers from a force.
 
-Kernels are compiled once for all mechanisms; `kind` says which. Places of `values` and `given` are those of
-`fields.table`.
+Kernels are compiled once for all mechanisms, and `kind` selects one. `fields.table` defines the indices of `values` and
+`given`.
 """
 
 from __future__ import annotations
@@ -26,12 +26,14 @@ DELTA: Final = 6
 
 WHOLE: Final = 0
 LIMITED: Final = 1
-"""More than the device gives: the force is smaller, in its direction."""
+"""The force exceeds the maximum of the device, which displays a smaller one in the same direction."""
 SINGULAR: Final = 2
-"""The mechanism cannot hold the end in some direction here: a smaller force, or none. Of a delta's joint angles: legs
-are in line or do not meet, so there is no place for the end either."""
+"""The motors cannot hold the end in some direction: the force is smaller, or zero.
+
+For a delta's joint angles: legs are collinear or do not meet, so the end has no position either.
+"""
 NONSENSE: Final = 3
-"""What was sensed is no orientation."""
+"""The sensed numbers are not an orientation."""
 
 SINGULAR_POSE: Final = (
     "the mechanism has been in a singular pose, where its motors cannot hold the handle: there it gives less force, or "
@@ -44,7 +46,7 @@ _NO_TURN: Final = (1.0, 0.0, 0.0, 0.0)
 
 
 class Mechanism(NamedTuple):
-    """Numbers of every kind, of which one has meaning.
+    """Parameters of every kind, of which one is used.
 
     length      m, of a paddle's handle
     force_max   N, of a cartesian device
@@ -70,7 +72,7 @@ NONE: Final = Mechanism(
 
 
 def kind_of(given: options.Kinematics, turns: bool) -> int:
-    """Which kind a rig's kinematics is; `turns`: whether the device senses an orientation."""
+    """Return the kind of a rig's kinematics; `turns`: True if the device senses an orientation."""
     kinds = {
         options.Cartesian: CARTESIAN, options.Chain: CHAIN, options.Paddle: PADDLE,
         options.Pantograph: PANTOGRAPH, options.Delta: DELTA,
@@ -79,7 +81,7 @@ def kind_of(given: options.Kinematics, turns: bool) -> int:
 
 
 def make_mechanism(given: options.Kinematics, force_max_n: float) -> Mechanism:
-    """The mechanism that a rig's numbers describe."""
+    """Return the mechanism that a rig describes."""
     made = NONE._replace(force_max=float(force_max_n))
     if isinstance(given, options.Chain):
         return made._replace(chain=chain.make_chain(given))
@@ -97,7 +99,7 @@ def make_mechanism(given: options.Kinematics, force_max_n: float) -> Mechanism:
 
 def _make_delta(given: options.Delta, origin: Vec3) -> delta.Delta:
     base, end, arm, rod = (float(v) for v in (given.base_m, given.end_m, given.arm_m, given.rod_m))
-    gap = base - end + 0.5 * arm  # of an arm at 60 degrees, on the axis
+    gap = base - end + 0.5 * arm  # for an arm at 60 degrees and the end on the axis
     one, two, three = (radians(v) for v in given.legs_deg)
     return delta.Delta(
         arm=arm,
@@ -116,10 +118,11 @@ def _make_delta(given: options.Delta, origin: Vec3) -> delta.Delta:
 
 @jit
 def end_of(kind: int, m: Mechanism, values: Any, last: Any) -> tuple[Vec3, Quaternion, int]:
-    """Position (3,) m and orientation of the end in the device's frame; WHOLE, SINGULAR with a position of NaN, or
-    NONSENSE.
+    """Return position (3,) m and orientation of the end in the device's frame, and a status.
 
-    last  (3,) m, kept from tick to tick: where a delta was
+    The status is WHOLE, SINGULAR (the position is NaN) or NONSENSE.
+
+    last  (3,) m, updated from tick to tick: last position of a delta
     """
     one, two, three = values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]
     position, orientation, how = _ZERO, _NO_TURN, WHOLE
@@ -143,7 +146,7 @@ def end_of(kind: int, m: Mechanism, values: Any, last: Any) -> tuple[Vec3, Quate
         position = (values[POSITION], values[POSITION + 1], values[POSITION + 2])
         if kind == CARTESIAN_WITH_ORIENTATION:
             q = (values[QUATERNION], values[QUATERNION + 1], values[QUATERNION + 2], values[QUATERNION + 3])
-            # the square of a number that a float32 can hold fits a float64
+            # the square of a finite float32 fits into a float64
             size = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
             if size > 0.0 and isfinite(size):
                 orientation = normalize(q)
@@ -154,7 +157,7 @@ def end_of(kind: int, m: Mechanism, values: Any, last: Any) -> tuple[Vec3, Quate
 
 @jit
 def drive(kind: int, m: Mechanism, values: Any, last: Any, force: Vec3, given: Any) -> int:
-    """Put what displays a force (3,) N, device's frame, into `given`; WHOLE, LIMITED or SINGULAR."""
+    """Compute the command `given` that displays a force (3,) N, device's frame; return WHOLE, LIMITED or SINGULAR."""
     one, two, three = values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]
     if kind in (CHAIN, CHAIN_WITH_WRIST):
         current, cut = chain.currents_for(m.chain, chain.angles_of(m.chain, (one, two, three)), force)

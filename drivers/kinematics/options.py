@@ -1,4 +1,4 @@
-"""A rig's keys of the mechanism between the joints of a device and its end."""
+"""Configuration of the mechanism between a device's joints and its end."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ QUATERNION: Final = frozenset({"qw", "qx", "qy", "qz"})
 def faults_of_fields(
     key: str, read: tuple[InputField, ...], written: tuple[OutputField, ...], kinematics: Kinematics
 ) -> Iterator[Complaint]:
-    """Complaints about fields at `key` that lack what the kinematics needs, or have what it does not know."""
+    """Yield complaints about fields at `key` that the kinematics lacks or cannot use."""
     sensed, commanded = meanings(read), meanings(written)
     if sensed is None or commanded is None:
         return

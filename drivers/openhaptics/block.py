@@ -1,7 +1,7 @@
-"""The block of memory that the library's thread, the servo and Python share; its address is the device's handle.
+"""Block of memory shared by the library's thread, the servo and Python; its address is the device's handle.
 
-Poses and wrenches go through a sequence lock each (`proxy.kernels.jit.seqlock`), so that neither thread waits for the
-other. Every other word has one writer.
+Poses and wrenches have one sequence lock each (`proxy.kernels.jit.seqlock`), so that neither thread waits for the
+other. Every other field has a single writer.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from softfinger.drivers.system.libc import TIMESPEC_WORDS
 
 SEQUENCE_WORDS: Final = 8
 
-# Of a wrench on its way: force (N), torque (N m), world frame.
+# Indices of a queued wrench, after force (N) and torque (N m), world frame.
 WRITTEN: Final = 6
-"""ns since the device was opened, when the servo wrote it."""
+"""Time of the servo's write, ns since the device was opened."""
 HEEDED: Final = 7
-"""How many lapses the servo knew of."""
+"""Number of lapses known to the servo."""
 WRENCH_SIZE: Final = 8
 
 
 class Words(NamedTuple):
-    """What is in the block."""
+    """Fields of the block."""
 
     # addresses of the library's functions
     begin_frame: Annotated[int, address("hdBeginFrame")]
@@ -41,12 +41,12 @@ class Words(NamedTuple):
     turns: Annotated[int, word("whether motors turn the handle: else no torque is sent")]
     age_max: Annotated[int, word("ns, of a force; the same between two frames")]
     started_at: Annotated[int, word("ns")]
-    # told by Python
+    # written by Python
     open: Annotated[int, word("whether the library may be called")]
     armed: Annotated[int, word("whether a force may go out")]
     stopped: Annotated[int, word("for good")]
     leave: Annotated[int, word("the callback is to give zero, and not to be called again")]
-    # told by the library's thread
+    # written by the library's thread
     frames: Annotated[int, counter("frames of the library's thread")]
     framed_at: Annotated[int, word("ns, the last one")]
     has_inkwell: Annotated[int, word("whether it is asked for; cleared where the device refuses")]
@@ -69,7 +69,7 @@ class Words(NamedTuple):
         ),
     ]
     wrench_seen: Annotated[int, word("sequence of the wrench that it has")]
-    # told by the servo
+    # written by the servo
     reads: Annotated[int, counter("reads of the servo")]
     repeated: Annotated[int, counter("of these, without a new frame")]
     writes: Annotated[int, counter("forces given")]
@@ -77,7 +77,7 @@ class Words(NamedTuple):
     read_at: Annotated[int, word("ns")]
     silence: Annotated[int, word("ns without a new frame, as far as it was listened")]
     heeded: Annotated[int, word("lapses that the guard has been told of")]
-    # memory
+    # buffers
     frame_timespec: Annotated[int, numbers("for the clock, of the library's thread", TIMESPEC_WORDS)]
     servo_timespec: Annotated[int, numbers("for the clock, of the servo", TIMESPEC_WORDS)]
     position: Annotated[int, numbers("mm, the library's frame", 3)]

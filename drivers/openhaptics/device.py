@@ -1,8 +1,8 @@
-"""A device of 3D Systems, opened through the maker's library.
+"""Device of 3D Systems, opened through the maker's library.
 
-The order of opening is that of the maker's programs: initialise, start the library's thread, calibrate, have the
-callback called. The force stays off until `arm`; from then on the callback gives it (`exchange`). Nothing moves by
-itself: calibration is a place that the user gives.
+The order of opening follows the maker's programs: initialise, start the library's thread, calibrate, schedule the
+callback. The force is off until `arm`; then the callback sends it (`exchange`). The device never moves by itself: for
+calibration, the user moves it to a known position.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ from softfinger.drivers.system.makers_library import address
 log: Final = logging.getLogger(__name__)
 
 TORQUE_MAX_NM: Final = 1e2
-"""Where no motor turns the handle, torque is taken and not sent: it belongs to the contact and to telemetry."""
+"""If no motor turns the handle, torque is accepted but not sent: contact and telemetry use it."""
 
 FIRST_FRAMES_S: Final = 2.0
-"""How long opening waits for the library's thread."""
+"""Maximum wait of opening for the library's thread."""
 ARM_S: Final = 1.0
 STOP_S: Final = 0.1
-"""How long `stop` waits for a frame that gives zero; where none comes the library hangs, and is called over it."""
+"""Maximum wait of `stop` for a frame that sends zero; without one the library hangs, and is called in parallel."""
 HANG_S: Final = 0.3
 LET_GO_S: Final = 1.0
 POLL_S: Final = 0.02
 WARM: Final = 800
-"""Of 1000: from here on a warning tells of the motors, down to COOL."""
+"""Of 1000: a warning about the motors starts here, and ends at COOL."""
 COOL: Final = 700
 SIX: Final = 6
 
@@ -68,9 +68,9 @@ ZERO: Final = (ctypes.c_double * 3)()
 
 
 class OpenHaptics(Device):
-    """An open device, its force off until `arm`. `stop` takes the force off for good: to go on, open it again.
+    """Open device with its force off until `arm`. `stop` is final: to resume, open the device again.
 
-    calibrates  False: one that is not calibrated is opened all the same, to be asked what it is
+    calibrates  False: open a device that is not calibrated too, to identify it
     """
 
     def __init__(self, options: Options, calibrates: bool = True) -> None:
@@ -83,7 +83,7 @@ class OpenHaptics(Device):
         self._warm, self._zero_failure = False, ""
         with self._scheduler.still():
             self._device = _initialise(self._library, options.name)
-            try:  # before the thread runs again: the current device may be one for all threads
+            try:  # before the thread runs again, because the current device may be the same for all threads
                 self.model, self.serial, self._style = self._identity()
                 self.info = self._info()
             except BaseException:
@@ -162,12 +162,12 @@ class OpenHaptics(Device):
     # --- opening --------------------------------------------------------------------------------
 
     def _identity(self) -> tuple[str, str, int]:
-        """Model, serial number and styles of calibration, as the library has them; DeviceNotFound for another model."""
+        """Return model, serial number and calibration styles; raises DeviceNotFound if the rig has another model."""
         call = self._library
         model = (call.hdGetString(library.DEVICE_MODEL_TYPE) or b"").decode(errors="replace")
         serial = (call.hdGetString(library.DEVICE_SERIAL_NUMBER) or b"").decode(errors="replace")
         style = self._integer(library.CALIBRATION_STYLE)
-        library.errors(call)  # what one of these does not have is told by its value
+        library.errors(call)  # a missing property shows in its value
         if self._options.model not in (None, model):
             raise DeviceNotFound(
                 f"no device fits model = {self._options.model}: it is a {model}, serial {serial}: change [device] in "
@@ -197,7 +197,7 @@ class OpenHaptics(Device):
         )
 
     def _workspace_mm(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Its corners as the device has them, in the library's frame, or those of a Touch."""
+        """Return the device's workspace corners in the library's frame; the corners of a Touch if they are unusable."""
         said = self._doubles(library.USABLE_WORKSPACE_DIMENSIONS, SIX)
         low, high = tuple(said[:3]), tuple(said[3:])
         if all(-1e4 < a < b < 1e4 for a, b in zip(low, high, strict=True)):
@@ -205,7 +205,7 @@ class OpenHaptics(Device):
         return WORKSPACE_MM
 
     def _calibrate(self, needed: bool) -> bool:
-        """Calibrate the device in the best style that it has: by itself, by the inkwell, where it is held."""
+        """Calibrate the device in its best style: automatic, by the inkwell, or at the present position."""
         call = self._library
         best = next((one for one in (library.AUTO, library.INKWELL, library.ENCODER_RESET) if self._style & one), 0)
         until, asked = time.monotonic() + self._options.calibration_wait_s, False
@@ -240,7 +240,7 @@ class OpenHaptics(Device):
         word[AT.has_inkwell] = options.inkwell and bool(self._style & library.INKWELL)
         word[AT.switch] = 1
         word[AT.has_temperature] = 1
-        word[AT.output] = -1  # one that a killed program left on is switched off
+        word[AT.output] = -1  # so that an output that a killed program left on is switched off
         word[AT.open] = 1
         self._scheduler.add(self._block)
         self._raise_errors("hdScheduleAsynchronous")
@@ -270,7 +270,7 @@ class OpenHaptics(Device):
     # --- ending ---------------------------------------------------------------------------------
 
     def _zero(self) -> str:
-        """Give zero and switch the motors off from here, because the library's thread does not call any more.
+        """Send zero and switch the motors off from this thread, because the library's thread does not call any more.
 
         Returns why the motors may still be on; empty if the library reports them off.
         """
@@ -287,11 +287,11 @@ class OpenHaptics(Device):
     def _let_go(self) -> str:
         self._scheduler.remove(self._block)
         self._library.hdDisableDevice(self._device)
-        library.errors(self._library)  # so that they are not taken for errors of the next device
+        library.errors(self._library)  # so that they are not reported as errors of the next device
         return ""
 
     def _over_it(self, work: Callable[[], str], seconds: float) -> str:
-        """Run what may hang with the library in a thread, and continue without it if it does; returns what failed."""
+        """Run `work`, which may hang in the library, in a thread; return its failure, or that of a timeout."""
         failed = ["the library hangs"]
 
         def run() -> None:
@@ -318,7 +318,7 @@ _WHAT_TO_DO: Final = {
 
 
 def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
-    """What the library says of the device that the options name; no force is switched on, and nothing calibrated.
+    """Return the library's description of the device that the options select; no force is switched on, no calibration.
 
     Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.
     """
@@ -329,13 +329,13 @@ def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
 def open_device(options: Options, rate_hz: float) -> OpenHaptics:
     """Open a device of 3D Systems.
 
-    Raises DeviceNotFound, DeviceBusy, DevicePermission, DeviceTimeout or DeviceError, each with what to do.
+    Raises DeviceNotFound, DeviceBusy, DevicePermission, DeviceTimeout or DeviceError, each with the remedy.
     """
     return OpenHaptics(options)
 
 
 def _initialise(call: ctypes.CDLL, name: str | None) -> int:
-    library.errors(call)  # of what was before
+    library.errors(call)  # discard earlier errors
     device = call.hdInitDevice(None if name is None else name.encode())
     found = library.errors(call)
     if device != library.INVALID_HANDLE and not found:

@@ -1,13 +1,14 @@
-"""What the library's thread calls once a millisecond, and what the servo loop calls; neither waits for the other.
+"""Callback of the library's thread, once per millisecond, and functions of the servo loop; neither waits for the other.
 
-The callback reads the device and gives it the newest force of the servo. It GIVES ZERO BY ITSELF if that force is
-older than the rig allows, if the device is not armed, if the stylus is docked, after an error, and if the frame itself
-is late: the motors keep what they were given, so a servo that stands still must not leave a force. Each force that is
-not given counts as a lapse; the servo's next write is WITHHELD, as are all while the stylus is docked or frames are
-late, so that the guard fades in anew and telemetry has the force of the motors.
+The callback reads the device and sends it the latest force of the servo. It SENDS ZERO INSTEAD if that force is older
+than the rig allows, if the device is disarmed, if the stylus is docked, after an error, and if the frame itself is
+late: the motors keep the last command, so a stalled servo must not leave a force. Each force that is not sent counts as
+a lapse. The servo's next write is then WITHHELD, as is every write while the stylus is docked or frames are late, so
+that the guard fades the force in again and telemetry has the force of the motors.
 
 The library's frame has x to the right, y up, z towards the user. World (x, y, z) = (x, -z, y), for positions, forces
-and torques, and for both sides of the orientation, so that a handle at rest is not turned.
+and torques, and for both sides of the orientation, so that an unrotated handle is unrotated in both
+frames.
 """
 
 from __future__ import annotations
@@ -42,36 +43,37 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import from_matrix
 
 DONE: Final = 0
-"""What a callback returns that is not to be called again, and one that is."""
+"""Results of a callback: DONE if the library must not call it again, else CONTINUE."""
 CONTINUE: Final = 1
 
 NS_PER_S: Final = 1_000_000_000
 MM_PER_M: Final = 1000.0
 MNM_PER_NM: Final = 1000.0
 NOT_A_ROTATION: Final = 0.01
-"""How far the rows' lengths and the determinant may be from 1; a matrix that is off by more is a fault, not a sensed
-rotation."""
+"""Tolerance of the rows' lengths and of the determinant; a larger deviation from 1 is a fault, not a rotation."""
 
 PROBE_INKWELL: Final = 0
-"""Frame that asks for the inkwell for the first time, and one that asks for the motors' temperature: a device that
-refuses is not asked again. Neither is a state that every device has."""
+"""Frames of the first queries of inkwell and motor temperature, which not every device has.
+
+If a device rejects a query, it is not repeated.
+"""
 PROBE_TEMPERATURE: Final = 1
 PROBES: Final = 2
 TEMPERATURE_EVERY: Final = 100
-"""Frames from one look at the motors' temperature to the next."""
+"""Frames from one query of the motors' temperature to the next."""
 MOTORS: Final = 6
 ERRORS_PER_FRAME: Final = 8
-"""Errors taken off the stack in a frame; what is left comes in the next."""
+"""Maximum number of errors removed from the stack per frame; the remainder is removed in the next."""
 
 TIMEOUT_NS: Final = 100_000_000
-"""Of a library's thread that is silent while the servo listens."""
+"""Maximum silence of the library's thread while the servo reads."""
 LISTENED_NS: Final = 10_000_000
-"""Most that counts as listened of the time between two reads: a loop that stood still has not listened."""
+"""Maximum part of the time between two reads that counts as silence, because a stalled loop reads nothing."""
 
 
 @jit
 def status_of(code: int) -> int:
-    """What an error of the library means for the run."""
+    """Return the status for an error of the library."""
     if code in (hd.DEVICE_FAULT, hd.COMM_ERROR, hd.COMM_CONFIG_ERROR, hd.BAD_HANDLE):
         return LOST
     if hd.WARM_MOTORS <= code <= hd.FORCE_ERROR:
@@ -84,7 +86,7 @@ def status_of(code: int) -> int:
 
 @jit
 def _refused(handle: int, code: int) -> bool:
-    """Whether an error is the answer to a first look for what not every device has; then it is not asked again."""
+    """Return True if an error answers a first query of an optional property; then it is not queried again."""
     word = int64_at(handle)
     if code < hd.INVALID_ENUM or code > hd.INVALID_INPUT_TYPE or word[AT.frames] >= PROBES:
         return False
@@ -97,7 +99,7 @@ def _refused(handle: int, code: int) -> bool:
 
 @jit
 def _note_errors(handle: int) -> None:
-    """Take this frame's errors off the stack, and note the gravest: what ended the device, else what came first."""
+    """Remove this frame's errors from the stack, and store the gravest: the first fatal one, else the first."""
     word = int64_at(handle)
     for _ in range(ERRORS_PER_FRAME):
         told, of = call_two_int64(word[AT.get_error], ())
@@ -115,7 +117,7 @@ def _note_errors(handle: int) -> None:
 
 @jit
 def _sense(handle: int) -> None:
-    """Ask the library for the state of this frame."""
+    """Query the state of the device in this frame."""
     word, frames = int64_at(handle), int64_at(handle)[AT.frames]
     call_void(word[AT.get_doubles], (np.int32(hd.CURRENT_POSITION), handle + 8 * AT.position))
     call_void(word[AT.get_doubles], (np.int32(hd.CURRENT_TRANSFORM), handle + 8 * AT.matrix))
@@ -135,7 +137,7 @@ def _sense(handle: int) -> None:
 
 @jit
 def _take_wrench(handle: int, slot: Slot, into: Any) -> Any:
-    """The last whole wrench of the servo; `into` is the array over `wrench_taken`."""
+    """Return the servo's last complete wrench; `into` is the array over `wrench_taken`."""
     word = int64_at(handle)
     kept = float64_at(handle + 8 * AT.wrench_kept)
     seen = refresh(slot, word[AT.wrench_seen], into)
@@ -155,7 +157,7 @@ def _give(handle: int, what: int, x: float, y: float, z: float) -> None:
 
 @jit
 def _switch(handle: int, on: bool) -> None:
-    """Switch the motors on or off where they are not so; whether they are is for the library to say."""
+    """Switch the motors on or off if their state differs; the library reports the result."""
     word = int64_at(handle)
     if word[AT.output] != int(on):
         call_void(word[AT.enable] if on else word[AT.disable], (np.int32(hd.FORCE_OUTPUT),))
@@ -164,7 +166,7 @@ def _switch(handle: int, on: bool) -> None:
 
 @jit
 def _act(handle: int, wrench: Any) -> None:
-    """Give the device the servo's last whole wrench, or zero."""
+    """Send the servo's last complete wrench to the device, or zero."""
     word = int64_at(handle)
     now = monotonic_ns(handle + 8 * AT.frame_timespec)
     word[AT.late] = int(now - word[AT.framed_at] > word[AT.age_max])
@@ -189,7 +191,7 @@ def _act(handle: int, wrench: Any) -> None:
 
 @jit
 def _make_pose(handle: int, made: Any) -> None:
-    """The frame's pose in the world frame; NaN for an orientation that is no rotation."""
+    """Convert the frame's pose to the world frame; the orientation is NaN if its matrix is no rotation."""
     word = int64_at(handle)
     p, m = float64_at(handle + 8 * AT.position), float64_at(handle + 8 * AT.matrix)
     made[0], made[1], made[2] = p[0] / MM_PER_M, -p[2] / MM_PER_M, p[1] / MM_PER_M
@@ -210,12 +212,13 @@ def _make_pose(handle: int, made: Any) -> None:
 
 @c_function(types.uint32(types.int64))
 def callback(handle: int) -> int:
-    """A frame of the library's thread."""
+    """Run a frame; the library's thread calls it."""
     word = int64_at(handle)
     if word[AT.open] == 0:
         return DONE
     device = (np.int32(word[AT.device]),)
-    leaving, stopping = word[AT.leave], word[AT.stopped]  # before what they end: what is told of is done
+    # Read before the frame: `left` and `silent` report that a complete frame followed.
+    leaving, stopping = word[AT.leave], word[AT.stopped]
     call_void(word[AT.begin_frame], device)
     _sense(handle)
     word[AT.docked] = int(word[AT.has_inkwell] != 0 and uint8_at(handle + 8 * AT.switch)[0] == 0)
@@ -274,8 +277,10 @@ def read(handle: int, sample: Any) -> int:
 
 @jit
 def _status_of_write(handle: int, wrench: Any, now: int) -> int:
-    """Return OK if the library's thread is to give the wrench, WITHHELD if it gives zero instead, HELD if the motors
-    keep their force because its frames have stopped."""
+    """Return OK if the library's thread will send the wrench, WITHHELD or HELD if not.
+
+    WITHHELD: it sends zero instead. HELD: its frames have stopped, so the motors keep their force.
+    """
     word = int64_at(handle)
     zero, finite = True, True
     for k in range(6):

@@ -1,4 +1,4 @@
-"""Keys of a rig's [device] with `driver = "openhaptics"`."""
+"""Configuration of a rig's [device] with `driver = "openhaptics"`."""
 
 from __future__ import annotations
 

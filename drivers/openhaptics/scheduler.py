@@ -1,7 +1,7 @@
-"""The library's one thread, which all its devices in this process share.
+"""Thread of the library, which all its devices in this process share.
 
-The library takes devices before its thread is started, so a second one is opened while the thread stands still. That
-may not be while a hand feels a force of the first: its motors keep what they were given.
+The library accepts devices only before its thread starts, so the thread is stopped to open a second one. That is not
+allowed while the first displays a force, because its motors keep the last command.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from softfinger.drivers.openhaptics.library import PRIORITY_MAX
 
 POLL_S: Final = 0.0002
 LEAVE_S: Final = 0.2
-"""How long a callback is waited for that is to come once more; the library may hang."""
+"""Maximum wait for the last call of a callback; the library may hang."""
 
 _kept: Final[list[Block]] = []
-"""Blocks of devices whose callback did not come any more: the library may yet call it, for as long as it is loaded."""
+"""Blocks of devices whose callback was not called again: the library may call it as long as it is loaded."""
 
 
 def within(seconds: float, met: Callable[[], Any]) -> bool:
-    """Wait until something is so; False where it is not in that time."""
+    """Wait until `met` returns a true value; return False after a timeout."""
     until = time.monotonic() + seconds
     while not met():
         if time.monotonic() > until:
@@ -38,20 +38,20 @@ def within(seconds: float, met: Callable[[], Any]) -> bool:
 
 
 class Scheduler:
-    """The thread of one loaded library: its devices, and the handles of what it calls for each."""
+    """Thread of one loaded library: its devices, and the handles of their callbacks."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._library = library
         self._lock = threading.RLock()
         self._running = False
         self._called: dict[int, tuple[Block, int]] = {}
-        """By the address of a block: the block, and the library's handle of its callback."""
+        """Blocks, and the library's handles of their callbacks, by the address of the block."""
 
     @contextmanager
     def still(self) -> Iterator[None]:
-        """Inside, the library's thread does not run; behind, it runs again.
+        """Stop the library's thread inside the context, and restart it afterwards.
 
-        Raises DeviceBusy where a device of this process is armed.
+        Raises DeviceBusy if a device of this process is armed.
         """
         with self._lock:
             for block, _ in self._called.values():
@@ -76,12 +76,12 @@ class Scheduler:
                     self._running = True
 
     def add(self, block: Block) -> None:
-        """Have the thread call a device's callback from now on."""
+        """Make the thread call a device's callback."""
         with self._lock:
             self._call(block)
 
     def remove(self, block: Block) -> None:
-        """Have it called no more, and end the thread with the last device."""
+        """Stop calling a device's callback, and stop the thread with the last device."""
         with self._lock:
             if block.handle in self._called:
                 self._take_out(block)
@@ -96,7 +96,7 @@ class Scheduler:
     def _take_out(self, block: Block) -> None:
         _, handle = self._called.pop(block.handle)
         block.word[AT.leave] = 1
-        if not within(LEAVE_S, lambda: block.word[AT.left]):  # it takes itself out, unless it is not called any more
+        if not within(LEAVE_S, lambda: block.word[AT.left]):  # a callback that is still called removes itself
             _kept.append(block)
             self._library.hdUnschedule(handle)
 
@@ -110,5 +110,5 @@ _of: Final[dict[int, Scheduler]] = {}
 
 
 def scheduler_of(library: ctypes.CDLL) -> Scheduler:
-    """The scheduler of a library; two names of one file are one library."""
+    """Return the scheduler of a library; the same for two names of one file."""
     return _of.setdefault(library._handle, Scheduler(library))

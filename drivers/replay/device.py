@@ -1,6 +1,6 @@
-"""A recording as a device: it senses the recorded poses and keeps every wrench it is given.
+"""Recording as a device: reads return recorded poses, and every written wrench is logged.
 
-Read number n gives sample n, whatever the clock does, so a run is reproducible to the bit.
+Read number n returns sample n regardless of the clock, so that a run is reproducible to the bit.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 
 
 class Words(NamedTuple):
-    """The words of a replay, behind those of the log."""
+    """Fields of a replay, after the fields of the log."""
 
     samples: Annotated[int, address("(length, 7) float64")]
     length: Annotated[int, word("of the recording")]
@@ -46,7 +46,7 @@ class Words(NamedTuple):
 
 AT: Final = lay_out(Words, after=LOG)
 
-# A recording feels nothing, so it sets no limit of its own: the rig's guard is what limits.
+# A recording displays no force, so its limits are wide: the rig's guard limits.
 FORCE_MAX_N: Final = 1e3
 TORQUE_MAX_NM: Final = 1e2
 STIFFNESS_MAX_N_PER_M: Final = 1e6
@@ -86,10 +86,10 @@ def _read(handle: int, sample: Any) -> int:
 
 
 class Replay(Device):
-    """A recording at the servo's rate; what is written to it is kept and can be read with `written`.
+    """Recording at the servo's rate; `written` returns the logged wrenches.
 
-    Not looped, every pass's wrenches are kept; looped, at least those of the last pass and of the
-    last 10 s. Once stopped it stays disarmed: the last wrench kept is zero.
+    Without `loop` the log contains the wrenches of the full pass; with it, at least the last pass and the last 10 s.
+    After `stop` the device remains disarmed, and the last logged wrench is zero.
     """
 
     def __init__(self, options: Options, rate_hz: float) -> None:
@@ -97,7 +97,7 @@ class Replay(Device):
             raise ConfigError(f"forces = {options.forces!r}: is the recording that is replayed: name another file")
         samples = resample(load_poses(options.recording, options.finger), rate_hz)
         self.samples: Array = np.ascontiguousarray(close_loop(samples, rate_hz) if options.loop else samples)
-        """Poses (M, 7) that the reads return in turn."""
+        """Poses (M, 7) that reads return in order."""
         self._block = block = Block(LOG, AT)
         self._log = WrenchLog(block, len(self.samples), rate_hz, options.forces)
         block.point(AT.samples, self.samples)
@@ -131,23 +131,23 @@ class Replay(Device):
 
     @property
     def reads(self) -> int:
-        """Reads so far."""
+        """Number of reads."""
         return int(self._block.word[LOG.reads])
 
     @property
     def lost(self) -> int:
-        """Wrenches kept once and overwritten since, because a loop ran longer than the log."""
+        """Number of wrenches overwritten because a loop ran longer than the log."""
         return self._log.lost
 
     def written(self) -> Written:
-        """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""
+        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
         return self._log.written()
 
     def forces(self) -> Array:
-        """The wrenches kept (k, 6), oldest first: force N, torque N m in the world frame."""
+        """Return the logged wrenches (k, 6), oldest first: force N, torque N m in the world frame."""
         return self.written().wrench
 
 
 def open_device(options: Options, rate_hz: float) -> Replay:
-    """Open the recording `options.recording` at `rate_hz`; RecordingError when it cannot be used."""
+    """Open the recording `options.recording` at `rate_hz`; raises RecordingError if it cannot be used."""
     return Replay(options, rate_hz)

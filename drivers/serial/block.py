@@ -1,4 +1,4 @@
-"""The memory that the exchange of a serial port shares with Python, behind the words of the conversation."""
+"""Memory that the exchange of a serial port shares with Python, after the fields of `conversation`."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 
 CHUNK: Final = 1024
-"""Bytes of one read."""
+"""Bytes per read."""
 TEXT: Final = -1
-"""In the place of a mechanism's kind: a board that knows its own kinematics, and speaks WoodenHaptics' text."""
+"""Kind, in place of a mechanism's, of a board that computes its kinematics and sends WoodenHaptics' text."""
 
 
 class Model(NamedTuple):
-    """What turns a frame into a pose and a force into a frame.
+    """Parameters of the conversion between frames and poses or forces.
 
     position     (3,) m  device's origin in the world
     orientation  (4,)    device to world
@@ -38,7 +38,7 @@ MODEL_SIZE: Final = len(flatten(MODEL_LIKE))
 
 
 class Words(NamedTuple):
-    """The words of this driver, behind those of the conversation."""
+    """Fields of this driver, after the fields of `conversation`."""
 
     bytes: Annotated[int, counter("bytes received")]
     frames: Annotated[int, counter("frames received")]

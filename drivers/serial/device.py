@@ -1,4 +1,4 @@
-"""A device on a serial port behind the contract: woken when it is opened, and zero force on every shutdown path."""
+"""Device on a serial port: woken when opened, and commanded zero force on every shutdown path."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from softfinger.proxy.kernels.jit.pack import flatten
 log: Final = logging.getLogger(__name__)
 
 STOP_WAIT_S: Final = 1.0
-"""Time in which a port has to send the zero of a stop."""
+"""Time for a port to send the zero of a stop."""
 STOP_AGAIN_S: Final = 0.1
-"""The same after a stop that it has not sent."""
+"""Time for a repeated stop, after one whose zero the port has not sent."""
 WARN_NS: Final = 1_000_000_000
-"""Time for which a warning of a blocked port remains; warnings are asked for twice a second."""
+"""Duration of the warning about a blocked port; the daemon checks warnings twice a second."""
 BLOCKED: Final = (
     "too many frames wait in the port: its line is too slow for them, or the board has stopped reading: "
     "zero is sent in place of the force"
@@ -39,9 +39,9 @@ BLOCKED: Final = (
 
 
 class SerialDevice(Device):
-    """An open device on the file descriptor `fd` of its port, which it owns from now on.
+    """Open device, owner of the file descriptor `fd` of its port.
 
-    Raises DeviceTimeout when it does not wake up, DeviceError when what it says is no frame, DeviceLost when it goes.
+    Raises DeviceTimeout if it does not wake up, DeviceError if it sends no valid frame, DeviceLost if it disconnects.
     """
 
     def __init__(self, options: Options, fd: int, path: str) -> None:
@@ -58,7 +58,7 @@ class SerialDevice(Device):
         ids = "" if options.vendor_id is None else f" {options.vendor_id:04x}:{options.product_id:04x}"
         name = f"serial{ids} at {path}"
         if given is None:
-            self.info = info_of(options, name, sensed_dof=5)  # nobody senses the turn about the handle's own axis
+            self.info = info_of(options, name, sensed_dof=5)  # the rotation about the handle's axis is not sensed
         else:
             turns = bool(self._block.word[AT.turns])
             self.info = info_of(options, name, sensed_dof=6 if turns else given.dof, actuated_dof=given.dof)
@@ -79,7 +79,7 @@ class SerialDevice(Device):
         begin(block, fd, spans, answer=size)
         word = block.word
         word[AT.answer] = 0 if spec is not None and spec.mode == "stream" else size
-        word[AT.asked_at] = -size  # nothing has been asked
+        word[AT.asked_at] = -size  # nothing has been sent yet
         word[AT.newline] = frames.NEWLINE
         word[AT.kind], word[AT.turns] = TEXT, 1
         word[AT.out_bytes] = word[AT.out_total] = word[AT.unit] = frames.FRAME_BYTES
@@ -111,8 +111,10 @@ class SerialDevice(Device):
         word[AT.out_total] = spec.output.bytes + (0 if spec.resync is None else spec.resync.count)
 
     def _wake(self, setup: bytes = b"") -> None:
-        """Set the device up and kick it until it sends a frame: one that has just been plugged in takes a while to
-        start, and its setup is sent again with each attempt."""
+        """Send the setup and wake the device until it sends a frame.
+
+        A device that was just plugged in takes a while to start, and gets the setup again with each attempt.
+        """
         sample = (ctypes.c_double * SAMPLE_SIZE)()
         self._say(setup)
         until = time.monotonic() + self._options.wake_s
@@ -144,7 +146,7 @@ class SerialDevice(Device):
         return f"; it has not answered {sent}, the frame without force: compare marks and checksum with its firmware's"
 
     def _say(self, data: bytes) -> None:
-        """Send bytes that no tick waits for; what the port does not take is lost."""
+        """Send bytes outside of ticks; bytes that the port does not accept are lost."""
         if data:
             with contextlib.suppress(OSError):
                 self._block.word[AT.put] += os.write(int(self._block.word[TALK.fd]), data)
@@ -154,22 +156,22 @@ class SerialDevice(Device):
         return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
-        """Wake the board again and wait for a frame of now: minutes may have passed since the port was opened."""
+        """Wake the board again and wait for a current frame: minutes may have passed since the port was opened."""
         self._block.word[TALK.sensed] = 0
         self._wake()
 
     def stop(self) -> None:
-        """Drop what the port has not sent, then send a zero and wait until it has gone out."""
+        """Drop unsent bytes, then send a zero and wait until it is sent."""
         if self._block.word[TALK.fd] < 0:
             return
-        # However often it is asked to stop, a port that sends nothing has its time once.
+        # For repeated calls the full wait applies once to a port that sends nothing.
         told = bool(self._zero_failure)
         self._zero_failure = self._stop(STOP_AGAIN_S if told else STOP_WAIT_S)
         if self._zero_failure and not told:
             log.error("%s: no zero has reached it: %s", self.info.name, self._zero_failure)
 
     def _stop(self, wait_s: float) -> str:
-        """Return why no zero has gone out in this time; empty if it has."""
+        """Return why no zero was sent in this time; empty if it was."""
         until = time.monotonic() + wait_s
         for step in (exchange.discard, exchange.silence):
             while not step.ctypes(self._block.handle):
@@ -193,7 +195,7 @@ class SerialDevice(Device):
         fd = int(self._block.word[TALK.fd])
         self._block.word[TALK.fd] = -1
         if fd >= 0:
-            if self._setup:  # a board that has lost its setup heeds no zero, and keeps its torques
+            if self._setup:  # a board that has lost its setup ignores zeros and keeps its torques
                 with contextlib.suppress(OSError):
                     os.write(fd, self._zero)
             close_port(fd)
@@ -221,25 +223,25 @@ class SerialDevice(Device):
 
 
 def _encoded(frame: OutputFrame, spec: Frames) -> bytes:
-    """A frame of constants, and of zeros for everything that is commanded."""
+    """Return a frame of the constants, with zero for everything commanded."""
     big, given = spec.order == "big", np.zeros(table.COMMANDED_SIZE)
     given[table.CONSTANT] = 1.0
-    out = np.zeros(1 + frame.bytes, np.uint8)  # as a report, whose id is in front
+    out = np.zeros(1 + frame.bytes, np.uint8)  # encoded like a report, with the id first
     table.encode_once(given, table.output_table(frame.field, big), np.zeros(1, np.int64), out)
     packets.finish_once(out[1:], packets.shape_of(frame, big))
     return out[1:].tobytes()
 
 
 def rows(options: Options) -> list[tuple[str, str]]:
-    """What `softfinger check` shows beside the options."""
+    """Return additional rows for `softfinger check`."""
     return freedom_rows(options.kinematics, options.mounting)
 
 
 def check(options: Options, rate_hz: float, where: str) -> None:
-    """Raise ConfigError if the line does not carry the frames of every tick; `where` is the table of the rig."""
+    """Raise ConfigError if the line is too slow for the frames of every tick; `where` is the table of the rig."""
     line.check(options, rate_hz, where)
 
 
 def open_device(options: Options, rate_hz: float) -> SerialDevice:
-    """Open the device a rig names; DeviceError and its kinds when it cannot be used. Any `rate_hz` will do."""
+    """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
     return SerialDevice(options, *open_port(options))

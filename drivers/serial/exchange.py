@@ -1,12 +1,12 @@
-"""One tick with a serial port, from nopython: bytes read up to the newest frame, one frame written.
+"""One tick with a serial port, in nopython mode: read bytes up to the latest frame, write one frame.
 
-What is the same for any board is in `conversation`. Frames are WoodenHaptics' text (`frames`) or bytes that a rig
-describes (`packets`). A board that answers each frame it is sent gets the next one once the last has been answered, or
-frames would pile up in its buffers and forces come late; a zero after a force does not wait. A newline wakes
-WoodenHaptics, a zero a described board; where an answer is missing, `resync` bytes go in front of a zero.
+`conversation` has the part that all boards share. Frames are WoodenHaptics' text (`frames`) or bytes that a rig
+describes (`packets`). A board that answers each frame gets the next one only after its answer, because otherwise frames
+queue in its buffers and forces are late; a zero after a force does not wait. A newline wakes WoodenHaptics, a zero
+frame a described board; after a missing answer, `resync` bytes precede a zero.
 
-If more frames wait in the port than `queue` allows, they are dropped, a zero is sent, and forces are withheld until the
-port has sent everything. After `timeout_after` of that the board is given up.
+If more frames are queued in the port than `queue` allows, they are dropped, a zero is sent, and forces are withheld
+until the port has sent everything. If that takes longer than `timeout_after`, the device is given up.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from softfinger.drivers.serial.queue import count_write, drop_frames, is_blocked
 from softfinger.drivers.system.libc import EAGAIN, monotonic_ns, read_waiting, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
+from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.jit.pack import unpack_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
@@ -41,16 +42,16 @@ from softfinger.proxy.kernels.numerics.rotations import (
 )
 
 DRAIN_MAX: Final = 16
-"""Reads in one tick: four times what the kernel keeps for a port; a device that floods cannot hold the loop."""
+"""Maximum number of reads per tick, four times the kernel's buffer: a device that floods cannot block the loop."""
 
 
 class Serial(NamedTuple):
-    """Marks the kernels of this driver."""
+    """Type that selects the kernels of this driver."""
 
 
 @jit
 def _take_text(handle: int, wanted: int) -> tuple[int, int]:
-    """Read so many bytes of text; how many came, or a status below 0, and the frames that they complete."""
+    """Read at most `wanted` bytes of text; return the number of bytes, or a status below 0, and of completed frames."""
     at, incoming = int64_at(handle), handle + 8 * AT.incoming
     count = read_waiting(at[TALK.fd], incoming + LOOKBACK, wanted, handle + 8 * AT.waiting)
     if count <= 0:
@@ -59,9 +60,9 @@ def _take_text(handle: int, wanted: int) -> tuple[int, int]:
     return count, take(incoming, count, scratch, values)
 
 
-@jit
+@outlined
 def _take_described(handle: int, wanted: int) -> tuple[int, int]:
-    """The same with frames that the rig describes."""
+    """Read like `_take_text`, for frames that the rig describes."""
     at = int64_at(handle)
     count = read_waiting(at[TALK.fd], at[AT.stream] + at[AT.filled], wanted, handle + 8 * AT.waiting)
     if count <= 0:
@@ -95,7 +96,7 @@ def _drain(driver: Serial, handle: int) -> int:
 
 @jit
 def _text_pose(values: Any) -> tuple[Vec3, Quaternion]:
-    """Position (m) and orientation of a text frame: R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE)."""
+    """Return position (m) and orientation of a text frame: R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE)."""
     position = (1e-3 * values[POSITION], 1e-3 * values[POSITION + 1], 1e-3 * values[POSITION + 2])
     body = multiply(about_z(values[ANGLES]), about_y(-values[ANGLES + 1]))
     wrist = multiply(about_x(values[ANGLES + 2]), about_y(values[ANGLES + 3]))
@@ -129,7 +130,7 @@ def _pose(driver: Serial, handle: int) -> bool:
 
 @jit
 def _put(handle: int, address: int, count: int) -> int:
-    """Write bytes; how many the port took, 0 when it is full, or a status below 0."""
+    """Write bytes; return the number accepted, 0 if the port is full, or a status below 0."""
     taken = write_now(int64_at(handle)[TALK.fd], address, count)
     if taken == -EAGAIN:
         return 0
@@ -140,7 +141,7 @@ def _put(handle: int, address: int, count: int) -> int:
 
 @jit
 def _finish(handle: int) -> int:
-    """Write what is left of a frame; OK when nothing is, HELD when the port is full, or a status below 0."""
+    """Write the remainder of a frame; return OK if it is complete, HELD if the port is full, or a status below 0."""
     at = int64_at(handle)
     if at[TALK.left] > 0:
         taken = _put(handle, at[AT.outgoing] + at[AT.out_total] - at[TALK.left], at[TALK.left])
@@ -152,7 +153,7 @@ def _finish(handle: int) -> int:
 
 @jit
 def _fill(handle: int, force: Vec3) -> int:
-    """Put a force (N, device's frame) into the frame; WHOLE, or why it had to be limited."""
+    """Encode a force (N, device's frame) into the frame; return WHOLE, or why it was limited."""
     at = int64_at(handle)
     model: Model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     frame = at[AT.outgoing] + at[AT.out_total] - at[AT.out_bytes]
@@ -174,12 +175,13 @@ def _fill(handle: int, force: Vec3) -> int:
     return LIMITED if cut and how == WHOLE else how
 
 
-@jit
+@outlined
 def _send(handle: int, force: Vec3) -> int:
-    """Write a force (N, device's frame); OK, STALE when it was limited, HELD when the port took none of it, or a status
-    below 0.
+    """Write a force (N, device's frame).
 
-    A frame that went out in part counts as taken, and is finished before anything else: the device would read a cut
+    Return OK, STALE if it was limited, HELD if the port accepted none of it, or a status below 0.
+
+    A partly written frame counts as sent, and is completed before anything else: the device would interpret a truncated
     one as another force.
     """
     at = int64_at(handle)
@@ -196,7 +198,7 @@ def _send(handle: int, force: Vec3) -> int:
     at[TALK.loaded] = 1 if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0 else 0
     at[AT.asked_at] = at[AT.bytes]
     if at[AT.aligned] != 0:
-        at[AT.filled] = 0  # the answer begins here
+        at[AT.filled] = 0  # the answer starts here
     if how != WHOLE:
         at[AT.singular if how == SINGULAR else AT.cut] += 1
     status = _finish(handle)
@@ -207,14 +209,14 @@ def _send(handle: int, force: Vec3) -> int:
 
 @jit
 def _asked(handle: int) -> bool:
-    """Whether the last frame has no answer yet."""
+    """Return True if the last frame has no answer yet."""
     at = int64_at(handle)
     return bool(at[AT.bytes] - at[AT.asked_at] < at[AT.answer])
 
 
 @jit
 def _zero(handle: int) -> int:
-    """Send a zero; behind a frame that may be torn two, for the board takes the first one for the rest of that."""
+    """Send a zero; two after a possibly torn frame, because the board uses the first one to complete that frame."""
     at = int64_at(handle)
     status = _send(handle, (0.0, 0.0, 0.0))
     if status == OK and at[AT.torn] != 0 and at[TALK.left] == 0:
@@ -225,13 +227,13 @@ def _zero(handle: int) -> int:
 
 @busy.of(Serial)
 def _busy(driver: Serial, handle: int, deaf: bool) -> bool:
-    blocked = is_blocked(handle)  # looked at in each tick, so that it is known since when
+    blocked = is_blocked(handle)  # called in each tick, because it records the start
     return deaf or blocked or _asked(handle)
 
 
 @jit
 def _drop_old(handle: int) -> None:
-    """Drop forces that a zero would wait behind: too many of them, or any once the board is silent."""
+    """Drop queued forces that would delay a zero: too many of them, or any if the board is silent."""
     at = int64_at(handle)
     if at[TALK.loaded] == 0:
         return
@@ -248,7 +250,7 @@ def _send_zero(driver: Serial, handle: int) -> int:
 
 @jit
 def _withhold(handle: int) -> int:
-    """Put a zero in the place of all forces that wait in the port; WITHHELD, or a status below 0."""
+    """Replace all queued forces by a zero; return WITHHELD, or a status below 0."""
     at = int64_at(handle)
     if at[AT.blocked_at] - at[AT.blocked_since] > at[TALK.timeout_after]:
         return TIMEOUT
@@ -295,11 +297,11 @@ read, write, silence = c_functions(Serial())
 
 @c_function(types.int64(types.int64))
 def discard(handle: int) -> int:
-    """Disarm and drop what the port has not sent; 1 when it is done, 0 when it must be tried again."""
+    """Disarm and drop unsent bytes; return 1 if it is done, 0 if it must be tried again."""
     at = int64_at(handle)
     at[TALK.armed] = 0
     if exchange_int64(handle + 8 * TALK.lock, 1) != 0:
-        return 0  # a write is under way
+        return 0  # a write is in progress
     if at[TALK.fd] >= 0:
         drop_frames(handle)
     exchange_int64(handle + 8 * TALK.lock, 0)

@@ -1,4 +1,4 @@
-"""Whether a serial line carries the frames of every tick: bytes a second against its speed."""
+"""Check that a serial line is fast enough for the frames of every tick."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from softfinger.drivers.serial.frames import FRAME_BYTES
 from softfinger.drivers.serial.options import Baud, Options
 
 BITS_PER_BYTE: Final = 10
-"""8N1: a start bit, eight of data, no parity, a stop bit."""
+"""8N1: a start bit, eight data bits, no parity, a stop bit."""
 CHIPS: Final = {0x0403: "FTDI", 0x10C4: "Silicon Labs", 0x1A86: "WCH", 0x067B: "Prolific"}
-"""USB vendors of chips with a UART behind them."""
+"""USB vendors of chips that connect a UART."""
 
 
 def has_rate(options: Options) -> bool:
-    """Return whether a rig's port is a line with a speed, and not a USB port of the board itself, which ignores baud.
+    """Return True if the baud rate limits a rig's port; False for a board with USB, which ignores it.
 
-    Ports of boards with their own USB are called ttyACM. Without a name of that kind the USB vendor decides. Without a
-    vendor the port counts as a line.
+    Such boards have ports named ttyACM. Other names starting with tty are lines; for the remaining ones the USB vendor
+    decides. Without a vendor the port counts as a line.
     """
     name = os.path.basename(os.path.realpath(options.path)) if options.path else ""
     if name.startswith("tty"):
@@ -28,13 +28,13 @@ def has_rate(options: Options) -> bool:
 
 
 def frame_bytes(options: Options) -> tuple[int, int]:
-    """Return the bytes of a frame to the board, and of one from it."""
+    """Return the length of a frame to the board, and of one from it."""
     spec = options.frames
     return (FRAME_BYTES, FRAME_BYTES) if spec is None else (spec.output.bytes, spec.input.bytes)
 
 
 def check(options: Options, rate_hz: float, where: str) -> None:
-    """Raise ConfigError if the line does not carry a frame each way in every tick.
+    """Raise ConfigError if the line is too slow for a frame in each direction per tick.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def check(options: Options, rate_hz: float, where: str) -> None:
     rate_hz
         ticks per second
     where
-        file and table of the options, in front of the message
+        file and table of the options, prefix of the message
     """
     if not has_rate(options):
         return

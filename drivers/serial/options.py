@@ -1,4 +1,4 @@
-"""A rig's keys of a device on a serial port: which one, its frames, its mechanism, limits and silences."""
+"""Configuration of a device on a serial port: selection, frames, mechanism, limits and timeouts."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Order = Literal["little", "big"]
 Mode = Literal["answer", "stream"]
 Check = Literal["sum8", "xor8", "crc8", "crc16-ccitt", "crc16-modbus"]
 CHECKS: Final[tuple[str, ...]] = ("sum8", "xor8", "crc8", "crc16-ccitt", "crc16-modbus")
-"""Kinds of checksum; a kernel knows each by its place here."""
+"""Kinds of checksum; kernels use the index in this tuple."""
 CHECK_BYTES: Final = {name: 2 if name.startswith("crc16") else 1 for name in CHECKS}
 Baud = Literal[9600, 19200, 38400, 57600, 115200, 230400, 460800, 500000, 921600, 1000000, 2000000]
 Byte = Annotated[int, Meta(ge=0, le=255)]
@@ -66,7 +66,7 @@ class Checksum(Table, frozen=True, kw_only=True):
 
 
 class Frame(Table, frozen=True, kw_only=True):
-    """What frames in both directions have."""
+    """Common properties of frames in both directions."""
 
     bytes: Annotated[int, within(FRAME_BYTES, "length, marks and checksum included", 8)]
     start: Annotated[tuple[Byte, ...], sized(MARKS, "bytes that it begins with", [165])] = ()
@@ -74,11 +74,11 @@ class Frame(Table, frozen=True, kw_only=True):
     check: Checksum | None = None
 
     def marked(self) -> bool:
-        """Whether a frame can be told in a stream of bytes."""
+        """Return True if frames can be found in a stream of bytes."""
         return self.check is not None or bool(self.start and self.end)
 
     def taken(self) -> Iterator[tuple[int, str]]:
-        """Bytes that are no field's, and whose they are."""
+        """Yield bytes used by marks or checksum, with the name of the use."""
         yield from ((k, "start") for k in range(len(self.start)))
         yield from ((k, "end") for k in range(self.bytes - len(self.end), self.bytes))
         if self.check is not None:
@@ -86,7 +86,7 @@ class Frame(Table, frozen=True, kw_only=True):
 
 
 def frame_faults(frame: Frame, fields: tuple[InputField | OutputField, ...]) -> Iterator[Complaint]:
-    """Complaints about marks, a checksum and fields that reach past a frame or into each other."""
+    """Yield complaints about marks, a checksum and fields that exceed a frame or overlap."""
     if not known(frame.bytes, frame.start, frame.end, frame.check, fields) or not known(*fields):
         return
     yield from layout_faults(frame.bytes, fields, "a frame")

@@ -1,9 +1,9 @@
-"""Frames of bytes that a rig describes: found in a stream, checked, written.
+"""Frames of bytes that a rig describes: search in a stream, check, and encoding.
 
-A frame has its length, bytes that are always the same (`start` and `end`), and a checksum if the rig names one. Where
-there is a checksum, or both a start and an end, a frame is looked for at every byte, so that after bytes lost, doubled
-or torn the next whole frame is found again. An answer that has neither is known by its length alone: it is taken when
-just as many bytes have come since the request as whole answers have, and refused otherwise.
+A frame has a fixed length, fixed bytes (`start` and `end`), and optionally a checksum. With a checksum, or with both
+start and end, the search tries every byte, so that it finds the next complete frame after lost, duplicated or torn
+bytes. An answer without either is recognized by its length: it is accepted if the number of bytes since the request is
+a multiple of the length, and rejected otherwise.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from softfinger.drivers.serial.options import CHECKS, Frame
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.memory import int64_at, uint8_at
 
-# Words of a shape: bytes of the frame, kind of checksum, its offset and the first byte that it covers, whether its high
-# byte comes first, and then for each byte what it always is, -1 where it may be anything.
+# Entries of a shape: bytes of the frame, kind of checksum, its offset and the first byte that it covers, 1 if its high
+# byte is first, then the fixed value of each byte, or -1.
 BYTES: Final = 0
 KIND: Final = 1
 AT_BYTE: Final = 2
@@ -36,7 +36,7 @@ _MODBUS: Final = CHECKS.index("crc16-modbus")
 
 
 def shape_of(frame: Frame, big_endian: bool) -> NDArray[np.int64]:
-    """The words of a frame's shape."""
+    """Return the shape of a frame for the kernels."""
     check = frame.check
     words = [frame.bytes, -1, 0, 0, int(big_endian)]
     if check is not None:
@@ -49,7 +49,7 @@ def shape_of(frame: Frame, big_endian: bool) -> NDArray[np.int64]:
 
 @jit
 def checksum(frame: int, shape: int) -> int:
-    """The checksum of the frame at an address: of its bytes from `first` up to the checksum itself."""
+    """Return the checksum of the frame at an address, over its bytes from `first` to the checksum."""
     text, s = uint8_at(frame), int64_at(shape)
     kind, crc = s[KIND], 0
     if kind in (_CCITT, _MODBUS):
@@ -77,14 +77,14 @@ def checksum(frame: int, shape: int) -> int:
 
 @jit
 def _place(shape: int, high: bool) -> int:
-    """Where the low or the high byte of a checksum of two bytes is."""
+    """Return the index of the low or the high byte of a two-byte checksum."""
     s = int64_at(shape)
     return int(s[AT_BYTE] + (1 if (s[BIG] != 0) != high else 0))
 
 
 @jit
 def fits(frame: int, shape: int) -> bool:
-    """Whether the bytes at an address have what is always the same, and the checksum."""
+    """Return True if the bytes at an address have the fixed bytes and the checksum of a frame."""
     text, s = uint8_at(frame), int64_at(shape)
     for k in range(s[BYTES]):
         if s[FIXED + k] >= 0 and text[k] != s[FIXED + k]:
@@ -99,7 +99,7 @@ def fits(frame: int, shape: int) -> bool:
 
 @jit
 def finish(frame: int, shape: int) -> None:
-    """Put what is always the same, and the checksum, into the frame at an address."""
+    """Write the fixed bytes and the checksum into the frame at an address."""
     text, s = uint8_at(frame), int64_at(shape)
     for k in range(s[BYTES]):
         if s[FIXED + k] >= 0:
@@ -116,7 +116,7 @@ def finish(frame: int, shape: int) -> None:
 
 @jit
 def _accept(frame: int, shape: int, fields: int, rows: int, scratch: int, spare: Any, newest: Any) -> bool:
-    """Read a frame into `newest`, if it is one."""
+    """Decode a frame into `newest` and return True, if it is valid."""
     if not (fits(frame, shape) and decode(frame, fields, rows, scratch, spare)):
         return False
     for n in range(SENSED_SIZE):
@@ -128,12 +128,12 @@ def _accept(frame: int, shape: int, fields: int, rows: int, scratch: int, spare:
 def take(
     buffer: int, filled: Any, aligned: bool, shape: int, table: tuple[int, int, int], numbers: tuple[Any, Any]
 ) -> int:
-    """How many frames are in the bytes at `buffer`; the last one's numbers in `numbers[1]`.
+    """Decode the frames in the bytes at `buffer`; return their number and store the last one in `numbers[1]`.
 
-    filled   (1,) int64: how many bytes; what may still belong to a frame is moved to the front, and counted
-    aligned  answers without a checksum, which begin where the request was sent
-    table    addresses of rows, number of rows, and address of one int64 word
-    numbers  (SENSED_SIZE,) each, the first overwritten
+    filled   (1,) int64: number of bytes; bytes of an incomplete frame are moved to the front and counted here
+    aligned  True for answers without a checksum, which start where the request was sent
+    table    addresses of rows, number of rows, and address of one int64 for scratch
+    numbers  (SENSED_SIZE,) each, the first for scratch
     """
     size, count, text = int64_at(shape)[BYTES], filled[0], uint8_at(buffer)
     fields, rows, scratch = table
@@ -165,5 +165,5 @@ def take(
 
 @entry
 def finish_once(frame: NDArray[np.uint8], shape: NDArray[np.int64]) -> None:
-    """`finish` for Python."""
+    """Call `finish` from Python."""
     finish(frame.ctypes.data, shape.ctypes.data)

@@ -1,4 +1,4 @@
-"""The system's serial port of a device: found by its USB ids, opened for this process alone, set to raw bytes."""
+"""Serial port of a device: found by its USB ids, opened exclusively, and set to raw bytes."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ TIOCSSERIAL: Final = 0x541F
 SERIAL_STRUCT_BYTES: Final = 72
 FLAGS_AT: Final = 16
 ASYNC_LOW_LATENCY: Final = 1 << 13
-"""Of linux/serial.h and tty_flags.h: struct serial_struct and where its flags are, on 64-bit machines."""
+"""From linux/serial.h and tty_flags.h: struct serial_struct and the offset of its flags, on 64-bit machines."""
 TIOCSERGETLSR: Final = 0x5459
 TIOCSER_TEMT: Final = 1
-"""Of asm/ioctls.h and linux/serial.h: state of a UART, and its bit for a transmitter that is empty."""
+"""From asm/ioctls.h and linux/serial.h: state of a UART, and its bit for an empty transmitter."""
 DRAIN_WAIT_S: Final = 0.2
-"""How long what was written has to leave before the port is closed; the system's own close would wait for 30 s."""
+"""Maximum time to send written bytes before the port is closed; the system's close would wait for 30 s."""
 
 
 def open_port(options: Options) -> tuple[int, str]:
-    """File descriptor of the device's port, raw, non-blocking, locked, empty; and its path.
+    """Open the device's port, raw, non-blocking, locked and empty, and return its file descriptor and path.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is no port or another device.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is no port or another device.
     """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"driver 'serial' opens serial ports of Linux, and this is {sys.platform}")
@@ -56,19 +56,19 @@ def open_port(options: Options) -> tuple[int, str]:
 
 
 def close_port(fd: int) -> None:
-    """Let what was written leave, then close; bytes that the device does not take in time are thrown away."""
+    """Wait until written bytes are sent, then close; drop bytes that are not sent in time."""
     until = time.monotonic() + DRAIN_WAIT_S
-    with contextlib.suppress(OSError, termios.error):  # gone already
+    with contextlib.suppress(OSError, termios.error):  # disconnected already
         while count_unsent(fd) and time.monotonic() < until:
             time.sleep(0.001)
-        if count_unsent(fd):  # and only then: a last zero that the system still hands on must not be thrown away
+        if count_unsent(fd):  # only then: a last zero that is still being sent must not be dropped
             termios.tcflush(fd, termios.TCOFLUSH)
         fcntl.ioctl(fd, termios.TIOCNXCL)
     os.close(fd)
 
 
 def _set_low_latency(fd: int) -> None:
-    """Have a chip such as FTDI's hand on bytes after 1 ms and not after 16; a port without such a timer refuses."""
+    """Make a chip such as FTDI's deliver bytes after 1 ms instead of 16; ports without such a timer reject it."""
     with contextlib.suppress(OSError):
         settings = bytearray(fcntl.ioctl(fd, TIOCGSERIAL, bytes(SERIAL_STRUCT_BYTES)))
         (flags,) = struct.unpack_from("i", settings, FLAGS_AT)
@@ -77,25 +77,25 @@ def _set_low_latency(fd: int) -> None:
 
 
 def count_unsent(fd: int) -> int:
-    """Return the bytes written that have not gone out, 1 for those that only the chip still has.
+    """Return the number of written bytes not sent yet; 1 if all of them are in the chip.
 
-    Raises OSError if the port is gone. A pseudo terminal counts none; a USB modem more than there are.
+    Raises OSError if the port is disconnected. A pseudo terminal counts none; a USB modem counts too many.
     """
     queued = int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
     if queued:
         return queued
     try:
         state = int.from_bytes(fcntl.ioctl(fd, TIOCSERGETLSR, bytes(4)), sys.byteorder)
-    except OSError:  # no UART, or a driver that does not know of one
+    except OSError:  # no UART, or a driver that does not support the request
         return 0
     return 0 if state & TIOCSER_TEMT else 1
 
 
 def find(options: Options) -> str:
-    """Path of the port of the one device with the rig's ids.
+    """Return the path of the port of the only device with the rig's ids.
 
-    Raises DeviceNotFound when there is none or more than one, or when ids and product string do not tell what it is:
-    a port is not written to before somebody has said that it is the right one.
+    Raises DeviceNotFound if there is none or more than one, or if ids and product string do not identify the device:
+    nothing is written to a port before the user has confirmed that it is the right one.
     """
     ports = list(discovery.serial_ports())
     if options.vendor_id is None or options.product_id is None:
@@ -129,7 +129,7 @@ def find(options: Options) -> str:
 
 
 def _check_ids(path: str, options: Options) -> None:
-    """DeviceError when a port belongs to another USB device; one that is not on USB has no ids to compare."""
+    """Raise DeviceError if a port belongs to another USB device; a port that is not on USB has no ids to compare."""
     port = discovery.serial_port(path)
     if options.vendor_id is None or options.product_id is None:
         return
@@ -152,13 +152,13 @@ def _how_to_permit(path: str, options: Options) -> str:
 
 
 def _set_raw(fd: int, baud: int) -> None:
-    # `flock` keeps our own programs out, this one everything that does not run as root.
+    # `flock` excludes other instances of this program, TIOCEXCL every program that does not run as root
     fcntl.ioctl(fd, termios.TIOCEXCL)
     settings = termios.tcgetattr(fd)
-    settings[0] = settings[1] = settings[3] = 0  # nothing is translated, echoed or held back
+    settings[0] = settings[1] = settings[3] = 0  # no translation, echo or line buffering
     settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL | termios.HUPCL
     settings[4] = settings[5] = getattr(termios, f"B{baud}")
-    # Without a byte to wait for, a read with nothing there would return 0, as if the device were gone.
+    # With VMIN 0, a read without available bytes would return 0, as for a disconnected device.
     settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
     termios.tcsetattr(fd, termios.TCSANOW, settings)
     termios.tcflush(fd, termios.TCIOFLUSH)

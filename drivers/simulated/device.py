@@ -1,9 +1,8 @@
-"""A device that is computed: handle, motors and hand of `drivers.plant`, behind the contract of any other.
+"""Simulated device: handle, motors and hand of `plant`, behind the device contract.
 
-A replay feels nothing. Here the force written moves the handle, and the hand on it follows what it intends, a
-recording or a place with a sinusoid about it, as far as the force lets it. Read number n gives the pose at tick n of
-the device's own time, so a run is reproducible to the bit whatever the clock does. Only a hand
-that a puck or a program leads does what it likes.
+Unlike in a replay, the written force moves the handle. The hand follows its intention (a recording, or a place with a
+sinusoid) against the force. Read number n returns the pose at tick n of the device's time, so that a run is
+reproducible to the bit regardless of the clock, unless a puck or a program leads the hand.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ from softfinger.proxy.kernels.jit.pack import flatten, pack, unflatten, unpack, 
 from softfinger.proxy.kernels.jit.seqlock import Slot
 from softfinger.proxy.kernels.model import Vec3
 
-# No motor turns the handle, but the torque is taken: it belongs to the contact and to telemetry.
+# No motor turns the handle, but torque is accepted: contact and telemetry use it.
 TORQUE_MAX_NM: Final = 1e2
 
 _PLANT_LIKE: Final = make_plant(1.0, Handle((1.0, 1.0, 1.0)))
@@ -63,7 +62,7 @@ _INTENTION_SIZE: Final = len(flatten(_INTENTION_LIKE))
 
 
 class Words(NamedTuple):
-    """The words of a simulated device, behind those of the log."""
+    """Fields of a simulated device, after the fields of the log."""
 
     plant: Annotated[int, numbers("a `Plant`", _PLANT_SIZE)]
     state: Annotated[int, numbers("a `PlantState`", _STATE_SIZE)]
@@ -79,10 +78,9 @@ AT: Final = lay_out(Words, after=LOG)
 
 @jit
 def _acting(handle: int) -> Vec3:
-    """Force (3,) N of the newest wrench, which acts until now.
+    """Return the force (3,) N of the latest wrench, which acts until now.
 
-    A stop that writes its zero just now may be read in part: every component is the old one or zero, and the next
-    read has the zero.
+    If `stop` is writing its zero at this moment, each component is the old one or zero; the next read gets the zero.
     """
     word = int64_at(handle)
     if word[LOG.writes] == 0:
@@ -133,7 +131,7 @@ def _read(handle: int, sample: Any) -> int:
 
 @c_function(IO_SIGNATURE, on_demand=True)
 def _read_led(handle: int, sample: Any) -> int:
-    """The same with a hand that a puck leads, which moves by one period a read, as the plant does."""
+    """Implement `read` for a hand that a puck leads; like the plant, it moves by one period per read."""
     word = int64_at(handle)
     plant = unpack_at(_PLANT_LIKE, handle + 8 * AT.plant)
     kept = carray(float64_at(handle + 8 * AT.state), (_STATE_SIZE,))
@@ -152,13 +150,13 @@ def _read_led(handle: int, sample: Any) -> int:
 
 
 class Simulated(Device):
-    """The plant as a device; what is written to it acts on the handle, and is kept as a replay keeps it.
+    """Plant as a device; written wrenches act on the handle, and are logged.
 
-    Once stopped it stays disarmed: no force acts any more but those under way, and the hand goes on.
+    After `stop` it remains disarmed: only delayed forces still act, and the hand continues to move.
     """
 
     def __init__(self, options: Options, rate_hz: float, puck: tuple[int, str] | None = None) -> None:
-        """`puck`: file descriptor and name of an open one, for options that ask for it; it is this device's now."""
+        """Create the device; `puck`: file descriptor and name of an open puck, which the device then owns."""
         preset = presets()[options.preset]
         self.simulation = simulation(options, rate_hz)
         plant, state, intention, poses = self.simulation
@@ -176,7 +174,7 @@ class Simulated(Device):
         if options.puck is not None and puck is not None:
             fd, self._led_by = puck
             self._led_block = Block(LOG, spacemouse.AT)
-            # What a device does not sense, no puck turns.
+            # a device that senses no orientation ignores rotations of the puck
             turning = options.puck if preset.sensed_dof == 6 else replace(options.puck, gain_rad_per_s=0.0)
             self._puck = Puck(turning, fd, self._led_block)
             block.word[AT.puck] = self._led_block.handle
@@ -218,14 +216,14 @@ class Simulated(Device):
         return self._block.counts() | (self._led_block.counts(spacemouse.AT) if self._puck is not None else {})
 
     def written(self) -> Written:
-        """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""
+        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
         return self._log.written()
 
 
 def open_device(options: Options, rate_hz: float) -> Simulated:
     """Open a simulated device at `rate_hz`.
 
-    Raises RecordingError when its recording cannot be used, DeviceError and its kinds when its puck cannot.
+    Raises RecordingError if its recording cannot be used, DeviceError or a subclass if its puck cannot.
     """
     if options.puck is None:
         return Simulated(options, rate_hz)

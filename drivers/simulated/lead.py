@@ -1,4 +1,4 @@
-"""A hand that is computed, led by a program: from where its fingertip is to be to what its device is asked for."""
+"""Conversion of a requested fingertip pose to a request to the device's simulated hand."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from softfinger.proxy.kernels.numerics.tool import Tool, handle_of, tip_of
 
 
 class NoHand(HapticError):
-    """There is no hand that a program may lead."""
+    """The device has no hand that a program may lead."""
 
 
 class Wanted(NamedTuple):
-    """Where a hand is to hold the fingertip.
+    """Requested pose of the fingertip.
 
     position     (3,) m  in the world
-    orientation  fingertip to world, of any length but 0; None: as it is turned
-    now          how the fingertip is turned
+    orientation  fingertip to world, of any length but 0; None: unchanged
+    now          present orientation of the fingertip
     """
 
     position: Vec3
@@ -29,7 +29,7 @@ class Wanted(NamedTuple):
 
 
 def hand_of(device: Device) -> Led:
-    """The hand on a device; NoHand where none is computed."""
+    """Return the hand of a device; raises NoHand if it has no simulated one."""
     hand = device.hand()
     if hand is None:
         raise NoHand(
@@ -40,12 +40,13 @@ def hand_of(device: Device) -> Led:
 
 
 def hold(device: Device, tool: Tool | None, offset: Vec3) -> Pose:
-    """Have the hand on `device`, which holds `tool`, stay where it wants to be; returns where it holds the fingertip
-    then, in the world. Of a grip that is deeper than the fingertip comes, since what it grips resists.
+    """Make the hand of `device` with `tool` keep its intention, and return the intended fingertip pose in the world.
 
-    offset  (3,) m  what is added to the position that the device says
+    In a grip the intended pose is deeper than the actual one, because the object resists.
 
-    Raises NoHand where none is computed.
+    offset  (3,) m  added to the position that the device senses
+
+    Raises NoHand if the device has no simulated hand.
     """
     hand = hand_of(device)
     hand.hold()
@@ -55,11 +56,11 @@ def hold(device: Device, tool: Tool | None, offset: Vec3) -> Pose:
 
 
 def lead(device: Device, tool: Tool | None, offset: Vec3, wanted: Wanted | None) -> None:
-    """Have the hand on `device`, which holds `tool`, want to be there; None: do what it does by itself.
+    """Make the hand of `device` with `tool` intend the pose `wanted`; None: return to its configured intention.
 
-    offset  (3,) m  what is added to the position that the device says
+    offset  (3,) m  added to the position that the device senses
 
-    Raises NoHand where none is computed, ConfigError for what the device does not reach or sense.
+    Raises NoHand if the device has no simulated hand, ConfigError if it cannot reach or sense the pose.
     """
     hand, info = hand_of(device), device.info
     if wanted is None:

@@ -1,6 +1,6 @@
-"""A rig's keys of a simulated device, and the numbers that its plant and its hand come to.
+"""Configuration of a simulated device, and the resulting numbers of its plant and hand.
 
-Kept apart from the device itself: a study without a clock needs these and no C functions.
+Separate from the device, because a study without a clock needs these but no C functions.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from softfinger.drivers.simulated.plant import (
 from softfinger.drivers.spacemouse.puck import Options as PuckOptions
 
 RECORDING: Final = "press-roll-spin-drag"
-"""What the hand does when nothing else is said."""
+"""Default motion of the hand."""
 
 Mass = Annotated[float, Meta(ge=limits.MASS_KG.low, le=limits.MASS_KG.high)]
 Damping = Annotated[float, Meta(ge=limits.DAMPING_NS_PER_M.low, le=limits.DAMPING_NS_PER_M.high)]
@@ -86,7 +86,7 @@ class Options(Table, frozen=True, kw_only=True):
 
 
 class Simulation(NamedTuple):
-    """A device ready to be computed: plant, state at tick 0, intention and its poses (7 length,), all for one rate."""
+    """Complete simulation for one rate: plant, state at tick 0, intention and its poses (7 length,)."""
 
     plant: Plant
     state: PlantState
@@ -95,7 +95,7 @@ class Simulation(NamedTuple):
 
 
 def simulation(options: Options, rate_hz: float) -> Simulation:
-    """The numbers of a preset with what the options change; RecordingError when the recording cannot be used."""
+    """Return a preset changed by the options; raises RecordingError if the recording cannot be used."""
     preset = presets()[options.preset]
 
     def chosen(key: str) -> Any:

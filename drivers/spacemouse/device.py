@@ -1,7 +1,7 @@
-"""A SpaceMouse as a device: its puck moves the fingertip, and no force comes back.
+"""SpaceMouse as a device: the puck moves the fingertip, without force feedback.
 
-For looking at a scene without a haptic device: contact, forces and modes are in telemetry, and what is written is
-kept as a replay keeps it.
+For exploring a scene without a haptic device: telemetry contains contact, forces and modes, and written wrenches are
+logged.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 
-# Places in the state.
+# Indices of the state.
 POSITION: Final = 0
 ORIENTATION: Final = 3
 TIME: Final = 7  # s of motion so far
@@ -55,11 +55,11 @@ DEFLECTION: Final = 9  # (6,) counts
 STATE_SIZE: Final = 15
 
 QUEUE: Final = 64
-"""Reports that the kernel keeps for a node; what comes when they are all there is lost, and these are the oldest."""
+"""Reports that the kernel queues per node; when the queue is full, it drops later reports."""
 DRAIN_MAX: Final = 256
-"""Reports taken in one tick: four times what the kernel keeps for a node."""
+"""Maximum number of reports read in one tick: four times the kernel's queue."""
 STEP_MAX_S: Final = 0.05
-"""Most time that one read moves the fingertip over: after a pause it goes on, and does not jump."""
+"""Maximum time step of a read: after a pause the fingertip resumes without a jump."""
 
 _ZERO: Final = (0.0, 0.0, 0.0)
 SETUP_LIKE: Final = Setup(0.0, _ZERO, _ZERO, _ZERO, _ZERO)
@@ -70,7 +70,7 @@ LED_OFF: Final = b"\x04\x00"
 
 
 class Words(NamedTuple):
-    """The words of a puck, behind those of the log."""
+    """Fields of a puck, after the fields of the log."""
 
     reports: Annotated[int, counter("reports received")]
     foreign: Annotated[int, counter("of these, of other kinds (a wireless puck tells its battery)")]
@@ -89,10 +89,10 @@ AT: Final = lay_out(Words, after=LOG)
 
 @jit
 def _drain(handle: int, now: int) -> int:
-    """Take every report that is there; OK if one said something, STALE if none came, or a status below 0.
+    """Read every queued report. Return OK if one had a deflection or buttons, STALE without one, or a status below 0.
 
-    Where the queue has been full, as after minutes between opening and the first tick, nobody knows where the puck is
-    now: it counts as let go until it says.
+    If the queue was full, as after minutes between opening and the first tick, the present deflection is unknown: it
+    counts as zero until the next report.
     """
     at = int64_at(handle)
     state = handle + 8 * AT.state
@@ -123,26 +123,26 @@ def _drain(handle: int, now: int) -> int:
 
 @jit
 def setup_of(handle: int) -> Setup:
-    """The numbers of a puck's options."""
+    """Return the options of a puck, converted for kernels."""
     return unpack_at(SETUP_LIKE, handle + 8 * AT.setup)  # type: ignore[no-any-return]
 
 
 @jit
 def place(handle: int) -> tuple[Vec3, Quaternion]:
-    """Where the puck has moved to: position (3,) m and orientation."""
+    """Return the fingertip's position (3,) m and orientation."""
     state = float64_at(handle + 8 * AT.state)
     return (state[0], state[1], state[2]), (state[3], state[4], state[5], state[6])
 
 
 @jit
 def mask(handle: int) -> float:
-    """Its buttons, a bit each."""
+    """Return the buttons, one bit each."""
     return float(float64_at(handle + 8 * AT.state)[MASK])
 
 
 @jit
 def follow(handle: int, setup: Setup, now: int, dt: float) -> int:
-    """Take the puck's reports and move the fingertip for `dt` (s); the status of the puck."""
+    """Read the puck's reports and move the fingertip by `dt` (s); return the status of the puck."""
     at = int64_at(handle)
     if at[AT.fd] < 0:
         return LOST
@@ -164,7 +164,7 @@ def follow(handle: int, setup: Setup, now: int, dt: float) -> int:
     return status
 
 
-@c_function(IO_SIGNATURE, on_demand=True)  # the simulated device imports this, and has its own
+@c_function(IO_SIGNATURE, on_demand=True)  # the simulated device imports this module, but not `read`
 def read(handle: int, sample: Any) -> int:
     at = int64_at(handle)
     now = monotonic_ns(handle + 8 * AT.timespec)
@@ -180,11 +180,11 @@ def read(handle: int, sample: Any) -> int:
     sample[SAMPLE_TIME] = state[TIME]
     sample[SAMPLE_BUTTONS] = state[MASK]
     sample[SAMPLE_GRIPPER] = 0.0
-    return OK  # a puck at rest is silent: where the fingertip stays is a new sample all the same
+    return OK  # a puck at rest is silent, so an unchanged pose is a new sample too
 
 
 class Puck:
-    """An open puck on the file descriptor `fd` of its node, which it owns from now on; LOG and AT lay out `block`."""
+    """Open puck, owner of the file descriptor `fd` of its node; LOG and AT lay out `block`."""
 
     def __init__(self, options: Options, fd: int, block: Block) -> None:
         self._word, self._led = block.word, options.led
@@ -197,7 +197,7 @@ class Puck:
         self._light(LED_ON)
 
     def close(self) -> None:
-        """Lamp off, node released. Any number of times, but not while the loop reads."""
+        """Switch the lamp off and close the node. May be called repeatedly, but not while the loop reads."""
         fd = int(self._word[AT.fd])
         if fd >= 0:
             self._light(LED_OFF)
@@ -206,12 +206,12 @@ class Puck:
 
     def _light(self, report: bytes) -> None:
         if self._led:
-            with contextlib.suppress(OSError):  # some have no lamp, and one that is gone needs none
+            with contextlib.suppress(OSError):  # some have no lamp, and a disconnected one needs none
                 os.write(int(self._word[AT.fd]), report)
 
 
 class SpaceMouse(Device):
-    """The puck's fingertip as a device. What is written goes nowhere, and is kept as a replay keeps it."""
+    """Fingertip of the puck as a device. Written wrenches are only logged."""
 
     def __init__(self, options: Options, fd: int, rate_hz: float, name: str = "puck") -> None:
         self._block = Block(LOG, AT)
@@ -219,8 +219,7 @@ class SpaceMouse(Device):
         self._puck = Puck(options, fd, self._block)
         x0, y0, z0 = (float(a) for a in options.workspace_min_m)
         x1, y1, z1 = (float(a) for a in options.workspace_max_m)
-        # It displays no force, so it limits none: the rig's guard does, and telemetry has the force that a hand
-        # would feel.
+        # It displays no force, so its limits are wide: the rig's guard limits the force in telemetry.
         self.info = DeviceInfo(
             name=f"spacemouse {name}",
             sensed_dof=6,
@@ -247,14 +246,14 @@ class SpaceMouse(Device):
         return self._block.counts()
 
     def written(self) -> Written:
-        """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""
+        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
         return self._log.written()
 
 
 def open_puck(options: Options) -> tuple[int, str]:
-    """File descriptor and name of the puck that the options name, or of the only one attached.
+    """Open the puck that the options select, or the only one attached; return file descriptor and name.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when the node is no puck's.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if the node is not a puck's.
     """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"a SpaceMouse is read through Linux's hidraw, and this is {sys.platform}")
@@ -263,10 +262,10 @@ def open_puck(options: Options) -> tuple[int, str]:
 
 
 def find(options: Options) -> Attached:
-    """The one puck that the options fit; DeviceNotFound when there is none or more than one."""
+    """Return the puck that matches the options; raises DeviceNotFound if there is none or more than one."""
     nodes = list(discovery.hidraw_nodes())
     if options.path is not None:
-        # a node that the tables do not have is said to be absent, or no node, when it is opened
+        # opening reports whether an unlisted node is missing or is no node
         return next(
             (one for one in nodes if one.node == options.path), Attached("hid", *PUCKS[0], "", "", options.path)
         )
@@ -283,6 +282,6 @@ def find(options: Options) -> Attached:
 
 
 def open_device(options: Options, rate_hz: float) -> SpaceMouse:
-    """Open the puck a rig names; DeviceError and its kinds when it cannot be used."""
+    """Open the puck that a rig describes; raises DeviceError or a subclass if it cannot be used."""
     fd, name = open_puck(options)
     return SpaceMouse(options, fd, rate_hz, name)

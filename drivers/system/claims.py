@@ -1,7 +1,7 @@
-"""Which driver a device belongs to, by its USB ids, without an import of that driver.
+"""Assignment of devices to drivers by USB ids, without importing the driver.
 
-A device whose ids a rig of this program names (`driver = "hid"` or `"serial"`) belongs to that rig, if it also has the
-reports of the rig, and if its product string is not another maker's: boards share their ids with other programs.
+A device with ids from a shipped rig (`driver = "hid"` or `"serial"`) belongs to that rig, if it has the rig's reports
+and no product string of another maker: other programs use boards with the same ids.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ PUCKS: Final = (
     *((0x046D, product) for product in (0xC625, 0xC626, 0xC627, 0xC629, 0xC62B)),
     *((0x256F, product) for product in (0xC62E, 0xC632, 0xC633, 0xC635, 0xC638, 0xC63A, 0xC652)),
 )
-"""Ids of 3Dconnexion's pucks and their receivers."""
+"""Ids of 3Dconnexion pucks and their receivers."""
 
 TEENSY_SERIAL: Final = (0x16C0, 0x0483)
-"""Ids of every Teensy with a serial port, whatever program it runs."""
+"""Ids of every Teensy with a serial port, regardless of its program."""
 HAPLY: Final = "haply"
 OTHER_PRODUCTS: Final = {TEENSY_SERIAL: {HAPLY: "a Haply Inverse3"}}
-"""By ids that several makers use: how the product string of another maker's device begins, in small letters."""
+"""Start of the product string of another maker's device, in lower case, by ids that several makers use."""
 
 
 class Claim(NamedTuple):
-    """A driver's word that devices of these ids are its own; `product` None: every one of the vendor.
+    """Claim of a driver to the devices of these ids; `product` None: every product of the vendor.
 
-    reports  that a HID device has to announce; None: any
-    begins   how its product string has to begin, in small letters, where others have the same ids
+    reports  reports that a HID device has to announce; None: any
+    begins   required start of its product string, in lower case, if devices of other makers have the same ids
     """
 
     driver: str
@@ -47,10 +47,10 @@ class Claim(NamedTuple):
 
 
 def claim_on(device: Attached) -> Claim | None:
-    """Who claims a device, with the shipped rigs for it; None if nobody does.
+    """Return the claim to a device, with the shipped rigs for it; None if no driver claims it.
 
-    A driver over hidraw or a serial port claims the device on the USB bus too: it is there without a node when the
-    system's support for these is missing.
+    Drivers of hidraw nodes and serial ports also claim the device on the USB bus, where it is listed without a node if
+    the system lacks support for these nodes.
     """
     if other_product(device) is not None:
         return next((claim for claim in claims_by_ids(device) if _begins(device, claim.begins)), None)
@@ -61,12 +61,12 @@ def claim_on(device: Attached) -> Claim | None:
 
 
 def claims_by_ids(device: Attached) -> list[Claim]:
-    """Whose the ids of a device are, whatever else it says of itself."""
+    """Return the claims to the ids of a device, regardless of its reports and product string."""
     return [claim for claim in claims() if claim.vendor == device.vendor and claim.product in (None, device.product)]
 
 
 def other_product(device: Attached) -> str | None:
-    """What a device is that has the ids of one of ours and the product string of another maker's; else None."""
+    """Return a description of a device with known ids, but the product string of another maker; else None."""
     known = OTHER_PRODUCTS.get((device.vendor, device.product), {})
     return next((what for begins, what in known.items() if _begins(device, begins)), None)
 
@@ -76,7 +76,7 @@ def _begins(device: Attached, begins: str) -> bool:
 
 
 def may_be(device: Attached, options: Mapping[str, Any]) -> bool:
-    """Whether a device may be the one that a rig's [device] table describes by its USB ids."""
+    """Return True if a device matches the USB ids and reports in a rig's [device] table."""
     if (device.vendor, device.product) != (options["vendor_id"], options.get("product_id")) or other_product(device):
         return False
     format_ = options.get("reports")
@@ -85,9 +85,9 @@ def may_be(device: Attached, options: Mapping[str, Any]) -> bool:
 
 
 def undecided(device: Attached) -> str | None:
-    """Why nobody can tell what a device is before it is opened; None where ids and product string do.
+    """Return why ids and product string do not identify a device; None if they do.
 
-    The product string of WoodenHaptics' own board is not published, so no string is taken for it.
+    The product string of WoodenHaptics' board is unpublished, so no string identifies it.
     """
     if (device.vendor, device.product) != TEENSY_SERIAL or other_product(device) is not None:
         return None
@@ -106,7 +106,7 @@ def _has_reports(device: Attached, claim: Claim) -> bool:
 
 @cache
 def claims() -> tuple[Claim, ...]:
-    """Every claim. The rigs are read once: they belong to the program and stay what they are while it runs."""
+    """Return every claim. The shipped rigs are read once, because they do not change at run time."""
     return tuple(_claims())
 
 
@@ -114,7 +114,7 @@ def _claims() -> Iterator[Claim]:
     rigs: dict[tuple[str, int | None, int | None], dict[str | None, list[str]]] = {}
     for name in shipped(Rig):
         device = load_rig(name).device
-        if device is None:  # its devices are told by the rigs of each alone
+        if device is None:  # a rig of several devices; other rigs describe each of them
             continue
         ids = (device.driver, device.options.get("vendor_id"), device.options.get("product_id"))
         format_ = device.options.get("reports")
@@ -138,7 +138,7 @@ def _claims() -> Iterator[Claim]:
 
 
 def _lengths(format_: str | None) -> Announced | None:
-    """Report lengths of a format of the library, which is read here without its driver."""
+    """Return the report lengths of a shipped format, read here without importing its driver."""
     if format_ is None:
         return None
     one = tomllib.loads((Path(__file__).parents[1] / "hid" / "reports.toml").read_text(encoding="utf-8"))[format_]

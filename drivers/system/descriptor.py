@@ -1,4 +1,4 @@
-"""The reports that a HID report descriptor announces: how long each is.
+"""Lengths of the reports that a HID report descriptor announces.
 
 Source: Device Class Definition for Human Interface Devices 1.11, section 6.2.2.
 """
@@ -15,13 +15,13 @@ _LONG: Final = 0xFE
 
 
 class Announced(NamedTuple):
-    """Report lengths in bytes without the id, by id (0: not numbered)."""
+    """Report lengths in bytes without the id, by id (0: reports without id)."""
 
     input: dict[int, int]
     output: dict[int, int]
 
     def has(self, other: Announced) -> bool:
-        """Whether every report of `other` is among these, with its length."""
+        """Return True if every report of `other` is included with the same length."""
         return other.input.items() <= self.input.items() and other.output.items() <= self.output.items()
 
     def __str__(self) -> str:
@@ -29,7 +29,7 @@ class Announced(NamedTuple):
 
 
 def announced(descriptor: bytes) -> Announced:
-    """The reports of a descriptor. ValueError when its items do not add up to its length."""
+    """Return the reports of a descriptor. Raises ValueError if its last item is incomplete."""
     bits: dict[Kind, dict[int, int]] = {"input": {}, "output": {}}
     size = count = number = 0
     kept: list[tuple[int, int, int]] = []

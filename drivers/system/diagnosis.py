@@ -1,4 +1,4 @@
-"""Why an attached device cannot be opened by its driver, and the command that mends it. Nothing is opened for it."""
+"""Diagnosis why the driver of an attached device cannot open it, and the command that repairs it. Nothing is opened."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from softfinger.drivers.system.discovery import Attached
 from softfinger.drivers.system.rules import command
 
 MODULES: Final = {"hid": ("hidraw node", "usbhid"), "serial": ("serial port", "cdc_acm")}
-"""What the system gives a device of a bus, and the module of the kernel that makes it."""
+"""Node that the system creates for a device of a bus, and the kernel module for it."""
 
 
 OVER_A_LIBRARY: Final = ("forcedimension", "openhaptics")
-"""Drivers over a library of the maker's, which does not come with this program."""
+"""Drivers that need a maker's library, which this program does not include."""
 
 
 class Diagnosis(NamedTuple):
-    """Whether a device can be used, in a word; if not, why and what to do.
+    """State of a device: usable or not, with reason and remedy.
 
-    state   usable, unclaimed, or what is in the way: driver, node, permission, busy, product, library, service,
-            firmware; error, where a device that was asked failed
+    state   usable, unclaimed, error (communication with the device failed), or the obstacle: driver, node, permission,
+            busy, product, library, service, firmware
     """
 
     state: str
@@ -36,9 +36,9 @@ class Diagnosis(NamedTuple):
 
 
 def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = None) -> Diagnosis:
-    """Why a device cannot be opened by its driver; the first reason of those that have to be mended in turn.
+    """Return the first obstacle to opening a device with its driver; they have to be removed in this order.
 
-    rig  names the files that its driver needs
+    rig  configures files that the driver needs
     """
     if claim is None:
         if (other := other_product(device)) is not None:
@@ -60,7 +60,7 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
         return Diagnosis("unclaimed", "no driver knows it")
     if claim.driver not in registry.names():
         return Diagnosis("driver", f"its driver '{claim.driver}' is not in this installation")
-    if claim.driver == "haply":  # its port is the service's, which holds it all the time
+    if claim.driver == "haply":  # the service has the port open all the time
         return needs(claim, options_for(claim, rig))
     bare = device.bus == "usb" and claim.bus in MODULES
     if bare and claim.driver != "hid":
@@ -86,17 +86,17 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
 
 
 def makers_library(driver: str) -> Any:
-    """The module of a driver that finds the maker's library: NAME, `load(file)`, and REMEDY where it is missing."""
+    """Return the library module of a driver: NAME, `load(file)`, and REMEDY if it is missing."""
     return importlib.import_module(f"softfinger.drivers.{driver}.library")
 
 
 def options_for(claim: Claim, rig: DeviceConfig | None) -> Mapping[str, Any]:
-    """The keys of a rig for a device; a rig of another driver has none."""
+    """Return a rig's options for a device; empty for a rig of another driver."""
     return rig.options if rig is not None and rig.driver == claim.driver else {}
 
 
 def needs(claim: Claim, options: Mapping[str, Any], said: Mapping[str, Any] | None = None) -> Diagnosis:
-    """What a driver needs besides the device, with the options of a rig for it and what the device said itself."""
+    """Return the diagnosis of a driver's other requirements, given a rig's options and the device's answers."""
     if claim.driver in OVER_A_LIBRARY:
         library = makers_library(claim.driver)
         try:
@@ -122,7 +122,7 @@ def needs(claim: Claim, options: Mapping[str, Any], said: Mapping[str, Any] | No
 
 
 def how_to_permit(device: Attached) -> str:
-    """The command that lets this user open a node: a group that has the right already, else the udev rules."""
+    """Return the command that permits this user to open a node: membership of a group, else the udev rules."""
     if (group := discovery.group_with_access(device.node)) is not None:
         return f"sudo usermod -aG {group} $USER   # then log in again"
     return f"{command(device.vendor, device.product)}   # then plug the device in again"

@@ -1,8 +1,7 @@
-"""What is attached to this machine: its USB devices, hidraw nodes and serial ports, who holds them, and who may open
-them.
+"""Discovery of USB devices, hidraw nodes and serial ports, with the processes and users that may access them.
 
-Nothing is opened: names and numbers come from the system's tables, so that a look disturbs no device in use.
-On Linux these are sysfs, which also tells what this user may not open; elsewhere USB is asked through pyusb.
+Nothing is opened: names and numbers are read from the system's tables, so that discovery does not disturb a device in
+use. On Linux the table is sysfs, which also lists devices that this user may not open; elsewhere pyusb is used for USB.
 """
 
 from __future__ import annotations
@@ -24,18 +23,21 @@ USB: Final = Path("sys/bus/usb/devices")
 HIDRAW: Final = Path("sys/class/hidraw")
 TTY: Final = Path("sys/class/tty")
 USB_PORTS: Final = ("ttyACM", "ttyUSB")
-"""How the names of serial ports on USB begin; the table also has every terminal of the system."""
+"""Prefixes of serial ports on USB; the table also contains every terminal of the system."""
 
 READ_AND_WRITE_BY_GROUP: Final = stat.S_IRGRP | stat.S_IWGRP
 
 
 NO_PRODUCT: Final = "serial port"
-"""Name of a port whose device gives no product string."""
+"""Name of a port whose device has no product string."""
 
 
 class Attached(NamedTuple):
-    """A device of the system's tables. `node` is what a driver opens, empty where the system has none; `descriptor` the
-    report descriptor of a HID device, empty where the system does not tell."""
+    """Device listed by the system.
+
+    node        path that a driver opens; empty if there is none
+    descriptor  report descriptor of a HID device; empty if the system does not provide it
+    """
 
     bus: Bus
     vendor: int
@@ -54,7 +56,7 @@ class Attached(NamedTuple):
 
 
 class Holder(NamedTuple):
-    """A process that has a node open."""
+    """Process that has a node open."""
 
     pid: int
     name: str
@@ -64,9 +66,9 @@ class Holder(NamedTuple):
 
 
 def attached(root: Path = ROOT) -> list[Attached]:
-    """Every hidraw node and serial port on USB, and every USB device that has neither, hubs left out.
+    """Return every hidraw node and serial port on USB, and every USB device that has neither, except hubs.
 
-    root  holds sys and dev
+    root  folder that contains sys and dev
     """
     nodes = [*hidraw_nodes(root), *serial_ports(root)]
     seen = {(one.vendor, one.product) for one in nodes}
@@ -74,12 +76,12 @@ def attached(root: Path = ROOT) -> list[Attached]:
 
 
 def has_usb(root: Path = ROOT) -> bool:
-    """Whether the system has a USB bus at all."""
-    return os.path.isdir(root / USB)  # False, too, where this user may not look
+    """Return True if the system has a USB bus."""
+    return os.path.isdir(root / USB)  # also False if this user may not read the folder
 
 
 def names(root: Path = ROOT) -> frozenset[str]:
-    """Names under which the system lists what is attached; cheap enough to be asked every second."""
+    """Return the names of attached devices in the system's tables; cheap enough to call every second."""
     return frozenset(
         str(folder / name)
         for folder, is_one in ((USB, _is_device), (HIDRAW, bool), (TTY, _is_port))
@@ -89,7 +91,7 @@ def names(root: Path = ROOT) -> frozenset[str]:
 
 
 def described(name: str, root: Path = ROOT) -> Attached | None:
-    """The device of one of `names`; None when it is gone already, or is a hub."""
+    """Return the device for one of `names`; None if it was unplugged, or is a hub."""
     path = root / name
     if path.parent == root / TTY:
         return _serial_port(path)
@@ -97,7 +99,7 @@ def described(name: str, root: Path = ROOT) -> Attached | None:
 
 
 def hidraw_nodes(root: Path = ROOT) -> Iterator[Attached]:
-    """Every hidraw node, in the order of its number."""
+    """Yield every hidraw node, in numeric order."""
     folder = root / HIDRAW
     for name in _in_order(_listed(folder)):
         if (found := _hidraw_node(folder / name)) is not None:
@@ -105,7 +107,7 @@ def hidraw_nodes(root: Path = ROOT) -> Iterator[Attached]:
 
 
 def serial_ports(root: Path = ROOT) -> Iterator[Attached]:
-    """Every serial port on USB, in the order of its number."""
+    """Yield every serial port on USB, in numeric order."""
     folder = root / TTY
     for name in _in_order(filter(_is_port, _listed(folder))):
         if (found := _serial_port(folder / name)) is not None:
@@ -113,12 +115,12 @@ def serial_ports(root: Path = ROOT) -> Iterator[Attached]:
 
 
 def serial_port(node: str, root: Path = ROOT) -> Attached | None:
-    """The device behind a port's node, which may be a link to it; None if the port is not one on USB."""
+    """Return the device of a port's node or of a link to it; None if the port is not on USB."""
     return _serial_port(root / TTY / os.path.basename(os.path.realpath(node)))
 
 
 def usb_devices(root: Path = ROOT) -> Iterator[Attached]:
-    """Every USB device but hubs, by sysfs, or through pyusb where there is no such table."""
+    """Yield every USB device except hubs, from sysfs, or through pyusb if there is no sysfs."""
     folder = root / USB
     if not os.path.isdir(folder):
         yield from _through_pyusb()
@@ -129,15 +131,15 @@ def usb_devices(root: Path = ROOT) -> Iterator[Attached]:
 
 
 def permitted(node: str) -> bool:
-    """Whether this user may read and write a node."""
+    """Return True if this user may read and write a node."""
     acting_for_another = os.geteuid() != os.getuid()
     return os.access(node, os.R_OK | os.W_OK, effective_ids=acting_for_another)
 
 
 def holder(node: str) -> Holder | None:
-    """Who has locked a node, else another process that has it open; None when nobody can be seen to.
+    """Return the process that has locked a node, else another process that has it open; None if none is visible.
 
-    The locks of every user are in /proc/locks, the open files only of processes that this user may look into.
+    /proc/locks lists the locks of all users, but open files are visible only for processes that this user may inspect.
     """
     try:
         wanted = os.stat(node)
@@ -159,7 +161,7 @@ def holder(node: str) -> Holder | None:
 
 
 def group_with_access(node: str) -> str | None:
-    """A group other than root's that may read and write a node."""
+    """Return a group other than root's that may read and write a node; None if there is none."""
     try:
         seen = os.stat(node)
         opens = seen.st_gid != 0 and seen.st_mode & READ_AND_WRITE_BY_GROUP == READ_AND_WRITE_BY_GROUP
@@ -180,7 +182,7 @@ def _listed(folder: Path) -> list[str]:
 
 
 def _is_device(name: str) -> bool:
-    """Interfaces have a colon in their name (1-1:1.0), and root hubs none but their own (usb1)."""
+    """Return True for a device: interfaces have a colon in their name (1-1:1.0), root hubs start with usb (usb1)."""
     return ":" not in name and not name.startswith("usb")
 
 
@@ -230,7 +232,7 @@ def _usb_device(path: Path) -> Attached | None:
 
 
 def _serial_port(path: Path) -> Attached | None:
-    # `device` leads to the port's interface, which lies in the folder of its USB device.
+    # `device` links to the port's interface, in a subfolder of its USB device
     for folder in (path / "device").resolve().parents:
         vendor, product = (_number(_text(folder / key), 16) for key in ("idVendor", "idProduct"))
         if vendor is not None and product is not None:
@@ -244,7 +246,7 @@ def _usb_node(bus: int, number: int) -> str:
 
 
 def seen_by_pyusb(**ids: int) -> list[Any]:
-    """pyusb's devices of these ids; none also where there is no USB, no right to list it, or no libusb to look with."""
+    """Return pyusb's devices with these ids; none without USB, without permission to list it, or without libusb."""
     import usb.core
 
     try:

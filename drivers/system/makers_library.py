@@ -1,4 +1,4 @@
-"""A maker's C library, found at run time: opened, and each function of it declared before the first call."""
+"""C library of a maker, found at run time and opened, with prototypes declared before the first call."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from softfinger.config.files import expanded
 
 
 class MakersLibrary(NamedTuple):
-    """A library as a driver knows it.
+    """Properties of a maker's library.
 
-    name        in messages
-    sonames     what the loader is asked for last
+    name        for messages
+    sonames     names to try with the loader, after all files
     prototypes  result and parameters of every function used
-    advice      where to get it
-    needs       why a file that is there cannot be loaded
-    version     to take, where a function is missing
+    advice      source of the library, for messages
+    needs       reason why an existing file cannot be loaded, for messages
+    version     version to install if a function is missing
     """
 
     name: str
@@ -32,21 +32,20 @@ class MakersLibrary(NamedTuple):
 
 
 def load(library: MakersLibrary, named: str | None, patterns: Sequence[Path], note: str = "") -> ctypes.CDLL:
-    """The library, from the file `named` or from where it is usually put, with every prototype declared.
+    """Load the library from the file `named` or from its usual places, and declare every prototype.
 
-    patterns  where it may be, in the order in which it is looked for; the last part of each is a pattern
-    note      said where it is nowhere, behind the places
+    patterns  places to search, in order; the last part of each is a glob pattern
+    note      appended to the list of searched places in the message
 
-    Raises DeviceNotFound when it is nowhere, with each place looked in, and DeviceError when a file is there but
-    cannot be used.
+    Raises DeviceNotFound, with every place searched, if no file exists, and DeviceError if a file cannot be used.
     """
     if named is not None:
         path = expanded(named)
-        if not os.path.isfile(path):  # also where this user may not look
+        if not os.path.isfile(path):  # also if this user may not read the folder
             raise DeviceNotFound(f"library_file = '{named}': there is no such file; {library.advice}")
         return _opened(library, str(path))
     for pattern in patterns:
-        # The longest name has the whole version in it; of several versions the newest sorts last.
+        # The longest name contains the full version; the latest version sorts last.
         for path in sorted(pattern.parent.glob(pattern.name), key=lambda p: (len(p.name), p.name), reverse=True):
             return _opened(library, str(path))
     for name in library.sonames:
@@ -59,7 +58,7 @@ def load(library: MakersLibrary, named: str | None, patterns: Sequence[Path], no
 
 
 def address(library: ctypes.CDLL, name: str) -> int:
-    """Address of a function for the loop."""
+    """Return the address of a function for the loop."""
     return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
 
 

@@ -1,4 +1,4 @@
-"""A device node opened for this process alone: hidraw and serial ports alike."""
+"""Exclusive opening of a device node, used for hidraw nodes and serial ports."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from softfinger.drivers.system import discovery
 
 
 def open_locked(path: str, permit: str) -> int:
-    """File descriptor of a node for reading and writing, non-blocking, locked.
+    """Open a node for reading and writing, non-blocking and locked, and return its file descriptor.
 
-    permit  what a user has to do who may not open it
+    permit  remedy for a missing permission, for the message
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy or DeviceError.
     """
@@ -41,7 +41,7 @@ def _unopened(path: str, permit: str, error: OSError) -> DeviceError:
 
 
 def _lock(fd: int, path: str) -> None:
-    # The system itself lets any number of programs write to one device; two that command forces must not.
+    # The system lets any number of programs write to a device; two that command forces would interfere.
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:

@@ -1,4 +1,4 @@
-"""What a mesh is, what was mended of it, and what was only noted."""
+"""Report on a mesh: its properties, the repairs, and the remaining faults."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ USUAL_M: Final = (1e-3, 1.0)
 
 @dataclass(frozen=True)
 class Report:
-    """A mesh as it is rendered: counts, m, m^3.
+    """Properties of a mesh as it is rendered: counts, m, m^3.
 
-    size_m      along its axes, scaled
-    watertight  every edge has two triangles, which agree on which side is outside
-    volume_m3   None where it is not watertight
-    bodies      pieces that hang together over edges of two triangles
+    size_m      extent along its axes, scaled
+    watertight  each edge has two triangles, consistent about which side is outside
+    volume_m3   None if the mesh is not watertight
+    bodies      pieces connected over edges of two triangles
     """
 
     triangles: int
@@ -40,7 +40,7 @@ class Report:
     noted: tuple[str, ...]
 
     def rows(self, inside: bool = False) -> list[tuple[str, str]]:
-        """For people: what, and what about it, for an object that is touched from `inside` or not."""
+        """Return label and text of each property; `inside`: the object is touched from inside."""
         size = " x ".join(f"{edge:.4g}" for edge in self.size_m)
         bodies = "" if self.bodies == 1 else f", {self.bodies:,} bodies"
         found = [("triangles", f"{self.triangles:,} on {self.vertices:,} vertices{bodies}"), ("size", f"{size} m")]

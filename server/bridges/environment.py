@@ -1,12 +1,12 @@
-"""A fingertip to learn with: an environment of Gymnasium's over the contact and a simulated hand, compiled, no clock.
+"""Gymnasium environment of a fingertip, on the contact model and a simulated hand, compiled and without a clock.
 
     import gymnasium
-    import softfinger.server.bridges.environment        # makes the name known
+    import softfinger.server.bridges.environment        # registers the name
 
     env = gymnasium.make("softfinger/Touch-v0", scene="sphere")
 
-The agent leads the hand: where it wants the fingertip to be, and how turned. Its spring and damper pull the handle
-there, as far as the contact lets it, tick by tick as in the daemon with the device `simulated`.
+The agent sets the goal of the hand, position and orientation. Spring and damper of the hand pull the handle there, as
+far as the contact allows, tick by tick as in the daemon with the device `simulated`.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ NAME: Final = "softfinger/Touch-v0"
 FAST_M_PER_S: Final = 100.0
 DEEP_M: Final = 0.1
 MANY_RAD: Final = 1e3
-"""Bounds of observations that nothing real comes near."""
+"""Bounds of observations, far beyond real values."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What an environment is like, but for the scene.
+    """Parameters of an environment, except the scene.
 
-    home_m           (3,) m       where hand and fingertip begin, at rest
+    home_m           (3,) m       initial position of hand and fingertip, at rest
     reach_m          m            largest distance of the hand's goal from there, along each axis
-    speed_m_per_s    m/s          of the goal, along each axis, at most
-    turn_rad_per_s   rad/s        of the goal, about each axis of the world, at most
+    speed_m_per_s    m/s          largest speed of the goal, along each axis
+    turn_rad_per_s   rad/s        largest angular velocity of the goal, about each world axis
     step_ticks       ticks        of a step of the environment
-    episode_steps    steps        until an episode is cut off
-    goal_n           N            of the task: the normal force that is to be kept
+    episode_steps    steps        until an episode is truncated
+    goal_n           N            target of the task: normal force to maintain
     rate_hz          Hz           of the ticks
-    hand                          that holds the handle of an omega.6
+    hand                          impedance of the hand on the handle of an omega.6
     """
 
     home_m: Place = (0.0, 0.0, 0.015)
@@ -64,15 +64,15 @@ class Setup:
 
 
 class Touch(LedHands):
-    """A fingertip that is led to a scene's objects, for one finger.
+    """Fingertip that the agent leads to a scene's objects; for scenes with one finger.
 
-    scene    what `load_scene` takes
-    setup    the rest; keywords of `Setup` may be given instead: Touch("sphere", goal_n=1.0)
+    scene    as for `load_scene`
+    setup    parameters; keywords of `Setup` may be given instead: Touch("sphere", goal_n=1.0)
 
-    action       (6,) from -1 to 1, held for a step: velocity of the hand's goal along x, y, z as a share of
-                 `speed_m_per_s`, its turning about x, y, z as a share of `turn_rad_per_s`, world frame
-    observation  a dict of arrays, with names and units of the telemetry at the step's last tick, and where the goal is
-    reward       minus the mean distance (N) of the normal force from `goal_n` over the ticks of the step
+    action       (6,) from -1 to 1, constant during a step: velocity of the hand's goal along x, y, z as a fraction of
+                 `speed_m_per_s`, angular velocity about x, y, z as a fraction of `turn_rad_per_s`, world frame
+    observation  dict of arrays, with names and units of the telemetry at the step's last tick, and pose of the goal
+    reward       negative mean distance (N) of the normal force from `goal_n` over the ticks of the step
     info         "records": Records (step_ticks, RECORD_SIZE), every tick of the step
 
     Never terminated; truncated after `episode_steps`. For another task override `reward` and `terminated`.
@@ -107,11 +107,11 @@ class Touch(LedHands):
         self._start()
 
     def reward(self, records: Records) -> float:
-        """Of a step, from its records: minus the mean distance (N) of the normal force from the goal."""
+        """Return the negative mean distance (N) of the normal force from the goal, from the records of a step."""
         return -float(np.abs(records["contact.normal_force"] - self.setup.goal_n).mean())
 
     def terminated(self, records: Records) -> bool:
-        """Whether a step ended the task, from its records: never."""
+        """Return False: a step never ends the task."""
         return False
 
     def _way(self, action: Array) -> Array:
@@ -133,7 +133,7 @@ class Touch(LedHands):
 
 
 def _turned(turns: Array, orientation: Array) -> Array:
-    """Quaternions (n, 4): an orientation (4,) turned by rotation vectors (n, 3), world frame."""
+    """Return quaternions (n, 4): an orientation (4,) rotated by rotation vectors (n, 3), world frame."""
     angles = np.linalg.norm(turns, axis=1, keepdims=True)
     w, v = np.cos(0.5 * angles), 0.5 * np.sinc(0.5 * angles / np.pi) * turns
     w0, v0 = orientation[0], orientation[1:]

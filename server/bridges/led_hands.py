@@ -1,4 +1,4 @@
-"""Simulated hands that an agent leads: what the environments of Gymnasium share."""
+"""Simulated hands that an agent leads: the common base of the Gymnasium environments."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ Observation = dict[str, Any]
 Place = tuple[float, float, float]
 
 FAR_M: Final = 1.0
-"""A bound of observed positions that nothing real comes near."""
+"""Bound of observed positions, far beyond real values."""
 RAMP_S: Final = 0.01
-"""The guard's, as short as it may be: over before the first step."""
+"""Shortest ramp of the guard: complete before the first step."""
 
 
 def bounded(most: float, *shape: int) -> spaces.Box:
-    """Arrays of a shape, each number between -most and most."""
+    """Return a space of arrays with elements between -most and most."""
     return spaces.Box(-most, most, shape, np.float64)
 
 
 class LedHands(gymnasium.Env[Observation, Array], ABC):
-    """Simulated hands that an agent leads, one for each finger of a scene. A subclass says what is seen and rewarded.
+    """Simulated hands that an agent leads, one per finger of a scene. Subclasses define observation and reward.
 
-    scene     what `load_scene` takes; ConfigError where it has another number of fingers
-    setup     the dataclass of the subclass
-    homes_m   (3,) m of each hand, where it begins, at rest
+    scene     as for `load_scene`; ConfigError if its number of fingers differs
+    setup     dataclass of the subclass
+    homes_m   (3,) m of each hand, its initial position, at rest
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  (as the base class declares it)
@@ -70,7 +70,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """A new episode: hands at home, bodies where the model has them, no contact remembered. Nothing is random."""
+        """Start an episode: hands at home, bodies at their initial poses, no contact history. Nothing is random."""
         super().reset(seed=seed)
         self._start()
         settling = max(self.setup.step_ticks, round(RAMP_S * self.setup.rate_hz))
@@ -78,9 +78,9 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         return self._observed(records), {"records": records}
 
     def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Lead the hands for `step_ticks`; numbers beyond -1 and 1 are clamped.
+        """Lead the hands for `step_ticks`; elements of the action beyond -1 and 1 are clamped.
 
-        Raises PoseError if the action is not made of six finite numbers.
+        Raises PoseError unless the action is six finite numbers.
         """
         try:
             wanted = np.asarray(action, np.float64)
@@ -95,15 +95,15 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
 
     @abstractmethod
     def reward(self, records: Any) -> float:
-        """Of a step, from its records."""
+        """Return the reward of a step from its records."""
 
     @abstractmethod
     def terminated(self, records: Any) -> bool:
-        """Whether a step ended the task, from its records."""
+        """Return True if a step ends the task, from its records."""
 
     @abstractmethod
     def _observed(self, records: Any) -> Observation:
-        """What the agent sees at the end of a step, from its records."""
+        """Return the observation at the end of a step, from its records."""
 
     def _start(self) -> None:
         scene = self._tuning.like.scene
@@ -114,7 +114,10 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         self._ticks = self._steps = 0
 
     def _way(self, action: Array) -> Array:
-        """Goals (ticks + 1, hands, 7) from where they are, straight: along x, y, z of each hand in turn."""
+        """Return goals (ticks + 1, hands, 7) on straight lines from the current ones.
+
+        The action has velocities along x, y, z for each hand in turn.
+        """
         goals = np.tile(self._goals, (len(self._times), 1, 1))
         velocity = self.setup.speed_m_per_s * action[: 3 * len(self._homes)].reshape(-1, 3)
         led = self._goals[:, :3] + self._times[:, None] * velocity
@@ -122,14 +125,17 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         return goals
 
     def _run(self, goals: Array) -> Any:
-        """Records by finger of the ticks that lead along goals (ticks + 1, hands, 7), the first of which is now."""
+        """Run the ticks along goals (ticks + 1, hands, 7), of which the first is the current one.
+
+        Returns records by finger.
+        """
         intention = Intention(float(len(goals)), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
         hands = tuple(
             Held(device.plant, Drive(intention, goals[:, place].reshape(-1), line))
             for place, (device, line) in enumerate(zip(self._devices, self._lines, strict=True))
         )
         records = np.zeros((len(goals) - 1, len(hands), RECORD_SIZE))
-        # From tick 0 on, as the goals are numbered; what the first tick of all does is in the memory.
+        # Tick numbers start at 0, as the index of the goals; the memory distinguishes the first tick of an episode.
         record_ticks(self._tuning, self._memory, hands, self._states, self._dt, 0, records)
         check_bodies(self._tuning.like.scene)
         records[:, :, AT.timestamp] += self._ticks * self._dt

@@ -1,8 +1,8 @@
-"""A run in Rerun, from a recording or live: objects, fingertips and forces in space, figures and events over time.
+"""View of a recording or a live run in Rerun: objects, fingertips and forces in space, plots and events over time.
 
-`world` is the scene; below it `objects/NAME`, those on a body of [world] below `bodies/NAME`, and of each finger its
-fingertip, its proxy and its force. `plots/...` are the telemetry's fields of these names, every tick of them; `events`
-is a log. The timelines are `time` and `tick`.
+`world` is the scene. Below it are `objects/NAME`, objects on a body of [world] in `bodies/NAME`, and for each finger
+its fingertip, its proxy and its force. `plots/...` are the telemetry's fields of these names at every tick; `events` is
+a log. The timelines are `time` and `tick`.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ PLOTTED: Final = (
 
 
 def stream(save: Path | None = None, connect: str | None = None) -> Any:
-    """A recording of Rerun's: into a file, to a viewer that runs, or to one that is started here.
+    """Return a Rerun recording stream: into a file, to a running viewer, or to a viewer that is started here.
 
-    Raises ConfigError where rerun-sdk is missing, or has not what it is told to use.
+    Raises ConfigError if rerun-sdk is not installed, or if the file or viewer is not available.
     """
     try:
         import rerun
@@ -53,10 +53,10 @@ def stream(save: Path | None = None, connect: str | None = None) -> Any:
 
 
 class Shown:
-    """Takes what a daemon sends or a recording has, and logs it to a stream of Rerun's.
+    """Logs the data of a daemon or a recording to a Rerun stream.
 
     fingers  names of several fingers, one empty name for a single one
-    scene    what is drawn beside them, None for nothing
+    scene    scene to draw, None for none
     """
 
     failed = False
@@ -79,7 +79,7 @@ class Shown:
         self._draw_objects()
 
     def take(self, records: Array, finger: int) -> None:
-        """Records (n, RECORD_SIZE) of a finger, by its place."""
+        """Log records (n, RECORD_SIZE) of a finger, given by its index."""
         name, rows = self._fingers[finger], Records(records)
         for field in PLOTTED:
             path = f"plots/{name}/{field}" if name else f"plots/{field}"
@@ -91,7 +91,7 @@ class Shown:
             self._place(Records(records[shown]), name)
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """An event's map, as the wire has it."""
+        """Log an event, a map as on the wire."""
         self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(event), "ns"))
         self._stream.log("events", self._rr.TextLog(f"{event['kind']} {event['name']}: {event.get('message', '')}"))
         if self._scene is not None and (moved := driven(self._scene, event)) is not None:
@@ -99,7 +99,7 @@ class Shown:
             self._draw_objects()
 
     def world(self, world: Mapping[str, Any]) -> None:
-        """A message of `world`, a map as the wire has it."""
+        """Log a message of `world`, a map as on the wire."""
         self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(world), "ns"))
         self._stream.set_time("tick", sequence=world["tick"])
         for body in world["bodies"]:
@@ -110,7 +110,7 @@ class Shown:
 
     def _place(self, rows: Records, name: str) -> None:
         tip, proxy = (f"world/{frame}" for frame in picture.frames(name))
-        turn = rows["probe.orientation"][:, [1, 2, 3, 0]]  # Rerun has w last
+        turn = rows["probe.orientation"][:, [1, 2, 3, 0]]  # Rerun expects w last
         place = self._rr.Transform3D.columns
         self._send(tip, rows, place(translation=rows["probe.position"], quaternion=turn))
         self._send(proxy, rows, place(translation=rows["proxy.position"], quaternion=turn))
@@ -134,7 +134,7 @@ class Shown:
                         self._stream.log(path, part, static=True)
 
     def _parts(self, kind: str, primitive: Mapping[str, Any]) -> Iterator[Any]:
-        """A primitive of Foxglove's as what Rerun calls the same, and where it is."""
+        """Yield Rerun's pose and archetype for a primitive of Foxglove."""
         rr, at = self._rr, primitive["pose"]
         yield rr.Transform3D(
             translation=list(at["position"].values()),
@@ -161,10 +161,10 @@ def _path_of(thing: Object) -> str:
 
 
 def show_recording(recording: Path, stream: Any) -> int:
-    """Log a recording whole; returns how many ticks. Raises RecordingError for a file that has none to show."""
+    """Log a complete recording; return the number of ticks. Raises RecordingError if the file has nothing to show."""
     about: dict[str, Any] = {}
     fingers: list[str] = []
-    for part in contents(recording):  # the first pass: who is in it
+    for part in contents(recording):  # first pass: metadata and fingers
         if isinstance(part, Note):
             about[part.name] = part.value
         elif isinstance(part, Ticks) and part.finger not in fingers:

@@ -1,4 +1,4 @@
-"""`bridge`: a running daemon, or a recording, in a viewer that has a library of its own."""
+"""`softfinger bridge`: show a running daemon or a recording in Foxglove or Rerun."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ log: Final = logging.getLogger(__name__)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the verb's arguments."""
     parser.description = (
         "Show a running daemon in Foxglove or Rerun (extras foxglove and rerun), or a recording in Rerun; "
         "ends with the server, or with Ctrl-C."
@@ -48,7 +47,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb. Raises NoTelemetry if nothing arrives, RecordingError for a file that cannot be read."""
+    """Run the verb; return the exit code.
+
+    Raises NoTelemetry if nothing arrives, and RecordingError if a recording cannot be read.
+    """
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not 0.0 < value < math.inf:
@@ -78,7 +80,7 @@ def to_foxglove(args: argparse.Namespace) -> int:
 
 
 def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], Taker]) -> int:
-    """Hand on what the daemon sends until an end of one of many kinds."""
+    """Forward the data of the daemon to a viewer until the daemon ends, times out, or a limit or signal stops it."""
     stop: list[bool] = []
     lock = keys.of_options(args)
     found = addresses_of(args.endpoint, lock, args.commands)

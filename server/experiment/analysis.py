@@ -1,4 +1,4 @@
-"""What answers say: a psychometric function or a power law for each condition, of each participant and of all."""
+"""Analysis of answers: a psychometric function or a power law per condition, for each participant and for all."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ FELT: Final = ("peak_force_n", "mean_force_n", "path_m", "duration_s")
 class PowerLaw(NamedTuple):
     """answer = scale level^exponent, fitted to the logarithms by least squares (Stevens 1957), with 95 % intervals.
 
-    middle  geometric mean of the levels, and `answer` the line's there: how large the answers of a condition are
-    noise   standard deviation of the logarithm of an answer about the line
+    middle  geometric mean of the levels; `answer` is the value of the line there, the typical answer of a condition
+    noise   standard deviation of the logarithm of an answer around the line
     """
 
     scale: float
@@ -36,9 +36,9 @@ class PowerLaw(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Answers of one participant, or of all, in one condition, and the fit to them.
+    """Answers of one participant, or of all, in one condition, and their fit.
 
-    felt  mean of each column of what was felt, and its standard deviation
+    felt  mean and standard deviation of each column in FELT
     """
 
     participant: str
@@ -50,10 +50,10 @@ class Group(NamedTuple):
 
 
 def analysed(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]:
-    """Fits by condition in the design's order, of each participant and, of several, of all together; without practice.
+    """Fit the answers by condition in the order of the design, without practice trials.
 
-    All together are fitted as one, which has an observer's meaning where participants differ little. ConfigError
-    without an answer.
+    Returns the fits of each participant and, if there are several, of their pooled answers. The pooled fit describes an
+    observer only if the participants differ little. Raises ConfigError if there are no answers.
     """
     counted = [row for row in rows if not row["practice"]]
     if not counted:
@@ -69,7 +69,7 @@ def analysed(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]:
 
 
 def fitted(experiment: ExperimentFile, rows: Sequence[Entry]) -> Fit | PowerLaw:
-    """The psychometric function of comparisons, the power law of numbers."""
+    """Fit the psychometric function of comparisons, or the power law of numbers."""
     levels = [row["level"] for row in rows]
     if experiment.task.kind == "compare":
         return fit(levels, [row["right"] for row in rows], experiment.observer.lapse)
@@ -77,14 +77,23 @@ def fitted(experiment: ExperimentFile, rows: Sequence[Entry]) -> Fit | PowerLaw:
 
 
 def power_law(levels: Sequence[float], answers: Sequence[float]) -> PowerLaw:
-    """The line through the logarithms of answers (n,) over levels (n,), both above 0.
+    """Fit a line to the logarithms of answers over levels.
 
-    Intervals are Student's. What the answers do not say is nan: the exponent of a single level, the interval of few.
+    Parameters
+    ----------
+    levels, answers
+        (n,) values above 0.
+
+    Returns
+    -------
+    PowerLaw
+        Intervals are Student's. Undetermined values are nan: the exponent of a single level, and the intervals of too
+        few answers.
     """
     x, y = np.log(levels), np.log(answers)
     middle, answer, centred = float(x.mean()), float(y.mean()), x - x.mean()
     spread = float(centred @ centred)
-    lines = 2 if len(set(levels)) > 1 else 1  # what is fitted: the line, or the mean alone
+    lines = 2 if len(set(levels)) > 1 else 1  # fitted parameters: the line, or only the mean
     exponent = float(centred @ y) / spread if lines == 2 else 0.0
     left, freedom = y - answer - exponent * centred, len(x) - lines
     noise = math.sqrt(float(left @ left) / freedom) if freedom > 0 else math.nan
@@ -102,9 +111,9 @@ def power_law(levels: Sequence[float], answers: Sequence[float]) -> PowerLaw:
 
 
 def student_975(freedom: int) -> float:
-    """The 97.5 % quantile of Student's t, by the roots of its distribution function.
+    """Return the 97.5 % quantile of Student's t, by bisection of its distribution function.
 
-    For a whole number of degrees of freedom that function is a finite sum (Abramowitz and Stegun 1964, 26.7.3, 26.7.4).
+    For integer degrees of freedom the function is a finite sum (Abramowitz and Stegun 1964, 26.7.3, 26.7.4).
     """
     low, high = 1.9, 13.0
     for _ in range(60):
@@ -114,7 +123,7 @@ def student_975(freedom: int) -> float:
 
 
 def _inside(t: float, freedom: int) -> float:
-    """Probability that Student's variable is from -t to t."""
+    """Return the probability that Student's t is between -t and t."""
     angle = math.atan(t / math.sqrt(freedom))
     cosine, sine = math.cos(angle), math.sin(angle)
     odd = freedom % 2
@@ -127,13 +136,13 @@ def _inside(t: float, freedom: int) -> float:
 
 
 def felt(rows: Sequence[Entry]) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of what was felt, of the columns that the rows have."""
+    """Return mean and standard deviation of the columns in FELT that the rows have."""
     columns = {name: np.array([row[name] for row in rows if name in row]) for name in FELT}
     return {name: (float(each.mean()), float(each.std())) for name, each in columns.items() if len(each)}
 
 
 def said(found: Fit | PowerLaw) -> str:
-    """What was found, with its 95 % intervals."""
+    """Format a fit with its 95 % intervals."""
     if isinstance(found, Fit):
         unbounded = ", not bounded by the answers: take other levels or more trials" if found.bounded else ""
         return f"threshold {_ranged(found.threshold, found.threshold_95)}{unbounded}"
@@ -147,7 +156,7 @@ def _ranged(value: float, interval: tuple[float, float]) -> str:
 
 
 def table(groups: Sequence[Group]) -> list[dict[str, Any]]:
-    """A row of plain numbers for each group."""
+    """Return a row of plain numbers for each group."""
     made = []
     for group in groups:
         row: dict[str, Any] = {"participant": group.participant, "condition": group.condition, "trials": group.trials}

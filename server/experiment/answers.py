@@ -23,19 +23,19 @@ from softfinger.server.wire.commands import Prompt
 CHOICES: Final = ("first", "second")
 KEYS: Final = {"1": "first", "2": "second"}
 NUMBERS: Final = (1e-6, 1e6)
-"""Of an estimate: a number above 0."""
+"""Range of an estimate, which is a number above 0."""
 GO_ON: Final = "go on"
 BEGIN: Final = "begin"
 END: Final = "That was the last trial. Thank you."
 LOOK_S: Final = 0.1
-"""How often the daemon is asked for the answer."""
+"""Period of polling the daemon for the answer."""
 
 
 class Person:
-    """A participant at the device. The first answer counts, wherever it comes from.
+    """Participant at the device. The first answer counts, from any source.
 
-    Each question is the daemon's prompt. A page and other programs answer it by the command `answer`; so does this
-    for keys in the terminal and the device's first two buttons.
+    Each question is a prompt of the daemon. Pages and other programs answer it by the command `answer`; this class does
+    so for keys in the terminal and the first two buttons of the device.
     """
 
     def __init__(self, experiment: ExperimentFile, haptics: Haptics) -> None:
@@ -43,7 +43,7 @@ class Person:
         self._place: Place | None = None
 
     def instruct(self) -> None:
-        """Show the instructions until the participant begins."""
+        """Show the instructions until the participant starts."""
         if text := self._experiment.instructions:
             self._asked(Prompt(self._experiment.title, text, choices=(BEGIN,)), f"{text} Enter or a button begins.")
 
@@ -71,7 +71,7 @@ class Person:
         return given._replace(value=float(given.value))
 
     def _tell_whether(self, is_right: bool) -> None:
-        """What practice is for: the participant learns what is meant."""
+        """Show whether the answer to a practice trial was right, so that the participant learns the question."""
         text = "That was right." if is_right else "That was wrong."
         self._asked(self._prompt(text, choices=(GO_ON,)), f"{text} Enter or a button goes on.")
 
@@ -81,7 +81,7 @@ class Person:
         self._asked(prompt, f"{said_so_far} A break: Enter or a button goes on.")
 
     def end(self) -> None:
-        """Say that all is done."""
+        """Show that the session is over."""
         self._show(Prompt(self._experiment.title, END))
 
     def _prompt(self, text: str, **asked: Any) -> Prompt:
@@ -94,17 +94,17 @@ class Person:
         return number
 
     def _asked(self, prompt: Prompt, line: str) -> Given:
-        """Ask on pages and with a line in the terminal, and wait for the answer."""
+        """Ask on pages and with a line in the terminal, wait for the answer, and return it."""
         number, client = self._show(prompt), self._haptics.client
         pressed, typed = self._buttons(), ""
-        with keyboard(single=is_single(prompt)) as keys:  # which forgets what was typed before the question
+        with keyboard(single=is_single(prompt)) as keys:  # discards keys typed before the question
             said(line)
             while (found := client.get_prompt()).open and found.number == number:
                 self._haptics.wait(LOOK_S)
                 typed += keys()
                 now = self._buttons()
                 value, typed = meant(prompt, typed, now & ~pressed)
-                pressed &= now  # one that was down has to be let go first
+                pressed &= now  # a button that is already down must be released first
                 if value is not None:
                     self._give(value, number)
         if found.number != number or found.answer is None:
@@ -125,30 +125,31 @@ class Person:
 
 
 class DryRun:
-    """The simulated observer in a participant's place."""
+    """Simulated observer in place of a participant."""
 
     def __init__(self, experiment: ExperimentFile, participant: int) -> None:
         self._observer = Simulated(experiment, participant)
 
     def follow(self, place: Place) -> None:
-        """It needs no prompt."""
+        """Do nothing: the simulated observer needs no prompt."""
 
     def answer(self, trial: Planned, condition: Condition, level: float, felt: Felt) -> Given:
         return Given(self._observer.answer(trial, condition, level))
 
     def pause(self, done: int, of: int) -> None:
-        """Nobody needs one."""
+        """Do nothing: the simulated observer needs no break."""
 
 
 def is_single(prompt: Prompt) -> bool:
-    """Whether a key alone answers."""
+    """Return True if a single key answers the prompt."""
     return len(prompt.choices) == 1 or prompt.choices == CHOICES
 
 
 def meant(prompt: Prompt, typed: str, buttons: int) -> tuple[str | float | None, str]:
-    """What was typed or newly pressed means as an answer, None for nothing yet; and what of the text is left.
+    """Return the answer that the typed text and newly pressed buttons mean, or None, and the unused text.
 
-    One choice takes any key or button; two take the keys 1 and 2 and the first two buttons; all else takes a line.
+    With one choice, any key or button answers. With CHOICES, the keys 1 and 2 and the first two buttons do. All other
+    prompts take a line.
     """
     choices = prompt.choices
     if len(choices) == 1:
@@ -163,13 +164,16 @@ def meant(prompt: Prompt, typed: str, buttons: int) -> tuple[str | float | None,
 
 
 def said(line: str) -> None:
-    """Tell the participant, whatever the log's level."""
+    """Print a line for the participant, independent of the log level."""
     print(line, flush=True)
 
 
 @contextmanager
 def keyboard(single: bool) -> Iterator[Any]:
-    """A function that returns what was typed since; key by key if `single` and standard input is a terminal."""
+    """Yield a function that returns the text typed since its last call.
+
+    A terminal passes it on key by key if `single`, otherwise line by line.
+    """
     descriptor = sys.stdin.fileno()
     before = termios.tcgetattr(descriptor) if single and sys.stdin.isatty() else None
     ended = False

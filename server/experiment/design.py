@@ -1,4 +1,7 @@
-"""From factors to the order of trials: every choice by the seed and the participant's number, so made again alike."""
+"""Order of trials from the factors of a design.
+
+Each random choice is determined by the seed and the participant's number, so that the order is reproducible.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +16,16 @@ from softfinger.server.experiment.schema import ExperimentFile
 T = TypeVar("T")
 
 _ORDER: Final = 1
-"""Streams of random numbers: of the order, and below of each trial."""
+"""Stream of random numbers for the order; TRIAL: for each trial."""
 TRIAL: Final = 2
 
 
 class Condition(NamedTuple):
-    """A combination of levels.
+    """Combination of factor levels.
 
-    name     of all factors' levels, "all" without factors
+    name     levels of all factors, "all" without factors
     levels   by factor
-    scene    that it needs, None: the experiment's
+    scene    scene of the condition, None: the experiment's
     changes  parameters by dotted path
     """
 
@@ -33,13 +36,13 @@ class Condition(NamedTuple):
 
 
 class Planned(NamedTuple):
-    """A trial as designed.
+    """Trial of the design.
 
     number      from 1
-    practice    does not count
-    condition   place in the list of conditions
-    level       None: a procedure chooses it when the trial comes
-    test_first  of two touches the first is not the reference
+    practice    True if the trial does not count
+    condition   index in the list of conditions
+    level       None: chosen by a procedure at the time of the trial
+    test_first  True if the first of two touches is the test stimulus, not the reference
     """
 
     number: int
@@ -50,7 +53,7 @@ class Planned(NamedTuple):
 
 
 def conditions(experiment: ExperimentFile) -> list[Condition]:
-    """All combinations of the factors' levels, the last factor's changing fastest."""
+    """Return all combinations of the factors' levels; the level of the last factor changes fastest."""
     made = []
     for levels in itertools.product(*(factor.levels for factor in experiment.factor)):
         scene, changes = None, dict[str, Any]()
@@ -64,9 +67,9 @@ def conditions(experiment: ExperimentFile) -> list[Condition]:
 
 
 def williams(count: int, row: int) -> list[int]:
-    """Row `row` of a latin square of `count` in which each follows each other equally often (Williams 1949).
+    """Return a row of a Latin square in which each of `count` items follows each other equally often (Williams 1949).
 
-    For an odd count it takes two squares, the second one the mirror image of the first: rows repeat after 2 count.
+    An odd count needs two squares, the second being the mirror image of the first: rows repeat after 2 count.
     """
     first = [0, *itertools.chain.from_iterable(zip(range(1, count), range(count - 1, 0, -1), strict=True))][:count]
     line = [(each + row) % count for each in first]
@@ -74,7 +77,7 @@ def williams(count: int, row: int) -> list[int]:
 
 
 def planned(experiment: ExperimentFile, participant: int) -> list[Planned]:
-    """The trials of a participant, practice first."""
+    """Return the trials of a participant, practice first."""
     rng = np.random.default_rng([experiment.design.seed, participant, _ORDER])
     count = len(conditions(experiment))
     blocks = [_block(experiment, condition, rng) for condition in range(count)]
@@ -87,12 +90,12 @@ def planned(experiment: ExperimentFile, participant: int) -> list[Planned]:
             trials = [trial for block in blocks for trial in block]
     practice = [trials[int(k)] for k in rng.integers(len(trials), size=experiment.design.practice)]
     both = [(True, trial) for trial in practice] + [(False, trial) for trial in trials]
-    first = rng.permutation(len(both)) % 2 == 0  # as often first as second
+    first = rng.permutation(len(both)) % 2 == 0  # balanced
     return [Planned(k + 1, early, *trial, bool(first[k])) for k, (early, trial) in enumerate(both)]
 
 
 def summary(experiment: ExperimentFile) -> list[tuple[str, str]]:
-    """What a participant meets, in rows of a name and a text."""
+    """Return rows of name and text that describe a session for the participant."""
     trials, trial = planned(experiment, 1), experiment.trial
     touches = 1 + (experiment.task.kind == "compare")
     minutes = len(trials) * touches * (trial.touch_s + trial.gap_s) / 60.0
@@ -106,7 +109,7 @@ def summary(experiment: ExperimentFile) -> list[tuple[str, str]]:
 
 
 def _block(experiment: ExperimentFile, condition: int, rng: np.random.Generator) -> list[tuple[int, float | None]]:
-    """Trials of a condition: its number, and the level where that is known."""
+    """Return the trials of a condition: its index, and the level if it is known."""
     procedure = experiment.procedure
     if procedure.kind != "constant":
         return [(condition, None)] * procedure.trials
@@ -117,7 +120,7 @@ def _block(experiment: ExperimentFile, condition: int, rng: np.random.Generator)
 def _mixed(
     blocks: Sequence[Sequence[tuple[int, float | None]]], rng: np.random.Generator
 ) -> list[tuple[int, float | None]]:
-    """Trials of all blocks in random order, those of each in its own."""
+    """Return the trials of all blocks in random order; the order within each block is unchanged."""
     whose = _shuffled([at for at, block in enumerate(blocks) for _ in block], rng)
     left = [iter(block) for block in blocks]
     return [next(left[at]) for at in whose]

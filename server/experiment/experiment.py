@@ -1,4 +1,4 @@
-"""An experiment from Python: read it, rehearse it, run it with a participant or with the simulated observer."""
+"""Python interface to experiments: load one, rehearse it, run it with a participant or the simulated observer."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ ENDED_S: Final = 0.0
 
 
 class Running(NamedTuple):
-    """How a session runs.
+    """Options of a session.
 
     dry_run     the simulated observer answers
-    no_daemon   nothing is rendered: the simulated observer, the journal and the tables alone
-    doctor      `softfinger doctor` looks at the machine first
-    view        a page in the browser shows the participant what is asked
+    no_daemon   without rendering: only the simulated observer, the journal and the tables
+    doctor      run `softfinger doctor` first
+    view        show the prompts to the participant on a page in the browser
     rig         values for the rig by dotted key, such as telemetry.endpoint
     """
 
@@ -54,13 +54,22 @@ class Running(NamedTuple):
 
 
 class Experiment:
-    """An experiment with participants.
+    """Experiment with participants.
 
-    source   a file, the name of a shipped experiment, or a mapping like a file
-    changes  other values by dotted key, such as {"design.seed": 2, "procedure.trials": 60}
+    Parameters
+    ----------
+    source
+        File, name of a shipped experiment, or mapping with the contents of a file.
+    changes
+        Replacement values by dotted key, such as {"design.seed": 2, "procedure.trials": 60}.
 
-    Raises ConfigError with every fault of the file, also of its scenes and rig.
+    Raises
+    ------
+    ConfigError
+        With every fault of the file, of its scenes and of its rig.
 
+    Examples
+    --------
     >>> from softfinger import Experiment
     >>> rows = Experiment("stiffness-discrimination").rehearse(participant=1)
     >>> len(rows), rows[0]["answer"] in ("first", "second")
@@ -80,23 +89,45 @@ class Experiment:
         return f"<Experiment: {self.file.title}>"
 
     def rehearse(self, participant: int = 1) -> list[Entry]:
-        """Trials answered by the simulated observer, without a daemon and without a file; a row each."""
+        """Run the trials with the simulated observer, without daemon and files; return one row per trial."""
         journal = Memory()
         Session(self.file, _checked(participant)).run(journal, Nothing(), DryRun(self.file, participant))
         return [entry for entry in journal.entries if entry["kind"] == "done"]
 
     def run(self, folder: str | Path, participant: int, running: Running = Running()) -> list[Entry]:  # noqa: B008
-        """Run the trials of a participant that have no answer yet, and write into `folder`; returns all rows.
+        """Run the unanswered trials of a participant, and write the results into a folder.
 
-        The daemon runs in this process, on the experiment's rig. Raises what ends a daemon; Stopped where a signal
-        asked for the end; ConfigError for a folder of another experiment.
+        The daemon runs in this process, on the rig of the experiment.
+
+        Parameters
+        ----------
+        folder
+            Result folder, shared by all participants; created if it does not exist.
+        participant
+            Number, from 1.
+        running
+            Options of the session.
+
+        Returns
+        -------
+        list of Entry
+            All answered trials of the participant, one row each.
+
+        Raises
+        ------
+        Stopped
+            If a signal ends the session.
+        ConfigError
+            If the folder belongs to another experiment, or the rig takes no commands.
+        HapticError
+            Errors that end a daemon.
         """
         own = Folder(Path(folder), self.file, _checked(participant), files.hashes(self.file, self._folder))
         session = Session(self.file, participant, log.debug if running.no_daemon else log.info)
         session.check(own)
         own.check_same(running.dry_run)
         with ExitStack() as opened:
-            # A journal that is there is locked before the device is opened, which another session may have.
+            # Lock an existing journal before the device is opened: another session may be using both.
             journal = opened.enter_context(Journal(own.journal)) if own.journal.exists() else None
             if journal is None or not journal.of("finished"):
                 self._go_on(session, opened, journal, own, running)
@@ -106,14 +137,14 @@ class Experiment:
     def _go_on(
         self, session: Session, opened: ExitStack, journal: Journal | None, own: Folder, running: Running
     ) -> None:
-        """Run what has no answer. Nothing is written until the device ticks: before that, much can be refused."""
+        """Run the unanswered trials. Files are written only after the device ticks: earlier steps can fail."""
         dry = DryRun(self.file, own.participant)
         if running.no_daemon:
             journal, _ = _begun(session, opened, journal, own, {"about.json": {"daemon": False}}, True)
             session.run(journal, Nothing(), dry, own)
             return
         rig = files.beside(self._folder, self.file.rig)
-        # The doctor looks at the device, so before that is opened.
+        # Before the device is opened: the doctor needs access to it.
         kept = {"doctor.json": doctors_answer(str(rig))} if running.doctor else {}
         with self._rendered(own, rig, running) as (haptics, about):
             kept |= {"about.json": about}
@@ -128,7 +159,7 @@ class Experiment:
 
     @contextmanager
     def _rendered(self, own: Folder, rig: str | Path, running: Running) -> Iterator[tuple[Haptics, dict[str, Any]]]:
-        """A daemon on the rig with the experiment's scene, and what presents stimuli on it."""
+        """Start a daemon with rig and scene of the experiment; yield its `Haptics` and its description."""
         from softfinger.server.app import Daemon
         from softfinger.server.remote import Client
 
@@ -177,7 +208,10 @@ class Experiment:
 def _begun(
     session: Session, opened: ExitStack, journal: Journal | None, own: Folder, kept: Mapping[str, Any], dry_run: bool
 ) -> tuple[Journal, int]:
-    """The journal, with a start in it, and the number of the start; `kept` are files of the start, by name."""
+    """Append a start to the journal; return the journal and the number of the start.
+
+    kept  additional files of the start, by name
+    """
     session.begin(own)
     number = own.run()
     if journal is None:
@@ -189,12 +223,12 @@ def _begun(
 
 
 def results(folder: str | Path) -> list[Entry]:
-    """All answered trials of an experiment's folder, a row each, from its journals."""
+    """Return all answered trials of an experiment's folder, one row each, from its journals."""
     return load(Path(folder))[1]
 
 
 def doctors_answer(rig: str) -> Any:
-    """What `softfinger doctor` says of this machine, in a process of its own; a text where it says nothing of use."""
+    """Run `softfinger doctor` in a separate process; return its report on this machine, or its failure."""
     words = [sys.executable, "-m", "softfinger.server.cli", "doctor", "--json", "--seconds", "1", "--rig", rig]
     try:
         said = subprocess.run(words, capture_output=True, timeout=DOCTOR_S, check=False)
@@ -205,7 +239,7 @@ def doctors_answer(rig: str) -> Any:
 
 @contextmanager
 def recorded(haptics: Haptics, file: str) -> Iterator[None]:
-    """Every tick and marker of the block in a file of the rig's folder of recordings."""
+    """Record all ticks and markers during the block, in a file of the rig's recording folder."""
     haptics.client.record_start(file)
     try:
         yield
@@ -217,7 +251,7 @@ def recorded(haptics: Haptics, file: str) -> Iterator[None]:
 
 
 def _check(ended: Callable[[float], bool], looks: Iterable[Callable[[], None]]) -> None:
-    """Look after what runs beside it; raise what ended the daemon, or Stopped."""
+    """Poll the viewer; raise the error that ended the daemon, or Stopped."""
     for look in looks:
         look()
     if ended(ENDED_S):

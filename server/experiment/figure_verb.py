@@ -1,4 +1,4 @@
-"""`softfinger figure`: the folder of an experiment as figures, and the numbers that they show."""
+"""`softfinger figure`: draw the results of an experiment's folder, and write the numbers shown."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from softfinger.server.experiment.folder import load, write_csv
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.description = (
         "Fit the answers of an experiment's folder and draw them as PNG and SVG, the numbers beside as CSV and JSON. "
         "Made anew each time."
@@ -26,7 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw and print; returns 0. ConfigError for a folder without answers."""
+    """Draw, print and return 0. Raises ConfigError if the folder has no answers."""
     root = Path(args.folder)
     experiment, rows = load(root)
     groups = analysed(experiment, rows)
@@ -48,5 +47,5 @@ def run(args: argparse.Namespace) -> int:
 
 
 def without_nan(row: dict[str, Any]) -> dict[str, Any]:
-    """JSON has no nan."""
+    """Replace nan by None: JSON has no nan."""
     return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}

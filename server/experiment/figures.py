@@ -1,4 +1,4 @@
-"""Figures of an experiment: the psychometric functions or power laws, and what was felt, by condition."""
+"""Figures of an experiment by condition: psychometric functions or power laws, and forces, paths and durations."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ LABELS: Final = {
 
 
 def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list[Path]:
-    """Draw the fits, and what was felt where something was; returns the files. ConfigError without matplotlib."""
+    """Draw the fits, and the columns in FELT if there are any; return the files.
+
+    Raises ConfigError if matplotlib is not installed.
+    """
     try:
         import matplotlib
 
@@ -36,7 +39,7 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
         raise ConfigError(f"figures need matplotlib ({error}): pip install 'softfinger[plots]'") from error
     people = list(dict.fromkeys(group.participant for group in groups))
     shown = ALL if ALL in people else people[0]
-    plt.rcParams["svg.hashsalt"] = "softfinger"  # the same file from the same answers
+    plt.rcParams["svg.hashsalt"] = "softfinger"  # same file for the same answers
     drawn = []
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     for group in groups:
@@ -60,11 +63,11 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
 
 
 def _plain_ticks(axes: Axes) -> None:
-    """Numbers as people write them on axes that are logarithmic; matplotlib's own are powers of ten."""
+    """Label logarithmic axes with decimal numbers; matplotlib uses powers of ten."""
     from matplotlib.ticker import LogFormatter
 
     class Plain(LogFormatter):
-        """Says which ticks have a number, as its base does, and that number in full."""
+        """Formatter that labels the same ticks as its base class, with decimal numbers."""
 
         def __call__(self, x: float, pos: int | None = None) -> str:
             return f"{x:g}" if super().__call__(x, pos) else ""
@@ -112,7 +115,7 @@ def _power(axes: Axes, group: Group, faint: bool) -> None:
 
 
 def _felt(axes: Axes, groups: Sequence[Group], name: str) -> None:
-    """The values of all trials of each condition, and their mean."""
+    """Draw the values of all trials of each condition, and their mean."""
     for place, group in enumerate(groups):
         values = _values(group.rows, name)
         if values:

@@ -1,4 +1,4 @@
-"""Files of experiments: shipped ones by name, and scenes and rigs beside one's own."""
+"""Loading of experiments with their scenes and rigs, shipped or next to the experiment's file."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from softfinger.server.experiment.session import parameters
 
 
 def shipped() -> list[str]:
-    """Names of the experiments that come with the program."""
+    """Return the names of the shipped experiments."""
     return names_in(EXPERIMENTS)
 
 
 def load(source: str | Path | Mapping[str, Any], changes: Mapping[str, Any]) -> tuple[ExperimentFile, Path]:
-    """An experiment and the folder that its files are in; `changes` are other values by dotted key.
+    """Return an experiment and the folder of its files; `changes` are replacement values by dotted key.
 
-    Raises ConfigError with every fault of the file, or the first one of a scene that it makes.
+    Raises ConfigError with every fault of the file.
     """
     if isinstance(source, Mapping):
         experiment, folder = build(ExperimentFile, source, "experiment"), Path()
@@ -36,12 +36,12 @@ def load(source: str | Path | Mapping[str, Any], changes: Mapping[str, Any]) -> 
 
 
 def beside(folder: Path, name: str) -> str | Path:
-    """What a scene's or rig's name in an experiment means: a shipped name, or a file beside the experiment."""
+    """Return the scene or rig that a name in an experiment refers to: a shipped name, or a file in the same folder."""
     return folder / name if name.endswith(".toml") else name
 
 
 def hashes(experiment: ExperimentFile, folder: Path) -> dict[str, str]:
-    """SHA-256 of each scene and of the rig that is a file beside the experiment."""
+    """Return the SHA-256 of each scene and of the rig that are files next to the experiment."""
     named = {
         experiment.scene,
         experiment.rig,
@@ -52,7 +52,7 @@ def hashes(experiment: ExperimentFile, folder: Path) -> dict[str, str]:
 
 
 def check(experiment: ExperimentFile, folder: Path) -> None:
-    """Raise ConfigError where a scene, a parameter or the rig cannot be used, before a participant finds out."""
+    """Raise ConfigError if a scene, a parameter or the rig is unusable, before a session with a participant."""
     rig = beside(folder, experiment.rig)
     guard = load_rig(rig).guard
     fingers = set[str]()
@@ -68,7 +68,7 @@ def check(experiment: ExperimentFile, folder: Path) -> None:
 
 
 def ends(experiment: ExperimentFile) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Where in the design, scene and parameters of each condition, at both ends of its levels and at the reference."""
+    """Yield location, scene and parameters of each condition at its lowest and highest level, and at the reference."""
     task, procedure = experiment.task, experiment.procedure
     levels = procedure.levels if procedure.kind != "staircase" else (procedure.smallest, procedure.largest)
     touches = [(f"level {level:g}", task.value(level)) for level in (min(levels), max(levels))]
@@ -80,7 +80,7 @@ def ends(experiment: ExperimentFile) -> Iterator[tuple[str, str, dict[str, Any]]
 
 
 def _check_observer(experiment: ExperimentFile) -> None:
-    """Raise ConfigError for an observer's value that is none, or of a condition that there is not."""
+    """Raise ConfigError if a value of the observer is invalid or belongs to an unknown condition."""
     names = [condition.name for condition in conditions(experiment)]
     for name, values in experiment.observer.by.items():
         if name not in names:

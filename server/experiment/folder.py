@@ -1,16 +1,16 @@
-"""The folder of an experiment: names after BIDS, files that are written once, tables made from the journals.
+"""Result folder of an experiment: names after BIDS, files that are written once, and tables made from the journals.
 
 FOLDER/
-    dataset_description.json, experiment.json     what it is, the same for all participants
-    files.json                                    hashes of scenes and rig beside the experiment, where there are any
-    participants.tsv, trials.csv                  tables of all, made from the journals
+    dataset_description.json, experiment.json     description, the same for all participants
+    files.json                                    hashes of scenes and rig next to the experiment, if there are any
+    participants.tsv, trials.csv                  tables of all participants, made from the journals
     sub-01/
-        sub-01_journal.jsonl                      what happened, a line each: the source of every table
-        sub-01_order.csv, sub-01_design.json      the trials as designed; seed, conditions
+        sub-01_journal.jsonl                      events, one per line: the source of every table
+        sub-01_order.csv, sub-01_design.json      trials as designed; seed, conditions
         sub-01_run-01_about.json                  versions, rig, scene, machine; of each start
-        sub-01_run-01_doctor.json                 what `softfinger doctor` found
+        sub-01_run-01_doctor.json                 report of `softfinger doctor`
         sub-01_run-01_ticks.mcap                  every tick, with markers
-        sub-01_trials.csv                         a row a trial
+        sub-01_trials.csv                         one row per trial
         trials/sub-01_trial-0001.csv              every tick of the touches of a trial
 """
 
@@ -37,11 +37,11 @@ BIDS_VERSION: Final = "1.10.0"
 
 
 class Folder:
-    """What one participant's sessions write. Nothing is written before `begin`.
+    """Files of one participant's sessions. Nothing is written before `begin`.
 
-    files  hashes of the scenes and the rig beside the experiment, by name
+    files  hashes of the scenes and the rig next to the experiment, by name
 
-    Raises ConfigError where the folder is of another experiment, or cannot be one.
+    Raises ConfigError if the folder belongs to another experiment.
     """
 
     def __init__(self, root: Path, experiment: ExperimentFile, participant: int, files: Mapping[str, str]) -> None:
@@ -56,7 +56,10 @@ class Folder:
             _check_same(path, text)
 
     def begin(self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[Planned]) -> None:
-        """Write what is not there yet: what the experiment is, the design and the order."""
+        """Write the missing files: description of the experiment, design and order.
+
+        Raises ConfigError if a file cannot be written, or exists with another content.
+        """
         rows = _rows(conditions, trials)
         try:
             (self.own / "trials").mkdir(parents=True, exist_ok=True)
@@ -73,7 +76,7 @@ class Folder:
     def check_design(
         self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[Planned]
     ) -> None:
-        """Raise ConfigError where another design of this participant is there."""
+        """Raise ConfigError if the folder has another design of this participant."""
         for path, text in self._design(experiment, conditions, _rows(conditions, trials)).items():
             _check_same(path, text)
 
@@ -84,31 +87,31 @@ class Folder:
         return {self.own / f"{self.label}_design.json": _json(design | {"trials": rows})}
 
     def check_same(self, dry_run: bool) -> None:
-        """Raise ConfigError where the folder has answers of the other kind: of participants, or of a dry run."""
+        """Raise ConfigError if the folder has answers of the other kind: participants or a dry run."""
         for journal in sorted(self.root.glob(JOURNAL)):
             if any(entry["kind"] == "started" and entry["dry_run"] != dry_run for entry in read(journal)):
                 kind = "participants" if dry_run else "the simulated observer (--dry-run)"
                 raise ConfigError(f"{journal}: has answers of {kind}: give another folder, --out FOLDER")
 
     def run(self) -> int:
-        """The number of the next start, from 1."""
+        """Return the number of the next start, from 1."""
         return 1 + len(list(self.own.glob(f"{self.label}_run-*_about.json")))
 
     def name(self, run: int, what: str) -> str:
-        """Of a file of a start."""
+        """Return the name of a file of a start."""
         return f"{self.label}_run-{run:02d}_{what}"
 
     def keep(self, name: str, values: Any) -> None:
-        """A new JSON file of this participant."""
+        """Write a new JSON file of this participant."""
         _new(self.own / name, _json(values))
 
     def ticks(self, number: int, attempt: int, rows: Iterable[Mapping[str, Any]]) -> None:
-        """A new table of the ticks of a trial."""
+        """Write a new table of the ticks of a trial."""
         again = f"_attempt-{attempt}" if attempt > 1 else ""
         _new(self.own / "trials" / f"{self.label}_trial-{number:04d}{again}.csv", csv_text(list(rows)).encode())
 
     def tables(self) -> None:
-        """Make the tables anew from the journals."""
+        """Write the tables from the journals."""
         write_csv(self.own / f"{self.label}_trials.csv", trials_in([self.journal]))
         journals = sorted(self.root.glob(JOURNAL))
         write_csv(self.root / "trials.csv", trials_in(journals))
@@ -117,7 +120,7 @@ class Folder:
 
 
 def _rows(conditions: Sequence[Condition], trials: Sequence[Planned]) -> list[Entry]:
-    """The trials as designed, a row each."""
+    """Return the trials as designed, one row each."""
     return [trial._asdict() | {"condition": conditions[trial.condition].name} for trial in trials]
 
 
@@ -126,7 +129,7 @@ def _json(values: Any) -> bytes:
 
 
 def _check_same(path: Path, text: bytes) -> None:
-    """Raise ConfigError where a file has another text than this; one that is not there has none."""
+    """Raise ConfigError if an existing file has another content than `text`."""
     if path.exists() and path.read_bytes() != text:
         raise ConfigError(
             f"{path}: is of an experiment with other values{_other(path, text)}: name another folder "
@@ -135,7 +138,7 @@ def _check_same(path: Path, text: bytes) -> None:
 
 
 def _other(path: Path, text: bytes) -> str:
-    """Which keys of a JSON file have other values than in `text`."""
+    """Return the keys of a JSON file with other values than in `text`, for a message."""
     try:
         there, here = (dict(flat(msgspec.json.decode(each))) for each in (path.read_bytes(), text))
     except (msgspec.DecodeError, AttributeError):
@@ -145,7 +148,7 @@ def _other(path: Path, text: bytes) -> str:
 
 
 def trials_in(journals: Iterable[Path]) -> list[Entry]:
-    """A row for each trial that has been answered, practice included, in the order of the journals."""
+    """Return a row for each answered trial, practice included, in the order of the journals."""
     rows = []
     for journal in journals:
         for entry in read(journal):
@@ -156,19 +159,19 @@ def trials_in(journals: Iterable[Path]) -> list[Entry]:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """A table in place of the one that is there, whole or not at all."""
+    """Write or replace a table atomically."""
     _write(path, csv_text(rows).encode())
 
 
 def _new(path: Path, data: bytes) -> None:
-    """A file that was not there before, whole or not at all."""
+    """Write a new file atomically. Raises ConfigError if it exists."""
     if path.exists():
         raise ConfigError(f"{path}: is there already, and nothing of a participant is overwritten: move it away")
     _write(path, data)
 
 
 def _write(path: Path, data: bytes) -> None:
-    """A file, in place of one that is there, whole or not at all."""
+    """Write or replace a file atomically."""
     try:
         with new_file(path) as file:
             file.write(data)
@@ -177,7 +180,7 @@ def _write(path: Path, data: bytes) -> None:
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """A header and a line a row; columns in the order of their first appearance."""
+    """Format rows as CSV with a header; columns are in the order of their first appearance."""
     columns = list(dict.fromkeys(key for row in rows for key in row))
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
@@ -187,7 +190,7 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def load(root: Path) -> tuple[ExperimentFile, list[Entry]]:
-    """The experiment of a folder, and its trials; ConfigError where it is no such folder."""
+    """Return the experiment of a folder and its trials. Raises ConfigError if the folder is not of an experiment."""
     path = root / "experiment.json"
     try:
         values = msgspec.json.decode(path.read_bytes())

@@ -1,4 +1,4 @@
-"""Touches on a running daemon, by its commands and its telemetry: from zero force, through the ramp, to zero force."""
+"""Touches on a running daemon, by commands and telemetry: each ramps up from zero force and ends at zero force."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from softfinger.server.wire.client import Sample, Subscription
 from softfinger.server.wire.protocol import CONTACT, FINGERS, finger_of
 
 SLICE_S: Final = 0.02
-"""How long a wait for telemetry lasts before anything else is looked at."""
+"""Duration of a single wait for telemetry, between which other conditions are checked."""
 ZERO_S: Final = 5.0
-"""The guard takes the force off in milliseconds; a ramp of parameters takes 10 s at most."""
+"""Timeout for zero force. The guard removes the force in milliseconds; a ramp of parameters takes at most 10 s."""
 BACK_S: Final = 2.0
 BACK_M: Final = 0.002
-"""How long a touch waits for a hand that is led back, and how near that comes: a hand is held by a spring, and sags."""
+"""Tolerance of a led hand at the start of a touch, and BACK_S its timeout: a spring holds the hand, so it sags."""
 HEARTBEAT_S: Final = 0.1
 DISK_S: Final = 30.0
-"""How long the ticks of a touch may take to the disk: less than what waits for it in memory."""
+"""Timeout for writing the ticks of a touch to disk; shorter than the time that the recorder can buffer in memory."""
 AGAIN: Final = (
     ": the force is off, and no answer before is lost: make room on the disk and repeat the command, which presents "
     "this trial again"
 )
-"""What to do where a recording does not have the ticks of a trial."""
+"""Remedy if the recording lacks the ticks of a trial."""
 
 
 class Haptics:
     """Presents stimuli on a daemon.
 
-    scene_of  where a scene is that the experiment names
-    running   raises what ended the daemon, or Stopped where it was asked to end
-    change_rig  has the daemon go on, from zero force, with these values of the rig and its own for all others
-    kept_to     the last tick that the recording has; raises RecordingError where that has ended on its own
+    scene_of    returns the source of a scene that the experiment names
+    running     raises the error of a failed daemon, or Stopped on request
+    change_rig  resumes the daemon, from zero force, with these values of the rig and the file's for the remaining keys
+    kept_to     returns the last recorded tick; raises RecordingError if the recording stopped unexpectedly
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Haptics:
         self._rig, self._set = rigs.split(experiment.overrides, "overrides")
         self._scene: str | None = None
         self.newest: dict[str, Sample] = {}
-        """The last tick of each finger, by name."""
+        """Latest tick of each finger, by name."""
         self._heard_s = 0.0
         self._kept: list[dict[str, Any]] | None = None
         self.samples: Final[Subscription] = client.subscribe((CONTACT, FINGERS))
@@ -73,9 +73,9 @@ class Haptics:
     # --- a touch ----------------------------------------------------------------------------------------
 
     def touch(self, stimulus: Stimulus) -> Felt:
-        """Present a stimulus; the change is made at zero force, and without a compile where only values change.
+        """Present a stimulus, which is changed at zero force; if only values change, nothing is compiled.
 
-        Raises RecordingError where its ticks are not in the recording: a trial without them is not to be answered.
+        Raises RecordingError if its ticks are not in the recording: a trial without them must not be answered.
         """
         client = self.client
         self._recorded_to()
@@ -96,7 +96,7 @@ class Haptics:
         return Felt(summary(ticks, reached), ticks)
 
     def release(self) -> None:
-        """Take the force off, and wait until it is zero."""
+        """Remove the force, and wait until it is zero."""
         self.client.disarm()
         ticks = {name: sample.tick for name, sample in self.newest.items()}
         self._until(
@@ -107,14 +107,14 @@ class Haptics:
         )
 
     def _recorded_to(self) -> int:
-        """The last tick that the recording has; of one that has ended, RecordingError says what to do."""
+        """Return the last recorded tick; raise RecordingError with the remedy if the recording stopped."""
         try:
             return self._kept_to()
         except RecordingError as error:
             raise RecordingError(f"{error}{AGAIN}") from error
 
     def _wait_for_disk(self, ticks: list[dict[str, Any]]) -> None:
-        """Return when the recording has these ticks; a disk that stalls is given some time."""
+        """Wait until the ticks are recorded, at most DISK_S for a disk that stalls."""
         until = time.monotonic() + DISK_S
         while ticks and self._recorded_to() < ticks[-1]["tick"]:
             if time.monotonic() > until:
@@ -122,10 +122,10 @@ class Haptics:
             self.wait(SLICE_S)
 
     def _change(self, stimulus: Stimulus) -> float:
-        """Have the scene and its parameters; returns how long they take to be there, s.
+        """Apply scene and parameters of a stimulus; return the duration of the ramp, s.
 
-        Another scene, mass or material by name, and a parameter that goes back to what its scene does not have, take
-        set_scene; all else is set_params.
+        Calls set_scene for another scene, for masses and materials by name, and to remove a parameter that the scene
+        does not have; otherwise set_params.
         """
         name = stimulus.scene or self._experiment.scene
         of_rig, wanted = rigs.split(self._experiment.overrides | stimulus.changes, f"trial {stimulus.trial}")
@@ -146,18 +146,18 @@ class Haptics:
         return ramp_s
 
     def _own(self, name: str, paths: Iterable[str]) -> dict[str, Any]:
-        """The values that a scene itself has, None where it has none."""
+        """Return the values in the scene's file, None for missing ones."""
         scene = describe(load_scene(self._scene_of(name)))
         return {path: value_at(scene, numbered(scene, path)) for path in paths}
 
     def _hands(self) -> dict[str, bool]:
-        """Whether a program may lead the hand of each finger, by name."""
+        """Return for each finger, by name, whether a program may lead its hand."""
         return {finger["name"]: finger["led"] for finger in self.client.describe()["fingers"]}
 
     # --- hands that can be led --------------------------------------------------------------------------
 
     def _lead_back(self, seconds: float) -> None:
-        """Hands that can be led go where their path begins, or to the trial's start; takes so long at the least."""
+        """Lead hands to the start of their path, or of the trial; takes at least `seconds`."""
         starts = dict[str, tuple[float, float, float]]()
         for name, led in self._led.items():
             path = self._experiment.motion.get(name or ONE)
@@ -177,7 +177,7 @@ class Haptics:
             self.wait(SLICE_S)
 
     def _lead(self, name: str, passed: float) -> None:
-        """Have a hand want to be where its path is at a time of the touch, s, and turned as it says."""
+        """Set the goal of a hand, position and orientation, to the point of its path at a time of the touch, s."""
         if not self._led[name]:
             return
         path, turns = self._experiment.motion[name or ONE], self._experiment.turn.get(name or ONE)
@@ -185,13 +185,13 @@ class Haptics:
         self.client.hand(along(path, passed), turned, finger=name or None)
 
     def _move(self, begun: float) -> float | None:
-        """Let it be touched; hands that can be led follow their path. Returns when a target was reached, s."""
+        """Run a touch, and lead hands along their paths. Return when a target was reached, s from `begun`, or None."""
         experiment = self._experiment
         moved = [name for name in self._led if experiment.motion.get(name or ONE)]
         while (passed := time.monotonic() - begun) < experiment.trial.touch_s:
             for name in moved:
                 self._lead(name, passed)
-            self._recorded_to()  # a long touch is not gone on with for nothing
+            self._recorded_to()  # end a long touch early if its recording failed
             self.wait(SLICE_S)
             target = experiment.task.target_m
             if target is not None and self._near(target, experiment.task.target_radius_m):
@@ -204,7 +204,7 @@ class Haptics:
     # --- telemetry --------------------------------------------------------------------------------------
 
     def wait(self, seconds: float) -> None:
-        """Take telemetry for so long, and give signs of life."""
+        """Receive telemetry for a time, and send heartbeats."""
         until = time.monotonic() + seconds
         while True:
             now = time.monotonic()
@@ -217,7 +217,7 @@ class Haptics:
                 self._take(sample)
             elif now >= until:
                 return
-            if now >= until + SLICE_S:  # more comes than is taken: that shows as ticks lost
+            if now >= until + SLICE_S:  # telemetry arrives faster than it is processed; lost ticks show it
                 return
 
     def _until(self, true: Callable[[], bool], what: str) -> None:
@@ -237,7 +237,7 @@ class Haptics:
 
 
 def as_file(scene: Scene) -> dict[str, Any]:
-    """A scene as its file would have it: what a [world] adds is left to whoever reads it."""
+    """Return the mapping of a scene as in its file: without the objects that loading adds for a [world]."""
     mapping = describe(scene)
     if scene.world is not None:
         mapping["object"] = [each for each in mapping["object"] if (each.get("motion") or {}).get("kind") != "body"]
@@ -245,14 +245,17 @@ def as_file(scene: Scene) -> dict[str, Any]:
 
 
 def along(path: tuple[tuple[float, float, float, float], ...], t: float) -> tuple[float, float, float]:
-    """Where a path of waypoints t, x, y, z is at a time, s; before the first and after the last it rests."""
+    """Return the point x, y, z at time t, s, on a path of waypoints t, x, y, z; it rests before and after them."""
     times = [point[0] for point in path]
     x, y, z = (float(np.interp(t, times, [point[axis] for point in path])) for axis in (1, 2, 3))
     return x, y, z
 
 
 def quaternion(rotation: tuple[float, float, float]) -> tuple[float, float, float, float]:
-    """Unit quaternion w, x, y, z of a rotation vector, rad. Without the kernels': those would compile in a touch."""
+    """Return the unit quaternion w, x, y, z of a rotation vector, rad.
+
+    The function of the kernels is not used, since it would compile during a touch.
+    """
     angle = math.hypot(*rotation)
     share = 0.5 if angle == 0.0 else math.sin(0.5 * angle) / angle
     x, y, z = (share * part for part in rotation)
@@ -260,7 +263,7 @@ def quaternion(rotation: tuple[float, float, float]) -> tuple[float, float, floa
 
 
 def row(finger: str, sample: Sample) -> dict[str, Any]:
-    """A tick as the table of a trial has it."""
+    """Return a tick as a row of the table of a trial."""
     tick = sample.data
     (x, y, z), (fx, fy, fz) = tick.probe.position, tick.force
     return {
@@ -271,7 +274,10 @@ def row(finger: str, sample: Sample) -> dict[str, Any]:
 
 
 def summary(ticks: list[dict[str, Any]], reached_s: float | None) -> dict[str, Any]:
-    """What the table of trials has of a touch: of several fingers the first one's path and the largest force."""
+    """Return the columns of a touch for the table of trials.
+
+    With several fingers, the path is that of the first one; the forces are over all.
+    """
     if not ticks:
         return {}
     force = np.array([[tick["fx_n"], tick["fy_n"], tick["fz_n"]] for tick in ticks])

@@ -19,9 +19,9 @@ def split(values: Mapping[str, Any]) -> tuple[dict[str, float], dict[str, Any]]:
 
 
 def scene_with(source: SceneSource, values: Mapping[str, Any], where: str) -> Scene:
-    """Return a scene with other values, masses among them.
+    """Return a scene with changed values, including masses.
 
-    Raises ConfigError, which names `where`, for a value that the scene does not have.
+    Raises ConfigError, with `where`, if the scene lacks a value.
     """
     masses, others = split(values)
     scene = load_scene(source)

@@ -1,4 +1,4 @@
-"""The simulated observer of a dry run: answers by chance, the same in every run of the same trial."""
+"""Simulated observer of a dry run: random answers, reproducible for each trial."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from softfinger.server.experiment.schema import ExperimentFile, Observer
 
 
 def observer_in(experiment: ExperimentFile, condition: Condition) -> Observer:
-    """The observer in a condition: its own values there in place of those for all."""
+    """Return the observer in a condition: values of the condition replace the general ones."""
     return msgspec.structs.replace(experiment.observer, **experiment.observer.by.get(condition.name, {}))
 
 
 class Simulated:
-    """Answers of a participant who is like the file's [observer]; each by the seed and the trial's number alone."""
+    """Answers of a participant with the properties of [observer], determined by the seed and the trial's number."""
 
     def __init__(self, experiment: ExperimentFile, participant: int) -> None:
         self._experiment, self._participant = experiment, participant
 
     def answer(self, trial: Planned, condition: Condition, level: float) -> str | float:
-        """`first` or `second` of a comparison, else a number."""
+        """Return `first` or `second` for a comparison, else a number."""
         rng = np.random.default_rng([self._experiment.design.seed, self._participant, TRIAL, trial.number])
         who = observer_in(self._experiment, condition)
         if self._experiment.task.kind == "compare":

@@ -1,4 +1,4 @@
-"""The tables of an experiment's file, and what they demand of each other."""
+"""Schema of an experiment's file, with checks across its keys."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ POSITIVE: Final = Range(1e-9, 1e9, "a level above 0")
 TEXT: Final = Range(0, 4000, "a screen")
 MARKS_MAX: Final = 20
 ONE: Final = "fingertip"
-"""Name of the only finger of a scene, where an experiment names fingers."""
+"""Name in an experiment for the finger of a scene with only one."""
 WAYPOINTS: Final = Range(1, 10_000, "a path of a hand")
 
 Seconds = Annotated[float, Meta(ge=SECONDS.low, le=SECONDS.high)]
@@ -73,14 +73,14 @@ class Task(Table, frozen=True, kw_only=True):
     target_radius_m: Annotated[float, within(Range(1e-4, 1.0, "a target"), "trace: how near", 0.005)] = 0.005
 
     def value(self, level: float) -> float:
-        """The parameter's value at a level: of a comparison the reference changed by the share `level`."""
+        """Return the parameter's value at a level; for a comparison, the reference changed by the fraction `level`."""
         if self.reference is None:
             return level
         return self.reference * (1.0 + level) if self.more == "up" else self.reference / (1.0 + level)
 
     @property
     def marks(self) -> tuple[str, ...]:
-        """The marks of the rating scale."""
+        """Marks of the rating scale."""
         return () if self.scale is None else tuple(map(str, range(self.scale[0], self.scale[1] + 1)))
 
     def faults(self) -> Iterator[Complaint]:

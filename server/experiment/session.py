@@ -1,4 +1,4 @@
-"""A session: the trials of one participant in their order, from the first one that has no answer yet."""
+"""Session: the unanswered trials of one participant, in order."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from softfinger.server.experiment.schema import ExperimentFile
 
 
 class Stopped(HapticError):
-    """The session was asked to end before its last trial; started again, it goes on at that trial."""
+    """End of a session on request, before its last trial; a new start resumes at that trial."""
 
     exit_code = 0
 
 
 class Stimulus(NamedTuple):
-    """What is felt in a touch.
+    """Stimulus of a touch.
 
     trial, touch  number of the trial, and of the touch in it, from 1
-    scene         that it needs, None: the experiment's
+    scene         scene of the condition, None: the experiment's
     changes       parameters by dotted path
     """
 
@@ -34,12 +34,12 @@ class Stimulus(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a session is.
+    """Progress of a session.
 
-    trial, trials    number of the trial, of how many
-    block, blocks    the same of the block
-    practice         the trial does not count
-    touch, touches   number of the touch in the trial
+    trial, trials    number of the trial, and of all
+    block, blocks    the same for the block
+    practice         True if the trial does not count
+    touch, touches   number of the touch in the trial, and of all in it
     """
 
     trial: int
@@ -52,18 +52,18 @@ class Place(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Trial and block, as the participant may know them: no condition is named."""
+        """Trial and block for the participant; omits the condition."""
         block = f"Block {self.block} of {self.blocks}, " if self.blocks > 1 else ""
         return f"{block}{'trial' if block else 'Trial'} {self.trial} of {self.trials}{', practice' * self.practice}"
 
     @property
     def text(self) -> str:
-        """Which touch is next, where there are several."""
+        """Number of the next touch, if there are several."""
         return f"Touch {self.touch} of {self.touches}" if self.touches > 1 else ""
 
 
 class Felt(NamedTuple):
-    """What became of a touch: numbers for the table of trials, and every tick."""
+    """Result of a touch: numbers for the table of trials, and every tick."""
 
     summary: dict[str, Any]
     ticks: list[dict[str, Any]]
@@ -73,40 +73,40 @@ class Apparatus(Protocol):
     """Presents stimuli."""
 
     def touch(self, stimulus: Stimulus) -> Felt:
-        """Present one, from zero force to zero force."""
+        """Present a stimulus, from zero force to zero force."""
 
 
 class Nothing:
-    """No apparatus: design, answers, journal and tables alone, as fast as they go."""
+    """No apparatus: only design, answers, journal and tables, as fast as possible."""
 
     def touch(self, stimulus: Stimulus) -> Felt:
         return Felt({}, [])
 
 
 class Given(NamedTuple):
-    """An answer: `first` or `second` of a comparison, else a number; and how long it took (s), where that is known."""
+    """Answer: `first` or `second` of a comparison, else a number; and the response time (s), if known."""
 
     value: str | float
     after_s: float | None = None
 
 
 class Answering(Protocol):
-    """Where answers come from."""
+    """Source of answers."""
 
     def follow(self, place: Place) -> None:
-        """A touch is next."""
+        """Prepare for the next touch."""
 
     def answer(self, trial: Planned, condition: Condition, level: float, felt: Felt) -> Given:
-        """The answer to a trial, the last that was followed."""
+        """Return the answer to a trial, after its touches."""
 
     def pause(self, done: int, of: int) -> None:
-        """Wait until the participant goes on."""
+        """Wait until the participant continues."""
 
 
 class Session:
-    """The trials of a participant.
+    """Trials of a participant.
 
-    tell  says what a person beside it may want to know, a line each
+    tell  receives progress lines for the experimenter
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class Session:
         self._procedures = [adaptive(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
 
     def check(self, folder: Folder) -> None:
-        """Raise ConfigError where the participant's folder has another design; nothing is written."""
+        """Raise ConfigError if the participant's folder has another design; write nothing."""
         folder.check_design(self.experiment, self.conditions, self.trials)
 
     def begin(self, folder: Folder) -> None:
@@ -128,7 +128,10 @@ class Session:
         folder.begin(self.experiment, self.conditions, self.trials)
 
     def run(self, journal: Memory, apparatus: Apparatus, answering: Answering, folder: Folder | None = None) -> None:
-        """Run what has no answer in the journal. Answers of before are told to the procedures first, in their order."""
+        """Run the trials without an answer in the journal.
+
+        The procedures first receive the previous answers, in order.
+        """
         answered = {entry["trial"]: entry for entry in journal.of("done")}
         begun = [entry["trial"] for entry in journal.of("begun")]
         for trial in self.trials:
@@ -155,7 +158,7 @@ class Session:
     def _one(
         self, trial: Planned, attempt: int, apparatus: Apparatus, answering: Answering
     ) -> tuple[Entry, list[dict[str, Any]]]:
-        """Present a trial and take its answer; its entry in the journal, and its ticks."""
+        """Present a trial and wait for its answer; return its journal entry and its ticks."""
         condition, task = self.conditions[trial.condition], self.experiment.task
         procedure = self._procedures[trial.condition]
         level = trial.level if trial.level is not None or procedure is None else procedure.level()
@@ -198,9 +201,9 @@ class Session:
 
 
 def blocks_of(trials: Sequence[Planned], mixed: bool) -> list[int]:
-    """The number of each trial's block, from 1: trials of one condition in a row, all trials where they are `mixed`.
+    """Return the number of each trial's block, from 1: consecutive trials of one condition, or all trials if `mixed`.
 
-    Practice belongs to the block behind it.
+    Practice trials belong to the block that follows them.
     """
     block, numbers, last = 1, list[int](), None
     for trial in trials:
@@ -212,11 +215,11 @@ def blocks_of(trials: Sequence[Planned], mixed: bool) -> list[int]:
 
 
 def parameters(experiment: ExperimentFile, value: float) -> dict[str, Any]:
-    """Parameters of a touch whose level has the value."""
+    """Return the parameters of a touch for a value of the level."""
     also: Mapping[str, float] = experiment.task.also
     return {experiment.task.parameter: value} | {path: factor * value for path, factor in also.items()}
 
 
 def right(trial: Planned, answer: str | float) -> bool:
-    """Whether the answer to a comparison names the touch that was not the reference."""
+    """Return True if the answer to a comparison names the test stimulus, not the reference."""
     return (answer == "first") == trial.test_first

@@ -18,7 +18,6 @@ log: Final = logging.getLogger(__name__)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.description = (
         "Run an experiment: the trials of one participant in their order, from the first one without an answer. "
         "Started again after a crash or Ctrl-C it goes on where it ended."
@@ -39,7 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the session; returns 0, also where it was asked to end."""
+    """Run the session; return 0, or the exit code of a stop by a signal."""
     if args.no_daemon and not args.dry_run:
         raise ConfigError("--no-daemon: only the simulated observer needs none: give --dry-run too")
     if args.view:

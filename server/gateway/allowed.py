@@ -1,4 +1,4 @@
-"""Who may: the public keys in a folder, looked at again while the gateway runs."""
+"""Public keys of peers that may connect, in a folder that is read again while the gateway or publisher runs."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from softfinger.server.keys import read_pair, read_public
 log: Final = logging.getLogger(__name__)
 
 AGAIN_S: Final = 0.1
-"""Strangers have the folder read no more often, unless it has just changed."""
+"""Shortest time between two reads because of unknown keys, unless the folder has just changed."""
 SETTLED_NS: Final = 1_000_000_000
-"""A file that is new in the folder is whole after so long."""
+"""A new file in the folder is complete after this time."""
 _NO_FILES: Final = (errno.EMFILE, errno.ENFILE)
-"""Peers may have taken all file descriptors: then nothing is known to have changed."""
+"""Peers may have used up all file descriptors: then the keys are assumed unchanged."""
 
 
 class Allowed:
-    """Keys of the files `*.key` in a folder. Raises ConfigError for a folder that others may write to."""
+    """Keys in the files `*.key` of a folder; raises ConfigError if other users may write to it."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
@@ -39,8 +39,8 @@ class Allowed:
         self._read(strictly=True)
 
     def callback(self, domain: str, key: bytes) -> bool:
-        """Whether a peer with this key (Z85) may come in: what libzmq's authenticator asks, from its thread."""
-        # A client that is turned away does not come again: who was added just now is not to be.
+        """Return whether a peer with this key (Z85) may connect; called by libzmq's authenticator, in its thread."""
+        # A rejected client does not connect again, so a key that was just added must be found now.
         if key not in self._names and (time.monotonic() - self._read_s > AGAIN_S or self._changes()):
             self._read()
         if key not in self._names:
@@ -49,22 +49,23 @@ class Allowed:
         return True
 
     def name(self, key: bytes) -> str:
-        """Name of the file of an allowed key (Z85)."""
+        """Return the name of the file of an allowed key (Z85)."""
         return self._names.get(key, "")
 
     def refresh(self) -> bool:
-        """Read the folder anew; whether a key is not allowed any more that was let in."""
+        """Read the folder again; return whether a key that was in use is no longer allowed."""
         self._read()
         gone = set(self._let_in) - self._names.keys()
         self._let_in -= gone
         return bool(gone)
 
     def bar(self, key: bytes) -> None:
-        """Let a key (Z85) in no more, until the gateway is started again."""
+        """Refuse a key (Z85) until the gateway is restarted."""
         self._barred.add(key)
 
     def _changes(self) -> bool:
-        """Whether files have come or gone since the folder was read, or so shortly before that one was not whole."""
+        """Return whether the folder has changed since the last read, or so shortly before that a file may be
+        incomplete."""
         try:
             return os.stat(self.folder).st_mtime_ns > self._read_ns - SETTLED_NS
         except OSError:
@@ -102,14 +103,14 @@ class Allowed:
             self._warn(f"left out: {error}")
 
     def _warn(self, text: str) -> None:
-        """Once, and not each time the folder is read."""
+        """Log a warning once, instead of each time the folder is read."""
         if text not in self._said:
             self._said.add(text)
             log.warning("%s", text)
 
 
 def key_folders(security: Security) -> tuple[str, str]:
-    """The folders of a rig's readers and commanders, '' for none; ConfigError for what of its keys cannot be used."""
+    """Return a rig's folders of readers and commanders, '' for none; raises ConfigError for unusable keys."""
     read_pair(security.key)
     for folder in filter(None, (security.readers, security.commanders)):
         Allowed(folder)

@@ -1,4 +1,4 @@
-"""The gateway's loop: one thread, all its sockets, until it is told to end."""
+"""Main loop of the gateway: a single thread for all its sockets."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from softfinger.server.publishing.readers import Readers
 from softfinger.server.wire.endpoint import Bound
 
 LOOK_S: Final = 1.0
-"""How often the folders of keys are looked at, and connections counted."""
+"""Interval of the check of the folders of keys and of the count of connections."""
 POLL_MS: Final = 100
 
 
 class Source(NamedTuple):
-    """A server's endpoint, and the keys that it wants."""
+    """Endpoint of a server, and the keys it requires."""
 
     endpoint: str
     keys: ClientKeys | None = None
 
 
 class Way(NamedTuple):
-    """From a server to where others connect, and who may; without a lock everybody who reaches it."""
+    """Path of commands from a server to an endpoint for peers; without a lock, every peer in reach may connect."""
 
     source: Source
     bound: Bound
@@ -41,12 +41,12 @@ class Way(NamedTuple):
 
 
 class Forward:
-    """Everything that is handed on.
+    """Forwarding of telemetry and commands.
 
-    stream    where telemetry comes from, if any is wanted
-    readers   where it goes by ZeroMQ, a Bound and its lock
-    commands  the way of commands, if there is one
-    outlets   where it goes by Lab Streaming Layer
+    stream    source of the telemetry, if any
+    readers   endpoint for ZeroMQ subscribers, with its lock
+    commands  path of commands, if any
+    outlets   streams of Lab Streaming Layer
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Forward:
         self._files.callback(front.close)
 
     def run(self, ended: Callable[[], bool], show: Callable[[str], None] | None = None) -> None:
-        """Hand on until `ended` says so."""
+        """Forward until the function `ended` returns True."""
         bound_resources()
         due = 0.0
         while not ended():
@@ -117,7 +117,7 @@ class Forward:
         return sum(front.renewed for front in self._fronts)
 
     def _ways(self) -> Iterator[tuple[Any, Callable[[], Any]]]:
-        """Sockets, and what is done when something has come; it is True where the sockets are others now."""
+        """Yield each socket with its handler; a handler returns True if the set of sockets has changed."""
         if self.stream is not None:
             yield self.stream.socket, self.stream.take
         if self.readers is not None:
@@ -128,7 +128,7 @@ class Forward:
                 yield behind, partial(self.commanders.answer, behind)
 
     def statistics(self) -> dict[str, Any]:
-        """What was handed on so far."""
+        """Return the counts of forwarded messages so far."""
         found: dict[str, Any] = {"seconds": time.monotonic() - self._begun_s}
         if self.stream is not None:
             found |= {"messages": self.stream.messages, "bytes": self.stream.size, "lost": self.stream.lost}
@@ -151,7 +151,7 @@ class Forward:
         return found
 
     def line(self) -> str:
-        """The same in words."""
+        """Return the statistics as text."""
         found = self.statistics()
         said = []
         if "messages" in found:
@@ -168,5 +168,5 @@ class Forward:
         return "; ".join(said)
 
     def close(self) -> None:
-        """Disconnect all. Any number of times."""
+        """Disconnect all; may be called repeatedly."""
         self._files.close()

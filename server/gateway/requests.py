@@ -1,4 +1,4 @@
-"""Commands through the gateway: a connection to the server for each client, so that its bounds hold for each."""
+"""Commands through the gateway: a connection to the server for each client, so that limits apply to each separately."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from softfinger.server.publishing.setup import ANSWER_MAX, REQUEST_MAX
 from softfinger.server.wire.endpoint import Bound
 
 CLIENTS_MAX: Final = 16
-"""Clients at a time, half of the server's own; one more takes the place of the one that asked nothing for longest."""
+"""Clients at a time, half of the server's limit; another one replaces the client with the oldest last request."""
 WAITING_MAX: Final = 64
-"""Requests of a client, or answers to it, that wait; more are dropped."""
+"""Queued requests of a client, or answers to it; further ones are dropped."""
 
 
 class Commanders:
-    """Whoever commands a server through here."""
+    """Clients that command a server through the gateway."""
 
     def __init__(self, gate: Gate, endpoint: str, keys: ClientKeys | None, bound: Bound, lock: Lock | None) -> None:
         options = {"maxmsgsize": REQUEST_MAX, "sndhwm": WAITING_MAX, "rcvhwm": WAITING_MAX, "router_mandatory": 1}
@@ -28,15 +28,15 @@ class Commanders:
         self.requests = self.answers = self.dropped = 0
         self._context, self._endpoint, self._keys = gate.context, endpoint, keys
         self._behind: OrderedDict[bytes, zmq.Socket[bytes]] = OrderedDict()
-        """A connection to the server for each client, by its identity; who asked last comes last."""
+        """Connection to the server for each client, by its identity; ordered by the last request."""
 
     @property
     def sockets(self) -> list[zmq.Socket[bytes]]:
-        """Where answers come from."""
+        """Sockets that receive answers."""
         return list(self._behind.values())
 
     def take(self) -> bool:
-        """Hand a request on; True where that made or ended a connection to the server."""
+        """Forward a request; return True if that opened or closed a connection to the server."""
         try:
             client, *frames = self.front.socket.recv_multipart(zmq.NOBLOCK)
         except zmq.Again:
@@ -47,7 +47,7 @@ class Commanders:
             behind = self._behind[client] if known else self._connect(client)
             self._behind.move_to_end(client)
             behind.send_multipart(frames, zmq.NOBLOCK)
-        except zmq.ZMQError:  # too many wait, or no file descriptor is left
+        except zmq.ZMQError:  # too many are queued, or no file descriptor is left
             self.dropped += 1
         return not known
 
@@ -64,7 +64,7 @@ class Commanders:
         return behind
 
     def answer(self, behind: zmq.Socket[bytes]) -> None:
-        """Hand an answer on to whose connection it came by."""
+        """Forward an answer to the client of the connection."""
         for client, socket in self._behind.items():
             if socket is behind:
                 with contextlib.suppress(zmq.Again):
@@ -72,12 +72,12 @@ class Commanders:
                     try:
                         self.front.socket.send_multipart([client, *frames], zmq.NOBLOCK)
                         self.answers += 1
-                    except zmq.ZMQError:  # it has gone, or does not read
+                    except zmq.ZMQError:  # it has disconnected, or does not read
                         self.dropped += 1
                 return
 
     def close(self) -> None:
-        """Leave the server."""
+        """Close all connections to the server."""
         for socket in self._behind.values():
             socket.close()
         self._behind.clear()

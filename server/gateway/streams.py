@@ -1,4 +1,4 @@
-"""Telemetry through the gateway: every message of a server, once, for whoever subscribes here."""
+"""Telemetry through the gateway: every message of a server is received once and passed to all consumers."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.protocol import CONTACT, FINGERS, MAX_BYTES
 
 QUEUE: Final = 8192
-"""Messages that wait for a slow subscriber, 8 s at 1 kHz; then libzmq drops the newest, for that one."""
+"""Messages queued for a slow subscriber, 8 s at 1 kHz; beyond that, libzmq drops new messages for it."""
 AT_ONCE: Final = 256
 
 _TICKING: Final = (CONTACT.encode(), FINGERS.encode())
 
 
 class _Tick(msgspec.Struct):
-    """What of a message tells whether one is missing."""
+    """Part of a message that is needed to count missing ticks."""
 
     tick: int
     every: int
 
 
 class Stream:
-    """A subscription to a server, and what has come of it.
+    """Subscription to a server, with counts of its messages.
 
-    Subscribers' topics are not passed on: the server hears of one subscriber, whatever they do.
+    Subscribers' topics are not passed on: for the server, the gateway is a single subscriber.
     """
 
     def __init__(self, context: zmq.Context[Any], endpoint: str, keys: ClientKeys | None) -> None:
@@ -40,14 +40,14 @@ class Stream:
         self.socket.subscribe(b"")
         self.socket.connect(endpoint)
         self.takers: list[Callable[[bytes, bytes], None]] = []
-        """What each message is given to."""
+        """Functions called with each message."""
         self.messages = self.size = self.lost = 0
-        """Messages and their bytes so far, and ticks that are missing among them."""
+        """Number and bytes of messages so far, and number of missing ticks."""
         self._decode = msgspec.msgpack.Decoder(_Tick).decode
         self._ticks: dict[bytes, int] = {}
 
     def take(self) -> None:
-        """Hand on what has come."""
+        """Pass on the messages received."""
         for _ in range(AT_ONCE):
             try:
                 frames = self.socket.recv_multipart(zmq.NOBLOCK)

@@ -1,4 +1,4 @@
-"""Files that are written, recorded, and taken away again: those of others are not touched, edited ones are kept."""
+"""Installation of files with a record for removal, without changes to edited files and to files of other origin."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ DONE: Final[dict[State, str]] = {"new": "written", "outdated": "renewed", "uncha
 
 
 class File(NamedTuple):
-    """A file to be: where, from the root of the system on, and its text."""
+    """File to install: absolute path on the installed system, and text."""
 
     path: Path
     text: str
 
 
 class Act(NamedTuple):
-    """What was done with a file, or why nothing was."""
+    """Action on a file, or the reason for none."""
 
     what: str
     path: Path
 
 
 class Ledger:
-    """What has been written below `root`, by the content of each file, as the file `record` has it.
+    """Record of the installed files below `root` with a hash of each content, stored in the file `record`.
 
-    Raises ConfigError where the record cannot be read, and where something may not be written.
+    Raises ConfigError if the record cannot be read.
     """
 
     def __init__(self, root: Path, record: Path) -> None:
@@ -56,21 +56,21 @@ class Ledger:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing is recorded."""
+        """True if nothing is recorded."""
         return not self._files
 
     @property
     def paths(self) -> list[Path]:
-        """What is recorded."""
+        """Paths of the recorded files."""
         return [self._at(Path(path)) for path in self._files]
 
     def check(self, paths: Iterable[Path] = ()) -> None:
-        """Raise ConfigError where what is recorded, or is to be at `paths`, may not be changed by this user."""
+        """Raise ConfigError if this user may not change a recorded file, the record, or one of `paths`."""
         for path in (*paths, *map(Path, self._files), self._record):
             self._check_writable(path)
 
     def state(self, file: File) -> State:
-        """What writing a file would meet."""
+        """Return how the file at the path of `file` compares with `file` and with the record."""
         found = self._found(file.path)
         if found is None:
             return "new"
@@ -80,9 +80,9 @@ class Ledger:
         return "foreign" if known is None else "outdated" if found == known else "edited"
 
     def write(self, files: Sequence[File]) -> Iterator[Act]:
-        """Write what is not there, renew what was not edited, and take away what is not among the files any more.
+        """Write new files, update unedited ones, and remove recorded files that are not in `files` any more.
 
-        Nothing is written where a file is somebody else's, or may not be written.
+        Raises ConfigError, before any change, if a file belongs to somebody else or may not be written.
         """
         states = [self.state(file) for file in files]
         if foreign := [file.path for file, state in zip(files, states, strict=True) if state == "foreign"]:
@@ -106,9 +106,9 @@ class Ledger:
             self._save()
 
     def remove(self) -> Iterator[Act]:
-        """Take away all that was written and not edited, then the folders made for it that are empty.
+        """Remove all unedited files that were written, then the empty folders that were made for them.
 
-        Nothing is taken away where something may not be.
+        Raises ConfigError, before any change, if something may not be removed.
         """
         self.check()
         try:
@@ -129,16 +129,16 @@ class Ledger:
 
     def _save(self) -> None:
         if self._files:
-            self._make(self._record.parent)  # first: it may be one of the folders
+            self._make(self._record.parent)  # first, since it may add to the recorded folders
             self._put(self._record, json.dumps({"files": self._files, "folders": self._folders}, indent=1) + "\n")
             return
         self._at(self._record).unlink(missing_ok=True)
         for folder in sorted(self._folders, key=len, reverse=True):
-            with contextlib.suppress(OSError):  # somebody else has put something into it
+            with contextlib.suppress(OSError):  # not empty: it has files of other origin
                 self._at(Path(folder)).rmdir()
 
     def _put(self, path: Path, text: str) -> None:
-        """A file whole or not at all, that everybody may read."""
+        """Write a file atomically, readable by everybody."""
         at = self._at(path)
         part = at.with_name(f".{at.name}.{secrets.token_hex(4)}")
         try:
@@ -162,7 +162,7 @@ class Ledger:
             self._folders.append(str(folder))
 
     def _found(self, path: Path) -> str | None:
-        """What is at a path, by its content; None for nothing. A link is somebody's word for another file."""
+        """Return the digest of the content at a path, or None if it does not exist. Links are not followed."""
         at = self._at(path)
         try:
             return "no file" if at.is_symlink() or at.is_dir() else _digest(at.read_bytes())

@@ -1,4 +1,4 @@
-"""What is installed where: for the whole machine, or for one user."""
+"""Files and folders of an installation, for the system or for one user."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LIMITS: Final = f"""\
 
 
 class Places(NamedTuple):
-    """Folders that programs look into: units, manuals, completion of bash and of zsh; and where the record is."""
+    """Folders that programs search for units, manuals, and completion of bash and zsh; and the path of the record."""
 
     units: Path
     manuals: Path
@@ -49,7 +49,10 @@ SYSTEM: Final = Places(
 
 
 def places_of_user(environment: Mapping[str, str], home: Path | None) -> Places:
-    """Return the XDG base directories' places. ConfigError if one of them needs a home folder and there is none."""
+    """Return the places by the XDG base directories.
+
+    Raises ConfigError if one of them needs a home folder and there is none.
+    """
 
     def folder(name: str, otherwise: str) -> Path:
         named = environment.get(name, "")
@@ -76,9 +79,9 @@ def places(system: bool) -> Places:
 
 
 def files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -> list[File]:
-    """All that is installed, for a daemon of that rig and scene; `parser` has the options of every verb.
+    """Return all files to install, for a daemon with that rig and scene; `parser` has the options of all verbs.
 
-    Raises what loading the rig or the scene raises.
+    Raises the errors of loading the rig or the scene.
     """
     from softfinger.server.cli import completion
 
@@ -101,17 +104,20 @@ def files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -
 
 
 def service(rig: str, scene: str) -> list[str]:
-    """What the unit runs, good in any folder."""
+    """Return the command of the unit, independent of the working directory."""
     return [*program(), "run", "--rig", named(rig, Rig), "--scene", named(scene, Scene)]
 
 
 def named(name: str, kind: type[Rig] | type[Scene]) -> str:
-    """A rig or scene as it is found from any folder: a shipped one by its name."""
+    """Return the name of a shipped rig or scene, or else its absolute path."""
     return name if name in shipped(kind) else str(find(name, kind).resolve())
 
 
 def closed_to_others(words: Sequence[str]) -> Path | None:
-    """The first folder on the way to a program, its interpreter or a file it is given that only its owner may enter."""
+    """Return the first folder that only its owner may enter, on the path of a program, its interpreter or its files.
+
+    Returns None if there is none.
+    """
     for path in (Path(word) for word in (*words, os.path.realpath(sys.executable)) if word.startswith("/")):
         for folder in reversed(path.parents):
             if folder.exists() and not folder.stat().st_mode & 0o001:

@@ -1,4 +1,4 @@
-"""What the system has to be told before files go and after they came: its own commands, run where they are."""
+"""System commands before and after files are changed; commands that are not installed are skipped."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Command = tuple[str, ...]
 
 SERVICE: Final = "softfinger.service"
 STATE: Final = Path("/var/lib/softfinger")
-"""Where the service works: recordings, if it was asked for any."""
+"""Working directory of the service, with the recordings that it made."""
 
 RULES: Final[tuple[Command, ...]] = (
     ("udevadm", "control", "--reload"),
@@ -25,21 +25,21 @@ WAIT_S: Final = 60.0
 
 
 def after_writing(system: bool) -> list[Command]:
-    """What makes new files hold."""
+    """Return the commands that activate new files."""
     if not system:
         return [("systemctl", "--user", "daemon-reload")]
     return [("systemd-sysusers", "/etc/sysusers.d/softfinger.conf"), ("systemctl", "daemon-reload"), *RULES]
 
 
 def before_removing(system: bool) -> list[Command]:
-    """The service ends; its compiled kernels go, its recordings stay."""
+    """Return the commands that stop the service and remove its compiled kernels, but not its recordings."""
     if not system:
         return [("systemctl", "--user", "disable", "--now", SERVICE)]
     return [("systemctl", "disable", "--now", SERVICE), ("systemctl", "clean", "--what=cache", SERVICE)]
 
 
 def after_removing(system: bool, state: Path = STATE) -> list[Command]:
-    """The system forgets; the account goes with it, unless something of its is left in `state`."""
+    """Return the commands that deactivate removed files, and remove the account if `state` is empty."""
     if not system:
         return [("systemctl", "--user", "daemon-reload")]
     empty = not state.exists() or not any(state.iterdir())
@@ -52,7 +52,7 @@ def after_removing(system: bool, state: Path = STATE) -> list[Command]:
 
 
 def run_all(commands: Iterable[Command]) -> None:
-    """Run each that is there, and say what it was and how it ended; one that fails keeps none from the next."""
+    """Run the available commands and print each with its result; a failure does not stop the next."""
     for words in commands:
         if shutil.which(words[0]) is None:
             print(f"not run, for {words[0]} is not here: {shlex.join(words)}")

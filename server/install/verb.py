@@ -1,4 +1,4 @@
-"""`install`: what a machine needs around the program, and `--remove`, which leaves nothing of it."""
+"""`softfinger install`: install the files that a machine needs besides the program; `--remove` removes all of them."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def remove(args: argparse.Namespace, ledger: Ledger) -> None:
     elif args.dry_run:
         print("\n".join(f"##### would be removed: {path}" for path in ledger.paths))
     else:
-        ledger.check()  # before anything is stopped
+        ledger.check()  # before the service is stopped
         if args.root is None:
             run_all(before_removing(args.system))
         show(ledger.remove())

@@ -1,7 +1,7 @@
-"""The devices' side of a tick: reading all, writing all, what each says of it, and the last zero.
+"""Device I/O of a tick: reads, writes, statuses and the last zero, for the devices of all fingers.
 
-A device for each finger, in the order of the scene's fingers. With one of them nothing of that order is left once it
-is compiled.
+There is a device for each finger, in the order of the scene's fingers. The recursion over fingers is resolved during
+compilation.
 """
 
 from typing import Any, Final, NamedTuple
@@ -30,7 +30,7 @@ from softfinger.server.loop.inputs.poses import doubt, nothing_seen
 from softfinger.server.loop.tick import elsewhere, held, let_go, record_wrench
 
 NOT_TAKEN: Final = POSE_REFUSED | POSE_JUMPED
-"""Bits of a pose without which a run may end."""
+"""Bits of a pose that a run tolerates only for a limited time."""
 
 
 class Io(NamedTuple):
@@ -42,16 +42,16 @@ class Io(NamedTuple):
 
 
 class Line(NamedTuple):
-    """Memory for one device.
+    """Buffers of one device.
 
-    raw     what it said
-    offset  (3,) m  what was added to its position in the last tick
-    sample  what it said, with that
-    wrench  what it is written
+    raw     sample from the driver
+    offset  (3,) m  offset added to its position in the last tick
+    sample  `raw` with the offset
+    wrench  wrench to write
     record  its finger's part of the tick's record
-    held    (2,)   ticks in a row whose wrench it has not taken, and how many may be
-    seen    memory of what its poses were (server.loop.inputs.poses)
-    doubt   (1,)   the guard's bit of what speaks against the pose of this tick, 0 if nothing does
+    held    (2,)   number of successive ticks in which it ignored the wrench, and the largest number allowed
+    seen    memory of its poses (server.loop.inputs.poses)
+    doubt   (1,)   the guard's bit for an implausible pose in this tick, otherwise 0
     """
 
     raw: NDArray[np.float64]
@@ -65,7 +65,7 @@ class Line(NamedTuple):
 
 
 class Stamp(NamedTuple):
-    """What the loop says of a tick in the record of each finger, s; `missed` counts deadlines."""
+    """The loop's entries in the record of each finger, s; `missed` counts deadlines."""
 
     timestamp: float
     late: float
@@ -75,7 +75,11 @@ class Stamp(NamedTuple):
 
 
 def make_line(record: NDArray[np.float64], held_max: int) -> Line:
-    """Memory for a device whose finger's part of the record is given, and that may keep a force for so many ticks."""
+    """Return the buffers of a device.
+
+    record    its finger's part of the record
+    held_max  number of ticks for which it may keep a force
+    """
     held = np.array([0, held_max], np.int64)
     return Line(
         np.zeros(SAMPLE_SIZE),
@@ -91,7 +95,7 @@ def make_line(record: NDArray[np.float64], held_max: int) -> Line:
 
 @jit
 def known(status: int) -> int:
-    """A driver's status; one that no driver has is an answer that is not in its protocol."""
+    """Return a driver's status; an unknown one counts as a protocol error."""
     return PROTOCOL if status > HELD else status
 
 
@@ -104,7 +108,7 @@ def put_wrench(wrench: NDArray[np.float64], force: Vec3, torque: Vec3) -> None:
 
 @by_count
 def samples_of(lines: Any) -> Any:
-    """Every sample, as a tuple."""
+    """Return the samples of all devices, a tuple."""
 
 
 @samples_of.of(1)
@@ -120,7 +124,7 @@ def samples_of_several(lines: Any) -> Any:
 
 @by_count
 def records_of(lines: Any) -> Any:
-    """Every record, as a tuple."""
+    """Return the records of all devices, a tuple."""
 
 
 @records_of.of(1)
@@ -135,17 +139,19 @@ def records_of_several(lines: Any) -> Any:
 
 @by_count
 def read_all(ios: Any, lines: Any, guards: Any, offsets: Any, starts: Any, hands: Any, dt: float) -> Any:
-    """Read a sample of every device, and add its offset; FingerMemories, as they are where a driver withholds the force
-    or the offset is another one, and statuses. A pose that is not believed becomes none.
+    """Read a sample of every device and add its offset; return the FingerMemories and the statuses.
 
     dt  s  since the last read
+
+    A FingerMemory changes if a driver withholds the force or the offset changes. The position of an implausible pose
+    becomes nan.
     """
 
 
 @read_all.of(1)
 def read_one(ios: Any, lines: Any, guards: Any, offsets: Any, starts: Any, hands: Any, dt: float) -> Any:
     line, offset, hand = lines[0], offsets[0], hands[0]
-    # Not into the sample: a driver that has nothing new may leave what it gave before.
+    # Not into the sample: a driver without new data may leave the buffer as it is.
     status = known(call_device(ios[0].read, ios[0].handle, line.raw))
     if status == WITHHELD:
         hand = let_go(starts[0], hand)
@@ -173,9 +179,11 @@ def read_several(ios: Any, lines: Any, guards: Any, offsets: Any, starts: Any, h
 
 @by_count
 def write_all(ios: Any, lines: Any, tools: Any, starts: Any, befores: Any, hands: Any) -> Any:
-    """Write every device its wrench; FingerMemories and records, which go by what each hand feels, and statuses.
+    """Write a wrench to every device; return the FingerMemories and the statuses.
 
-    befores  the FingerMemories of the tick before
+    befores  FingerMemories of the previous tick
+
+    FingerMemories and records follow the force that each hand receives.
     """
 
 
@@ -202,7 +210,10 @@ def write_several(ios: Any, lines: Any, tools: Any, starts: Any, befores: Any, h
 
 @by_count
 def ended(statuses: Any) -> Any:
-    """The first device that gives no more, -1 where all do, and its status; else the first one's status."""
+    """Return the index of the first device that failed or finished, -1 if there is none, and its status.
+
+    Without one, the status is that of the first device.
+    """
 
 
 @ended.of(1)
@@ -246,7 +257,7 @@ def stamp_several(lines: Any, stamp: Stamp, statuses_in: Any, statuses_out: Any)
 
 @by_count
 def guarded_bits(lines: Any) -> Any:
-    """Bits of the guards in this tick, all together, and the first finger whose pose was not taken, 0 if all were."""
+    """Return the bits of all guards combined, and the first finger with a rejected pose, 0 if there is none."""
 
 
 @guarded_bits.of(1)
@@ -263,7 +274,7 @@ def bits_of_several(lines: Any) -> tuple[int, int]:
 
 @by_count
 def write_zeros(ios: Any, lines: Any) -> None:
-    """The last act of every loop, whatever ended it; nobody is left to act on a status."""
+    """Write zero to every device, the last act of every loop; statuses are ignored."""
 
 
 @write_zeros.of(1)

@@ -1,7 +1,7 @@
-"""The switch of the force: words of memory by which Python turns it on and off, read in every tick.
+"""Switch of the force: shared memory by which Python turns the force on and off, read in every tick.
 
-A write needs neither a lock nor a new tuning, and the loop needs no interpreter: a heartbeat that ends takes the force
-off while Python is busy, and so does a request that the publisher has received (`publishing/brake.py`).
+A write needs neither a lock nor a new tuning, and the loop needs no interpreter. A missing heartbeat therefore turns
+the force off while Python is busy, and so does a request that the publisher received (`publishing/brake.py`).
 """
 
 from __future__ import annotations
@@ -19,16 +19,19 @@ from softfinger.server.loop.guard import Guard, Guarded
 from softfinger.server.loop.switch_words import ASKED, OBEYED
 
 WANTED: Final = 0
-"""1: there is to be force."""
+"""1: force is requested."""
 UNTIL: Final = 1
-"""Time, ns on CLOCK_MONOTONIC, after which there is none until it is later."""
+"""Time, ns on CLOCK_MONOTONIC, at which the force turns off unless it is extended."""
 GIVEN: Final = 2
-"""Of the last tick, written by the loop: 1 if a hand was given a force, or was to be."""
+"""Written by the loop: 1 if a hand was given a force in the last tick, or the switch was on."""
 FOREVER: Final = np.iinfo(np.int64).max
+OFF_S: Final = 0.006
+"""Longest time, s, from the largest force to zero once the switch is off: that of 12 N at the default slew limit. A rig
+with a slower limit, for a softer feel, must not delay `disarm` by it."""
 
 
 def make_switch(words: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
-    """Return words of a switch that is on and has no end."""
+    """Return the memory of a switch that is on without a time limit."""
     switch = np.zeros(8, np.int64) if words is None else words
     switch[WANTED], switch[UNTIL] = 1, FOREVER
     return switch
@@ -36,7 +39,7 @@ def make_switch(words: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
 
 @jit
 def is_on(switch: NDArray[np.int64], now: int) -> bool:
-    """Return whether there is to be force at a time (ns)."""
+    """Return whether the force is on at a time (ns)."""
     # The counts first: the daemon writes WANTED before OBEYED.
     obeyed = load_acquire(switch, OBEYED) == load_acquire(switch, ASKED)
     return obeyed and load_acquire(switch, WANTED) != 0 and now <= load_acquire(switch, UNTIL)
@@ -50,16 +53,20 @@ def is_zero(given: Guarded) -> bool:
 
 @jit
 def switched(guard: Guard, given: Guarded, on: bool) -> Guard:
-    """Return the guard, or, off, one that brings the wrench `given` to zero along its slew limit, then disarms."""
+    """Return the guard; if off, one that brings the wrench `given` to zero within OFF_S and then disarms."""
     if on:
         return guard
     armed = 0.0 if is_zero(given) else guard.armed
-    return replace(guard, "force_max", 0.0, "torque_max", 0.0, "armed", armed)
+    force_slew = max(guard.force_slew, guard.force_max / OFF_S)
+    torque_slew = max(guard.torque_slew, guard.torque_max / OFF_S)
+    return replace(
+        guard, "force_max", 0.0, "torque_max", 0.0, "armed", armed, "force_slew", force_slew, "torque_slew", torque_slew
+    )
 
 
 @by_count
 def switched_all(guards: Any, hands: Any, on: bool) -> Any:
-    """Return `switched` of each guard, by what the FingerMemories `hands` were given last."""
+    """Return `switched` of each guard, for the last wrenches of the FingerMemories `hands`."""
 
 
 @switched_all.of(1)

@@ -1,7 +1,7 @@
-"""From the wrench of the contact step to the one that is commanded: the only way to a hand.
+"""Conversion of the wrench of the contact step into the commanded wrench; no wrench reaches a hand by another path.
 
-In order: the soft wall of the workspace is added; energy and heat take from the force; a handle that is too fast gets
-none; the guard has the last word.
+In order: the soft wall of the workspace is added, the limits of energy and heat reduce the force, a handle that is too
+fast gets zero force, and the guard is applied last. `tick.py` calls it for each finger.
 """
 
 from math import inf
@@ -46,7 +46,7 @@ class Instant(NamedTuple):
 
 
 class Passed(NamedTuple):
-    """What the output remembers: of the guard, of the limits."""
+    """State of the output: of the guard and of the limits."""
 
     guarded: Guarded
     limited: Limited
@@ -57,15 +57,15 @@ BEGUN: Final = Passed(DISENGAGED, COLD)
 
 @jit
 def felt(guard: Guard, given: Guarded) -> Guarded:
-    """What of a wrench a hand is given: no torque where the device displays none, whatever it senses."""
+    """Return the part of a wrench that reaches the hand: without torque if the device cannot display one."""
     return Guarded(given.force, vec3.scale(guard.turns, given.torque), given.gain)
 
 
 @jit
 def observed(guard: Guard, passed: Passed, motion: Motion, mode: float, dt: float) -> Limited:
-    """What the limits remember once the hand has moved; no more than is asked for is computed.
+    """Return the state of the limits after a motion of the hand; limits that are off are not computed.
 
-    mode  of the contact now
+    mode  contact mode now
     """
     limits, before = guard.limits, passed.limited
     velocity, work, most, touches = before.velocity, before.work, before.given, mode != FREE
@@ -84,12 +84,12 @@ def observed(guard: Guard, passed: Passed, motion: Motion, mode: float, dt: floa
 def output_wrench(
     guard: Guard, passed: Passed, motion: Motion, mode: float, force: Vec3, torque: Vec3, instant: Instant
 ) -> tuple[Passed, int]:
-    """Make a wrench one to command.
+    """Apply all limits and the guard to a wrench.
 
-    force, torque  (3,) N, N m  about the handle, as contact step and passivity controller have it
-    motion                      of the fingertip since the last tick, under the wrench that was commanded then
-    mode                        of the contact now
-    returns        Passed, whose wrench is to be commanded, and the guard's bits
+    force, torque  (3,) N, N m  about the handle, from the contact step and the passivity controller
+    motion                      of the fingertip since the last tick, under the wrench commanded then
+    mode                        contact mode now
+    returns        Passed with the wrench to command, and the guard's bits
     """
     limits, limited, bits = guard.limits, observed(guard, passed, motion, mode, instant.dt), 0
     if limits.workspace.radius < inf:
@@ -97,7 +97,7 @@ def output_wrench(
         if out:
             force, bits = vec3.add(force, push), WORKSPACE_EDGE
     share = share_of(limits, limited.given)
-    if share < 1.0:  # of the limits, too: else a stiff wall, which asks for many times those, would keep all of them
+    if share < 1.0:  # scale the limits, too: a stiff wall requests many times their value and would still reach them
         force, _ = clamp(vec3.scale(share, force), share * guard.force_max)
         torque, _ = clamp(vec3.scale(share, torque), share * guard.torque_max)
         bits |= ENERGY_SPENT
@@ -118,8 +118,10 @@ def output_wrench(
 
 @jit
 def at_rest(guard: Guard, limited: Limited, dt: float) -> Limited:
-    """What the limits remember after a tick without a pose, which has no force: the motors cool, and what was too fast
-    waits on."""
+    """Return the state of the limits after a tick with zero force because it has no pose.
+
+    The motors cool, and the wait after excess speed continues.
+    """
     nothing = (0.0, 0.0, 0.0)
     heat, given = warmed(guard.limits, limited.heat, nothing, dt), remembered(limited.given, limited.work, dt)
     return Limited(nothing, limited.wait, heat, limited.work, given, 0.0)

@@ -1,14 +1,13 @@
-"""Time-domain passivity: what the rendering has taken from the hand, and damping when it gives more than that.
+"""Time-domain passivity: an observer of the energy that the rendering generates, and a damper that dissipates it.
 
-The wrench that was commanded is held while the hand moves, so the work of a tick is minus that force times the way of
-the handle since, minus that torque times its turn: exactly, where it turned about one axis. Work below zero is energy
-that the sampled contact has made; the controller burns it with a damper for as long as it is owed, also after the
-release. The damper is a force, whatever made the debt: few devices display a torque. What was taken during a contact
-does not count after it: friction's losses must not pay for the next wall.
+The commanded wrench is constant while the hand moves, so the work of a tick is minus that force times the displacement
+of the handle, minus that torque times its rotation; this is exact for a rotation about one axis. Negative work is
+energy that the sampled contact has generated. The controller dissipates it with a damper until none remains, also after
+the release. The damper is always a force, because few devices display a torque. Work taken during a contact is
+discarded when the contact ends: losses to friction must not offset energy of the next wall.
 
-Source: Hannaford, Ryu (2002), Time-domain passivity control of haptic interfaces, with the work taken over
-the held force as in Ryu, Preusche, Hannaford, Hirzinger (2005), Time domain passivity control with reference
-energy following.
+Source: Hannaford, Ryu (2002), Time-domain passivity control of haptic interfaces, with the work taken over the held
+force as in Ryu, Preusche, Hannaford, Hirzinger (2005), Time domain passivity control with reference energy following.
 """
 
 from typing import Any, Final, NamedTuple
@@ -24,13 +23,13 @@ from softfinger.server.loop.guard import Guarded
 
 
 class Passivity(NamedTuple):
-    """Largest damping that may be added, N s/m; 0 observes only."""
+    """Largest damping that may be added, N s/m; 0 only observes."""
 
     damping_max: float
 
 
 class Energy(NamedTuple):
-    """Work (J) taken from the hand, negative when owed, and the damping (N s/m) that acts because of it."""
+    """Work (J) taken from the hand, negative if energy was generated, and the damping (N s/m) that dissipates it."""
 
     work: float
     damping: float
@@ -40,7 +39,7 @@ NO_ENERGY: Final = Energy(0.0, 0.0)
 
 
 class Motion(NamedTuple):
-    """From one tick to the next: poses of the fingertip, and the tool or None that it is on."""
+    """Poses of the fingertip at two successive ticks, and its tool or None."""
 
     before: Pose
     now: Pose
@@ -49,7 +48,7 @@ class Motion(NamedTuple):
 
 @by_type
 def handle_at(tool: Any, tip: Pose) -> Any:
-    """Where (3,) m the handle is."""
+    """Return the position (3,) m of the handle."""
 
 
 @handle_at.of(None)
@@ -64,7 +63,7 @@ def handle_behind_tool(tool: Tool, tip: Pose) -> Vec3:
 
 @jit
 def work_on_hand(held: Guarded, motion: Motion) -> float:
-    """Work (J) that a wrench on the handle, held in between, does over a motion."""
+    """Return the work (J) of a constant wrench on the handle over a motion."""
     way = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
     turn = log(relative(motion.now.orientation, motion.before.orientation))
     return vec3.dot(held.force, way) + vec3.dot(held.torque, turn)
@@ -74,13 +73,13 @@ def work_on_hand(held: Guarded, motion: Motion) -> float:
 def keep_passive(
     passivity: Any, energy: Energy, held: Guarded, motion: Motion, mode: float, force: Vec3, dt: float
 ) -> Any:
-    """The force with the damping that keeps the rendering passive.
+    """Return the force with the damping that makes the rendering passive.
 
-    energy          Energy  what the last tick left
-    held            Guarded wrench on the handle that was commanded since, after the guard
-    motion          Motion  of the hand under it
-    mode                    of the contact now
-    force   (3,)    N       as the contact step computed it
+    energy          Energy  state after the last tick
+    held            Guarded wrench on the handle commanded since then, after the guard
+    motion          Motion  of the hand under that wrench
+    mode                    contact mode now
+    force   (3,)    N       from the contact step
     dt              s       time since the last tick
     returns         Energy, force (3,) N
     """
@@ -97,7 +96,7 @@ def leave_as_it_is(
 def burn_what_is_owed(
     passivity: Passivity, energy: Energy, held: Guarded, motion: Motion, mode: float, force: Vec3, dt: float
 ) -> tuple[Energy, Vec3]:
-    """A damper alpha v burns alpha v^2 T in the tick to come, if the hand goes on as it did: alpha = -E / (v^2 T)."""
+    """Add a damper alpha v: it dissipates alpha v^2 T in the next tick at constant v, so alpha = -E / (v^2 T)."""
     work = energy.work - work_on_hand(held, motion)
     if mode == FREE:
         work = min(work, 0.0)

@@ -1,8 +1,9 @@
-"""Work of contacts with bodies that move: what the passivity observer counts is the relative motion.
+"""Work of contacts with moving bodies: the passivity observer counts only the relative motion.
 
-A hand that lowers a body is given the body's weight times the way: energy of the body, not of the contact. The contact
-has made what the hand is given less what the bodies gave. In a tick a contact's wrench on the hand is held, so the
-bodies' part of it is that wrench times their motion since, at the fingertip's centre.
+A hand that lowers a body receives the body's weight times the displacement. This energy comes from the body, not from
+the contact. The contact has generated the energy that the hand received, minus the energy that the bodies gave up. A
+contact's wrench on the hand is constant during a tick, so the bodies' part is that wrench times their motion at the
+fingertip's centre.
 """
 
 from typing import Any, Final, NamedTuple
@@ -19,10 +20,10 @@ from softfinger.server.loop.passivity import Energy, Passivity
 
 
 class Reaction(NamedTuple):
-    """A contact that holds a wrench between a hand and a body from one tick to the next.
+    """Wrench of a contact between a hand and a body, constant from one tick to the next.
 
-    body    number of the body, 0 for what does not move
-    force   (3,)  N    on the hand, as far as the hand is given it
+    body    index of the body, 0 for a fixed object
+    force   (3,)  N    on the hand, as far as the hand receives it
     torque  (3,)  N m  the same, about `center`
     center  (3,)  m    of the fingertip
     pose    Pose       of the body
@@ -40,22 +41,22 @@ NO_REACTION: Final = Reaction(0.0, _ZERO, _ZERO, _ZERO, Pose(_ZERO, (1.0, 0.0, 0
 
 
 def no_reactions(bodies: Any, finger: FingerState) -> Any:
-    """Before the first tick: one for each contact that there may be; None in a scene without bodies."""
+    """Return the reactions before the first tick, one for each possible contact; None in a scene without bodies."""
     return None if bodies is None else same_for(finger.contacts, NO_REACTION)
 
 
 @jit
 def share_given(asked: Vec3, given: Vec3) -> float:
-    """The part of what contacts ask for that the hand is given, 0 to 1."""
+    """Return the fraction of the requested force or torque of the contacts that the hand receives, 0 to 1."""
     square = vec3.dot(asked, asked)
     return min(max(vec3.dot(asked, given) / square, 0.0), 1.0) if square > 0.0 else 0.0
 
 
 @by_type
 def reactions_of(passivity: Any, bodies: Any, before: Any, contact: Contact, given: Guarded, center: Vec3) -> Any:
-    """What contacts hold until the next tick, a tuple of Reaction; those of `before` where nobody observes.
+    """Return the wrenches of contacts until the next tick, a tuple of Reaction; `before` unchanged without an observer.
 
-    given   wrench on the fingertip, about its `center` (3,) m, behind the guard
+    given   wrench on the fingertip, about its `center` (3,) m, after the guard
     """
 
 
@@ -73,7 +74,7 @@ def observed_reactions(
 
 @by_type
 def reactions_on(bodies: Any, contact: Contact, given: Guarded, center: Vec3) -> Any:
-    """Reactions, or None in a scene without bodies."""
+    """Return the reactions, or None in a scene without bodies."""
 
 
 @reactions_on.of(None)
@@ -89,7 +90,7 @@ def reactions_on_bodies(bodies: Bodies, contact: Contact, given: Guarded, center
 
 @by_count
 def reactions(outcomes: Any, bodies: Bodies, of_force: float, of_torque: float, center: Vec3) -> Any:
-    """A Reaction for each ContactOutcome."""
+    """Return a Reaction for each ContactOutcome."""
 
 
 @reactions.of(1)
@@ -112,7 +113,7 @@ def reaction(outcome: ContactOutcome, bodies: Bodies, of_force: float, of_torque
 
 @by_type
 def relative_energy(passivity: Any, bodies: Any, energy: Energy, held: Any) -> Any:
-    """The energy of the last tick, with what bodies have given since by their motion; `held` are Reactions, or None."""
+    """Return the energy after the last tick, plus the work of the bodies since then; `held` are Reactions, or None."""
 
 
 @relative_energy.of(None)
@@ -127,7 +128,7 @@ def with_what_bodies_gave(passivity: Passivity, bodies: Any, energy: Energy, hel
 
 @by_type
 def work_of_bodies(bodies: Any, held: Any) -> Any:
-    """Work (J) that the wrenches of Reactions do over the motion of their bodies since."""
+    """Return the work (J) of the wrenches of Reactions over the motion of their bodies since then."""
 
 
 @work_of_bodies.of(None)

@@ -1,10 +1,9 @@
 """Real-time settings of the servo thread: scheduler, memory, timers, processor.
 
-All are made by the servo thread itself before it arms the device. Each is optional: what the system
-refuses is reported with its reason and what to do, and the servo runs without it. What they are
-worth: the scheduler keeps everything else from delaying a tick; locked memory keeps a tick from
-waiting for a page; timer slack delays wake-ups by up to 50 us without SCHED_FIFO; a processor kept
-out of deep sleep wakes about 10 us sooner; a fixed processor saves migrations.
+The servo thread makes all of them before it arms the device. Each is optional: a refused setting is reported with its
+reason and a remedy, and the servo runs without it. Effects: the scheduler prevents other work from delaying a tick;
+locked memory prevents a tick from waiting for a page; timer slack delays wake-ups by up to 50 us without SCHED_FIFO; a
+processor that avoids deep sleep wakes about 10 us sooner; a fixed processor avoids migrations.
 """
 
 from __future__ import annotations
@@ -29,9 +28,8 @@ RT_RUNTIME: Final = "/proc/sys/kernel/sched_rt_runtime_us"
 RT_PERIOD: Final = "/proc/sys/kernel/sched_rt_period_us"
 
 REQUIRED: Final = ("sched_fifo", "mlockall", "affinity")
-"""What mode `require` cannot do without: the two that bound the worst tick, and a processor asked for by number.
-
-Timer slack does not act under SCHED_FIFO, and sleep states cost microseconds; their refusal is only reported."""
+"""Settings required in mode `require`: the two that bound the worst tick, and a processor selected by number. Timer
+slack does not act under SCHED_FIFO, and sleep states cost microseconds; their refusal is only reported."""
 
 SLACK_NS: Final = 1  # 0 would mean the default of 50 us
 
@@ -45,14 +43,14 @@ MADV_DONTNEED: Final = 4
 CAP_IPC_LOCK: Final = 14
 
 BROUGHT_IN_MAX: Final = 4 << 20
-"""Bytes of the largest mapping brought in whole: a driver's library is smaller, a stack and the compiler are larger."""
+"""Largest mapping locked completely, in bytes: a driver's library is smaller, a stack and the compiler are larger."""
 STACK_BYTES: Final = 1 << 20
-"""Of the servo thread's stack, from its top: the loop takes some kB, the library of a device some more."""
-PTHREAD_ATTR_BYTES: Final = 64  # of a pthread_attr_t: 56 on x86-64, 64 on aarch64
+"""Locked part of the servo thread's stack, from its top: the loop uses some kB, the library of a device some more."""
+PTHREAD_ATTR_BYTES: Final = 64  # size of a pthread_attr_t: 56 on x86-64, 64 on aarch64
 
 
 class Setting(NamedTuple):
-    """Outcome of one setting; `detail` is what was set or why not, `advice` what to do about a refusal."""
+    """Outcome of one setting; `detail` is the value set or the reason of a refusal, `advice` the remedy."""
 
     name: str
     ok: bool
@@ -62,7 +60,7 @@ class Setting(NamedTuple):
 
 @dataclass
 class Applied:
-    """What `apply` set, and the way back."""
+    """Settings made by `apply`, and how to undo them."""
 
     settings: list[Setting]
     thread: int = field(default_factory=threading.get_native_id)
@@ -70,10 +68,10 @@ class Applied:
     _of_process: list[Callable[[], object]] = field(default_factory=list)
 
     def undo(self) -> None:
-        """Give back what was taken, in reverse order. Any number of times.
+        """Undo the settings in reverse order; may be called repeatedly.
 
-        Scheduler, timer slack and processor belong to the thread that called `apply`; from another
-        thread they are left, because they end with their thread. Memory is unlocked for the whole process.
+        Scheduler, timer slack and processor belong to the thread that called `apply`; another thread does not undo
+        them, because they end with their thread. Memory is unlocked for the process.
         """
         if threading.get_native_id() == self.thread:
             while self._of_thread:
@@ -83,14 +81,13 @@ class Applied:
 
 
 def apply(mode: Mode, priority: int, cpu: int | None) -> Applied:
-    """Make the real-time settings for the calling thread; call it in the servo thread.
+    """Make the real-time settings for the calling thread, which must be the servo thread.
 
-    mode      auto: take what is granted; require: RealtimeError unless all of REQUIRED are; off: touch nothing
+    mode      auto: use the settings that are granted; require: RealtimeError unless all of REQUIRED are; off: none
     priority  of SCHED_FIFO, 1 to 99
-    cpu       processor to stay on, None for any
+    cpu       processor to run on, None for any
 
-    In mode `require`, what had been granted is given back before RealtimeError is raised; its
-    message lists everything refused.
+    In mode `require`, granted settings are undone before RealtimeError is raised; its message lists every refusal.
     """
     applied = Applied([])
     if mode == "off":
@@ -99,7 +96,7 @@ def apply(mode: Mode, priority: int, cpu: int | None) -> Applied:
     if sys.platform != "linux":
         applied.settings.extend(refused_elsewhere(sys.platform, cpu))
     else:
-        # Timer slack first: a SCHED_FIFO thread has none, and the kernel ignores the request from it.
+        # Timer slack first: a SCHED_FIFO thread has none, and the kernel ignores its request.
         applied.settings.append(_set_timer_slack(applied))
         applied.settings.append(_set_fifo(applied, priority))
         applied.settings.append(_lock_memory(applied))
@@ -112,10 +109,10 @@ def apply(mode: Mode, priority: int, cpu: int | None) -> Applied:
 
 
 def lift(name: str, thread: int | None, priority: int) -> Setting:
-    """Give another thread of this process, by its native id, a priority of its own: the supervisor must run when the
-    servo hangs, and the relay wake readers of ticks where the processor is busy with something else.
+    """Set the priority of another thread of this process, by its native id; it ends with the thread.
 
-    Nothing to undo: it ends with the thread.
+    The supervisor must run when the servo hangs, and the relay must wake readers of ticks while the processor is busy
+    with other work.
     """
     setting = f"sched_fifo_{name}"
     if sys.platform != "linux" or thread is None:
@@ -130,7 +127,7 @@ def lift(name: str, thread: int | None, priority: int) -> Setting:
 
 
 def refused_elsewhere(platform: str, cpu: int | None) -> list[Setting]:
-    """The settings on a system that has none of them."""
+    """Return the refused settings for a system other than Linux."""
     names = ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency"] + ["affinity"] * (cpu is not None)
     advice = "run on Linux, or say --realtime off to stop asking"
     return [Setting(name, False, f"made with Linux calls, and this is {platform}", advice) for name in names]
@@ -185,20 +182,20 @@ def _fifo_advice(number: int | None) -> str:
 
 
 def _join() -> str:
-    """How a user comes to all three: limits of priority and of locked memory, and the right to the latency device."""
+    """Return how a user obtains both limits (priority and locked memory) and access to the latency device."""
     return f"`{command()}` gives it to the group {GROUP}: join that (sudo usermod -aG {GROUP} $USER) and log in again"
 
 
 def _throttle_note() -> str:
-    """What the kernel does to a thread that never sleeps; a servo that keeps its deadlines is not touched."""
+    """Return the kernel's limit for a thread that never sleeps; it does not affect a servo that meets its deadlines."""
     runtime = _read(RT_RUNTIME)
     return "" if runtime in ("", "-1") else f", paused if ever busy for {runtime} us of {_read(RT_PERIOD)} us"
 
 
 def _lock_memory(applied: Applied) -> Setting:
-    """Lock what is in memory, lock the rest as it is first touched, and bring in now what a tick may touch."""
+    """Lock present pages now and others on first touch, and load the pages that a tick may touch."""
     _give_back()
-    # Under a finite limit, locking what comes would turn a later malloc into a failure.
+    # Under a finite limit, locking future mappings would make a later malloc fail.
     later = MCL_FUTURE if _may_lock_without_limit() else 0
     done = _libc("mlockall", MCL_CURRENT | MCL_ONFAULT | later)
     if done.result < 0:
@@ -216,22 +213,22 @@ def _lock_memory(applied: Applied) -> Setting:
 
 
 def _give_back() -> None:
-    """Let go of the code of large libraries, such as the compiler's: what is called again comes from the file anew."""
+    """Drop the code pages of large libraries, such as the compiler; code that is called again is read from its file."""
     for each in _mappings():
-        # Of a file, and never written: nothing is lost. Kernels are code too, but of no file.
+        # Mapped from a file and never written: nothing is lost. Kernels are code too, but without a file.
         if each.size > BROUGHT_IN_MAX and each.permissions == "r-xp" and each.inode != 0:
             _libc("madvise", each.begin, each.size, MADV_DONTNEED)
 
 
 def _bring_in() -> None:
-    """Bring in this thread's stack, and every mapping but the large ones.
+    """Load this thread's stack and all small mappings.
 
-    Those are the compiler, which no tick calls, and the stacks of other threads, which no tick
-    writes, and arrays: what a tick writes, whoever makes it has written before.
+    The large ones are the compiler, which no tick calls, the stacks of other threads, which no tick writes, and arrays:
+    arrays written by a tick were already written when they were created.
     """
     for each in _mappings():
         if each.permissions.startswith("r") and each.size <= BROUGHT_IN_MAX:
-            _libc("mlock", each.begin, each.size)  # refused for the kernel's own pages, which are there
+            _libc("mlock", each.begin, each.size)  # refused for pages of the kernel, which are always present
     attributes = ctypes.create_string_buffer(PTHREAD_ATTR_BYTES)
     lowest, size = ctypes.c_size_t(), ctypes.c_size_t()
     if _libc("pthread_getattr_np", threading.get_ident(), ctypes.addressof(attributes)).result == 0:
@@ -242,7 +239,7 @@ def _bring_in() -> None:
 
 
 def _hold_latency(applied: Applied) -> Setting:
-    """Ask for wake-ups without delay: holds for the whole machine as long as the file stays open."""
+    """Request wake-ups without delay, for the entire machine as long as the file remains open."""
     name = "cpu_dma_latency"
     try:
         fd = os.open(LATENCY_DEVICE, os.O_WRONLY | os.O_CLOEXEC)
@@ -280,7 +277,7 @@ class _Outcome(NamedTuple):
 
 
 def _libc(name: str, *arguments: int) -> _Outcome:
-    """Call a libc function of C longs; errno is 0 where it succeeded."""
+    """Call a libc function with C longs; the error is 0 on success."""
     function = getattr(ctypes.CDLL(None, use_errno=True), name)
     ctypes.set_errno(0)
     result = function(*(ctypes.c_long(argument) for argument in arguments))
@@ -304,7 +301,7 @@ def _may_lock_without_limit() -> bool:
 
 
 class _Mapping(NamedTuple):
-    """Address and bytes; permissions such as `r-xp`; inode of its file, 0 for none."""
+    """Address and size in bytes; permissions such as `r-xp`; inode of its file, 0 for none."""
 
     begin: int
     size: int
@@ -313,7 +310,6 @@ class _Mapping(NamedTuple):
 
 
 def _mappings() -> list[_Mapping]:
-    """What the process has mapped."""
     found = []
     for line in _read("/proc/self/maps").splitlines():
         span, permissions, _, _, inode, *_ = line.split()
@@ -323,7 +319,7 @@ def _mappings() -> list[_Mapping]:
 
 
 def _status(key: str) -> str:
-    """One line of this thread's /proc status, empty where there is none."""
+    """Return one line of this thread's /proc status, empty if it is missing."""
     for line in _read("/proc/thread-self/status").splitlines():
         if line.startswith(f"{key}:"):
             return " ".join(line.split()[1:])
@@ -332,7 +328,7 @@ def _status(key: str) -> str:
 
 def _read(path: str) -> str:
     try:
-        with open(path, encoding="utf-8", errors="replace") as file:  # names of files may have any bytes
+        with open(path, encoding="utf-8", errors="replace") as file:  # file names may contain any bytes
             return file.read().strip()
     except OSError:
         return ""

@@ -1,8 +1,7 @@
-"""The servo's loop: one nopython function, from the reads of the devices to their writes.
+"""Servo loop: one nopython function, from the reads of the devices to their writes, run by `servo_thread.py`.
 
-It takes no GIL, allocates nothing and waits for nobody. It shares with Python: a stop word, the switch of the force, a
-slot of parameters, a ring of records and an eventfd that tells the reader a record is there. `servo_thread.py` runs
-it.
+It takes no GIL, allocates nothing and never waits for another thread. It shares with Python: a stop flag, the switch of
+the force, a slot of parameters, a ring of records, and an eventfd that notifies the reader of a record.
 """
 
 from __future__ import annotations
@@ -44,8 +43,14 @@ _eventfd_write = types.ExternalFunction("eventfd_write", types.int32(types.int32
 
 
 class Schedule(NamedTuple):
-    """Period and epoch offset, ns; ticks to run, -1 for no end; whether all devices keep their own clock: then a tick
-    takes a period, else what the wall clock says, for every finger."""
+    """Timing of a loop.
+
+    period_ns  length of a tick
+    epoch_ns   offset of the epoch from monotonic time
+    ticks      number of ticks to run, -1 without end
+    own_clock  1 if all devices have their own clock: every tick then lasts a period, for all fingers; otherwise 0, and
+               its length is measured
+    """
 
     period_ns: int
     epoch_ns: int
@@ -54,10 +59,17 @@ class Schedule(NamedTuple):
 
 
 class Shared(NamedTuple):
-    """Memory the loop shares with Python: stop word, ticks and misses so far, of the loops before it too, and whether
-    it was woken late when it ended for want of time, switch of the force (`force_switch.py`), parameter slot, ring of
-    records, eventfd that wakes its reader, slot of the motion of bodies (query.bodies). The ring has a row a tick: the
-    records of all fingers, one after the other."""
+    """Memory shared with Python.
+
+    stop      stop flag
+    progress  ticks, missed deadlines (both including previous loops), and 1 if the loop failed because it was woken
+              late
+    switch    switch of the force (`force_switch.py`)
+    tuning    parameters
+    ring      a row per tick, with the records of all fingers one after the other
+    wake_fd   eventfd that wakes the reader of records
+    motion    motion of the bodies (query.bodies)
+    """
 
     stop: NDArray[np.int64]
     progress: NDArray[np.int64]
@@ -69,8 +81,11 @@ class Shared(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Memory of the loop alone, allocated before it starts: a Line for each device, its record a part of `row`; the way
-    from the parameters of now to those that are wanted."""
+    """Private memory of the loop, allocated before it starts.
+
+    lines  buffers of each device; their records are parts of `row`
+    way    ramp from the present parameters to the requested ones
+    """
 
     timespec: NDArray[np.int64]
     values: NDArray[np.float64]
@@ -84,7 +99,7 @@ class Scratch(NamedTuple):
 def newest_parameters(
     slot: Slot, seen: int, values: NDArray[np.float64], way: Way, tuning: Tuning
 ) -> tuple[int, Tuning]:
-    """The parameters of this tick, on their way to the newest that are wanted, and the version of those."""
+    """Return the version of the latest parameters, and the ramped parameters of this tick."""
     newest = refresh(slot, seen, values)
     if newest != seen:
         head_for(way, values)
@@ -96,7 +111,7 @@ def newest_parameters(
 
 @jit
 def stamp_of(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -> Stamp:
-    """The loop's part of a record: when it was due, began and was written, ns; `busy` is of the tick before."""
+    """Return the loop's part of a record: deadline, start and write of the tick, ns; `busy` is of the previous tick."""
     return Stamp(
         timestamp=(woke + schedule.epoch_ns) / NS_PER_S,
         late=(woke - pace.deadline) / NS_PER_S,
@@ -108,7 +123,7 @@ def stamp_of(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -
 
 @jit
 def hand_over_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> None:
-    """Give a tick's records to their reader, and wake it; `ticks` are done with this one."""
+    """Append a tick's records to the ring and wake the reader; `ticks` includes this tick."""
     push(shared.ring, row)
     store_release(shared.progress, 0, ticks)
     _eventfd_write(shared.wake_fd, 1)
@@ -118,10 +133,9 @@ def hand_over_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> No
 def servo_loop(
     tuning_like: Tuning, start: Memory, ios: tuple[Io, ...], schedule: Schedule, shared: Shared, scratch: Scratch
 ) -> tuple[int, int, int]:
-    """Run ticks until told to stop; returns how it ended, the last status of a device, and which finger's that is.
+    """Run ticks until stopped; return the reason for the end, the last status of a device, and the index of its finger.
 
-    Ticks and misses go on from those in `shared`.
-    Whatever the end, the last thing written to every device is zero.
+    Ticks and missed deadlines continue from `shared`. In any case, the last write to every device is zero.
     """
     timespec, lines = scratch.timespec, scratch.lines
     seen = refresh(shared.tuning, -1, scratch.values)

@@ -1,4 +1,4 @@
-"""Shutdown: the last zero, each step whatever the one before it did, and the words for what ended a loop."""
+"""Shutdown of devices, in which a failed step skips no other, and the errors for each end of a loop."""
 
 from __future__ import annotations
 
@@ -24,12 +24,17 @@ FINISHED: Final = 1
 READ_FAILED: Final = 2
 WRITE_FAILED: Final = 3
 CRASHED: Final = 4
-"""Ends of a loop, and of its thread; faults of server.loop.health go on from here."""
+"""Reasons for the end of a loop, and of its thread; the faults of server.loop.health have the next numbers."""
 
 
 class Ended(NamedTuple):
-    """How a loop ended: STOPPED ... CRASHED or a fault of server.loop.health, a device's last status, the error if it
-    crashed, and the place of the finger whose device it was."""
+    """End of a loop.
+
+    ending  STOPPED ... CRASHED or a fault of server.loop.health
+    status  last status of a device
+    error   exception, if the loop crashed
+    finger  index of the finger of that device
+    """
 
     ending: int
     status: int
@@ -38,14 +43,14 @@ class Ended(NamedTuple):
 
 
 def every(*steps: Callable[[], object], first: BaseException | None = None) -> BaseException | None:
-    """Run each step; returns the first error, which is for the caller to raise. The others are logged here.
+    """Run every step, also after an error; return the first error, for the caller to raise, and log further ones.
 
-    first  the error that there was before, if any: then those of all steps are logged
+    first  an earlier error, if any: then the errors of all steps are logged
     """
     for step in steps:
         try:
             step()
-        except BaseException as error:  # an interrupt, too, must not keep the next step from its turn
+        except BaseException as error:  # an interrupt, too, must not prevent the next step
             if first is None:
                 first = error
             else:
@@ -55,16 +60,16 @@ def every(*steps: Callable[[], object], first: BaseException | None = None) -> B
 
 @jit
 def write_zero(write: int, handle: int, wrench: NDArray[np.float64]) -> None:
-    """The last act of every loop, whatever ended it. `wrench` (6,) is scratch; nobody is left to act on the status."""
+    """Write zero, the last act of every loop, and ignore the status; `wrench` (6,) is scratch."""
     for i in range(6):
         wrench[i] = 0.0
     call_device(write, handle, wrench)
 
 
 def stop(device: Device) -> None:
-    """Stop a device; DeviceError if that fails, since then its force is unknown.
+    """Stop a device; raises DeviceError on failure, because its force is then unknown.
 
-    A stop that fails is followed by a plain write of zero, the one way left; whoever else may be writing.
+    After a failed stop, zero is written directly, as the last resort, even if another thread may be writing.
     """
     try:
         _named(device, device.stop, "be stopped")
@@ -74,34 +79,34 @@ def stop(device: Device) -> None:
 
 
 def _write_plainly(device: Device) -> None:
-    """Zero by the device's own write, whatever else goes on with it."""
+    """Write zero by the device's write function, without regard to other calls in progress."""
     io, zero = device.io(), np.zeros(6)
     ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(io.write)(io.handle, zero.ctypes.data)
 
 
 def close(device: Device) -> None:
-    """Close a device; DeviceError as of `stop`."""
+    """Close a device; errors as for `stop`."""
     _named(device, device.close, "be closed")
 
 
 def stop_all(devices: Sequence[Device]) -> None:
-    """`stop` of each, at the same time: one that fails, or hangs, keeps no other from its zero.
+    """Stop all devices in parallel: one that fails or hangs does not delay the zero force of another.
 
-    Raises the first error once all are done, or have had `opened.END_S`; the others are logged.
+    Raises the first error after all calls have returned, or after `opened.END_S`; logs further ones.
     """
     failures = opened.at_once(stop, devices)
     hung = [device for device, error in failures if isinstance(error, TimeoutError)]
-    opened.at_once(_write_plainly, hung)  # which may hang as well
+    opened.at_once(_write_plainly, hung)  # this write may hang as well
     _raise_first("be stopped", failures)
 
 
 def close_all(devices: Sequence[Device]) -> None:
-    """`close` of each, as `stop_all`."""
+    """Close all devices, as `stop_all` does."""
     _raise_first("be closed", opened.at_once(close, devices))
 
 
 def confirm_zero(devices: Sequence[Device]) -> None:
-    """Raise DeviceError if a device that was stopped does not confirm its zero."""
+    """Raise DeviceError if a stopped device does not confirm zero force."""
     for device in devices:
         if why := device.zero_failure():
             raise DeviceError(
@@ -134,9 +139,9 @@ def _named(device: Device, act: Callable[[], None], what: str) -> None:
 
 
 def device_failure(device: Device, ended: Ended, finger: str = "") -> HapticError | None:
-    """The error of a device that failed, in its own words and with what to do; None where it was not the device.
+    """Return the error of a device that failed, with its reason and the remedy; None if no device failed.
 
-    finger  name of the one that it moves, if there are several
+    finger  name of the device's finger, if there are several
     """
     doing = "read" if ended.ending == READ_FAILED else "write"
     name, said = device.info.name + (f", finger '{finger}'" if finger else ""), device.reason()
@@ -165,9 +170,9 @@ def device_failure(device: Device, ended: Ended, finger: str = "") -> HapticErro
 
 
 def loop_failure(ended: Ended, ticks: int, missed: int, woken_late: bool) -> HapticError | None:
-    """The error of a loop that could not go on with a device that could; None where it was not the loop.
+    """Return the error of a loop that failed although its devices work; None if the loop did not fail.
 
-    woken_late  whether most of the time it lost was lost before its thread was woken
+    woken_late  whether most of the lost time was lost before its thread was woken
     """
     if ended.ending == health.NO_FORCE:
         return SafetyStop(

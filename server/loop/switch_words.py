@@ -1,10 +1,10 @@
-"""Words of the force switch that the publisher process writes: in a file of their own, since it imports no kernels."""
+"""Indices of the force switch that the publisher process uses; a separate file, as that process imports no kernels."""
 
 from __future__ import annotations
 
 from typing import Final
 
 ASKED: Final = 3
-"""Count of requests that take the force off, written by the publisher."""
+"""Number of requests to turn the force off; written by the publisher."""
 OBEYED: Final = 4
-"""Count of those that the daemon has answered."""
+"""Number of such requests that the daemon has handled."""

@@ -1,6 +1,6 @@
-"""One tick without its clock and devices: poses in, passive and guarded wrenches and records out.
+"""One tick without its clock and devices: from poses to passive and guarded wrenches and records.
 
-The servo loop and `simulate` both run this, on the same poses to the same bits.
+The servo loop and `simulate` both call it; for equal poses the results are equal to the bit.
 """
 
 from math import isfinite
@@ -25,16 +25,16 @@ from softfinger.server.loop.passivity import NO_ENERGY, Energy, Motion, keep_pas
 from softfinger.server.loop.reactions import no_reactions, reactions_of, relative_energy
 
 UNMOVED: Final = (-0.0, -0.0, -0.0)
-"""An offset that changes no bit of what it is added to, a zero's sign included."""
+"""Offset that changes no bit of a sum, including the sign of a zero."""
 
 
 class Tuning(NamedTuple):
-    """Everything that may change while the servo runs.
+    """All parameters that may change while the servo runs.
 
-    guards     tuple of Guard, one for each of the scene's fingers
-    passivity  Passivity or None, of all of them
-    tools      tuple of Tool or None, what each finger's device holds
-    offsets    tuple of (3,) m, what is added to the position that each device says; the loop's, of no tick
+    guards     tuple of Guard, one for each finger of the scene
+    passivity  Passivity or None, shared by all fingers
+    tools      tuple of Tool or None, the tool of each finger's device
+    offsets    tuple of (3,) m, added to the position from each device; used by the loop, not by the tick
     """
 
     scene: Scene
@@ -45,9 +45,14 @@ class Tuning(NamedTuple):
 
 
 class FingerMemory(NamedTuple):
-    """What a tick leaves for the next of one finger: its contact's state, the guard's, the energy so far, and that of
-    the limits, which lasts whatever becomes of the others; and what its contacts give to bodies that move, a tuple of
-    Reaction, or None in a scene without."""
+    """State of one finger between ticks.
+
+    contact    state of its contact
+    guarded    state of its guard
+    energy     state of the passivity observer
+    limited    state of the limits, preserved whenever the other parts are reset
+    reactions  wrenches of its contacts on moving bodies, a tuple of Reaction; None in a scene without bodies
+    """
 
     contact: FingerState
     guarded: Guarded
@@ -57,15 +62,14 @@ class FingerMemory(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Everything a tick leaves for the next: the world, and a FingerMemory for each finger."""
+    """State between ticks: the world, and a FingerMemory for each finger."""
 
     world: World
     fingers: Any
 
 
 class Output(NamedTuple):
-    """What each finger's wrench passes on its way to the hand: guards and tools, one for each, and the passivity and
-    the bodies of all."""
+    """Stages of each finger's output: guards and tools, one per finger, and the passivity and bodies shared by all."""
 
     guards: Any
     passivity: Any
@@ -74,7 +78,7 @@ class Output(NamedTuple):
 
 
 def begin(scene: Scene) -> Memory:
-    """Memory before the first tick."""
+    """Return the state before the first tick."""
     state = start_state(scene)
     fingers = tuple(
         FingerMemory(finger, DISENGAGED, NO_ENERGY, COLD, no_reactions(scene.bodies, finger))
@@ -84,8 +88,12 @@ def begin(scene: Scene) -> Memory:
 
 
 def carried_over(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
-    """Memory before the first tick of a loop that takes over after a tick with these records, one after the other: new
-    guards do not cool the motors, nor slow the handle."""
+    """Return the state before the first tick of a loop that continues another one.
+
+    row  records of the last tick, one finger after the other
+
+    The limits continue from these records: new guards do not cool the motors or slow the handle.
+    """
     fingers = []
     for place, (finger, guard) in enumerate(zip(start.fingers, guards, strict=True)):
         record = row[place * RECORD_SIZE :]
@@ -97,26 +105,26 @@ def carried_over(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
 
 @jit
 def let_go(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
-    """What is remembered after the hand was given no force, whatever was commanded: the guard's begins anew."""
+    """Return the state after the device displayed no force in spite of the command: the guard restarts."""
     return FingerMemory(hand.contact, start.guarded, hand.energy, hand.limited, start.reactions)
 
 
 @jit
 def elsewhere(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
-    """What is remembered of a finger that is somewhere else now, without a way there: its contact begins anew."""
+    """Return the state of a finger that was displaced without a path: its contact restarts."""
     return FingerMemory(start.contact, hand.guarded, hand.energy, hand.limited, start.reactions)
 
 
 @jit
 def held(before: Guarded, hand: FingerMemory) -> FingerMemory:
-    """What is remembered after the hand was left the force of `before`: the guard counts on from that one."""
+    """Return the state after the device kept the wrench `before`: the slew limit continues from it."""
     guarded = Guarded(before.force, before.torque, hand.guarded.gain)
     return FingerMemory(hand.contact, guarded, hand.energy, hand.limited, hand.reactions)
 
 
 @jit
 def record_wrench(tool: Any, guarded: Guarded, record: Any) -> None:
-    """Put another wrench of the device into a record whose pose stands."""
+    """Replace the wrench in a record by the one of the device; the pose remains."""
     at = AT.probe_orientation
     tip = (record[at], record[at + 1], record[at + 2], record[at + 3])
     put3(record, AT.force, guarded.force)
@@ -125,7 +133,7 @@ def record_wrench(tool: Any, guarded: Guarded, record: Any) -> None:
 
 @jit
 def usable(sample: Any) -> bool:
-    """Whether a device sample holds a pose: finite, within reach, a quaternion that is about unit."""
+    """Return whether a device sample has a pose: finite, within reach, with a quaternion of approximately unit norm."""
     square = 0.0
     for i in range(3):
         if not abs(sample[i]) <= POSITION_MAX_M:
@@ -139,7 +147,7 @@ def usable(sample: Any) -> bool:
 
 @jit
 def pose_of(tool: Any, last: Probe, sample: Any) -> Pose:
-    """The fingertip's pose by a sample of the handle; the last one where it holds none."""
+    """Return the fingertip's pose for a sample of the handle; the last pose if the sample has none."""
     if usable(sample):
         position = (sample[0], sample[1], sample[2])
         return tip_of(tool, Pose(position, as_unit((sample[3], sample[4], sample[5], sample[6]))))
@@ -148,8 +156,11 @@ def pose_of(tool: Any, last: Probe, sample: Any) -> Pose:
 
 @jit
 def entered(world: World, finger: FingerState, pose: Pose) -> Any:
-    """A finger's state before a tick. One without a pose before, in a world that has gone on, has been where it is:
-    else a body that moves would be felt as if it had moved past."""
+    """Return a finger's state before a tick.
+
+    A finger without a previous pose, in a world that has already started, starts at its present pose; otherwise a
+    moving body would act as if it had moved past the finger.
+    """
     probe = finger.probe
     if finger.started == 0.0 and world.started != 0.0:
         probe = Probe(pose.position, pose.orientation, probe.velocity)
@@ -158,7 +169,7 @@ def entered(world: World, finger: FingerState, pose: Pose) -> Any:
 
 @by_count
 def arrive(hands: Any, tools: Any, world: World, samples: Any) -> Any:
-    """Before the step: states of the fingers, and their poses, a tuple each."""
+    """Return the states and the poses of the fingers before the step, a tuple each."""
 
 
 @arrive.of(1)
@@ -177,7 +188,7 @@ def arrive_with_several(hands: Any, tools: Any, world: World, samples: Any) -> A
 
 @by_count
 def command(hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any) -> Any:
-    """After the step: FingerMemories with the wrench to be commanded, one for each finger.
+    """Return the FingerMemories after the step, with the wrenches to be commanded, one for each finger.
 
     stepped  FingerStates and Contacts, a tuple each
     """
@@ -238,16 +249,16 @@ def command_several(
 def tick(
     tuning: Tuning, start: Memory, memory: Memory, samples: Any, dt: float, period: float, number: int, records: Any
 ) -> Memory:
-    """Contact step, passivity and guard of all fingers; fills the contact part of their records.
+    """Run contact step, passivity and guard of all fingers, and fill the contact part of their records.
 
-    samples  a sample (position, quaternion, ...) for each finger, of its handle; so is the wrench that the memory is
-             left with, and the record has the fingertip's
+    samples  a sample (position, quaternion, ...) of its handle for each finger; the wrench in the returned memory also
+             acts at the handle, while the record has the wrench at the fingertip
     dt       s  time since the last tick
     period   s  nominal length of a tick
     records  a record for each finger
 
-    A sample without a usable pose ends that finger's contact: force zero, everything of it as at the `start`, the ramp
-    anew. The world and the other fingers go on.
+    A sample without a usable pose ends that finger's contact: zero force, its state as at the `start`, and a new ramp.
+    The world and the other fingers continue.
     """
     fingers, poses = arrive(memory.fingers, tuning.tools, memory.world, samples)
     state, contacts = step(tuning.scene, State(memory.world, fingers), poses, dt)

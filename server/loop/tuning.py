@@ -1,4 +1,4 @@
-"""From configuration to the parameters of a tick."""
+"""Conversion of the configuration (scene, guard, tools) into the parameters of a tick."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from softfinger.server.progress import progress
 log: Final = logging.getLogger(__name__)
 
 DAMPING_MAX_NS_PER_M: Final = 20.0
-"""Of the passivity controller, where the scene gives none: at 1 kHz a device of 20 g still bears it."""
+"""Default of the passivity controller's largest damping: at 1 kHz it is stable for devices down to 20 g."""
 
 FORCE_DOF: Final = 3
-"""Degrees of freedom that a device which displays forces alone is moved in."""
+"""Degrees of freedom of a device that displays only forces."""
 
 
 def make_tuning(
@@ -37,9 +37,9 @@ def make_tuning(
     devices: Sequence[DeviceInfo] = (),
     tools: Sequence[schema.Tool | None] = (),
 ) -> Tuning:
-    """Parameters of the servo for a scene, a guard and each finger's tool; what its device allows is never exceeded.
+    """Return the parameters of the servo for a scene, a guard and each finger's tool, within the limits of its device.
 
-    Of an object that is stiffer than a device is said to hold a warning tells; it is rendered all the same.
+    Logs a warning for each object stiffer than the specified maximum of a device; it is rendered anyway.
     """
     guards = tuple(guard_limits(guard, info) for info in devices)
     for info, limits in zip(devices, guards, strict=True):
@@ -52,7 +52,10 @@ def make_tuning(
 
 
 def _built(scene: schema.Scene) -> model.Scene:
-    """The scene as it is rendered; what its meshes need may take seconds the first time, and shows that it goes on."""
+    """Return the scene in rendered form, with a progress message while meshes are read.
+
+    The first time, a mesh may take seconds.
+    """
     files = [Path(thing.file).name for thing in scene.object if isinstance(thing, schema.Mesh)]
     if not files:
         return build_scene(scene)
@@ -61,14 +64,14 @@ def _built(scene: schema.Scene) -> model.Scene:
 
 
 def with_scene(tuning: Tuning, scene: schema.Scene) -> Tuning:
-    """The tuning with other parameters of its scene, and the same guard."""
+    """Return the tuning with other parameters of its scene, and the same guard."""
     return tuning._replace(scene=build_scene(scene, tuning.scene), passivity=_passivity(scene.passivity))
 
 
 def _tell_what_is_too_stiff(scene: schema.Scene, force_max: float, device: DeviceInfo) -> None:
     for thing in scene.object:
         stiffness = thing.material.stiffness_under(force_max)
-        if stiffness > device.stiffness_max_n_per_m * (1.0 + 1e-9):  # more than rounding
+        if stiffness > device.stiffness_max_n_per_m * (1.0 + 1e-9):  # beyond rounding
             log.warning(
                 "object '%s' has %.0f N/m at the guard's %g N, beyond the %g N/m of device %s, and may buzz: lower "
                 "stiffness_n_per_m%s",
@@ -82,9 +85,9 @@ def _tell_what_is_too_stiff(scene: schema.Scene, force_max: float, device: Devic
 
 
 def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard:
-    """The guard of a rig, armed, lowered to what the device allows.
+    """Return the guard of a rig, armed, and lowered to the limits of the device.
 
-    Poses are doubted where a force is held in a hand: what is recorded or computed may jump and stand still.
+    Poses are checked only if the device holds a force in a hand: recorded or computed poses may jump and repeat.
     """
     force, torque = guard.force_max_n, guard.torque_max_nm
     if device is not None and force > device.force_max_n:
@@ -103,7 +106,7 @@ def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard
 
 
 def hand_limits(guard: schema.Guard) -> Limits:
-    """The limits for a hand that a device may harm: its speed, the motors' heat, energy given, the workspace."""
+    """Return the limits that protect a hand: its speed, the heat of the motors, the energy given, and the workspace."""
     slow_s = SLOW_S if guard.arm == "automatic" else inf
     continuous = inf if guard.continuous_force_n is None else guard.continuous_force_n
     speed, wall = guard.handle_speed_max_m_per_s, _wall(guard.workspace)
@@ -119,7 +122,7 @@ def _wall(asked: schema.Workspace | None) -> Workspace:
 
 
 def with_offsets(tuning: Tuning, offsets: tuple[Vec3, ...]) -> Tuning:
-    """The tuning with other offsets of the positions that devices say; the workspace of each goes along."""
+    """Return the tuning with other offsets of the devices' positions; the workspace of each moves with its offset."""
     guards = []
     for guard, before, after in zip(tuning.guards, tuning.offsets, offsets, strict=True):
         wall = guard.limits.workspace
@@ -138,18 +141,15 @@ def _passivity(wanted: schema.Passivity | None) -> Passivity | None:
 
 
 def with_armed(tuning: Tuning, share: float) -> Tuning:
-    """The tuning whose guards let this share of the force through once their ramp is over: 1, or 0 for none."""
+    """Return the tuning with its guards armed (1) or disarmed (0): the share of the force passed after the ramp."""
     return tuning._replace(guards=tuple(guard._replace(armed=share) for guard in tuning.guards))
 
 
-def seconds_to_zero(tuning: Tuning) -> float:
-    """How long, s, the guards' slew limits take to bring the largest force and torque to zero."""
-    guards: tuple[Guard, ...] = tuning.guards
-    return max(max(guard.force_max / guard.force_slew, guard.torque_max / guard.torque_slew) for guard in guards)
-
-
 def alike(a: Any, b: Any) -> bool:
-    """Whether two trees have the same parts, so that one loop serves both; `numba.typeof` takes milliseconds for it."""
+    """Return whether two trees have the same structure, so that one compiled loop serves both.
+
+    Calling `numba.typeof` on the trees would take milliseconds.
+    """
     if isinstance(a, tuple):
         return type(a) is type(b) and len(a) == len(b) and all(map(alike, a, b))
     if isinstance(a, float):

@@ -1,6 +1,6 @@
-"""What Prometheus reads, counted over batches of records: sums and histograms by numpy, nothing tick by tick in Python.
+"""Metrics for Prometheus: sums and histograms, computed by numpy over batches of records.
 
-Names follow Prometheus: base units, `_total` for what only grows. docs/operate/metrics.md lists them.
+Names follow Prometheus' conventions: base units, `_total` for counters. docs/operate/metrics.md lists them.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from softfinger.server.states import State
 Array = NDArray[np.float64]
 
 ROWS: Final = 1024
-"""Ticks that are kept until they are counted: to count a batch of one costs as much as to count all of these."""
+"""Ticks per computation: a batch of one tick takes as long as one of this size."""
 
 LATENESS_S: Final = [float(f"{step}e{power}") for power in (-6, -5, -4, -3) for step in (1, 2, 5)]
 EXECUTION_S: Final = LATENESS_S
 FORCE_N: Final = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0]
-"""Upper ends of the buckets; the last one is endless."""
+"""Upper bounds of the buckets; the last bucket is unbounded."""
 
 STATUSES: Final = {1: "repeated_or_limited", WITHHELD: "withheld", HELD: "held"}
-"""What a device's status in a tick means, where it is not done."""
+"""Labels of device statuses other than success."""
 
 _COLUMNS: Final = [
     AT.servo_late,
@@ -52,7 +52,7 @@ _COLUMNS: Final = [
 
 
 class Wire(NamedTuple):
-    """Of the publisher: subscribers now; messages they were too slow for, connections refused and restarts so far."""
+    """Counts of the publisher: current subscribers; messages they missed, refused connections and restarts so far."""
 
     subscribers: int
     lost: int
@@ -61,7 +61,7 @@ class Wire(NamedTuple):
 
 
 class Histogram:
-    """Counts of values by bucket, and their sum."""
+    """Counts of values per bucket, and their sum."""
 
     def __init__(self, ends: Sequence[float]) -> None:
         self._ends = np.asarray(ends)
@@ -69,12 +69,12 @@ class Histogram:
         self._sum = 0.0
 
     def add(self, values: Array) -> None:
-        """Count values (n,); one that equals an end belongs below it, as Prometheus has it."""
+        """Count values (n,); a value equal to a bound counts below it, as in Prometheus."""
         self._counts += np.bincount(np.searchsorted(self._ends, values), minlength=len(self._counts))
         self._sum += float(values.sum())
 
     def put_into(self, family: HistogramMetricFamily, labels: Sequence[str] = ()) -> None:
-        """The sums up to each end, as a scrape has them."""
+        """Add the cumulative counts and the sum to a metric family."""
         ends = [*(f"{end:g}" for end in self._ends), "+Inf"]
         counts = np.cumsum(self._counts).tolist()
         family.add_metric(labels, [(end, float(count)) for end, count in zip(ends, counts, strict=True)], self._sum)
@@ -100,12 +100,18 @@ class Finger:
 
 
 class Counts(Collector):
-    """Takes records, and gives the figures when it is asked. Of any thread.
+    """Collector that receives records and returns the metrics on a scrape; thread-safe.
 
-    fingers  their names, an empty one for a single finger
-    wire     what the publisher counts
-    written  what the recordings of the run do
-    state    of the daemon
+    Parameters
+    ----------
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    wire
+        Returns the counts of the publisher.
+    written
+        Returns the counts of the recordings.
+    state
+        Returns the state of the daemon.
     """
 
     def __init__(
@@ -123,7 +129,7 @@ class Counts(Collector):
         self._fingers = [Finger() for _ in self._names]
 
     def take(self, records: Array, drops: int) -> None:
-        """A batch (n, fingers x RECORD_SIZE), and how many the ring has lost so far."""
+        """Receive a batch (n, fingers x RECORD_SIZE), and the number of ticks lost by the ring buffer so far."""
         with self._lock:
             self._drops, self._missed = drops, int(records[-1, AT.servo_missed])
             self._ticks += len(records)
@@ -145,7 +151,7 @@ class Counts(Collector):
         self._kept = 0
 
     def collect(self) -> Iterator[Metric]:
-        """Every figure; called by the registry."""
+        """Yield all metrics; called by the registry."""
         with self._lock:
             self._count()
             found = [*self._of_servo(), *self._of_fingers()]

@@ -1,4 +1,4 @@
-"""Metrics as a service: a small HTTP server for Prometheus, on loopback, one request at a time."""
+"""Metrics service: HTTP server for Prometheus on loopback, one request at a time."""
 
 from __future__ import annotations
 
@@ -24,17 +24,23 @@ log: Final = logging.getLogger(__name__)
 
 KEY: Final = "[metrics] endpoint"
 REQUEST_S: Final = 1.0
-"""Longest time for a client: for its whole request and for taking the answer."""
+"""Time limit for a client to send its request and receive the answer."""
 POLL_S: Final = 0.25
 DASHBOARD: Final = Path(softfinger.server.metrics.__file__).with_name("grafana.json")
 DASHBOARD_PATH: Final = "/dashboard.json"
 
 
 class Metrics(Worker):
-    """Answers on an endpoint that is bound already. What fails here ends nothing else.
+    """Worker that serves the metrics on a bound endpoint. Its failure does not end other services.
 
-    counts  what is counted
-    event   publishes an event
+    Parameters
+    ----------
+    bound
+        Endpoint.
+    counts
+        Source of the metrics.
+    event
+        Publishes an event.
     """
 
     def __init__(self, bound: Bound, counts: Counts, event: Callable[..., Any]) -> None:
@@ -68,7 +74,7 @@ class Metrics(Worker):
 
 
 class _Server(WSGIServer):
-    """On a socket that listens already."""
+    """WSGI server on a socket that is already listening."""
 
     timeout = POLL_S
 
@@ -88,7 +94,10 @@ class _Handler(WSGIRequestHandler):
     timeout = REQUEST_S
 
     def handle(self) -> None:
-        """Answer one request within REQUEST_S. `timeout` limits each read alone, and clients are served in turn."""
+        """Answer one request within REQUEST_S.
+
+        `timeout` only limits each read, which is not enough because clients are served one after another.
+        """
         cut_off = threading.Timer(REQUEST_S, self._cut_off)
         cut_off.start()
         try:
@@ -97,8 +106,8 @@ class _Handler(WSGIRequestHandler):
             cut_off.cancel()
 
     def _cut_off(self) -> None:
-        with contextlib.suppress(OSError):  # the client has closed
+        with contextlib.suppress(OSError):  # the client has closed the connection
             self.connection.shutdown(socket.SHUT_RDWR)
 
     def log_message(self, *_: Any) -> None:
-        """Nothing: a scrape every few seconds is no news."""
+        """Log nothing: a scrape every few seconds is not worth a line."""

@@ -1,8 +1,7 @@
-"""The servo's tick and simulated devices in one compiled loop, without a clock: as fast as it goes.
+"""The servo's tick and simulated devices in one compiled loop without a clock, as fast as possible.
 
-`run_closed_loop` leaves a record of every tick, the bits that the daemon computes with the same devices.
-`close_loop` keeps figures only and is for kernels of a study, which call it for case after case;
-`close_many` does that for rows of parameters.
+`run_closed_loop` yields a record of every tick, equal bit for bit to the daemon's with the same devices. `close_loop`
+returns only figures; kernels of a study call it for each case. `close_many` calls it for rows of parameters.
 """
 
 from __future__ import annotations
@@ -33,11 +32,11 @@ from softfinger.server.progress import CHUNK, progress
 Array = NDArray[np.float64]
 
 FIGURES: Final = ("ticks", "left", "excursion", "force", "energy")
-"""What `close_many` leaves of a case: fields of `Outcome`."""
+"""Figures of a case that `close_many` writes: fields of `Outcome`."""
 
 
 class Nowhere(NamedTuple):
-    """A record that keeps nothing: writing to it compiles to nothing."""
+    """Record that discards all values: writes to it compile to nothing."""
 
     unused: float
 
@@ -53,7 +52,7 @@ def _set_nowhere(record, index, value):  # type: ignore[no-untyped-def]
 
 
 class Run(NamedTuple):
-    """Number of the first tick, how many ticks, and the nominal length of each, s, the plant's period."""
+    """Number of the first tick, number of ticks, and nominal period of a tick, s, which is the plant's period."""
 
     first: int
     ticks: int
@@ -61,15 +60,15 @@ class Run(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a closed loop comes to.
+    """Result of a closed loop.
 
-    memory, state  for going on
-    ticks          done
-    left           tick at which the handle was farther than the bound from where it began, or nowhere; -1 if never
-    excursion      m  largest distance of the handle from where it began, at ticks
+    memory, state  for the continuation
+    ticks          number of ticks run
+    left           tick at which the handle left the bound around its start, or became nan; -1 if never
+    excursion      m  largest distance of the handle from its start, at ticks
     force          N  largest norm of the commanded force
-    energy         J  work of the commanded force on the handle: force times the way of its tick, summed up;
-                      above 0 the scene has given energy, more than its springs held at the start makes it active
+    energy         J  work of the commanded force on the handle: sum over ticks of force times displacement;
+                      above 0 the scene has released energy, above the initial energy of its springs it is active
     """
 
     memory: Memory
@@ -92,11 +91,11 @@ def close_loop(
     run: Run,
     bound: float,
 ) -> Outcome:
-    """As many ticks as `run` says; ends early when the handle leaves `bound` (m).
+    """Run the ticks of `run`; stop early when the handle leaves `bound` (m).
 
     start   begin(tuning.scene)
-    memory  what the last tick left; `start` before the first
-    state   of the plant at the first of them; at_rest(...) before the first of all
+    memory  after the previous tick; `start` before the first
+    state   of the plant at the first tick of `run`; at_rest(...) at the start
     """
     dt = run.dt
     origin, contact = state.position, memory
@@ -115,7 +114,7 @@ def close_loop(
         energy += vec3.dot(force, vec3.sub(state.position, before))
         away = vec3.sub(state.position, origin)
         distance = vec3.dot(away, away)
-        # not (a <= b): a position that is not a number has left as well
+        # not (a <= b): also true for a position of nan
         if not distance <= far:
             far = distance
             if not distance <= bound * bound:
@@ -125,7 +124,7 @@ def close_loop(
 
 
 class Held(NamedTuple):
-    """A simulated device in a hand: what does not change of it, and what drives it."""
+    """Simulated device in a hand: its constants and its drive."""
 
     plant: Plant
     drive: Drive
@@ -133,7 +132,7 @@ class Held(NamedTuple):
 
 @by_count
 def samples_of(hands: Any, states: Any) -> Any:
-    """What each device says of itself: its pose in a tuple of seven."""
+    """Return the sensed pose of each device as a tuple of seven."""
 
 
 @samples_of.of(1)
@@ -149,7 +148,7 @@ def samples_of_several(hands: Any, states: Any) -> Any:
 
 @by_count
 def advance_all(hands: Any, states: Any, fingers: Any, number: int) -> Any:
-    """States of all devices at tick `number`, after what `fingers`, a FingerMemory of each, command of them."""
+    """Return the states of all devices at tick `number` under the wrenches in `fingers`, a FingerMemory of each."""
 
 
 @advance_all.of(1)
@@ -175,12 +174,12 @@ def record_ticks(
     first: int,
     records: Array,
 ) -> None:
-    """As many ticks of `dt` s as `records` (n, fingers, RECORD_SIZE) has rows, from tick `first`.
+    """Run a tick of `dt` s for each row of `records` (n, fingers, RECORD_SIZE), from tick `first`.
 
     tuning_packed  Tuning
-    memory_packed  Memory, as it is before the first tick of all; its leaves are those of now, and carried on
-    hands          a Held for each finger, in a tuple
-    states_packed  a PlantState of each in a tuple, carried on as the memory
+    memory_packed  Memory; `like` is the initial one, `values` are the current values, which are updated
+    hands          tuple of a Held for each finger
+    states_packed  tuple of a PlantState for each finger; `values` are updated
     """
     start = memory_packed.like
     tuning = unpack(tuning_packed.like, tuning_packed.values)
@@ -197,10 +196,10 @@ def record_ticks(
 
 
 def run_closed_loop(tuning: Tuning, devices: Sequence[Simulation], rate_hz: float, ticks: int) -> Iterator[Array]:
-    """Simulate a scene felt through a device for each finger, as the daemon computes it, and yield the records.
+    """Simulate a scene with a simulated device for each finger as the daemon does, and yield the records.
 
-    Blocks (m, fingers, RECORD_SIZE) of at most CHUNK ticks. The timestamp is the tick times dt, and the fields of servo
-    timing and device are 0.
+    Yields blocks (m, fingers, RECORD_SIZE) of at most CHUNK ticks. The timestamp is the tick times dt; the fields of
+    servo timing and device are 0.
     """
     dt = period_ns(rate_hz) / NS_PER_S
     begin_bodies(tuning.scene, dt)
@@ -227,10 +226,10 @@ def close_many(
     bound: float,
     figures: Array,
 ) -> None:
-    """`close_loop` for n cases, each from its beginning.
+    """Run `close_loop` for n cases, each from its start.
 
-    tunings, plants, states  Tuning, Plant and PlantState of each case, leaves (n, ...); one row (1, ...) is for all
-    figures                  (n, 5) what is left of each: FIGURES
+    tunings, plants, states  Tuning, Plant and PlantState of each case, leaves (n, ...); one row (1, ...) applies to all
+    figures                  (n, 5) FIGURES of each case, written
     """
     for i in range(figures.shape[0]):
         tuning = unpack(tunings.like, tunings.values[min(i, tunings.values.shape[0] - 1)])

@@ -1,4 +1,4 @@
-"""What a tick of a scene costs, and what each of its parts adds: measured here and now, back to back."""
+"""Cost of a tick of a scene and of each of its parts, measured back to back on this machine."""
 
 from __future__ import annotations
 
@@ -26,19 +26,22 @@ from softfinger.server.loop.clock import Stopwatch, now_ns, sleep_until, stopwat
 Array = NDArray[np.float64]
 
 BLOCK: Final = 10_000
-"""Steps of a block: once along the poses."""
+"""Steps per block: one pass over the poses."""
 SHORT: Final = 200
-"""Steps between two looks at the clock, some 20 us: another program that takes the processor for a millisecond spoils
-few of them, and the clock's own cost is about 0.1 ns a step."""
+"""Steps per stretch between two clock readings, about 20 us.
+
+Few stretches are affected if another program takes the processor for a millisecond. Reading the clock costs about 0.1
+ns per step.
+"""
 PRESS_N: Final = 1.0
 
 
 class Cost(NamedTuple):
-    """Time of one step, ns, and the share of steps in contact.
+    """Time of one step, ns, and fraction of steps in contact.
 
-    median_ns    of each stretch of SHORT poses the median over the blocks; of these the mean
+    median_ns    mean over the stretches of SHORT poses of their median over the blocks
     p99_ns       99th percentile over all stretches
-    cpu_ns       median over blocks of the time that the thread had a processor for
+    cpu_ns       median over blocks of the thread's processor time
     """
 
     median_ns: float
@@ -57,13 +60,14 @@ def time_steps(
     cpu_ns: NDArray[np.int64],
     apart_ns: int = 0,
 ) -> tuple[float, int]:
-    """Step through `poses` (n, 7) once for each block, every finger along the same; returns a sum of forces, and the
-    contacts of the first.
+    """Step through `poses` (n, 7), the same for every finger, once per block.
 
-    start    State at the first step; changed to that after the last
-    watch    (blocks, m)  of each of m stretches of the poses, of n // m each
-    cpu_ns   (blocks,)    out: time of the thread on a processor
+    start    State at the first step; updated to the last
+    watch    (blocks, m)  time of each of m stretches of n // m poses, written
+    cpu_ns   (blocks,)    processor time of the thread, written
     apart_ns              sleep between stretches, as the servo loop does between ticks
+
+    Returns a sum of forces, and the number of steps with contact of the first finger.
     """
     parameters, total, touching = unpack(scene.like, scene.values), 0.0, 0
     state, timespec, short_ns = unpack(start.like, start.values), watch.timespec, watch.ns
@@ -90,7 +94,10 @@ def time_steps(
 
 @entry
 def follow_surface(scene: Any, values: Array, points: Array, height: float) -> None:
-    """Move each of `points` (n, 3) to `height` (m) over the first object as the first finger sees it, nearest to it."""
+    """Move each of `points` (n, 3) to `height` (m) above its nearest point on the surface of the first object.
+
+    Surfaces are relative to the centre of the first finger (`seen_by`): Minkowski sums for an ellipsoidal fingertip.
+    """
     parameters = unpack(scene, values)
     finger = parameters.fingers[0]
     objects = seen_by(finger.form, finger.radius, parameters.objects, (1.0, 0.0, 0.0, 0.0))
@@ -102,12 +109,14 @@ def follow_surface(scene: Any, values: Array, points: Array, height: float) -> N
 
 
 def touching_poses(scene: schema.Scene, count: int = BLOCK) -> Array:
-    """Poses (count, 7) of a fingertip that presses 1 N into the first object, rolls, spins and drags; periodic. Of
-    several fingertips it is the thinnest."""
+    """Return periodic poses (count, 7) of a fingertip that presses 1 N into the first object, rolls, spins and drags.
+
+    With several fingertips it is the one with the smallest radius.
+    """
     tree = build_scene(scene)
     thing, radius = scene.object[0], min(finger.radius_m for finger in scene.fingers)
     values = flatten(tree)
-    # Some point outside of the object: the first of a few around it that the fingertip fits at.
+    # A point outside the object: the first of random points around it at which the fingertip fits.
     around = np.random.default_rng(0).normal(size=(64, 3))
     around *= (np.geomspace(1e-3, 1e4, 64) * radius / np.linalg.norm(around, axis=1))[:, None]
     seat = around + thing.position_m
@@ -128,7 +137,7 @@ def touching_poses(scene: schema.Scene, count: int = BLOCK) -> Array:
 
 
 def measure(scene: schema.Scene, poses: Array, blocks: int = 50) -> Cost:
-    """Cost of a step of `scene` over `poses`; compiles what is not compiled yet."""
+    """Measure the cost of a step of `scene` over `poses`; compiles the kernels if necessary."""
     tree = build_scene(scene)
     parameters, state = packed(tree), packed(start_state(tree))
     stretches = max(1, len(poses) // SHORT)
@@ -146,7 +155,7 @@ def measure(scene: schema.Scene, poses: Array, blocks: int = 50) -> Cost:
 
 
 def without_parts(scene: schema.Scene) -> Iterator[tuple[str, schema.Scene]]:
-    """The scene with one part after the other left out, and the name of that part."""
+    """Yield the name of each part of the scene, and the scene without it."""
     replace = msgspec.structs.replace
 
     def material(**changes: Any) -> tuple[Any, ...]:
@@ -177,7 +186,7 @@ def without_parts(scene: schema.Scene) -> Iterator[tuple[str, schema.Scene]]:
 
 
 def bare(scene: schema.Scene) -> schema.Scene:
-    """The first object alone, its normal force linear, without anything else."""
+    """Return the scene with only its first object, with a linear normal force and no other part."""
     replace = msgspec.structs.replace
     thing = _even(scene.object[0])
     plain = replace(thing.material, normal=None, friction=None, torsion=None)
@@ -187,7 +196,7 @@ def bare(scene: schema.Scene) -> schema.Scene:
 
 
 def _with_tips(scene: schema.Scene, change: Callable[[Any], Any]) -> schema.Scene:
-    """The scene with other fingertips."""
+    """Return the scene with changed fingertips."""
     tip = None if scene.fingertip is None else change(scene.fingertip)
     return msgspec.structs.replace(scene, fingertip=tip, finger=tuple(change(each) for each in scene.finger))
 

@@ -1,4 +1,4 @@
-"""What is told of materials and fingertips of the library: an entry, its sources, what a scene has changed of it."""
+"""Texts on materials and fingertips of the library: an entry, its sources, and changes of it in a scene."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _TABLES: Final[dict[str, type[msgspec.Struct]]] = {"material": Material, "finger
 
 
 def entries() -> dict[str, tuple[str, Entry]]:
-    """Every entry by its name, and whether it is a `material` or a `fingertip`."""
+    """Return all entries by name, each with its kind, `material` or `fingertip`."""
     return {name: (kind, entry) for kind, each in LIBRARIES.items() for name, entry in each.entries().items()}
 
 
 def found(name: str) -> tuple[str, Entry]:
-    """One of `entries`; ConfigError for a name that none has."""
+    """Return one of `entries`. Raises ConfigError if the name is unknown."""
     known = entries()
     if name not in known:
         raise ConfigError(
@@ -35,12 +35,15 @@ def found(name: str) -> tuple[str, Entry]:
 
 
 def whole(kind: str, name: str) -> Any:
-    """A table as a scene writes it: the name of the entry, and no key beside it."""
+    """Return the table of an entry, as built from a scene that gives only its name."""
     return build(_TABLES[kind], {LIBRARIES[kind].key: name}, name)
 
 
 def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
-    """For `check`: the entry that a table of a scene names, and which values are the scene's own. Empty for none."""
+    """Return rows for `check`: the entry that a table of a scene names, and the values that differ from it.
+
+    Returns no rows if the table names none.
+    """
     kind = "fingertip" if isinstance(table, Form) else "material"
     library, mapping = LIBRARIES[kind], describe(table)
     name = mapping.get(library.key)
@@ -58,12 +61,12 @@ def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
 
 
 def value_rows(entry: Entry) -> list[tuple[str, str]]:
-    """Each value that a scene gets, with its unit."""
+    """Return each value that a scene gets from an entry, with its unit."""
     return [(key, f"{value:g} {unit(key)}".rstrip()) for key, value in flat(entry.values)]
 
 
 def measured_text(each: Measured) -> str:
-    """A published value in words: `0.38 +- 0.13: palm on aluminium (buchholz-1988)`."""
+    """Format a published value: `0.38 +- 0.13: palm on aluminium (buchholz-1988)`."""
     if each.youngs_modulus_pa is not None:
         low, high = (1e-3 * value for value in each.youngs_modulus_pa)
         text = f"Young's modulus {low:g} to {high:g} kPa"
@@ -79,7 +82,7 @@ def measured_text(each: Measured) -> str:
 
 
 def paper_rows(names: Collection[str]) -> list[tuple[str, str]]:
-    """Source and how far it was read, for each name of `papers`."""
+    """Return name and reference of each of the papers, with the extent to which it was read."""
     return [
         (name, f"{paper.text}{f', doi {paper.doi}' if paper.doi else ''} (read: {paper.read})")
         for name, paper in papers().items()
@@ -88,7 +91,7 @@ def paper_rows(names: Collection[str]) -> list[tuple[str, str]]:
 
 
 def cited(entry: Entry) -> set[str]:
-    """Names of the papers that an entry's values, points and range are from."""
+    """Return the names of the papers cited for an entry's values, measurements and range."""
     return {
         *entry.papers,
         *(each.paper for each in entry.measured),

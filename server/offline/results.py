@@ -1,11 +1,11 @@
-"""Results: one record a tick, written to and read from .csv, .npz and .mcap without losing a bit.
+"""Results files: one record per tick, written to and read from .csv, .npz and .mcap without loss of a bit.
 
-All three follow from the record table: CSV has a column per component, npz an array per field, and
-MCAP a protobuf message whose dotted names become nested messages. The message type is built at run
-time and travels inside the file, so any MCAP reader can decode it.
+All formats follow the record table: CSV has a column per component, npz an array per field, and MCAP a protobuf message
+whose dotted names become nested messages. The message type is built at run time and stored in the file, so any MCAP
+reader can decode it.
 
-Of several fingers the names of columns and arrays begin with the finger's, as in `thumb.force[0]`, and MCAP has a
-topic for each, `finger/thumb`.
+With several fingers, names of columns and arrays have the finger's name as prefix, as in `thumb.force[0]`, and MCAP has
+a topic for each, `finger/thumb`.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ Array = NDArray[np.float64]
 ENDINGS: Final = (".csv", ".npz", ".mcap")
 BLOCK_ROWS: Final = 2_000
 RESULTS_MAX: Final = 2_000_000
-"""Records read at most: 33 minutes at 1 kHz, 3 GB."""
+"""Limit of records read: 33 minutes at 1 kHz, 3 GB."""
 CSV_ROWS: Final = 500
-"""Rows made into text at a time: what a processor keeps at hand."""
+"""Rows formatted at a time; they fit into the processor's cache."""
 WHOLE_MAX: Final = 1e16
-"""Whole numbers from here on are written with an exponent."""
-PROGRESS_MIN_ROWS: Final = 50_000  # about a second of writing; below, a bar would only flash
+"""Integers from here on are written with an exponent."""
+PROGRESS_MIN_ROWS: Final = 50_000  # about a second of writing; for less, the bar would only flash
 
 _JSON: Final = msgspec.json.Encoder()
 _MINUS_ZERO: Final = msgspec.Raw(b"-0")
@@ -55,10 +55,21 @@ log: Final = logging.getLogger(__name__)
 
 
 def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> None:
-    """Write records (n, RECORD_SIZE) in the format named by the ending; RecordingError when it cannot be done.
+    """Write records in the format of the file ending: .csv, .npz or .mcap.
 
-    Of several fingers: records of each by its name, as many of each.
-    The file appears whole or not at all. Long writes show their progress when stderr is a terminal.
+    The file appears complete or not at all. Long writes show their progress if stderr is a terminal.
+
+    Parameters
+    ----------
+    path
+        File to write or replace.
+    records
+        (n, RECORD_SIZE), or a mapping with records of equal length by finger name.
+
+    Raises
+    ------
+    RecordingError
+        If the records have another shape, or the file cannot be written.
     """
     given = records if isinstance(records, Mapping) else {"": records}
     fingers = {name: np.asarray(each, dtype=np.float64) for name, each in given.items()}
@@ -69,9 +80,9 @@ def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> Non
 
 
 def write_blocks(path: str | Path, fingers: Sequence[str], blocks: Iterable[Array]) -> None:
-    """Write records that come in blocks (m, fingers, RECORD_SIZE), of which only one is in memory at a time.
+    """Write records given as blocks (m, fingers, RECORD_SIZE), of which only one is in memory at a time.
 
-    In all else as `write_results`; what the blocks raise is raised, and then there is no file.
+    Otherwise as `write_results`. An exception of `blocks` is propagated and no file is written.
     """
     target = Path(path)
     writer = {".csv": _write_csv, ".npz": _write_npz, ".mcap": _write_mcap}.get(target.suffix.lower())
@@ -85,9 +96,24 @@ def write_blocks(path: str | Path, fingers: Sequence[str], blocks: Iterable[Arra
 
 
 def read_results(path: str | Path, finger: str = "") -> Array:
-    """Read records (n, RECORD_SIZE) as `write_results` wrote them, of several fingers those of `finger`.
+    """Read the records of a file from `write_results`.
 
-    Raises RecordingError when they cannot be read.
+    Parameters
+    ----------
+    path
+        File with the ending .csv, .npz or .mcap.
+    finger
+        Name of the finger to read; empty for a file of a single finger.
+
+    Returns
+    -------
+    Array
+        Records (n, RECORD_SIZE), equal bit for bit to the written ones.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, or has more than RESULTS_MAX records.
     """
     source = Path(path)
     reader = {".csv": _read_csv, ".npz": _read_npz, ".mcap": _read_mcap}.get(source.suffix.lower())
@@ -110,7 +136,7 @@ def _unknown_ending(path: Path) -> str:
 
 
 def _of(finger: str) -> str:
-    """What names of columns and arrays begin with."""
+    """Return the prefix of column and array names."""
     return f"{finger}." if finger else ""
 
 
@@ -121,24 +147,24 @@ def _write_csv(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iter
 
 
 def csv_lines(rows: Array) -> bytes:
-    """Rows (n, width) as lines of CSV, from which every float64 comes back to the bit."""
+    """Format rows (n, width) as lines of CSV, which restore every float64 exactly."""
     return b"".join(_some_lines(rows[at : at + CSV_ROWS]) for at in range(0, len(rows), CSV_ROWS))
 
 
 def _some_lines(rows: Array) -> bytes:
-    """As JSON the shortest digits that bring a number back, written several times as fast as by Python."""
+    """Format rows with the JSON encoder: the shortest exact digits, several times as fast as in Python."""
     if not np.isfinite(rows).all():
-        line = ",".join(repeat("%.17g", rows.shape[1])) + "\n"  # 17 digits bring every float64 back
+        line = ",".join(repeat("%.17g", rows.shape[1])) + "\n"  # 17 digits restore every float64
         return "".join([line % tuple(row) for row in rows.tolist()]).encode()
     across = np.array(rows.T, order="C")
     bits = across.view(np.int64)
     still = (bits == bits[:, :1]).all(axis=1)
-    # JSON gives a whole number `.0` unless it is an integer, and no integer is -0.
+    # JSON writes an integral float with `.0` unless it is an int, and no int is -0.
     whole = (np.rint(across) == across) & (np.abs(across) < WHOLE_MAX)
     odd = whole.any(axis=1).tolist()
     columns: list[Iterable[Any]] = []
     for same, group in groupby(range(len(across)), still.tolist().__getitem__):
-        if same:  # what stays as it is for all rows is written once
+        if same:  # values that are constant over the rows are formatted once
             text = _JSON.encode(across[list(group), 0].tolist())[1:-1] + b","
             columns.append(repeat(msgspec.Raw(text.replace(b".0,", b",")[:-1]), len(rows)))
         else:
@@ -147,7 +173,7 @@ def _some_lines(rows: Array) -> bytes:
 
 
 def _with_integers(column: Array, whole: NDArray[np.bool_]) -> list[Any]:
-    """The numbers of a column (n,), whole ones without `.0` in JSON."""
+    """Return the numbers of a column (n,), with integral ones as int, which JSON writes without `.0`."""
     numbers: list[Any] = column.tolist()
     for row in whole.nonzero()[0].tolist():
         numbers[row] = int(numbers[row]) or (_MINUS_ZERO if math.copysign(1.0, numbers[row]) < 0.0 else 0)
@@ -179,8 +205,10 @@ def _whose(finger: str) -> str:
 
 
 def _write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
-    """An array per field, and all of them once more as `records`. The arrays of an archive stand one behind the other,
-    so the blocks wait in a file that has no name."""
+    """Write an array per field, and all fields together as `records`.
+
+    Arrays of an archive are stored in sequence, so the blocks are collected in an unnamed temporary file first.
+    """
     with (
         TemporaryFile(dir=followed(path).parent) as file_of_fields,
         ZipFile(file, "w", ZIP_DEFLATED, compresslevel=1) as archive,
@@ -196,7 +224,7 @@ def _write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iter
 
 
 class _Fields:
-    """Blocks of records in a file, each as columns: one field of one finger behind the other."""
+    """Blocks of records in a file, stored by column: the fields of each finger in sequence."""
 
     def __init__(self, file: IO[bytes], fingers: int) -> None:
         self._file, self._fingers = file, fingers
@@ -207,14 +235,14 @@ class _Fields:
         return sum(self._lengths)
 
     def put(self, block: Array) -> None:
-        """Add a block (m, fingers, RECORD_SIZE)."""
+        """Append a block (m, fingers, RECORD_SIZE)."""
         self._lengths.append(len(block))
         for place in range(self._fingers):
             for f in FIELDS:
                 self._file.write(np.ascontiguousarray(block[:, place, f.at : f.at + f.size]).data)
 
     def field(self, place: int, f: Field) -> Iterator[Array]:
-        """Of each block the columns (m, size) of a field of a finger."""
+        """Yield for each block the columns (m, size) of a field of a finger."""
         at, row = 0, 8 * RECORD_SIZE
         for length in self._lengths:
             self._file.seek(at + length * (place * row + 8 * f.at))
@@ -222,7 +250,7 @@ class _Fields:
             at += length * self._fingers * row
 
     def rows(self, place: int) -> Iterator[Array]:
-        """Of each block the records (m, RECORD_SIZE) of a finger."""
+        """Yield for each block the records (m, RECORD_SIZE) of a finger."""
         for parts in zip(*(self.field(place, f) for f in FIELDS), strict=True):
             yield np.concatenate(parts, axis=1)
 
@@ -240,7 +268,7 @@ def _read_npz(path: Path, finger: str) -> Array:
             records = open_npz(file)[_of(finger) + "records"]
     except OSError:
         raise
-    except Exception as error:  # zip and npy decoders fail in many ways on damaged bytes
+    except Exception as error:  # zip and npy decoders raise many types of errors on damaged bytes
         raise RecordingError(f"{path}: not a results file: {type(error).__name__}: {error}") from error
     _check_count(path, len(records) if records.ndim else 0)
     if records.dtype != np.float64 or records.ndim != 2 or records.shape[1] != RECORD_SIZE:
@@ -274,15 +302,15 @@ def _read_mcap(path: Path, finger: str) -> Array:
 
 
 class McapResults(Closing):
-    """Records streamed into an MCAP file on topic `contact`, or those of several fingers on a topic each.
+    """Records streamed into an MCAP file, on topic `contact`, or on a topic for each of several fingers.
 
-    Chunks of 64 KiB go to the system as soon as they are full: after a crash or a kill all but the
-    last one can be read. Opening raises RecordingError when the file cannot be made, `append` and
-    `close` when it cannot be written (a full disk).
+    Chunks of 64 KiB are passed to the system as soon as they are full: after a crash or a kill, all but the last one
+    can be read. The constructor raises RecordingError if the file cannot be created, `append` and `close` if it cannot
+    be written (a full disk).
     """
 
     def __init__(self, path: str | Path, file: IO[bytes] | None = None, fingers: Sequence[str] = ("",)) -> None:
-        """`file`: what to write to in place of the path; it is closed in the end."""
+        """Open the file; `file` replaces the path as the target, and is closed at the end."""
         self._path = Path(path)
         with self._told():
             self._recording = RecordingFile(file or open_output(path, 0), fingers, drawn=False)
@@ -293,7 +321,7 @@ class McapResults(Closing):
             self._recording.ticks(np.atleast_2d(records), finger)
 
     def close(self) -> None:
-        """Write what is left and the index. Any number of times."""
+        """Write the remaining records and the index. May be called repeatedly."""
         with self._told():
             self._recording.close()
 
@@ -308,7 +336,7 @@ class McapResults(Closing):
 
 
 def _blocks(fingers: Sequence[Array], kind: str) -> Iterator[Array]:
-    """Records (n, RECORD_SIZE) of the fingers together, so many rows at a time; a bar on a terminal meanwhile."""
+    """Yield the fingers' records (n, RECORD_SIZE) in joint blocks, with a progress bar on a terminal."""
     count = min(map(len, fingers))
     with progress(f"writing {kind}", count) if count >= PROGRESS_MIN_ROWS else nullcontext(lambda number: None) as done:
         for start in range(0, count, BLOCK_ROWS):

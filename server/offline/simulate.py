@@ -1,4 +1,4 @@
-"""The servo's tick offline: over poses, or with devices that are computed."""
+"""The servo's tick offline, over recorded poses or with simulated devices."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def tick_many(
     first: int,
     records: Array,
 ) -> None:
-    """One tick for each of `poses` (n, fingers, 7), `dts` (n,) s after the one before, with a record each in `records`.
+    """Run a tick for each of `poses` (n, fingers, 7), `dts` (n,) s after the previous one, and write `records`.
 
     tuning_packed  Tuning
-    memory_packed  Memory, as it is before the first tick of all; its leaves are those of now, and carried on
-    period         s  nominal length of a tick, what ramp and slew limit of the guard advance by
+    memory_packed  Memory; `like` is the initial one, `values` are the current values, which are updated
+    period         s  nominal period of a tick, which advances ramp and slew limit of the guard
     """
     start = memory_packed.like
     tuning = unpack(tuning_packed.like, tuning_packed.values)
@@ -61,10 +61,22 @@ def tick_many(
 
 
 def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
-    """Records (n, RECORD_SIZE) of the poses (n, 7), one tick each, as the daemon computes them.
+    """Run the servo's tick over poses, and return the records that the daemon would produce.
 
-    Of several fingers: records (n, fingers, RECORD_SIZE) of poses (n, fingers, 7). The timestamp is the tick
-    times dt, and the fields of servo timing and device are 0.
+    Parameters
+    ----------
+    tuning
+        Scene and guard.
+    poses
+        (n, 7) position, m, and orientation w, x, y, z, one per tick; (n, fingers, 7) with several fingers.
+    rate_hz
+        Ticks per second.
+
+    Returns
+    -------
+    Array
+        Records (n, RECORD_SIZE), or (n, fingers, RECORD_SIZE). The timestamp is the tick times dt; the fields of servo
+        timing and device are 0.
     """
     given = poses[:, None] if poses.ndim < 3 else poses
     records, at = np.empty((*given.shape[:2], RECORD_SIZE)), 0
@@ -77,7 +89,8 @@ def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
 def over_poses(tuning: Tuning, poses: Array, rate_hz: float) -> Iterator[Array]:
     """Simulate poses (n, fingers, 7), and yield the records in blocks (m, fingers, RECORD_SIZE).
 
-    A block has at most CHUNK ticks. A caller who does not keep them needs the memory of one, however long the run.
+    A block has at most CHUNK ticks. A caller that processes each block at once needs the memory of one for a run of any
+    length.
     """
     for place in range(poses.shape[1]):
         check_poses(poses[:, place])
@@ -126,16 +139,33 @@ def run_recording(
     rig: str | Path = "replay",
     rate_hz: float | None = None,
 ) -> Records | dict[str, Records]:
-    """The servo's tick over recorded poses, as `softfinger simulate` computes it, and the daemon: to the same bits.
+    """Run the servo's tick over recorded poses, with records equal bit for bit to the daemon's.
 
-    recording  a file (.csv, .npz, .mcap) or the name of a shipped one; of several fingers a mapping of each by name
-    scene      what `load_scene` takes; `overrides` are its too
-    rig        file or shipped name: its guard limits the force
-    rate_hz    ticks per second in place of the rig's
+    `softfinger simulate` computes the same.
 
-    Returns records (n, RECORD_SIZE), a row a tick, fields by name; of several fingers those of each by name. Raises
-    ConfigError and RecordingError with what is wrong.
+    Parameters
+    ----------
+    recording
+        File (.csv, .npz, .mcap) or name of a shipped recording; with several fingers a mapping by finger name.
+    scene, overrides
+        As for `load_scene`.
+    rig
+        File or name of a shipped rig; its guard limits the force.
+    rate_hz
+        Ticks per second in place of the rig's.
 
+    Returns
+    -------
+    Records or dict of Records
+        Records (n, RECORD_SIZE), one row per tick, with fields by name; with several fingers a mapping by finger name.
+
+    Raises
+    ------
+    ConfigError, RecordingError
+        If scene, rig or recording is unusable.
+
+    Examples
+    --------
     >>> from softfinger import run_recording
     >>> slippery = {"object.table.material.friction": {"static": 0.2, "kinetic": 0.1}}
     >>> records = run_recording("press-roll-spin-drag", "paper-plane", overrides=slippery)
@@ -149,7 +179,7 @@ def run_recording(
 
 
 def over_recordings(scene: schema.Scene, rig: schema.Rig, recordings: Mapping[str, str | Path]) -> dict[str, Records]:
-    """Records of each finger by its name, at the rig's rate; ConfigError unless each has a recording."""
+    """Return the records of each finger by name, at the rig's rate. Raises ConfigError unless each has a recording."""
     fingers = [finger.name for finger in scene.fingers]
     poses = poses_of(fingers, recordings, rig.servo.rate_hz)
     together = simulate(make_tuning(scene, rig.guard), poses, rig.servo.rate_hz)
@@ -157,9 +187,29 @@ def over_recordings(scene: schema.Scene, rig: schema.Rig, recordings: Mapping[st
 
 
 def poses_of(fingers: Sequence[str], recordings: Mapping[str, str | Path], rate_hz: float) -> Array:
-    """Poses (n, fingers, 7) at the rate, as long as the shortest recording; ConfigError unless each finger has one.
+    """Load and resample the poses of all fingers.
 
-    Under no name: that of the only finger, or an MCAP recording of all.
+    Parameters
+    ----------
+    fingers
+        Names of the scene's fingers.
+    recordings
+        Recording of each finger by name. The empty name refers to the recording of a single finger, or to an MCAP
+        recording of all fingers.
+    rate_hz
+        Ticks per second of the result.
+
+    Returns
+    -------
+    Array
+        Poses (n, fingers, 7), as long as the shortest recording.
+
+    Raises
+    ------
+    ConfigError
+        Unless each finger has a recording.
+    RecordingError
+        If a recording is unusable.
     """
     several = len(fingers) > 1
     whole = set(recordings) == {""} and (not several or Path(recordings[""]).suffix.lower() == ".mcap")
@@ -176,11 +226,11 @@ def poses_of(fingers: Sequence[str], recordings: Mapping[str, str | Path], rate_
 
 
 def with_devices(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Iterator[Array]:
-    """Simulate a scene felt through the rig's simulated devices, and yield records in blocks (m, fingers, RECORD_SIZE).
+    """Simulate a scene with the rig's simulated devices, and yield records in blocks (m, fingers, RECORD_SIZE).
 
-    Raises ConfigError for a device that is not computed, and for fingers without one.
+    Raises ConfigError if a device is not simulated, or if a finger has no device.
     """
-    # Compiled when imported, which a run over poses need not wait for.
+    # Compiled on import, which a run over poses does not need.
     from softfinger.server.offline.closed_loop import run_closed_loop
 
     rate, pairs = rig.servo.rate_hz, pair(scene, rig)
@@ -193,7 +243,7 @@ def with_devices(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Iterat
 
 
 def _computed(moved: Moved, rate_hz: float) -> Any:
-    """The device of a finger, opened; ConfigError for one that needs a clock."""
+    """Return the opened device of a finger. Raises ConfigError if it needs a clock."""
     config = moved.device
     driver = registry.load(config.driver)
     if not hasattr(driver, "simulation"):
@@ -203,5 +253,5 @@ def _computed(moved: Moved, rate_hz: float) -> Any:
     options = build(driver.Options, config.options, moved.table)
     if getattr(options, "puck", None) is not None:
         raise ConfigError("a hand that a puck leads cannot be run without a clock: use `run`, or leave puck out")
-    # The records hold the forces; a file of what a servo wrote would be empty.
+    # The records contain the forces; a file of forces written by a servo would be empty.
     return driver.open_device(msgspec.structs.replace(options, forces=None), rate_hz)

@@ -1,4 +1,4 @@
-"""What a scene models and what a rig says, in rows of a name and a text."""
+"""Summaries of a scene's model and of a rig, as rows of name and text."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ OVERSHOOT: Final = 0.02
 
 
 def scene_summary(scene: Scene) -> list[tuple[str, str]]:
-    """What the contact step models, and what is left out of it."""
+    """Return rows on the parts that the contact step models, and on the omitted ones."""
     tables = [scene.fingertip] if scene.fingertip is not None else scene.finger
     rows = []
     for finger, table in zip(scene.fingers, tables, strict=True):
@@ -78,7 +78,7 @@ def _form(finger: FingerParts) -> str:
 
 
 def _size(item: ObjectBase) -> str:
-    """The shape's own dimensions, as the file has them."""
+    """Format the dimensions of the shape, as in the file."""
     own = [name for name in item.__struct_fields__ if name not in Textured.__struct_fields__]
     return "".join(f", {name} {shown(getattr(item, name))}" for name in own if getattr(item, name) is not None)
 
@@ -167,7 +167,7 @@ def _texture_rows(item: Textured, texture: Texture) -> list[tuple[str, str]]:
 
 
 def _values(table: Struct) -> str:
-    """Keys and values of a table, without those left out and the tables in it."""
+    """Format keys and values of a table, except None and nested tables."""
     pairs = ((name, getattr(table, name)) for name in table.__struct_fields__)
     return ", ".join(
         f"{name} {shown(value)}" for name, value in pairs if value is not None and not isinstance(value, Struct)
@@ -175,7 +175,7 @@ def _values(table: Struct) -> str:
 
 
 def rig_summary(rig: Rig) -> list[tuple[str, str]]:
-    """Device, loop, guard and telemetry in a line each."""
+    """Return rows on device, loop, guard and telemetry."""
     servo, guard, telemetry = rig.servo, rig.guard, rig.telemetry
     processor = "any processor" if servo.cpu is None else f"processor {servo.cpu}"
     return [
@@ -216,7 +216,7 @@ def _device(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
 
 
 def _driver_rows(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
-    """What a driver adds of its own (`rows`), such as what a maker's service does to every force."""
+    """Return the rows of a driver (`rows`), such as the effect of a maker's service on forces."""
     from softfinger.drivers import registry
 
     driver = registry.load(device.driver)

@@ -1,4 +1,4 @@
-"""Poses out of another program's table of numbers: what a column is, and in which unit, is said by whoever has it."""
+"""Poses from numeric tables of other programs; the caller gives meaning and unit of each column."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from softfinger.drivers.poses import LINE_MAX, POSE_COLUMNS, POSES_MAX, Poses, c
 from softfinger.server.offline.results import csv_lines
 
 SKIPPED: Final = "-"
-"""Stands for a column that is none of a pose's."""
+"""Name of a column that does not belong to the pose."""
 _REMARK: Final = re.compile(rb"\s*(#|%|//|;|$)")
 _BETWEEN: Final = tuple(re.compile(each) for each in (r"\s*;\s*", r" *\t *", r"\s*,\s*", r"\s+", r"\s*[,;\s]\s*"))
-"""What may be between two cells; the first that gives as many cells as there are columns is it."""
+"""Separators of cells; the first that gives as many cells as there are columns is used."""
 
 
 class Layout(NamedTuple):
-    """How a table is to be read.
+    """Format of a table.
 
-    columns  of POSE_COLUMNS or SKIPPED, one for each column of the table
-    unit_s   s   what one of a time stands for
-    unit_m   m   what one of a position stands for
-    rate_hz  Hz  of a table without times; None for one that has them
-    skip     lines before the first that has numbers
+    columns  one of POSE_COLUMNS or SKIPPED for each column of the table
+    unit_s   s   unit of times
+    unit_m   m   unit of positions
+    rate_hz  Hz  for a table without times, else None
+    skip     lines before the first numbers
     """
 
     columns: tuple[str, ...]
@@ -39,7 +39,7 @@ class Layout(NamedTuple):
 
 
 def layout_of(columns: str, unit_s: float, unit_m: float, rate_hz: float | None, skip: int) -> Layout:
-    """A Layout from its parts, `columns` with commas between; ConfigError for one that makes no poses."""
+    """Return a Layout; `columns` is a comma-separated list. Raises ConfigError if it does not describe poses."""
     names = tuple(name.strip() for name in columns.split(","))
     odd = [name for name in names if name != SKIPPED and (name not in POSE_COLUMNS or names.count(name) > 1)]
     if odd:
@@ -65,11 +65,11 @@ def layout_of(columns: str, unit_s: float, unit_m: float, rate_hz: float | None,
 
 
 def read_table(path: Path, layout: Layout) -> Poses:
-    """Return the poses in a text file of numbers with commas, semicolons, tabs or blanks between, one row a line.
+    """Read the poses in a text file of numbers separated by commas, semicolons, tabs or blanks, one row per line.
 
-    Numbers have decimal points, or decimal commas if something else is between them. Empty lines and those that begin
-    with #, %, // or ; are skipped. Times count from the first row. Raises RecordingError, with the line, for a file
-    that is no such table; the units are not in it.
+    Numbers have decimal points, or decimal commas if another character separates them. Empty lines and lines that start
+    with #, %, // or ; are skipped. Times are relative to the first row. Raises RecordingError, with the line, if the
+    table is malformed.
     """
     numbers, values, commas = array("q"), array("d"), set[bool]()
     try:
@@ -121,7 +121,7 @@ def _row(place: str, line: bytes, layout: Layout, commas: set[bool]) -> list[flo
 
 
 def _cells(place: str, text: str, columns: int) -> list[str]:
-    """Return the cells of a line; empty ones at its end may be more than there are columns."""
+    """Return the cells of a line, without empty ones at its end that exceed the number of columns."""
     counts = []
     for between in _BETWEEN:
         cells = between.split(text)
@@ -138,7 +138,7 @@ def _cells(place: str, text: str, columns: int) -> list[str]:
 
 
 def write_poses(path: Path, poses: Poses) -> None:
-    """The table that a replay plays; the file appears whole, or not at all."""
+    """Write the table for a replay; the file appears complete or not at all."""
     with new_file(path) as file:
         file.write(",".join(POSE_COLUMNS).encode() + b"\n")
         file.write(csv_lines(np.column_stack(poses)))

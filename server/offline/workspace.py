@@ -1,5 +1,8 @@
-"""The soft wall of a rig, the arc or plane of a device that moves in no more, and the objects of a scene, seen from the
-front and from the right: as text, as a figure."""
+"""Front and right view of a workspace, as text or figure.
+
+A view shows the soft wall of a rig, the arc or plane of a device with one or two degrees of freedom, and the objects of
+a scene.
+"""
 
 from __future__ import annotations
 
@@ -18,21 +21,21 @@ from softfinger.server.viewer.nodes.meshes import mesh_of, plane
 Array = NDArray[np.float64]
 
 VIEWS: Final = (("from the front", 0, "x"), ("from the right", 1, "y"))
-"""What each is called, and which axis is to its right; up is z."""
+"""Name of each view, and index and name of the axis that points right; z points up."""
 COLUMNS: Final = 49
 ROWS: Final = 25
-"""Cells of a view: odd, so that one is in the middle, and of characters that are twice as high as wide."""
+"""Cells of a view: odd numbers, so that one is in the centre; a character is twice as high as wide."""
 AROUND: Final = 1.25
-"""How much of the surroundings is shown, times the workspace."""
+"""Size of the drawn area, as a multiple of the workspace."""
 NUMBERS: Final = "123456789abcdefghijklmnopqrstuvwxyz"
 WALL: Final = "·"
 WAY: Final = "="
 DIRECTIONS: Final = 720
-"""In which the edge of a plane's part inside of the wall is looked for; on an arc the places that are tried."""
+"""Number of directions in which the edge of a plane inside the wall is searched, or of points tested on an arc."""
 
 
 class Drawn(NamedTuple):
-    """An object: its name; corners (n, 3, 3) of its triangles, m in the world; points (m, 3) on them."""
+    """Object: name, corners (n, 3, 3) of its triangles, m in the world, and points (m, 3) on them."""
 
     name: str
     triangles: Array
@@ -40,12 +43,12 @@ class Drawn(NamedTuple):
 
 
 def half_sizes(wall: Workspace) -> Array:
-    """Half of the box (3,) m around the workspace."""
+    """Return half the size (3,) m of the bounding box of the workspace."""
     return np.full(3, wall.radius_m) if wall.size_m is None else 0.5 * np.array(wall.size_m)
 
 
 def beyond(wall: Workspace, points: Array) -> Array:
-    """How far (n,) m points (n, 3) are beyond the wall; below zero inside."""
+    """Return the distance (n,) m of points (n, 3) beyond the wall, negative inside."""
     away = points - np.array(wall.center_m)
     if wall.size_m is None:
         assert wall.radius_m is not None
@@ -55,7 +58,7 @@ def beyond(wall: Workspace, points: Array) -> Array:
 
 
 def drawn(wall: Workspace, scene: Scene) -> list[Drawn]:
-    """The objects of a scene, where they are at the start, without those whose shape is not known here."""
+    """Return the objects of a scene at their initial poses, without shapes that have no picture here."""
     cell = 2.0 * AROUND * float(half_sizes(wall).max()) / COLUMNS
     found = []
     for thing in scene.object:
@@ -67,7 +70,7 @@ def drawn(wall: Workspace, scene: Scene) -> list[Drawn]:
 
 
 def rows(wall: Workspace, objects: list[Drawn]) -> list[tuple[str, str]]:
-    """Of each object, whether the fingertip's centre reaches it before the wall."""
+    """Return for each object whether the fingertip's centre can reach it inside the wall."""
     told = []
     for number, thing in zip(NUMBERS, objects, strict=False):
         away = 1e3 * beyond(wall, thing.points)
@@ -82,7 +85,7 @@ def rows(wall: Workspace, objects: list[Drawn]) -> list[tuple[str, str]]:
 
 
 def way(wall: Workspace, freedom: Freedom) -> Array:
-    """Points (n, 3) m inside of the wall: of the arc on which a device moves, or of the edge of its plane there."""
+    """Return points (n, 3) m inside the wall, on the arc of a device or on the edge of its plane."""
     turn = np.linspace(-np.pi, np.pi, DIRECTIONS)[:, None]
     normal, half = freedom.axis, float(half_sizes(wall).max())
     if freedom.degrees == 1:
@@ -97,13 +100,13 @@ def way(wall: Workspace, freedom: Freedom) -> Array:
     reach = np.linspace(0.0, 2.0 * half, DIRECTIONS)
     points = centre + reach[None, :, None] * rays[:, None, :]
     inside = beyond(wall, points.reshape(-1, 3)).reshape(points.shape[:2]) <= 0.0
-    if not inside[0, 0]:  # the plane passes by
+    if not inside[0, 0]:  # the plane does not intersect the workspace
         return np.zeros((0, 3))
     return np.asarray(points[np.arange(DIRECTIONS), inside.sum(axis=1) - 1])
 
 
 def text(wall: Workspace, objects: list[Drawn], freedom: Freedom | None = None) -> list[str]:
-    """Lines of both views, beside each other."""
+    """Return both views side by side, as lines."""
     views = [_view(wall, objects, axis, freedom) for _, axis, _ in VIEWS]
     half = 1e3 * AROUND * float(half_sizes(wall).max())
     heads = [f"{name}: {letter} to the right, z up; {2 * half:.0f} mm wide" for name, _, letter in VIEWS]
@@ -117,7 +120,7 @@ def text(wall: Workspace, objects: list[Drawn], freedom: Freedom | None = None) 
 
 
 def plot(wall: Workspace, objects: list[Drawn], path: Path, freedom: Freedom | None = None) -> None:
-    """Both views as a figure, .png or .svg, axes in mm."""
+    """Draw both views as a figure, .png or .svg, axes in mm."""
     from matplotlib.collections import PolyCollection
 
     drawing = figure(9.0, 4.8)
@@ -148,7 +151,7 @@ def plot(wall: Workspace, objects: list[Drawn], path: Path, freedom: Freedom | N
 
 
 def _view(wall: Workspace, objects: list[Drawn], axis: int, freedom: Freedom | None) -> list[str]:
-    """A view as ROWS lines of COLUMNS characters."""
+    """Return a view as ROWS lines of COLUMNS characters."""
     center, half = np.array(wall.center_m), AROUND * float(half_sizes(wall).max())
     right, up = np.meshgrid(np.linspace(-half, half, COLUMNS), np.linspace(half, -half, ROWS))
     inside = beyond(wall, _in_plane(center, axis, center[axis] + right, center[2] + up)).reshape(right.shape) <= 0.0
@@ -166,14 +169,14 @@ def _view(wall: Workspace, objects: list[Drawn], axis: int, freedom: Freedom | N
 
 
 def _in_plane(center: Array, axis: int, right: Array, up: Array) -> Array:
-    """Points (n, 3) of a view's plane through the centre."""
+    """Return points (n, 3) in a view's plane through the centre."""
     points = np.tile(center, (right.size, 1))
     points[:, axis], points[:, 2] = right.ravel(), up.ravel()
     return points
 
 
 def _corners(thing: Object, edge: float) -> Array | None:
-    """Corners (n, 3, 3) of an object's triangles, m in its own frame; of a plane a square of that edge (m)."""
+    """Return the corners (n, 3, 3) of an object's triangles, m, in its frame; for a plane a square of edge `edge` m."""
     if isinstance(thing, Filed):
         (vertices, faces), _ = picture_of(thing)
         corners: Array = np.asarray(vertices, float)[np.asarray(faces, int)]
@@ -183,7 +186,7 @@ def _corners(thing: Object, edge: float) -> Array | None:
 
 
 def _filled(triangles: Array, step: float) -> Array:
-    """Points (n, 3) on triangles, no farther apart than `step` m where a few hundred of each are enough."""
+    """Return points (n, 3) on triangles, at most `step` m apart unless that takes more than 400 per edge."""
     found = []
     for triangle in triangles:
         longest = max(float(np.linalg.norm(triangle[k] - triangle[k - 1])) for k in range(3))
@@ -196,7 +199,7 @@ def _filled(triangles: Array, step: float) -> Array:
 
 
 def _rotation(wxyz: tuple[float, float, float, float]) -> Array:
-    """Matrix (3, 3) of a unit quaternion."""
+    """Return the rotation matrix (3, 3) of a quaternion."""
     w, x, y, z = np.array(wxyz) / np.linalg.norm(wxyz)
     rotation: Any = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

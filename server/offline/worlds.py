@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Final
 
 from softfinger.config.schema import Mesh, Servo, World
 
-if TYPE_CHECKING:  # with MuJoCo behind it, which no other scene needs
+if TYPE_CHECKING:
     from softfinger.config.mjcf_geoms import Taken
 
 COMPILE_S: Final = (31.0, 7.0)
-"""Of a scene with bodies, and of each kind of geom that a finger touches: seconds of a processor, measured with 2, 4
-and 8 free bodies of five kinds, friction and rolling, on a busy machine."""
+"""Compile time of a scene with bodies, and for each kind of touched geom, CPU seconds.
+
+Measured with 2, 4 and 8 free bodies of five kinds, friction and rolling, on a busy machine.
+"""
 LONG_S: Final = 90.0
-"""Compile time from which the summary mentions it."""
+"""Estimated compile time from which the summary mentions it."""
 
 
 def world_rows(world: World) -> list[tuple[str, str]]:
@@ -53,7 +55,7 @@ def _timestep(world: World, own: float) -> str:
 
 
 def _compiled(geoms: list[Taken]) -> int:
-    """Return how many geoms have code of their own: all of a kind share theirs, but each mesh has its own."""
+    """Return the number of separately compiled geoms: geoms of a kind share code, each mesh has separate code."""
     objects = [geom.object for geom in geoms if geom.object is not None]
     meshes = sum(isinstance(each, Mesh) for each in objects)
     return meshes + len({(each.shape, each.motion is None) for each in objects if not isinstance(each, Mesh)})

@@ -1,6 +1,6 @@
-"""Requests that take the force off: the publisher has the loop do so before the daemon has read them.
+"""Requests that turn the force off: the publisher makes the loop do so before the daemon has read them.
 
-Both count them, and the loop gives no force while the counts differ (`loop/force_switch.py`).
+Both processes count these requests, and the force is off while the counts differ (`loop/force_switch.py`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import msgspec
 from softfinger.server.loop.switch_words import ASKED
 
 SHORT: Final = 4096
-"""Bytes: no such request is longer, and longer ones are not looked into."""
+"""Longest such request in bytes; longer requests are not decoded."""
 
 
 class _Named(msgspec.Struct):
@@ -25,7 +25,7 @@ _decoder: Final = msgspec.msgpack.Decoder(_Named)
 
 
 def takes_force_off(body: bytes) -> bool:
-    """Return whether a request, as it came, is one that takes the force off."""
+    """Return whether an encoded request turns the force off."""
     if len(body) > SHORT or not (b"disarm" in body or b"stop" in body):
         return False
     try:
@@ -35,7 +35,7 @@ def takes_force_off(body: bytes) -> bool:
 
 
 class Brake:
-    """The publisher's side of the switch; takes over its file."""
+    """The publisher's side of the force switch; takes ownership of its file."""
 
     def __init__(self, file: int) -> None:
         self._memory = mmap.mmap(file, 0)
@@ -43,5 +43,5 @@ class Brake:
         self._words = memoryview(self._memory).cast("q")
 
     def count(self, requests: int) -> None:
-        """Count requests more, or less."""
+        """Add to the count of requests, or subtract from it."""
         self._words[ASKED] += requests

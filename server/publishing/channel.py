@@ -1,6 +1,6 @@
-"""The channel between the daemon and its publisher: messages on a pair of sockets, bounded, and nobody waits.
+"""Channel between the daemon and its publisher: messages over a socket pair, with bounded queues and without waiting.
 
-A message is its length, its kind, the length of its key, the key, and the rest.
+A message consists of its length, its kind, the length of its key, the key, and the body.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from softfinger.server.publishing.setup import ANSWER_MAX, Kind
 _HEAD: Final = struct.Struct("<IBH")
 _LONGEST: Final = ANSWER_MAX + 1024
 WAITING_MAX: Final = 4 * ANSWER_MAX
-"""Bytes that may wait for the other side; what is said beyond is left out."""
+"""Largest number of bytes queued for the other side; further messages are dropped."""
 _READ_BYTES: Final = 65536
 
 
 class Said(NamedTuple):
-    """A message: `key` is its topic, or the client that it is of."""
+    """Message; `key` is its topic or its client."""
 
     kind: int
     key: bytes
@@ -30,7 +30,7 @@ class Said(NamedTuple):
 
 
 class Channel:
-    """One end. `say` from any thread; the rest belongs to one."""
+    """One end of the channel. `say` may be called from any thread, all other methods from one thread only."""
 
     def __init__(self, end: socket.socket) -> None:
         end.setblocking(False)
@@ -39,18 +39,18 @@ class Channel:
         self._size = 0
         self._heard = bytearray()
         self.ended = False
-        """The other side is gone, or says what is none."""
+        """The other side has exited or sent an invalid message."""
 
     def fileno(self) -> int:
         return self._end.fileno()
 
     @property
     def waits(self) -> bool:
-        """Whether something waits to be read by the other side."""
+        """Whether messages are queued for the other side."""
         return bool(self._waiting)
 
     def say(self, kind: Kind, key: bytes = b"", body: bytes = b"") -> bool:
-        """Send at once, or as soon as there is room; False where too much waits already, and this is left out."""
+        """Send a message now, or when there is room; if the queue is full, drop it and return False."""
         head = _HEAD.pack(len(key) + len(body), kind, len(key))
         with self._lock:
             if self._size + len(body) > WAITING_MAX or len(body) > ANSWER_MAX or self.ended:
@@ -61,7 +61,7 @@ class Channel:
         return True
 
     def flush(self) -> None:
-        """Send what waits, as far as there is room."""
+        """Send queued messages, as far as there is room."""
         with self._lock:
             self._flush()
 
@@ -81,7 +81,7 @@ class Channel:
                 return
 
     def hear(self) -> Iterator[Said]:
-        """What has come, and what a caller before has left."""
+        """Yield the messages received, including messages that an earlier caller did not consume."""
         yield from self._messages()
         while not self.ended:
             try:

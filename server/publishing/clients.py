@@ -1,4 +1,4 @@
-"""Whoever commands: libzmq's ROUTER, from which requests are taken one by one, and not more than are being answered."""
+"""Command clients of one endpoint: a ROUTER socket of libzmq, read only while few requests are unanswered."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from softfinger.server.publishing.front import Front, Gate, Lock, Open
 from softfinger.server.publishing.setup import REQUEST_MAX, Kind
 
 WAITING_MAX: Final = 64
-"""Requests of a client, or answers to it, that wait; answers beyond are dropped, for it does not read them."""
+"""Requests of a client, or answers to it, in the queue; further answers are dropped, because it does not read them."""
 BURST_S: Final = 0.1
 BURST: Final = 100
-"""Most requests of a client in a BURST_S: a thousand a second, one in each tick of the usual loop. More are busy."""
+"""Most requests of a client in BURST_S: a thousand per second, one in each tick of the usual loop. More are busy."""
 
 
 class Clients:
-    """Whoever commands on one endpoint; `ask` is given kind, client and request."""
+    """Command clients of one endpoint; `ask` is called with kind, client and request."""
 
     def __init__(self, gate: Gate, bound: Open, lock: Lock | None, ask: Callable[[Kind, bytes, bytes], object]) -> None:
         options = {
@@ -37,7 +37,7 @@ class Clients:
         self._burst_s = 0.0
 
     def take(self, most: int) -> int:
-        """Hand on the requests that have come, at most so many, of all clients in turn; returns how many."""
+        """Pass on at most `most` requests, from all clients in turn; return their number."""
         now = time.monotonic()
         if now - self._burst_s >= BURST_S:
             self._burst_s = now
@@ -55,6 +55,6 @@ class Clients:
         return taken
 
     def answer(self, client: bytes, body: bytes) -> None:
-        """To a client; one that has gone, or does not read, gets nothing."""
+        """Send an answer to a client; it is dropped if the client has disconnected or does not read."""
         with contextlib.suppress(zmq.ZMQError):
             self.front.socket.send_multipart([client, b"", body], zmq.NOBLOCK)

@@ -1,4 +1,4 @@
-"""A socket of libzmq for others: bound, locked by CURVE where they need keys, renewed when one of them loses his."""
+"""Socket of libzmq for peers: bound, protected by CURVE if keys are required, and recreated when a key is revoked."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, cast
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
-if TYPE_CHECKING:  # they take time to import, and most daemons know no keys
+if TYPE_CHECKING:  # they take time to import, and most daemons use no keys
     from zmq.auth.thread import ThreadAuthenticator
 
     from softfinger.server.gateway.allowed import Allowed
@@ -18,16 +18,16 @@ if TYPE_CHECKING:  # they take time to import, and most daemons know no keys
 
 HANDSHAKE_MS: Final = 2000
 LINGER_MS: Final = 200
-"""How long the end waits for the last messages to leave."""
+"""Time for which the end waits until the last messages have been sent."""
 SEND_BUFFER_BYTES: Final = 262144
-"""Of the system, for each peer; without a limit it grows to megabytes, which is latency for a subscriber."""
+"""Send buffer of the system for each peer; without a limit it grows to megabytes, which is latency for a subscriber."""
 FILES_MAX: Final = 256
-"""File descriptors, and so connections: libzmq has no bound of its own, and leaves those in the system's queue that it
-has none for."""
+"""Limit of file descriptors, and so of connections: libzmq has none, and connections beyond it wait in the system's
+queue."""
 MEMORY_MAX: Final = 1 << 30
-"""Bytes that the process may write to: a peer can have libzmq keep more and more. Then this process ends."""
+"""Limit of writable memory in bytes: a peer can make libzmq allocate without end. Beyond it, the process ends."""
 EVENTS_AT_ONCE: Final = 1024
-"""Comings and goings that are taken note of at a time: who does nothing else must not keep ticks from being sent."""
+"""Connection events handled per call: a peer that only connects and disconnects must not delay ticks."""
 _REFUSED: Final = (
     zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 )
@@ -35,7 +35,7 @@ _WATCHED: Final = zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | _REFUSED
 
 
 class Open(Protocol):
-    """An endpoint that is bound already, by whoever frees it."""
+    """Endpoint that is already bound; its owner frees it."""
 
     @property
     def endpoint(self) -> str: ...
@@ -45,21 +45,21 @@ class Open(Protocol):
 
 
 class Lock(NamedTuple):
-    """The server's pair, and who may come in."""
+    """Key pair of the server, and the keys of peers that may connect."""
 
     pair: Pair
     allowed: Allowed
 
 
 class Gate(NamedTuple):
-    """Where sockets are made, and who is asked about the keys of those who come; None where nobody needs any."""
+    """Context of the sockets, and authenticator of keys; None if no key is required."""
 
     context: zmq.Context[Any]
     authenticator: ThreadAuthenticator | None
 
 
 class Front:
-    """A socket of a kind on an endpoint that is bound already; without a lock everybody who reaches it may come in.
+    """Socket on an endpoint that is already bound; without a lock, every peer that reaches it may connect.
 
     options  of the socket, by name
     """
@@ -68,14 +68,14 @@ class Front:
         self.endpoint: Final = bound.endpoint
         self.lock: Final = lock
         self._domain: Final = f"front-{kind}"
-        """What libzmq asks the authenticator about, with a peer's key."""
-        if lock is not None:  # before the first one comes: who is turned away does not come again
+        """Name by which libzmq identifies this socket to the authenticator."""
+        if lock is not None:  # before the first peer connects: a rejected peer does not connect again
             assert gate.authenticator is not None
             gate.authenticator.configure_curve_callback(self._domain, lock.allowed)
         self.most = self.refused = 0
-        """Connections at a time, and those whose handshake failed, for want of a key or otherwise, so far."""
+        """Largest number of simultaneous connections, and number of failed handshakes, for any reason."""
         self.renewed = 0
-        """How often all were cut off: then `socket` and `monitor` are others."""
+        """Number of times that all peers were disconnected; `socket` and `monitor` are replaced each time."""
         self._context, self._kind, self._bound, self._options = gate.context, kind, bound, options
         self.connected: Final[dict[int, int]] = {}
         """Number of each open connection, unique for this process, by its file descriptor, which the next may reuse."""
@@ -93,17 +93,17 @@ class Front:
             self.socket.zap_domain = self._domain.encode()
             self.socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
         self.monitor: zmq.Socket[bytes] = self.socket.get_monitor_socket(_WATCHED)
-        # libzmq closes the listener with its socket, and there may be another one.
+        # libzmq closes the listener with its socket, and another socket may follow.
         self.socket.setsockopt(zmq.USE_FD, os.dup(self._bound.fd))
         self.socket.bind(self.endpoint)
 
     @property
     def has_come(self) -> bool:
-        """Whether there is something to be received."""
+        """Whether a message can be received."""
         return bool(cast(int, self.socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
 
     def renew(self) -> None:
-        """Cut everybody off; who may still come in connects again by himself."""
+        """Disconnect all peers; allowed peers reconnect automatically."""
         self.connected.clear()
         self.socket.linger = 0
         self.close()
@@ -111,7 +111,7 @@ class Front:
         self.renewed += 1
 
     def look(self) -> None:
-        """Take note of connections that came and went."""
+        """Process connection events."""
         for _ in range(EVENTS_AT_ONCE):
             if not self.monitor.poll(0):
                 break
@@ -126,12 +126,12 @@ class Front:
         self.most = max(self.most, len(self.connected))
 
     def look_at_keys(self) -> None:
-        """Read the folder of keys anew; whose key is gone is cut off, and the others with it."""
+        """Read the folder of keys again; if a key was removed, disconnect all peers."""
         if self.lock is not None and self.lock.allowed.refresh():
             self.renew()
 
     def close(self) -> None:
-        """Cut everybody off. Any number of times."""
+        """Disconnect all peers; may be called repeatedly."""
         if not self.socket.closed:
             self.socket.disable_monitor()
             self.monitor.close()
@@ -139,11 +139,11 @@ class Front:
 
 
 def bound_resources() -> None:
-    """What peers can take of this process has an end, whatever libzmq keeps for them."""
+    """Limit the resources that peers can use in this process, since libzmq does not limit them."""
     for kind, most in ((resource.RLIMIT_NOFILE, FILES_MAX), (resource.RLIMIT_DATA, MEMORY_MAX)):
         with contextlib.suppress(ValueError, OSError):
             soft, hard = resource.getrlimit(kind)
             resource.setrlimit(kind, (most if soft < 0 else min(soft, most), hard))
-    # Out of memory libzmq ends the process by abort: that is expected, and no core file is wanted.
+    # Out of memory, libzmq aborts the process: that is expected, and no core file is needed.
     with contextlib.suppress(ValueError, OSError):
         resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))

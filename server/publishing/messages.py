@@ -1,4 +1,4 @@
-"""The messages of a tick: a row of the record as the maps that docs/protocol.md has, encoded."""
+"""Messages of a tick: conversion of a row of records into the encoded maps of docs/protocol.md."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _LISTS: Final = [f"contacts{i}" for i in range(PATCHES)]
 
 
 def whole(value: float) -> int:
-    """The integer of a field; 0 for what is none, such as a nan that a device reports as its buttons."""
+    """Return the integer of a field; 0 if it has none, such as nan for the buttons of a device."""
     return int(value) if -_WORD <= value < _WORD else 0
 
 
 class _Map:
-    """A map that is made once, and filled from row after row.
+    """Map that is created once and filled from successive rows.
 
-    fields  with their dotted names in it
+    fields  with their dotted names in the map
     """
 
     def __init__(self, content: dict[str, Any], fields: list[tuple[str, Field]]) -> None:
@@ -43,7 +43,7 @@ class _Map:
                 self._vectors.append((inside, key, field.at, field.at + field.size))
 
     def fill(self, row: tuple[float, ...]) -> dict[str, Any]:
-        """The map of a record (RECORD_SIZE,); the next call changes it."""
+        """Return the map of a record (RECORD_SIZE,); the next call changes it."""
         for inside, key, at in self._whole:
             inside[key] = whole(row[at])
         for inside, key, at in self._numbers:
@@ -54,7 +54,7 @@ class _Map:
 
 
 class Messages:
-    """Encodes rows (fingers x RECORD_SIZE,)."""
+    """Encoder of rows (fingers x RECORD_SIZE,)."""
 
     def __init__(self, ticks: Ticks, shown: Shown) -> None:
         self._topics, self._every = [topic.encode() for topic in ticks.topics], ticks.every
@@ -81,13 +81,13 @@ class Messages:
         self.show(shown)
 
     def show(self, shown: Shown) -> None:
-        """What `state` is to say beside the tick."""
+        """Set the contents of `state` that do not come from the tick."""
         self._state_every = max(1, round(shown.rate_hz / self._state_hz))
         self._epoch_s = shown.epoch_s
         self._state.content["active_field"] = shown.scene
 
     def of(self, row: tuple[float, ...]) -> Iterator[tuple[bytes, bytes]]:
-        """Topic and body of each message of a tick."""
+        """Yield topic and body of each message of a tick."""
         tick = whole(row[_TICK])
         if tick % self._every == 0:
             for place, topic in enumerate(self._topics):

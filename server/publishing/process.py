@@ -1,6 +1,6 @@
-"""The publisher's loop: one thread, ticks first, then what the daemon says, then what peers do.
+"""Main loop of the publisher: a single thread that handles ticks first, then the daemon's messages, then peers.
 
-It ends with the daemon, when it is told to, and by libzmq's own hand where a peer takes more than there is.
+It ends with the daemon, on request, or by an abort in libzmq if a peer exhausts its memory.
 """
 
 from __future__ import annotations
@@ -31,21 +31,22 @@ from softfinger.server.publishing.ticks import Rows
 log: Final = logging.getLogger(__name__)
 
 OUT_MAX: Final = 32
-"""Requests that the daemon has and has not answered; more wait in libzmq, so many for each client."""
+"""Unanswered requests passed to the daemon; further ones remain queued in libzmq, up to a limit for each client."""
 QUIET_S: Final = 0.1
-"""Where a tick comes sooner than this, whoever subscribes waits for the next: libzmq would send the newest to all."""
+"""If ticks arrive at shorter intervals than this, a new subscriber waits for the next: libzmq would send the latest to
+all."""
 LOOK_S: Final = 1.0
-"""How often the folders of keys are looked at."""
+"""Interval of the check of the folders of keys."""
 ALONE_US: Final = 50_000
 KILLED_US: Final = 1_000_000
 RETRY_S: Final = 0.005
-"""How soon a daemon that does not read is tried again."""
+"""Interval of retries while the daemon does not read."""
 
 
 class Publishing:
-    """Everything that the process has open.
+    """State of the publisher process.
 
-    channel  to the daemon, which has said `setup`
+    channel  to the daemon, from which `setup` has been received
     """
 
     def __init__(self, channel: Channel, setup: Setup, files: ExitStack) -> None:
@@ -56,7 +57,7 @@ class Publishing:
         self._ticking = {topic.encode() for topic in (*setup.ticks.topics, setup.ticks.state)}
         self._ticked_s = -QUIET_S
         self._newest: dict[bytes, bytes] = {}
-        """Of each topic what whoever subscribes is sent at once."""
+        """Message of each topic that a new subscriber is sent at once."""
         self._told = Figures()
         self._ended = False
         context: zmq.Context[Any] = zmq.Context()
@@ -64,7 +65,7 @@ class Publishing:
         gate = Gate(context, _authenticator(context, files) if any(each.key for each in setup.entrances) else None)
         self._readers: list[Readers] = []
         self._clients: list[Clients] = []
-        self._hear()  # what came meanwhile is for nobody who comes from here on, but for what is kept of it
+        self._hear()  # earlier messages are not sent to later subscribers, except the stored ones
         for entrance in setup.entrances:
             self._open(gate, entrance, setup.backlog)
         self._fronts: list[Front] = [*(each.front for each in self._readers), *(each.front for each in self._clients)]
@@ -81,13 +82,13 @@ class Publishing:
             self._brake.count(int(off))
             if self._channel.say(kind, number + client, body):
                 self._out += 1
-            else:  # the daemon will not hear of it
+            else:  # the daemon will not receive it
                 self._brake.count(-int(off))
 
         self._clients.append(Clients(gate, entrance, lock, ask))
 
     def run(self) -> None:
-        """Publish until the daemon says that it ends, or is gone."""
+        """Publish until the daemon requests the end or exits."""
         poll, bell = self._poll(), self._rows.bell
         renewed, look_s, keys_s = self._renewed(), 0.0, time.monotonic() + LOOK_S
         while not self._ended:
@@ -101,7 +102,7 @@ class Publishing:
             self._channel.flush()
             self._attend()
             if happened - {bell, self._channel.fileno()}:
-                for front in self._fronts:  # soon: libzmq's thread waits where nobody takes note of a thousand of them
+                for front in self._fronts:  # soon: libzmq's thread blocks once a thousand events are unread
                     front.look()
             now = time.monotonic()
             if now >= look_s:
@@ -136,7 +137,10 @@ class Publishing:
             self._ticked_s = time.monotonic()
 
     def _attend(self) -> None:
-        """Take what peers have sent. A socket that was used tells nothing by its file that had come before."""
+        """Handle messages from peers.
+
+        After a socket was used, its file descriptor does not signal messages that arrived earlier.
+        """
         for readers in self._readers:
             readers.take()
         for clients in self._clients:
@@ -144,7 +148,7 @@ class Publishing:
                 clients.take(OUT_MAX - self._out)
 
     def _asked(self, beginning: bytes) -> None:
-        """Send the newest messages to who subscribes; libzmq sends them to all who have subscribed to the topic."""
+        """Send the latest messages for a new subscription; libzmq sends them to all subscribers of the topic."""
         quiet = time.monotonic() - self._ticked_s >= QUIET_S
         for topic, body in self._newest.items():
             if topic.startswith(beginning) and (quiet or topic not in self._ticking):
@@ -162,7 +166,7 @@ class Publishing:
     def _obey(self, said: Said) -> None:
         match said.kind:
             case Kind.MESSAGE | Kind.RETAINED:
-                self._send_ticks()  # it follows from ticks that were written before it was said
+                self._send_ticks()  # the message follows from ticks that were written before it
                 self._publish(said.key, said.body)
                 if said.kind == Kind.RETAINED:
                     self._newest[said.key] = said.body
@@ -210,7 +214,7 @@ def _lock(entrance: Entrance) -> Lock:
 
 
 class _ToDaemon(logging.Handler):
-    """Has the daemon log what is to be said."""
+    """Handler that forwards log messages to the daemon."""
 
     def __init__(self, channel: Channel) -> None:
         super().__init__(logging.WARNING)
@@ -221,19 +225,23 @@ class _ToDaemon(logging.Handler):
 
 
 def run_promptly(priority: int) -> bool:
-    """Ask for a real-time priority, with which a busy processor holds up no tick; threads that are made later have it,
-    too. Whether it was granted."""
+    """Request a real-time priority, so that a busy processor delays no tick; return whether it was granted.
+
+    Threads created later inherit it.
+    """
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except OSError:  # for the reason that the servo is told
+    except OSError:  # for the reason reported for the servo
         return False
     return True
 
 
 def give_way_when_busy() -> None:
-    """Where a thread keeps a processor for ALONE_US, as when peers flood it, all go on without a priority; after
-    KILLED_US the process is ended."""
-    threads = [int(each) for each in os.listdir("/proc/self/task")]  # now: later peers may have all files
+    """Drop the priority of all threads if one uses a processor for ALONE_US without a pause, as in a flood by peers.
+
+    After KILLED_US the system ends the process.
+    """
+    threads = [int(each) for each in os.listdir("/proc/self/task")]  # now: later, peers may have used up all files
 
     def give_way(*_: object) -> None:
         for thread in threads:
@@ -246,8 +254,8 @@ def give_way_when_busy() -> None:
 
 
 def publish(channel: Channel) -> None:
-    """Be the publisher of the daemon at the other end, until either ends."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # as a service is ended: the daemon has a last word
+    """Run the publisher for the daemon at the other end, until either ends."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the daemon sends a last message
         signal.signal(number, signal.SIG_IGN)
     logging.getLogger().addHandler(_ToDaemon(channel))
     setup = _setup(channel)
@@ -260,14 +268,14 @@ def publish(channel: Channel) -> None:
         if prompt:
             give_way_when_busy()
         channel.say(Kind.READY)
-        # What is made for a tick goes with it; what is kept was made before.
+        # Objects created for a tick are freed with it; long-lived ones have been created before.
         gc.freeze()
         gc.disable()
         publishing.run()
 
 
 def _setup(channel: Channel) -> Setup | None:
-    """What the daemon says first; None where it has gone."""
+    """Return the first message from the daemon; None if the daemon has exited."""
     while not channel.ended:
         select.select([channel], [], [])
         for said in channel.hear():

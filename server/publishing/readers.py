@@ -1,4 +1,4 @@
-"""Whoever subscribes: libzmq's XPUB, what subscribers are too slow for, and what they ask for."""
+"""Subscribers of one endpoint: an XPUB socket of libzmq, with counts of lost messages and of subscriptions."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ log: Final = logging.getLogger(__name__)
 SUBSCRIPTION_MAX: Final = 512
 """Longest frame of a subscriber, bytes."""
 SUBSCRIPTIONS_PER_S: Final = 256
-"""Of one key, new topics: above, the key is barred. A program has one or two for each connection."""
+"""New topics of one key; above this the key is barred. A program has one or two for each connection."""
 TOPICS_MAX: Final = 256
-"""Topics of one connection that are counted: the memory for a peer that subscribes without end is bounded."""
+"""Topics counted for one connection: bounds the memory for a peer that subscribes without end."""
 AT_ONCE: Final = 256
 
 
 class Readers:
-    """Whoever subscribes on one endpoint.
+    """Subscribers of one endpoint.
 
-    queue  messages that wait for a slow subscriber; then libzmq drops the newest, for that one
-    asked  called with each topic, or beginning of topics, that somebody subscribes to
+    queue  messages queued for a slow subscriber; beyond that, libzmq drops new messages for it
+    asked  called with each topic, or prefix of topics, of a new subscription
     """
 
     def __init__(
@@ -36,10 +36,10 @@ class Readers:
         options = {"sndhwm": queue, "maxmsgsize": SUBSCRIPTION_MAX, "xpub_verboser": 1, "xpub_nodrop": 1}
         self.front: Final = Front(gate, zmq.XPUB, bound, lock, options)
         self.lost = 0
-        """Messages at which a subscriber was found to be too slow; what it lost after them libzmq does not tell."""
+        """Messages at which a subscriber was found to be too slow; libzmq does not report losses after these."""
         self._asked = asked
         self._topics: dict[int, Counter[bytes]] = {}
-        """Subscriptions of each connection, by the number that `Front.connected` gives it."""
+        """Subscriptions of each connection, by its number in `Front.connected`."""
         self._new: Counter[bytes] = Counter()
         self._since_s = 0.0
 
@@ -49,11 +49,11 @@ class Readers:
         return sum(bool(self._topics.get(number)) for number in self.front.connected.values())
 
     def send(self, topic: bytes, body: bytes) -> None:
-        """To everybody who has subscribed to it; waits for nobody."""
+        """Send to all subscribers of the topic; never waits."""
         socket = self.front.socket
         try:
             socket.send(topic, zmq.SNDMORE | zmq.NOBLOCK)
-        except zmq.Again:  # it was given to nobody: now to all who have room
+        except zmq.Again:  # sent to no subscriber: now send to all that have room
             self.lost += 1
             socket.xpub_nodrop = 0
             socket.send(topic, zmq.SNDMORE | zmq.NOBLOCK)
@@ -61,7 +61,7 @@ class Readers:
         socket.send(body, zmq.NOBLOCK)
 
     def take(self) -> None:
-        """Read the subscriptions that have come; where a key is barred for their number, all are cut off."""
+        """Read new subscriptions; if a key is barred for their number, disconnect all peers."""
         now = time.monotonic()
         if now - self._since_s >= 1.0:
             self._since_s, self._new = now, Counter()
@@ -85,7 +85,8 @@ class Readers:
     def _count(self, file: int, kind: bytes, topic: bytes) -> None:
         """Count a subscription (1) or its end (0) for the connection with this file descriptor.
 
-        libzmq also passes on ends of subscriptions that never were. They must not cancel those of other connections.
+        libzmq also passes on ends of subscriptions that never existed. They must not cancel subscriptions of other
+        connections.
         """
         self.front.look()  # libzmq reports a connection before its first frame
         number = self.front.connected.get(file)
@@ -104,7 +105,7 @@ class Readers:
         assert lock is not None
         try:
             key = str(frame.get("User-Id")).encode()
-        except zmq.ZMQError:  # of a peer that has gone
+        except zmq.ZMQError:  # of a peer that has disconnected
             return False
         self._new[key] += 1
         if self._new[key] <= SUBSCRIPTIONS_PER_S:

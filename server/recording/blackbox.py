@@ -1,4 +1,4 @@
-"""The last ten seconds of a daemon, kept in memory, and written to a file when something goes wrong."""
+"""Black box: the last ten seconds of a daemon in memory, written to a file after a fault."""
 
 from __future__ import annotations
 
@@ -24,23 +24,25 @@ from softfinger.server.wire.stamps import now_s
 Array = NDArray[np.float64]
 
 KEPT_S: Final = 10.0
-"""What is kept of ticks, events and the log."""
+"""Duration of the stored ticks, events and log lines."""
 FILES_MAX: Final = 20
 BYTES_MAX: Final = 256 << 20
-"""Of the folder: the oldest files make room. Ten seconds of a finger at 1 kHz take 2 MB."""
+"""Maximum size of the folder; the oldest files are deleted. Ten seconds of one finger at 1 kHz take 2 MB."""
 EVENTS_MAX: Final = 4096
 LINES_MAX: Final = 2000
 TEXT_MAX: Final = 4000
-"""Characters of a line of the log: a traceback."""
+"""Maximum length of a log line, enough for a traceback."""
 BLOCK_ROWS: Final = 1024
-"""Ticks encoded at a time: other threads have their turn."""
+"""Ticks encoded per block, so that other threads can run between blocks."""
 ENDING: Final = ".mcap"
 PART: Final = ".part"
 
 
 def folder() -> Path | None:
-    """Return the folder of the files, which need not exist: $SOFTFINGER_BLACKBOX_DIR, or one in the user's state folder
-    (XDG). None for a user without a home folder."""
+    """Return the folder of the files, which need not exist; None for a user without a home folder.
+
+    It is $SOFTFINGER_BLACKBOX_DIR, or a folder in the user's state folder (XDG).
+    """
     named = os.environ.get("SOFTFINGER_BLACKBOX_DIR")
     if named:
         return Path(named).absolute()
@@ -51,7 +53,7 @@ def folder() -> Path | None:
 
 
 def files(place: Path) -> list[Path]:
-    """The files of a folder, oldest first; none where there is no folder."""
+    """Return the files of a folder, oldest first; empty if the folder does not exist."""
     with contextlib.suppress(OSError):
         found = [(path.stat().st_mtime, path) for path in place.glob(f"*{ENDING}")]
         return [path for _, path in sorted(found)]
@@ -59,7 +61,7 @@ def files(place: Path) -> list[Path]:
 
 
 class Line(NamedTuple):
-    """A line of the log: time s, number of its level as logging has it, who said it, what."""
+    """Line of the log: time (s), level of `logging`, name of the logger, text."""
 
     time: float
     level: int
@@ -68,7 +70,7 @@ class Line(NamedTuple):
 
 
 class Log(logging.Handler):
-    """Keeps the newest lines of the log; from any thread."""
+    """Log handler that stores the latest lines; thread-safe."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -80,16 +82,21 @@ class Log(logging.Handler):
         self._lines.append(Line(at_s, record.levelno, record.name, self.format(record)[:TEXT_MAX]))
 
     def lines(self, since_s: float) -> list[Line]:
-        """Those from a time on."""
+        """Return the lines since a time (s)."""
         return [line for line in list(self._lines) if line.time >= since_s]
 
 
 class BlackBox:
-    """What is kept of a run: `take` and `event` never wait for a disk, `write` does.
+    """Ring buffer of a run's latest ticks and events; `take` and `event` never wait for a disk, `write` does.
 
-    fingers  names of several fingers, one empty name for a single one
-    guards   names of the guard's bits
-    rate_hz  of ticks: how many are kept
+    Parameters
+    ----------
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    guards
+        Names of the guard's bits.
+    rate_hz
+        Rate of the ticks, which determines the size of the buffer.
     """
 
     def __init__(self, fingers: Sequence[str], guards: Sequence[str], rate_hz: float) -> None:
@@ -97,12 +104,12 @@ class BlackBox:
         self._rows = np.zeros((max(1, round(KEPT_S * rate_hz)), len(self._fingers) * RECORD_SIZE))
         self._next = self._count = 0
         self._lock = threading.Lock()
-        """Held for as long as ticks are copied, a millisecond."""
+        """Locked while ticks are copied, about a millisecond."""
         self._events: deque[Mapping[str, Any]] = deque(maxlen=EVENTS_MAX)
         self.log: Final = Log()
 
     def take(self, records: Array) -> None:
-        """Keep records (n, fingers x RECORD_SIZE), which are copied."""
+        """Copy records (n, fingers x RECORD_SIZE) into the buffer."""
         with self._lock:
             for first in range(0, len(records), len(self._rows)):
                 some = records[first : first + len(self._rows)]
@@ -113,7 +120,7 @@ class BlackBox:
                 self._count = min(self._count + len(some), len(self._rows))
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """Keep an event, a map as the wire has it, that does not follow from ticks; from any thread."""
+        """Store an event, a map as on the wire, that does not follow from the ticks; thread-safe."""
         since = now_s() - KEPT_S
         with self._lock:
             while self._events and self._events[0]["timestamp"] < since:
@@ -121,9 +128,17 @@ class BlackBox:
             self._events.append(event)
 
     def write(self, path: Path, about: Mapping[str, Any]) -> None:
-        """Write all that is kept to a new file, whole or not at all. OSError where that fails.
+        """Write the stored data to a new file, which appears only when it is complete.
 
-        about  tables of metadata (`RecordingFile`)
+        Parameters
+        ----------
+        about
+            Tables of metadata (`RecordingFile`).
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written.
         """
         with self._lock:
             order = (np.arange(self._next - self._count, self._next)) % len(self._rows)
@@ -131,7 +146,7 @@ class BlackBox:
         part = path.with_suffix(PART)
         descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
-            with open(descriptor, "wb", buffering=0) as file:  # closed, too, where the disk takes a part
+            with open(descriptor, "wb", buffering=0) as file:  # also closed if the disk accepts only a part
                 recording = RecordingFile(file, self._fingers, about)
                 for event in self._put_ticks(recording, rows):
                     recording.event(event)
@@ -148,7 +163,7 @@ class BlackBox:
                 part.unlink()
 
     def _put_ticks(self, recording: RecordingFile, rows: Array) -> Iterator[Mapping[str, Any]]:
-        """Write ticks; the events that follow from them."""
+        """Write ticks; yield the events that follow from them."""
         for place, finger in enumerate(self._fingers):
             told = RecordEvents(self._guards, finger, place == 0)
             for first in range(0, len(rows), BLOCK_ROWS):
@@ -158,13 +173,20 @@ class BlackBox:
 
 
 def make_room(place: Path) -> None:
-    """Have the folder, which is this user's alone, with room for one more file: the oldest ones go. OSError, or
-    ConfigError where others may write to it."""
+    """Create the folder for this user only, and delete its oldest files to make room for one more.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be created.
+    ConfigError
+        If other users may write to it.
+    """
     place.mkdir(mode=0o700, parents=True, exist_ok=True)
     check_owner(place, place.stat(), "could say what a file of ours replaces")
     kept, left = FILES_MAX - 1, BYTES_MAX
     for path in reversed(files(place)):
-        with contextlib.suppress(OSError):  # another daemon makes room, too
+        with contextlib.suppress(OSError):  # another daemon may delete files, too
             left -= path.stat().st_size
             if kept <= 0 or left < 0:
                 path.unlink()
@@ -172,6 +194,6 @@ def make_room(place: Path) -> None:
 
 
 def name_of(fault: str, number: int) -> str:
-    """A file's name, by the time (UTC), the process, which of its files it is, and the fault."""
+    """Return a file name from the time (UTC), the process, the number of its file, and the fault."""
     said = "".join(letter if letter.isalnum() else "-" for letter in fault)
     return f"{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}-{os.getpid()}-{number}-{said}{ENDING}"

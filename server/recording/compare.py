@@ -1,12 +1,11 @@
-"""Recorded poses through today's code, and what comes out beside what was recorded, tick by tick.
+"""Replay of recorded poses with today's code, and comparison with the recorded results, tick by tick.
 
-What a contact remembers is not in a recording. So a run is compared from where nothing is remembered: from the
-daemon's first tick, or, behind anything that breaks the chain (ticks that are missing, a command, a force that the
-driver withheld), from the first tick in free space on with no trace of the time before. After a disarmed stretch, of
-which a bit of the guard tells, the ramp starts from zero in the recording and in the replay alike: comparison need not
-wait until the ramp is over.
+The internal state of a contact is not recorded. Therefore comparison starts where this state is known to be empty: at
+the daemon's first tick or, after each interruption (missing ticks, a command, a force withheld by the driver), at the
+first tick in free space at which the earlier history has no influence. After a disarmed stretch, which a guard bit
+marks, the ramp starts from zero in both the recording and the replay, so comparison does not wait for its end.
 
-Running the code again and comparing stay in one file, since both go by the same parts of a run.
+Replay and comparison are in one file because both depend on the same parts of a run.
 """
 
 from __future__ import annotations
@@ -48,15 +47,16 @@ Mask = NDArray[np.bool_]
 
 COMPARED: Final = ("force", "torque", "contact.mode", "contact.object", "contact.point")
 FIELDS: Final = ("timestamp", "servo.guard", "servo.device", "servo.missed", *COMPARED)
-"""What of a recording a comparison reads."""
+"""Fields of a recording that a comparison reads."""
 
 COMMAND_S: Final = 0.5
-"""An event tells of a command after it was done: so long before it the force may be another's already. The thread that
-answers has normal priority, and its longest delays on a busy machine are tenths of a second."""
+"""The event of a command is published after its execution, so the force may differ for this time before the event.
+The answering thread has normal priority; on a busy machine its longest delays are tenths of a second.
+"""
 COMMAND_TICKS: Final = 2
-"""The tick that an event names may have begun before it; the second after it has not."""
+"""The tick named by an event may have started before the command; the second tick after it has not."""
 FORGOTTEN: Final = 40.0
-"""Time constants after which the velocity filter has forgotten all: exp(-40) is below the last bit of float64."""
+"""Number of time constants after which the velocity filter has no memory: exp(-40) is below the last bit of float64."""
 
 _KEPT: Final = ("servo.guard", *COMPARED)
 _PLACES: Final[dict[str, slice]] = {
@@ -64,13 +64,13 @@ _PLACES: Final[dict[str, slice]] = {
     for name, end in zip(_KEPT, accumulate(NAMED[name].size for name in _KEPT), strict=True)
 }
 _COLUMNS: Final = [NAMED[name].at + i for name in _KEPT for i in range(NAMED[name].size)]
-"""Columns of a record that are kept of a replay, and where they are then."""
+"""Columns of a record that a replay stores, and their positions there."""
 
 _CHANGING: Final = {"set_params", "drive", "heartbeat", "heartbeat_missed"}
 
 
 class Difference(NamedTuple):
-    """Two values of one key in a tick, `seconds` after the first of the recording."""
+    """Two values of one key in a tick, `seconds` after the first tick of the recording."""
 
     tick: int
     seconds: float
@@ -81,7 +81,7 @@ class Difference(NamedTuple):
 
 
 class Span(NamedTuple):
-    """Ticks from `first` to `last` that are not compared, and why."""
+    """Ticks from `first` to `last` that are not compared, and the reason."""
 
     first: int
     last: int
@@ -89,14 +89,14 @@ class Span(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a comparison found.
+    """Result of a comparison.
 
-    ticks      of the recording
-    compared   of them
-    different  of those
-    first      where that begins, None where nowhere
+    ticks      number of ticks of the recording
+    compared   number of compared ticks
+    different  number of different ticks
+    first      first difference; None if there is none
     largest    largest difference of each key
-    left_out   what was not compared
+    left_out   ticks that were not compared
     """
 
     ticks: int
@@ -108,8 +108,13 @@ class Outcome(NamedTuple):
 
 
 class Replayed(NamedTuple):
-    """What comes of a run's ticks today: the columns (n, fingers, ...) that are compared; which ticks (n,) may be, and
-    why not the others; and the poses of `Run.bodies`, NaN where there are none of these names."""
+    """Results of a run's ticks with today's code.
+
+    columns   (n, fingers, ...)  compared columns of the records
+    right     (n,)               ticks that can be compared
+    left_out                     the other ticks, with reasons
+    bodies                       poses as `Run.bodies`; NaN if the scene has other bodies
+    """
 
     columns: Array
     right: Mask
@@ -117,12 +122,12 @@ class Replayed(NamedTuple):
     bodies: Array
 
     def field(self, name: str, place: int) -> Array:
-        """A field of a finger, (n, size)."""
+        """Return a field of a finger, (n, size)."""
         return self.columns[:, place, _PLACES[name]]
 
 
 def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
-    """Every tick of a run through today's step and guard. ConfigError where the scene has other fingers."""
+    """Compute every tick of a run with today's step and guard; raises ConfigError if the scene has other fingers."""
     names = [finger.name for finger in scene.fingers]
     if len(names) != len(run.fingers) or (len(names) > 1 and names != list(run.fingers)):
         raise ConfigError(
@@ -130,7 +135,7 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
         )
     ticks = run.first["tick"].astype(np.int64)
     poses = np.stack([np.column_stack((f["probe.position"], f["probe.orientation"])) for f in run.fingers.values()], 1)
-    poses[_bits(run, POSE_REFUSED | POSE_JUMPED | POSE_FROZEN)] = np.nan  # as the device gave them, whatever it was
+    poses[_bits(run, POSE_REFUSED | POSE_JUMPED | POSE_FROZEN)] = np.nan  # the device's pose is not recorded
     free = np.all(np.stack([f["contact.mode"] for f in run.fingers.values()], axis=1) == FREE, axis=1)
     given = np.stack([f["servo.guard"] for f in run.fingers.values()], axis=1)
     devices, settle = _devices(run), _settle(scene, run.rate_hz)
@@ -147,12 +152,12 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
             rests = free[some] & np.all((modes == FREE) & (guards == given[some]), axis=1)
             rests &= np.all((guards == 0.0) | (part.armed & (guards == RAMPING)), axis=1)
             rests[:settle] = False
-            if part.scene.world is not None:  # where its bodies were is not recorded
+            if part.scene.world is not None:  # the poses of its bodies at this tick are not recorded
                 rests[:] = False
             start += int(np.argmax(rests)) if rests.any() else len(rests)
         right[start : part.stop] = True
         left_out += _span(ticks, part.start, start, part.why)
-    for row in _commands(run, scene, ticks, ramp):  # before one is told, it may have been done
+    for row in _commands(run, scene, ticks, ramp):  # may be executed before its event
         first = max(0, row - ramp - round(COMMAND_S * run.rate_hz))
         right[first:row] = False
         left_out += _span(
@@ -171,14 +176,16 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
 
 
 def _simulate(run: Run, part: _Part, tuning: Tuning, poses: Array, kept: tuple[Array, Array]) -> None:
-    """What is kept (n, fingers, ...) of the poses (n, fingers, 7) of a part, from where nothing is remembered, and the
-    poses of bodies of `Replayed` at its ticks."""
+    """Simulate the poses (n, fingers, 7) of a part from an empty state.
+
+    Writes the columns (n, fingers, ...) and the poses of bodies (`Replayed`) into `kept`.
+    """
     columns, bodies = kept
     period = period_ns(run.rate_hz) / NS_PER_S
     first, start = run.first, begin(tuning.scene)
     begin_bodies(tuning.scene, period)
     number = int(first["tick"][part.start])
-    # A device with a clock of its own is stepped a period each tick, any other one for a missed deadline too.
+    # A device with its own clock is stepped one period per tick; other devices also for each missed deadline.
     own = all(info.own_clock for info in _devices(run))
     skipped = 0.0 if own or "servo.missed" not in first else float(first["servo.missed"][part.start])
     memory = start._replace(world=start.world._replace(time=(number + skipped) * period))
@@ -199,7 +206,7 @@ def _simulate(run: Run, part: _Part, tuning: Tuning, poses: Array, kept: tuple[A
 
 
 def _stretches(ticks: NDArray[np.int64], count: int) -> Iterator[tuple[int, int]]:
-    """From 0 to `count` ticks, at most CHUNK at a time, with an end behind each of some ticks."""
+    """Split 0 to `count` into stretches of at most CHUNK ticks, which end after each of `ticks`."""
     ends = {*range(CHUNK, count, CHUNK), count, *(int(tick) + 1 for tick in ticks if 0 <= tick < count)}
     return pairwise([0, *sorted(ends)])
 
@@ -209,17 +216,17 @@ def _span(ticks: NDArray[np.int64], start: int, stop: int, why: str) -> list[Spa
 
 
 def _bits(run: Run, bit: int) -> Mask:
-    """Whether the guard of each finger set this bit, (n, fingers)."""
+    """Return whether the guard of each finger set this bit, (n, fingers)."""
     guards = np.stack([fields["servo.guard"] for fields in run.fingers.values()], axis=1)
     has: Mask = (guards.astype(np.int64) & bit) != 0
     return has
 
 
 def _held(run: Run) -> Mask:
-    """Ticks (n,) in which a hand did not get the force of the step, for no reason that is in the poses."""
+    """Return the ticks (n,) in which a hand received another force than the step's, for reasons not in the poses."""
     device = np.stack([fields["servo.device"] for fields in run.fingers.values()], axis=1)
     held: Mask = np.any(np.isin(device, (WITHHELD, HELD)) | _bits(run, DISARMED), axis=1)
-    # A disarming that has begun: the limits are zero, and the guard has yet to hear of it.
+    # Disarming has started: the limits are zero, but the guard bit is not set yet.
     for bit, key in ((FORCE_CLAMPED, "force"), (TORQUE_CLAMPED, "torque")):
         none = np.stack([~fields[key].any(axis=1) for fields in run.fingers.values()], axis=1)
         held |= np.any(_bits(run, bit) & none, axis=1)
@@ -227,7 +234,7 @@ def _held(run: Run) -> Mask:
 
 
 def _devices(run: Run) -> list[DeviceInfo]:
-    """What the devices could do, as far as the recording says."""
+    """Return the properties of the devices, if the recording has them."""
     said = run.notes.get("fingers")
     try:
         return [msgspec.convert(each["device"], DeviceInfo) for each in said] if isinstance(said, list) else []
@@ -236,7 +243,7 @@ def _devices(run: Run) -> list[DeviceInfo]:
 
 
 def _settle(scene: schema.Scene, rate_hz: float) -> int | None:
-    """Ticks after which nothing is left of the time before; None for ever, where an effect remembers."""
+    """Return the ticks after which the history has no influence; None if an effect never forgets it."""
     effects = [*scene.effect, *(effect for thing in scene.object for effect in thing.effect)]
     if any(isinstance(effect, schema.StickSlip) for effect in effects):
         return None
@@ -245,9 +252,18 @@ def _settle(scene: schema.Scene, rate_hz: float) -> int | None:
 
 
 def compare(run: Run, replayed: Replayed, against: Mapping[str, Mapping[str, Array]], tolerance: float) -> Outcome:
-    """Today's records beside what was recorded or what another file has, both (n,) or (n, size) by finger and key.
+    """Compare a replay with the recorded or other values.
 
-    tolerance  largest difference of a component, N, N m or m; modes and objects have to be equal
+    Parameters
+    ----------
+    run
+        Recording.
+    replayed
+        Its results with today's code.
+    against
+        Values to compare with, (n,) or (n, size), by finger and key.
+    tolerance
+        Largest allowed difference of a component, N, N m or m; modes and objects must be equal.
     """
     ticks = run.first["tick"].astype(np.int64)
     other = np.zeros(len(ticks), dtype=bool)
@@ -281,7 +297,7 @@ def compare(run: Run, replayed: Replayed, against: Mapping[str, Mapping[str, Arr
 def _bodies_apart(
     run: Run, replayed: Replayed, tolerance: float, other: Mask, largest: dict[str, float]
 ) -> Iterator[Difference]:
-    """The first difference of each body's pose, m or of a quaternion; marks the ticks and the largest, as `compare`."""
+    """Yield the first difference of each body's pose, m or quaternion component; update `other` and `largest`."""
     ticks, names, then = run.bodies
     numbers = run.first["tick"].astype(np.int64)
     rows = np.searchsorted(numbers, ticks)
@@ -303,12 +319,12 @@ def _bodies_apart(
 
 
 class _Part(NamedTuple):
-    """Consecutive ticks that are simulated from a fresh state.
+    """Consecutive ticks that are simulated from an empty state.
 
-    start, stop  rows of the recording, `stop` not included
-    scene        that they have
-    why          they do not continue the part before
-    armed        the part starts where a disarmed stretch ends
+    start, stop  rows of the recording, `stop` excluded
+    scene        scene of these ticks
+    why          reason why they do not continue the previous part
+    armed        whether the part starts at the end of a disarmed stretch
     """
 
     start: int
@@ -319,7 +335,7 @@ class _Part(NamedTuple):
 
 
 def _parts(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> Iterator[_Part]:
-    """The run, divided where the chain breaks."""
+    """Split the run where its state is unknown."""
     breaks = {0: "the recording begins in the middle of a run"}
     for row in (np.flatnonzero(np.diff(ticks) != 1) + 1).tolist():
         breaks[row] = f"{ticks[row] - ticks[row - 1] - 1} ticks before it are missing"
@@ -337,12 +353,12 @@ def _parts(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -
 
 
 def _ends(mask: Mask) -> list[int]:
-    """The rows behind those where it holds."""
+    """Return the row after each stretch of true values."""
     return (np.flatnonzero(mask[:-1] & ~mask[1:]) + 1).tolist()
 
 
 def _commands(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> dict[int, dict[str, Any]]:
-    """The first row with what a command changed, `ramp` ticks after it, and that, by dotted key of the scene."""
+    """Return the changes made by commands: dotted keys by the first row with the full effect, after `ramp` ticks."""
     changes: dict[int, dict[str, Any]] = {}
     for event in run.events:
         if event["kind"] == "command" and event["name"] in _CHANGING:
@@ -352,7 +368,7 @@ def _commands(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int
 
 
 def _changed(scene: schema.Scene, event: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What a command changed, by dotted key of the scene with numbers; None where its event does not say it."""
+    """Return the changes of a command, by dotted key of the scene with indices; None if its event lacks them."""
     what = event.get("what")
     if not isinstance(what, dict):
         return None
@@ -370,7 +386,7 @@ def _changed(scene: schema.Scene, event: Mapping[str, Any]) -> dict[str, Any] | 
 
 
 def _end(run: Run, scene: schema.Scene, ticks: NDArray[np.int64]) -> int:
-    """The first row (or one past the last) from which on the scene is not known."""
+    """Return the first row at which the scene is unknown, or the number of rows."""
     for event in run.events:
         name, kind = event["name"], event["kind"]
         unknown = (kind, name) in (("command", "set_scene"), ("command", "reset_world"), ("lifecycle", "replaced"))

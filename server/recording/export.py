@@ -1,4 +1,4 @@
-"""A recording's ticks as a table for other programs: CSV, Parquet, npz, by the file's ending."""
+"""Export of a recording's ticks for other programs: CSV, Parquet or npz, by the suffix of the file."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from softfinger.server.recording.reader import Ticks, contents
 
 ENDINGS: Final = (".csv", ".parquet", ".npz")
 GROUP_ROWS: Final = 65536
-"""Ticks of a row group of Parquet, which is what a reader takes in at a time: 45 MB."""
+"""Ticks of a Parquet row group, which is the unit that readers load: 45 MB."""
 
 
 def check_output(path: Path) -> None:
-    """Raise ConfigError for a file that nothing is exported to."""
+    """Raise ConfigError if the suffix is unknown or its library is not installed."""
     if path.suffix.lower() not in ENDINGS:
         raise ConfigError(f"--out {path}: a recording is exported as {', '.join(ENDINGS)}, by the file's ending")
     if path.suffix.lower() == ".parquet" and importlib.util.find_spec("pyarrow") is None:
@@ -29,9 +29,21 @@ def check_output(path: Path) -> None:
 
 
 def export(recording: Path, out: Path, finger: str = "") -> int:
-    """Write every tick of a finger, the single one has no name; returns how many. The file appears whole or not at all.
+    """Export every tick of a finger and return their number; the file appears only when it is complete.
 
-    Columns are the file's own, named as in telemetry, components as `force[0]`. Raises RecordingError, ConfigError.
+    Columns are those of the recording, named as in telemetry, with components as `force[0]`.
+
+    Parameters
+    ----------
+    finger
+        Name of the finger; empty for a single finger.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be read, has no ticks of this finger, or the output cannot be written.
+    ConfigError
+        If the suffix is unknown or its library is not installed.
     """
     check_output(out)
     wanted = _of(recording, finger)
@@ -60,7 +72,7 @@ def _of(recording: Path, finger: str) -> Iterator[Ticks]:
 
 
 def columns_of(ticks: Ticks) -> list[str]:
-    """Names of the columns."""
+    """Return the names of the columns."""
     return [f"{p.name}[{i}]" if p.size > 1 else p.name for p in ticks.layout.parts for i in range(p.size)]
 
 
@@ -105,7 +117,7 @@ def _parquet(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
 
 
 def _npz(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
-    """An array for each field, as results have; in memory whole, so there is a limit."""
+    """Write one array per field, like results; all ticks are in memory, so their number is limited."""
     parts: list[Ticks] = []
     count = 0
     for part in ticks:

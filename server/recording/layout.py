@@ -1,7 +1,7 @@
-"""Ticks as rows of numbers and as encoded messages, whole blocks at a time.
+"""Conversion of ticks between rows of numbers and encoded messages, in blocks.
 
-All numbers of a tick have eight bytes, so every message of a kind is the same template with other numbers in it. The
-template is made by the protobuf library from marker values; then a block of messages is one array of bytes.
+All numbers of a tick have eight bytes, so messages of one type differ only in their numbers. The protobuf library
+encodes a template with marker values once. Copying numbers to the marked offsets then gives a block of messages.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ Bytes = NDArray[np.uint8]
 _ORDER: Final = {field.name: place for place, field in enumerate(FIELDS)}
 
 COLUMNS_MAX: Final = 4096
-"""Numbers of a tick in a file; this program's have some hundred."""
+"""Maximum of numbers per tick in a file; ticks of this program have about a hundred."""
 
 
 class Part(NamedTuple):
-    """A field: dotted name, number of components, whether it is an integer, its first column."""
+    """Field: dotted name, number of components, whether it is an integer, first column."""
 
     name: str
     size: int
@@ -36,17 +36,24 @@ class Part(NamedTuple):
 
 
 class Layout:
-    """Where each number stands in an encoded message.
+    """Byte offset of each number in an encoded message.
 
-    message  an instance whose repeated fields have the length that all have; what it holds is overwritten. ValueError
-             where it holds anything but numbers of eight bytes.
+    Parameters
+    ----------
+    message
+        Instance whose repeated fields have the length common to all messages; its values are overwritten.
+
+    Raises
+    ------
+    ValueError
+        If a field is not a number of eight bytes.
     """
 
     def __init__(self, message: Any) -> None:
         walked = list(self._walked(message, "", 0))
         encoded = message.SerializeToString(deterministic=True)
         parts, at, column = [], list[int](), 0
-        # In the order of a record, whatever the order in the message; what no record has comes behind.
+        # Sort by the order of a record, which the message may not have; unknown fields follow.
         for part in sorted(walked, key=lambda part: _ORDER.get(part.name, len(_ORDER))):
             at += [encoded.index(_marker_bytes(part.at + i, part.whole)) for i in range(part.size)]
             parts.append(part._replace(at=column))
@@ -54,7 +61,7 @@ class Layout:
         self.parts: Final = parts
         self.width: Final = column
         self._whole = np.repeat([part.whole for part in parts], [part.size for part in parts])
-        # Numbers side by side are copied as one piece: (bytes, where in a row, where in a message).
+        # Adjacent numbers are copied as one piece: (bytes, offset in a row, offset in a message).
         starts = [0, *(i for i in range(1, self.width) if at[i] != at[i - 1] + 8), self.width]
         pieces = [(8 * (b - a), 8 * a, at[a]) for a, b in pairwise(starts)]
         self._row = _cut(8 * self.width, [(size, row) for size, row, _ in pieces])
@@ -71,7 +78,7 @@ class Layout:
         return len(self._template)
 
     def encode(self, rows: Array, out: Bytes) -> None:
-        """Put messages of rows (n, width) into `out` (n, size). ValueError where an integer's is no whole number."""
+        """Encode rows (n, width) into `out` (n, size); raises ValueError if an integer field has a fraction."""
         values = np.array(rows, dtype="<f8")
         counts = values[:, self._whole]
         with np.errstate(invalid="ignore"):
@@ -85,7 +92,7 @@ class Layout:
         out.view(self._message)[:] = values.view(self._row)
 
     def decode(self, messages: Bytes) -> Array | None:
-        """Rows (n, width) of messages (n, size); None where one of them has another layout."""
+        """Return rows (n, width) of messages (n, size); None if a message has another layout."""
         if not np.array_equal(messages[:, self._fixed], np.broadcast_to(
             self._template[self._fixed], (len(messages), len(self._fixed))
         )):  # fmt: skip
@@ -96,7 +103,7 @@ class Layout:
         return rows
 
     def row(self, message: Any) -> list[float]:
-        """The numbers of one decoded message; ValueError where it has others."""
+        """Return the numbers of one decoded message; raises ValueError if their count differs from the layout's."""
         values: list[float] = []
         for part in self.parts:
             value = message
@@ -134,7 +141,7 @@ class Layout:
 
 @cache
 def tick_layout() -> Layout:
-    """The layout of this version's ticks: its columns are those of a record."""
+    """Return the layout of this version's ticks, with the columns of a record."""
     message = message_class(TICK)()
     for field in FIELDS:
         if field.size > 1:
@@ -147,7 +154,7 @@ def tick_layout() -> Layout:
 
 
 def _cut(size: int, pieces: Sequence[tuple[int, int]]) -> np.dtype[np.void]:
-    """So many bytes, seen as pieces: the size of each and where it begins."""
+    """Return a type that splits `size` bytes into pieces, each given by its length and offset."""
     return np.dtype(
         {
             "names": [str(number) for number in range(len(pieces))],
@@ -159,7 +166,7 @@ def _cut(size: int, pieces: Sequence[tuple[int, int]]) -> np.dtype[np.void]:
 
 
 def _marker(number: int) -> float:
-    """A number found nowhere else in an encoded message, exact as float64 and as integer."""
+    """Return a number that occurs only once in an encoded message and is exact as float64 and as integer."""
     return float(0x5AA5_3CC3_0000 + 0x0101 * (number + 1))
 
 

@@ -1,8 +1,8 @@
-"""An MCAP file written in chunks that go to the system whole, each as soon as it is asked for or full.
+"""Writer of MCAP files whose chunks are written completely, on request or when full.
 
-The library's own writer takes a message at a time, 10 us each, and ends a chunk by its size alone. Here whole blocks go
-in at once, and a chunk can be ended at any time, so that what a kill may cost is bounded by time. The records
-themselves are the library's. Format: https://mcap.dev/spec.
+The library's writer takes one message at a time, 10 us each, and ends a chunk only by its size. This one takes blocks
+and can end a chunk at any time, which bounds the time span that a kill loses. The records are those of the library.
+Format: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ Bytes = NDArray[np.uint8]
 Times = NDArray[np.int64]
 
 CHUNK_BYTES: Final = 64 * 1024
-"""Of messages, before they are compressed: what is lost with a chunk is small."""
+"""Uncompressed bytes of messages in a chunk; small, so that the loss of a chunk costs little."""
 INDEX_KEPT: Final = 256 * 1024
-"""Bytes of the index of chunks that are in memory at once: that of two minutes."""
+"""Maximum bytes of the chunk index in memory, which is two minutes of it."""
 ZSTD_LEVEL: Final = 1
-"""Ticks shrink to a third at 1, to a few per cent less at 3, which takes twice as long."""
+"""Level 1 compresses ticks to a third; level 3 saves a few per cent more and takes twice as long."""
 
 _HEAD: Final = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
 )
-"""What an MCAP message has in front of its data, without padding."""
+"""Header of an MCAP message, without padding."""
 _HEAD_COUNTED: Final = 22
-"""Bytes of it that count into its length."""
+"""Bytes of the header that count into the message's length."""
 _INDEX_HEAD: Final = Struct("<BQHI")
-"""Operation, length, channel, and bytes of what follows in an index of messages."""
+"""Opcode, length, channel, and bytes of the entries of a message index."""
 
 
 class McapFile:
-    """Writes to `file`, which is unbuffered and closed by whoever opened it; what that raises is raised here."""
+    """Writer to an open unbuffered file, which the caller closes; errors of the file are raised unchanged."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
@@ -54,25 +54,25 @@ class McapFile:
         self._compressor = zstandard.ZstdCompressor(ZSTD_LEVEL)
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
-        # The index of chunks grows by 9 MB an hour and is written last: until then it is in an unnamed file.
+        # The index of chunks grows by 9 MB per hour and is written last: until then it is in an unnamed file.
         folder = str(Path(file.name).parent) if isinstance(file.name, str) else None
         self._chunks: Final = tempfile.SpooledTemporaryFile(max_size=INDEX_KEPT, dir=folder)  # noqa: SIM115
-        weakref.finalize(self, self._chunks.close)  # `finish` is not reached where the disk is full
+        weakref.finalize(self, self._chunks.close)  # `finish` is not reached if the disk is full
         self._chunk_count = 0
         self._metadata: list[records.MetadataIndex] = []
         self._pending: list[bytes | memoryview] = []
         self._pending_bytes = 0
-        self._index: dict[int, list[NDArray[np.uint64]]] = {}  # times and where in the chunk, of each channel
+        self._index: dict[int, list[NDArray[np.uint64]]] = {}  # by channel: times, and offsets in the chunk
         self.counts: Final[dict[int, int]] = {}
-        """Messages that the system has, by channel."""
+        """Messages written to the file, by channel."""
         self.worst_write_s = 0.0
-        """The longest that the system has taken for a write."""
+        """Longest duration of a write, s."""
         self._span: tuple[int, int] | None = None
         self._write(MCAP0_MAGIC + _record(records.Header(profile="", library="softfinger")))
 
     @property
     def pending(self) -> bool:
-        """Whether there are messages that no chunk has yet."""
+        """Whether there are messages outside of any chunk."""
         return bool(self._index)
 
     @property
@@ -81,13 +81,13 @@ class McapFile:
         return self._at
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a table of texts at once."""
+        """Write a table of texts immediately."""
         data, at = _record(records.Metadata(name=name, metadata=dict(values))), self._at
         self._write(data)
         self._metadata.append(records.MetadataIndex(offset=at, length=len(data), name=name))
 
     def channel(self, topic: str, schema: str, descriptors: bytes) -> int:
-        """Number of a new topic with protobuf messages of this type."""
+        """Return the number of a new topic with protobuf messages of this type."""
         known = next((each for each in self._schemas if each.name == schema), None)
         if known is None:
             known = records.Schema(id=len(self._schemas) + 1, name=schema, encoding="protobuf", data=descriptors)
@@ -108,7 +108,7 @@ class McapFile:
         self._end_if_full()
 
     def block(self, channel: int, times_ns: Times, messages: Bytes, sequences: NDArray[np.int64]) -> None:
-        """Add messages (n, size) with their times (n,): as many chunks as they fill, and the rest with the next."""
+        """Add messages (n, size) with their times (n,); full chunks are written, the remainder is pending."""
         size = messages.shape[1]
         done = 0
         while done < len(messages):
@@ -127,11 +127,11 @@ class McapFile:
             self._end_if_full()
 
     def flush(self) -> None:
-        """End the chunk: what was added so far goes to the system."""
+        """End the chunk and write it to the file."""
         if not self._pending:
             return
         data = self._pending[0] if len(self._pending) == 1 else b"".join(self._pending)
-        # Message order does not matter to readers, so the chunk's times are the least and the greatest.
+        # Readers do not depend on message order, so the chunk's times are its minimum and maximum.
         first, last = _bounds(self._index)
         kept = self._compressor.compress(data)
         chunk = _record(
@@ -173,7 +173,7 @@ class McapFile:
             self.counts[channel] = self.counts.get(channel, 0) + count
 
     def finish(self) -> None:
-        """Write what is left, and the summary by which readers find their way."""
+        """Write pending messages, and the summary with the indices for readers."""
         self.flush()
         self._write(_record(records.DataEnd(data_section_crc=0)))
         start = self._at
@@ -241,6 +241,6 @@ def _record(record: Any) -> bytes:
 
 
 def _bounds(index: Mapping[int, list[NDArray[np.uint64]]]) -> tuple[int, int]:
-    """The least and the greatest time in a chunk: 0 where it has no message."""
+    """Return the minimum and maximum time of a chunk; 0 without messages."""
     times = [pairs[:, 0] for entries in index.values() for pairs in entries]
     return min((int(t.min()) for t in times), default=0), max((int(t.max()) for t in times), default=0)

@@ -1,7 +1,7 @@
-"""What is drawn of a run by viewers that know nothing of this program: Foxglove's messages of poses, frames, objects.
+"""Pictures of a run for general viewers: Foxglove messages with poses, frames and objects.
 
-Objects are drawn where the scene or the last `drive` put them, those on a body of [world] in its frame; one that moves
-by itself stands still in the picture.
+Objects are drawn at the pose of the scene or of the last `drive`; objects on a body of [world] are drawn in its frame.
+An object with a motion of another kind is drawn at rest.
 """
 
 from __future__ import annotations
@@ -26,24 +26,30 @@ WORLD: Final = "world"
 FINGERTIP: Final = "fingertip"
 PROXY: Final = "proxy"
 PLANE_M: Final = 0.3
-"""Edge of the square that stands for a plane, and length of a cylinder without ends: half a desk device's workspace."""
+"""Edge of the square drawn for a plane, and length of an infinite cylinder: half the workspace of a desktop device."""
 SHEET_M: Final = 0.001
 RING_POINTS: Final = 48
 MAP_PIXELS: Final = 96
-"""Pixels of a height map along each side that are drawn."""
+"""Maximum of drawn pixels along each side of a height map."""
 
 _OBJECT: Final = {"r": 0.55, "g": 0.62, "b": 0.72, "a": 0.6}
 _FINGER: Final = {"r": 0.9, "g": 0.55, "b": 0.35, "a": 0.9}
 _FORCE: Final = {"r": 0.85, "g": 0.2, "b": 0.2, "a": 1.0}
 _NO_TURN: Final = (1.0, 0.0, 0.0, 0.0)
 DISPLAY_HZ: Final = 60.0
-"""Pictures a second: what a display shows."""
+"""Pictures per second: the rate of a display."""
 ARROW_M_PER_N: Final = 0.02
-"""Length of the arrow of a force: of 1 N twice the radius of a fingertip."""
+"""Length of a force arrow: 1 N gives twice the radius of a fingertip."""
 
 
 def displayed(records: Record, before: float) -> tuple[NDArray[np.int64], float]:
-    """Which of the records (n, RECORD_SIZE) a display shows; `before` is what the last call returned, NaN at first."""
+    """Return the indices of the records (n, RECORD_SIZE) to draw, and the number of the last picture.
+
+    Parameters
+    ----------
+    before
+        Number of the last picture, returned by the previous call; NaN for the first.
+    """
     if not len(records):
         return np.empty(0, np.int64), before
     pictures = np.floor(records[:, AT.timestamp] * DISPLAY_HZ)
@@ -51,23 +57,23 @@ def displayed(records: Record, before: float) -> tuple[NDArray[np.int64], float]
 
 
 def stamp(time_ns: int) -> dict[str, int]:
-    """A time as protobuf has it."""
+    """Return a time as a protobuf timestamp."""
     return {"seconds": time_ns // 10**9, "nanos": time_ns % 10**9}
 
 
 def frames(finger: str) -> tuple[str, str]:
-    """Names of a finger's frames: the measured fingertip, and the proxy."""
+    """Return the names of a finger's frames: measured fingertip and proxy."""
     return (f"{finger}/{FINGERTIP}", f"{finger}/{PROXY}") if finger else (FINGERTIP, PROXY)
 
 
 def pose_message(record: Record, time_ns: int) -> bytes:
-    """The measured pose of a record (RECORD_SIZE,)."""
+    """Encode the measured pose of a record (RECORD_SIZE,)."""
     pose = _pose(_three(record, AT.probe_position), _four(record, AT.probe_orientation))
     return _encoded(POSE, timestamp=stamp(time_ns), frame_id=WORLD, pose=pose)
 
 
 def frame_messages(record: Record, time_ns: int, finger: str) -> list[bytes]:
-    """The frames of fingertip and proxy, both turned as the fingertip is."""
+    """Encode the frames of fingertip and proxy, both with the orientation of the fingertip."""
     turn = _quaternion(_four(record, AT.probe_orientation))
     places = _three(record, AT.probe_position), _three(record, AT.proxy_position)
     return [
@@ -84,12 +90,12 @@ def frame_messages(record: Record, time_ns: int, finger: str) -> list[bytes]:
 
 
 def body_frame(body: str) -> str:
-    """Name of the frame of a body, which no finger's frame has."""
+    """Return the name of a body's frame, distinct from all frames of fingers."""
     return f"body/{body}"
 
 
 def body_messages(bodies: Sequence[Mapping[str, Any]], time_ns: int) -> list[bytes]:
-    """The frames of the bodies in a message of `world`."""
+    """Encode the frames of the bodies in a message of `world`."""
     return [
         _encoded(
             FRAME,
@@ -104,7 +110,7 @@ def body_messages(bodies: Sequence[Mapping[str, Any]], time_ns: int) -> list[byt
 
 
 def force_message(record: Record, time_ns: int, finger: str) -> bytes:
-    """The force on the hand, an arrow from where the finger is."""
+    """Encode the force on the hand as an arrow from the proxy."""
     force = record[AT.force : AT.force + 3]
     size = float(np.linalg.norm(force))
     name, when = f"{frames(finger)[0]}/force", stamp(time_ns)
@@ -123,7 +129,7 @@ def force_message(record: Record, time_ns: int, finger: str) -> bytes:
 
 
 def scene_message(scene: schema.Scene, time_ns: int) -> bytes:
-    """Every object and every fingertip, whole, so that a viewer that begins anywhere has all."""
+    """Encode every object and fingertip, complete, so that a viewer can start with any message."""
     when = stamp(time_ns)
     entities = [
         {"timestamp": when, "frame_id": frame_of(thing), "id": thing.name, "frame_locked": True} | drawn(thing)
@@ -137,12 +143,12 @@ def scene_message(scene: schema.Scene, time_ns: int) -> bytes:
 
 
 def frame_of(thing: schema.Object) -> str:
-    """The frame that the object's pose is in."""
+    """Return the frame of the object's pose."""
     return body_frame(thing.motion.body) if isinstance(thing.motion, schema.Body) else WORLD
 
 
 def drawn(thing: schema.Object) -> dict[str, Any]:
-    """The primitives of an object; of a shape that is none of these its name, as a text."""
+    """Return the primitives of an object; for shapes without a drawing function its name as a text."""
     at = _pose(thing.position_m, thing.orientation_wxyz)
     draw: Callable[[Any, Any], dict[str, Any]] | None = _SHAPES.get(thing.shape)
     if draw is None:
@@ -189,7 +195,7 @@ def _torus(thing: schema.Torus, at: Any) -> dict[str, Any]:
 def _heightmap(thing: schema.Heightmap, at: Any) -> dict[str, Any]:
     try:
         vertices, triangles = relief(*thinned(read_heights(thing), thing.pitch_m, MAP_PIXELS))
-    except ConfigError:  # the file has gone since it was read for the scene
+    except ConfigError:  # the file was removed after the scene was loaded
         return _named(thing, at)
     points, indices = [_vector(point) for point in vertices.tolist()], triangles.ravel().tolist()
     return {"triangles": [{"pose": at, "points": points, "color": _OBJECT, "indices": indices}]}
@@ -208,7 +214,7 @@ _SHAPES: Final[dict[str, Callable[[Any, Any], dict[str, Any]]]] = {
 
 
 def _beside(thing: schema.Object, along_z: float) -> tuple[float, ...]:
-    """A point on the object's z axis, world."""
+    """Return the point at `along_z` (m) on the object's z axis, world frame."""
     w, x, y, z = thing.orientation_wxyz
     axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
     return tuple(p + along_z * a for p, a in zip(thing.position_m, axis, strict=True))
@@ -231,7 +237,7 @@ def _quaternion(wxyz: Sequence[float]) -> dict[str, float]:
 
 
 def _turn_x_to(way: Sequence[float]) -> tuple[float, ...]:
-    """Unit quaternion that turns the x axis into a unit vector: the shortest turn."""
+    """Return the unit quaternion of the shortest rotation from the x axis to a unit vector."""
     x, y, z = way
     if x < -0.999999:
         return (0.0, 0.0, 0.0, 1.0)

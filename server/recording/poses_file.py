@@ -1,4 +1,4 @@
-"""Files of poses, as the replay device plays them: a table in CSV, or whole records in MCAP."""
+"""Files of poses for the replay device: a table in CSV, or complete records in MCAP."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from softfinger.server.offline.results import McapResults
 from softfinger.server.wire.client import Sample, record_of
 
 ENDINGS: Final = (".csv", ".mcap")
-_LINE: Final = ",".join(["%.17g"] * len(POSE_COLUMNS)) + "\n"  # 17 digits bring every float64 back
+_LINE: Final = ",".join(["%.17g"] * len(POSE_COLUMNS)) + "\n"  # 17 digits reproduce every float64
 
 
 def _new(path: Path) -> Any:
-    """A file that was not there; OSError where it cannot be made."""
+    """Create a new file; raises RecordingError if it exists, OSError if it cannot be created."""
     try:
         return open_recording(path)
     except FileExistsError as error:
@@ -28,7 +28,7 @@ def _new(path: Path) -> Any:
 
 
 class PosesFile(ABC):
-    """A file that rows of t (s), position (m), orientation go to, with the message they are from."""
+    """File of poses: t (s), position (m) and orientation, with the message that they come from."""
 
     @abstractmethod
     def add(self, t: float, sample: Sample) -> None:
@@ -36,11 +36,11 @@ class PosesFile(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Finish the file."""
+        """Write pending poses and close the file."""
 
 
 class CsvPoses(PosesFile):
-    """`t,x,y,z,qw,qx,qy,qz`; every number comes back to the bit."""
+    """CSV file with the columns `t,x,y,z,qw,qx,qy,qz`; reading gives bit-identical numbers."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -67,7 +67,7 @@ class CsvPoses(PosesFile):
 
 
 class McapPoses(PosesFile):
-    """Whole records on topic `contact`, in blocks; their time is the wall clock's."""
+    """Complete records on topic `contact`, in blocks, with the wall clock's time."""
 
     BLOCK: Final = 256
 
@@ -94,7 +94,7 @@ class McapPoses(PosesFile):
 
 
 def poses_file(path: Path) -> PosesFile:
-    """Open the file for the kind its ending names; ConfigError for another ending."""
+    """Open a file of the type given by its suffix; raises ConfigError for other suffixes."""
     kinds: dict[str, Any] = {".csv": CsvPoses, ".mcap": McapPoses}
     if path.suffix.lower() not in kinds:
         raise ConfigError(f"--poses {path}: poses are recorded as {' or '.join(ENDINGS)}, by the file's ending")

@@ -1,7 +1,7 @@
-"""Recordings read as they are written: chunk by chunk, in bounded memory, up to wherever the file ends.
+"""Reading of recordings chunk by chunk in bounded memory, up to the end of a possibly incomplete file.
 
-A recording is foreign input. Whatever its bytes are, reading it gives ticks and events or a RecordingError. It may be
-another version's: what a tick has is told by the file, and numbers are found by their telemetry names.
+A recording is untrusted input. Reading yields ticks and events or raises RecordingError, for any bytes. Files of other
+versions are supported: the file describes its ticks, and fields are found by their telemetry names.
 """
 
 from __future__ import annotations
@@ -28,30 +28,30 @@ from softfinger.server.wire.protocol import finger_of
 Array = NDArray[np.float64]
 
 METADATA_MAX: Final = 256
-"""Tables of metadata that are read; this program writes some ten."""
+"""Maximum of metadata tables read; this program writes about ten."""
 
 
 class Ticks(NamedTuple):
-    """Ticks of a finger, some at a time: `rows` (n, width), whose columns `layout` names."""
+    """Block of ticks of a finger: `rows` (n, width) with the columns of `layout`."""
 
     finger: str
     layout: Layout
     rows: Array
 
     def column(self, name: str) -> Array | None:
-        """A field by its telemetry name, (n,) or (n, size); None where the file does not have it."""
+        """Return a field by its telemetry name, (n,) or (n, size); None if the file does not have it."""
         part = next((part for part in self.layout.parts if part.name == name), None)
         if part is None:
             return None
         return self.rows[:, part.at] if part.size == 1 else self.rows[:, part.at : part.at + part.size]
 
     def missing(self) -> list[str]:
-        """Fields of this version's ticks that the file lacks, or has with another number of components."""
+        """Return the fields of this version that the file lacks or has with another number of components."""
         have = {(part.name, part.size) for part in self.layout.parts}
         return [field.name for field in FIELDS if (field.name, field.size) not in have]
 
     def records(self) -> Array:
-        """The rows as records (n, RECORD_SIZE) of this version; RecordingError where a field is missing."""
+        """Return the rows as records (n, RECORD_SIZE) of this version; raises RecordingError if a field is missing."""
         if missing := self.missing():
             raise RecordingError(f"its ticks have no {', '.join(missing[:5])}: it is another version's")
         if [(part.name, part.size) for part in self.layout.parts] == [(field.name, field.size) for field in FIELDS]:
@@ -61,26 +61,26 @@ class Ticks(NamedTuple):
 
 
 class Event(NamedTuple):
-    """An event's map, as the wire has it."""
+    """Event, a map as on the wire."""
 
     event: dict[str, Any]
 
 
 class World(NamedTuple):
-    """A message of `world`, a map as the wire has it."""
+    """Message of `world`, a map as on the wire."""
 
     world: dict[str, Any]
 
 
 class Note(NamedTuple):
-    """A table of metadata, and what it says."""
+    """Name and value of a table of metadata."""
 
     name: str
     value: Any
 
 
 class Topic(NamedTuple):
-    """A topic, its schema's name, and how many messages it has, at the file's end."""
+    """Name of a topic, name of its schema, and number of its messages in the file."""
 
     name: str
     schema: str
@@ -88,7 +88,7 @@ class Topic(NamedTuple):
 
 
 class End(NamedTuple):
-    """The end of a file: its topics, and why it is cut short, empty for a whole one."""
+    """End of a file: its topics, and the reason if it is incomplete, else empty."""
 
     topics: list[Topic]
     cut: str
@@ -103,7 +103,7 @@ class _Channel:
 
     @property
     def kind(self) -> Any:
-        """The class of its messages."""
+        """Class of its messages."""
         if self._class is None:
             if self.schema is None or self.schema.encoding != "protobuf":
                 raise ValueError(f"messages of topic {self.topic[:40]!r} are not protobuf")
@@ -115,13 +115,19 @@ class _Channel:
         rows = None
         if all(len(message) == layout.size for message in messages):
             rows = layout.decode(np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1))
-        if rows is None:  # another writer's way to say the same
+        if rows is None:  # another program may encode the same values differently
             rows = np.array([layout.row(self.kind.FromString(message)) for message in messages])
         return Ticks(self.finger or "", layout, rows)
 
 
 def contents(path: str | Path) -> Iterator[Ticks | Event | World | Note | End]:
-    """All that a recording has, in file order, in the end an End. RecordingError for a file without anything."""
+    """Yield the contents of a recording in file order, followed by an End.
+
+    Raises
+    ------
+    RecordingError
+        If the file is not a readable recording.
+    """
     try:
         with open_input(path) as file:
             yield from _contents(Path(path), file)
@@ -168,7 +174,7 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | World | N
                         yield World(world_of(channel.kind.FromString(message)))
     except (GeneratorExit, OSError, RecordingError):
         raise
-    except Exception as error:  # the decoders fail in many ways on damaged bytes
+    except Exception as error:  # the decoders raise exceptions of many types on damaged bytes
         if not isinstance(error, EndOfFile):
             cut = f"{type(error).__name__}: {str(error)[:120]}"
         if not channels:
@@ -189,7 +195,7 @@ _SCHEMA, _CHANNEL = 3, 4
 
 
 def _unchunked(data: bytes) -> Iterator[Any]:
-    """Records of an unpacked chunk; of a message, which are many, only its channel and its data."""
+    """Yield the records of an unpacked chunk; for messages, of which there are many, only channel and data."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Channel, Schema
 

@@ -1,4 +1,4 @@
-"""A recording as a run: every tick of every finger, what was commanded meanwhile, and what it was made with."""
+"""Complete run read from a recording: ticks of all fingers, events and metadata."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _NEEDED: Final = ("tick", "dt", "probe.position", "probe.orientation")
 
 
 class Bodies(NamedTuple):
-    """Where the bodies of a [world] were, some ticks apart.
+    """Poses of the bodies of a [world] at some of the ticks.
 
-    ticks  (m,)    after the step of each
+    ticks  (m,)       pose after the step of this tick
     names  (n,)
     poses  (m, n, 7)  position m, quaternion w, x, y, z, body to world
     """
@@ -35,13 +35,13 @@ NO_BODIES: Final = Bodies(np.empty(0, np.int64), (), np.empty((0, 0, 7)))
 
 
 class Run(NamedTuple):
-    """Ticks that all fingers have.
+    """Ticks that all fingers have in common.
 
-    fingers  by name, of each its fields by telemetry name, (n,) or (n, size) each
+    fingers  fields of each finger by name, with telemetry names, (n,) or (n, size) each
     notes    tables of metadata
     events   in file order
-    cut      why the file is cut short; empty for a whole one
-    bodies   of a scene's [world]
+    cut      reason why the file is incomplete; empty for a complete one
+    bodies   of the scene's [world]
     """
 
     fingers: dict[str, dict[str, Array]]
@@ -52,18 +52,24 @@ class Run(NamedTuple):
 
     @property
     def first(self) -> dict[str, Array]:
-        """The fields of the first finger; `tick` and `dt` are the same for all."""
+        """Fields of the first finger; `tick` and `dt` are the same for all."""
         return next(iter(self.fingers.values()))
 
     @property
     def rate_hz(self) -> float:
-        """Of the loop: as the file says, else by the shortest time step."""
+        """Rate of the loop, as in the metadata, else from the shortest time step."""
         rate = self.notes.get("rate_hz")
         return float(rate) if isinstance(rate, int | float) else rate_of(float(self.first["dt"].min()))
 
 
 def load_run(path: Path, fields: tuple[str, ...]) -> Run:
-    """Read these fields and those of the poses; RecordingError where there are none."""
+    """Read the poses and these fields of a recording.
+
+    Raises
+    ------
+    RecordingError
+        If the file has no ticks, too many, or lacks a field.
+    """
     blocks: dict[str, list[dict[str, Array]]] = {}
     notes: dict[str, Any] = {}
     events: list[dict[str, Any]] = []
@@ -95,7 +101,7 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
 
 
 def _bodies(worlds: list[dict[str, Any]]) -> Bodies:
-    """Those messages that have the bodies of the first."""
+    """Return the messages with the same bodies as the first one."""
     if not worlds:
         return NO_BODIES
     names = tuple(body["name"] for body in worlds[0]["bodies"])
@@ -112,14 +118,14 @@ def _fields(ticks: Ticks, fields: tuple[str, ...]) -> Iterator[tuple[str, Array]
 
 
 def _in_order(fingers: dict[str, dict[str, Array]], notes: dict[str, Any]) -> dict[str, dict[str, Array]]:
-    """As the scene has them."""
+    """Sort the fingers in the order of the scene."""
     said = notes.get("fingers")
     names = [each.get("name") for each in said if isinstance(each, dict)] if isinstance(said, list) else []
     return dict(sorted(fingers.items(), key=lambda each: names.index(each[0]) if each[0] in names else len(names)))
 
 
 def _in_all(fingers: dict[str, dict[str, Array]]) -> dict[str, dict[str, Array]]:
-    """Those ticks only that every finger has."""
+    """Return the ticks that all fingers have."""
     kept = np.unique(next(iter(fingers.values()))["tick"])
     for fields in fingers.values():
         kept = np.intersect1d(kept, fields["tick"])

@@ -1,4 +1,4 @@
-"""What is in a recording: one pass over it, in bounded memory."""
+"""Summary of a recording, computed in one pass and bounded memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from softfinger.server.recording.reader import End, Event, Note, Ticks, contents
 from softfinger.server.recording.recorder import END
 
 _TOLD = ("scene_name", "rate_hz", "every", "versions", "machine", "settings", "device", "scene", "rig", "lost")
-"""Tables of metadata that go into a summary as they are."""
+"""Tables of metadata that a summary copies unchanged."""
 
 
 class _Finger:
@@ -50,7 +50,7 @@ class _Finger:
                 self.peaks[key] = max(self.peaks.get(key, 0.0), _largest(values))
 
     def told(self) -> dict[str, Any]:
-        """As plain values."""
+        """Return the sums as plain values."""
         modes = {name: self.modes[number] for number, name in enumerate(MODE_NAMES)}
         return {"ticks": self.ticks, "modes": modes} | self.peaks
 
@@ -61,10 +61,17 @@ def _largest(values: NDArray[np.float64]) -> float:
 
 
 def summary(path: Path) -> dict[str, Any]:
-    """What `softfinger info --json` prints. RecordingError for a file that is no recording of this program.
+    """Return the summary that `softfinger info --json` prints.
 
-    missing  ticks that the file lacks, in so many gaps; dropped: those that the disk was too slow for, as far as its
-             end says; events_dropped: events likewise; lost: ticks that did not arrive over the wire
+    missing         ticks that the file lacks, in `gaps` gaps
+    dropped         ticks not written because the disk was too slow, if the file has a regular end
+    events_dropped  events not written for the same reason
+    lost            ticks that did not arrive over the wire
+
+    Raises
+    ------
+    RecordingError
+        If the file is not a recording of this program.
     """
     fingers: dict[str, _Finger] = {}
     notes: dict[str, Any] = {}

@@ -1,7 +1,7 @@
-"""Who arms: the program, a command or a button, as the rig says; and what follows from a handle that was too fast.
+"""Arming by the program, a command or a button, as selected in the rig, and disarming after the handle was too fast.
 
-The guard itself keeps the force off while the handle is too fast. Where a person has to arm, it does so until it was
-disarmed, which is done here.
+The guard itself keeps the force off while the handle is too fast. If a person must arm, the guard continues to do so
+until it is disarmed, which is done here.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from softfinger.server.services.rendering import Rendering
 from softfinger.server.states import FAST, UNARMED, States, Trigger
 
 _WORD: Final = 2.0**53
-"""A device may say that its buttons are no number."""
+"""Upper bound of the bits of the buttons; a device may report nan."""
 
 
 class Arming:
-    """Sees every tick, and arms or disarms by it. Its `sink` is none that a run ends with: the guard needs it not."""
+    """Arming and disarming, evaluated for every tick; its `sink` is not vital, since the guard does not need it."""
 
     def __init__(self, rendering: Rendering, states: States) -> None:
         self._rendering, self._states = rendering, states
@@ -30,11 +30,11 @@ class Arming:
         each = [place * RECORD_SIZE + at for place in range(fingers) for at in (AT.servo_guard, AT.buttons)]
         self._columns: Final = [AT.tick, *each]
         self._pressed = -1
-        """Buttons of the tick before, -1 before the first: one that is held at the start arms nothing."""
+        """Buttons of the previous tick, -1 before the first: a button that is pressed at the start does not arm."""
         self.sink: Final = Sink("arming", self.take)
 
     def take(self, records: NDArray[np.float64], drops: int) -> None:
-        """A batch (n, fingers x RECORD_SIZE)."""
+        """Evaluate a batch (n, fingers x RECORD_SIZE)."""
         by, fast, pressed = self._rendering.rig.guard.arm, False, False
         for tick, *each in records[:, self._columns].tolist():
             bits = [int(guard) for guard in each[::2]]
@@ -50,7 +50,7 @@ class Arming:
         self._rendering.force.tell()
 
     def _press(self, buttons: list[float]) -> bool:
-        """Whether a button is down that was not."""
+        """Return whether a button was pressed since the last tick."""
         down = 0
         for word in buttons:
             down |= int(word) if 0.0 <= word < _WORD else 0

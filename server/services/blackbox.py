@@ -1,4 +1,4 @@
-"""The black box as a service: always on, and a file of the last ten seconds for every fault."""
+"""Black box service: always on, it writes a file of the last ten seconds at every fault."""
 
 from __future__ import annotations
 
@@ -24,17 +24,19 @@ log: Final = logging.getLogger(__name__)
 
 POLL_S: Final = 0.1
 AFTER_S: Final = 0.5
-"""What comes within this behind a fault is in its file, too."""
+"""Time after a fault that is also included in its file."""
 APART_S: Final = 5.0
-"""Faults that come faster than this share a file."""
+"""Minimum time between files; faults at shorter intervals share a file."""
 
 
 class BlackBoxes(Worker):
-    """Keeps what comes, and writes it once something has failed; nobody waits for it.
+    """Service that stores the latest records and events, and writes them to a file after a fault.
 
-    servo     whose ticks are kept
-    fingers   names of several fingers, one empty name for a single one
-    describe  what the run is made of, for the file
+    No thread waits for it.
+
+    servo     source of the ticks
+    fingers   names of several fingers, an empty name for a single one
+    describe  returns the description of the run, for the file
     """
 
     def __init__(self, servo: Servo, fingers: Sequence[str], describe: Callable[[], Mapping[str, Any]]) -> None:
@@ -53,7 +55,7 @@ class BlackBoxes(Worker):
         logging.getLogger().removeHandler(self.box.log)
 
     def due(self, fault: str) -> str:
-        """The file that a fault of now will be in; empty where none can be made. From any thread."""
+        """Return the file that will contain a present fault; empty if none can be created. Callable from any thread."""
         with self._lock:
             if self._due is None:
                 place = folder()
@@ -64,7 +66,7 @@ class BlackBoxes(Worker):
             return str(self._due[1])
 
     def tell(self, event: Mapping[str, Any]) -> None:
-        """Keep an event that is published; from any thread."""
+        """Store a published event; callable from any thread."""
         self.box.event(event)
 
     def work(self) -> None:
@@ -73,7 +75,7 @@ class BlackBoxes(Worker):
         self._look(last=True)
 
     def failed(self, error: Exception) -> None:
-        """The run goes on without it: it is there for those who look afterwards."""
+        """Log the error; the run continues, because the black box only serves later analysis."""
         log.error("the black box has ended: %s", error)
 
     def _look(self, last: bool = False) -> None:

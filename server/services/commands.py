@@ -1,9 +1,9 @@
-"""Commands as a service: what each method does to the daemon.
+"""Command service: handlers for all methods of the command endpoint.
 
-The thread that looks after the publisher receives requests, and answers AT_ONCE what takes the force off or keeps it
-on: it reads no file and waits for nobody. A thread of its own answers the others in the order of their arrival, so
-that none of them delays `disarm`. `set_scene` is read, compiled and answered by a third one (`compilation.py`).
-The file is as long as the list of methods.
+The thread that serves the publisher receives requests. It answers the methods AT_ONCE, which turn the force off or keep
+it on; these read no file and never wait. Another thread answers all other methods in order of arrival, so that they do
+not delay `disarm`. A third thread (`compilation.py`) reads, compiles and answers `set_scene`. The file is as long as
+the list of methods.
 """
 
 from __future__ import annotations
@@ -46,31 +46,31 @@ from softfinger.server.wire.protocol import encode, wire_schema
 log: Final = logging.getLogger(__name__)
 
 EVENT_BYTES_MAX: Final = 1024
-"""Most that a request puts into an event: the publisher keeps 40 000 messages for whoever is slow."""
+"""Largest part of a request that is copied into an event: the publisher stores 40 000 messages for slow subscribers."""
 
 LOG_PERIOD_S: Final = 10.0
 
 AT_ONCE: Final = frozenset({"get_state", "heartbeat", "arm", "disarm", "zero", "stop"})
-"""Methods that overtake all others. Requests longer than SHORT are none of these; they take milliseconds to decode, and
-wait for their turn first."""
+"""Methods answered before all others. Requests longer than SHORT are none of these; they take milliseconds to decode,
+and are queued first."""
 WAITING_MAX: Final = 100
-"""Requests of one client that may wait for their turn; more are busy."""
+"""Largest number of queued requests of a client; further ones are answered with `busy`."""
 REST_MAX_S: Final = 0.1
-"""Longest rest after a request: those that wait their turn get half of the time of one processor at most."""
+"""Longest pause after a queued request: queued requests use at most half of a processor."""
 
 
 class Doing(NamedTuple):
-    """What the commands do with the daemon besides its rendering.
+    """Interface of the commands to the daemon, other than the rendering.
 
-    replace     puts a scene in under a name, and returns the first tick with it
-    ring        where local readers find every tick, as `describe` has it
-    telemetry   endpoint that it is published on
-    serve       has requests answered, or by nobody any more
-    reply       answers a client later than at once
+    replace     renders a scene under a name, and returns its first tick
+    ring        returns where local readers find every tick, in the format of `describe`
+    telemetry   endpoint of the telemetry
+    serve       sets the handler of requests; None removes it
+    reply       sends a deferred answer to a client
     event       publishes an event
     stop        ends the run in order
     fail        ends the run with an error
-    recordings  records what is rendered
+    recordings  service that records
     """
 
     replace: Callable[[schema.Scene, str], int]
@@ -85,9 +85,9 @@ class Doing(NamedTuple):
 
 
 class Commands:
-    """Answers what comes in on an endpoint.
+    """Service that answers the requests of an endpoint.
 
-    scene_name  what the scene of the beginning is called
+    scene_name  name of the initial scene
     """
 
     def __init__(self, endpoint: str, rendering: Rendering, doing: Doing, scene_name: str) -> None:
@@ -99,11 +99,11 @@ class Commands:
         self._logged_s = -LOG_PERIOD_S
         self._newest: NDArray[np.float64] | None = None
         self._led: Final = set[int]()
-        """Fingers whose hands a program leads."""
+        """Indices of the fingers with hands moved by a program."""
         self._scenes = SceneChanges(doing.replace)
         self._turns: Final = SimpleQueue[tuple[bytes, Request | bytes, bool] | None]()
         self._waiting: Final = Counter[bytes]()
-        """Requests of each client in `_turns`, or being answered; under `_counting`."""
+        """Number of requests of each client in `_turns` or being answered; protected by `_counting`."""
         self._counting = threading.Lock()
         self._thread = threading.Thread(target=self._take_turns, name="commands", daemon=True)
         prompts = Prompts(self._tell, lambda: rendering.servo.ticks)
@@ -134,10 +134,10 @@ class Commands:
     def _keep(self, records: NDArray[np.float64], drops: int) -> None:
         self._newest = records[-1].copy()
 
-    # --- what comes in --------------------------------------------------------------------------------
+    # --- requests --------------------------------------------------------------------------------------
 
     def _take(self, client: bytes, body: bytes | None, too_much: bool) -> bytes | None:
-        """Answer a request, or have it wait for its turn; never waits itself."""
+        """Answer a request, or queue it; never waits."""
         command_id = ""
         try:
             if body is not None and len(body) > SHORT:
@@ -153,11 +153,11 @@ class Commands:
             return declined(self._declined(error), command_id)
 
     def _heard(self, body: bytes | None, too_much: bool) -> Request:
-        """The request, which is a sign of life. Raises Declined."""
+        """Return the parsed request and count it as a sign of life; raises Declined."""
         request = parse(body)
         if too_much:
             raise Declined("busy", "too many requests from this client: ask more slowly", request.command_id)
-        self._look_after()  # a heartbeat that was missed before it stays missed
+        self._look_after()  # a heartbeat missed before this request counts as missed
         self._note_alive()
         return request
 
@@ -174,7 +174,7 @@ class Commands:
         self._turns.put((client, given, too_much))
 
     def _take_turns(self) -> None:
-        """The thread that answers what waits, one request after the other."""
+        """Answer queued requests one after the other; runs in its own thread."""
         while (turn := self._turns.get()) is not None:
             begun = time.monotonic()
             client, given, too_much = turn
@@ -203,11 +203,11 @@ class Commands:
             return declined(self._declined(error), command_id)
 
     def _done(self, request: Request) -> bytes:
-        """Do what is asked; returns the answer."""
+        """Handle a request and return the answer."""
         return answered(request.command_id, getattr(self, f"_{request.method}")(request))
 
     def _declined(self, error: Exception) -> Declined:
-        """What became of a request, as its answer has it."""
+        """Convert an exception into an answer."""
         match error:
             case Declined():
                 return error
@@ -221,7 +221,7 @@ class Commands:
                 return Declined("busy", str(error))
             case HapticError():
                 return Declined("refused", str(error))
-        if time.monotonic() - self._logged_s > LOG_PERIOD_S:  # seldom: a peer must not fill the log
+        if time.monotonic() - self._logged_s > LOG_PERIOD_S:  # rarely, because a client must not fill the log
             self._logged_s = time.monotonic()
             log.error("a command failed", exc_info=error)
         return Declined("failed", f"{type(error).__name__}: {error}"[:500])
@@ -236,8 +236,10 @@ class Commands:
             self._doing.fail(SafetyStop(f"commands cannot be taken: {error}; nobody would see the heartbeat end"))
 
     def _look_after(self) -> None:
-        """Note that no heartbeat has come in time: the loop has taken the force off by then, and the next request alone
-        does not bring it back."""
+        """Record a missed heartbeat, if it is missed.
+
+        The loop has already turned the force off, and a request alone does not turn it on again.
+        """
         if self._heartbeat_s is None or time.monotonic() - self._heard_s <= self._heartbeat_s:
             return
         if not self._rendering.force.kept_off(SILENT):
@@ -249,7 +251,7 @@ class Commands:
             self._tell("heartbeat_missed", "", {"after_s": self._heartbeat_s})
 
     def _tell(self, name: str, command_id: str, what: Mapping[str, Any]) -> None:
-        """Publish what changed, if it is not too long to be kept for everybody."""
+        """Publish a change, shortened if it is too long to store for all subscribers."""
         told = dict(what)
         if len(encode(told)) > EVENT_BYTES_MAX:
             told = {"keys": len(what)}
@@ -271,7 +273,7 @@ class Commands:
     def _set_params(self, request: Request) -> wire.Changed:
         before, after, tick = self._rendering.set_parameters(request.params, "set_params")
         old, new = describe(before), describe(after)
-        ways = {key: numbered(old, key) for key in request.params}  # a name may be what has changed
+        ways = {key: numbered(old, key) for key in request.params}  # the change itself may rename the object
         each = {key: wire.Change(value_at(old, way), value_at(new, way)) for key, way in ways.items()}
         changed = {key: change for key, change in each.items() if change.before != change.after}
         if changed:
@@ -311,8 +313,7 @@ class Commands:
         request: Request,
         result: Callable[[int], Any],
     ) -> None:
-        """Have a scene read, compiled and rendered from zero force on, and answer with the `result` of its first
-        tick."""
+        """Read, compile and render a scene from zero force, and answer with the `result` of its first tick."""
 
         def checked() -> schema.Scene:
             scene = read()
@@ -344,7 +345,7 @@ class Commands:
         return wire.Applied(tick)
 
     def _object(self, asked: str | int) -> tuple[int, schema.Object]:
-        """The number of an object, and itself."""
+        """Return the index of an object, and the object."""
         objects = self._rendering.scene.object
         names = [thing.name for thing in objects]
         number = asked if isinstance(asked, int) else names.index(asked) if asked in names else len(names)
@@ -360,7 +361,7 @@ class Commands:
         wanted = None
         if asked.position_m is not msgspec.UNSET:
             turn = None if asked.orientation_wxyz is msgspec.UNSET else asked.orientation_wxyz
-            hand_of(self._rendering.servo.devices[place])  # that there is none is said, tick or no tick
+            hand_of(self._rendering.servo.devices[place])  # raises NoHand even before the first tick
             wanted = Wanted(asked.position_m, turn, self._turned(place))
         self._rendering.lead(place, wanted)
         self._tell_led(place, not asked.release, request)
@@ -373,14 +374,14 @@ class Commands:
         return wire.Held(goal.position, goal.orientation, self._rendering.servo.ticks)
 
     def _tell_led(self, place: int, led: bool, request: Request) -> None:
-        """Tell that a program begins to lead a hand, or ends; where it is meanwhile is in every tick."""
+        """Publish when a program starts or stops moving a hand; every record has its pose."""
         if (place in self._led) != led:
             (self._led.add if led else self._led.discard)(place)
             name = self._rendering.scene.fingers[place].name
             self._tell(request.method, request.command_id, {"finger": name, "led": led})
 
     def _turned(self, place: int) -> wire.Quaternion:
-        """How a finger is turned."""
+        """Return the orientation of a finger."""
         if self._newest is None:
             raise Declined("refused", "there has been no tick yet: ask again later")
         at = AT.probe_orientation
@@ -388,7 +389,7 @@ class Commands:
         return w, x, y, z
 
     def _finger(self, asked: str | int | msgspec.UnsetType) -> int:
-        """Place of the finger that is asked for by name or number, of one without being said; raises Declined."""
+        """Return the index of a finger given by name or index; a single finger need not be given. Raises Declined."""
         names = [finger.name for finger in self._rendering.scene.fingers]
         if asked is msgspec.UNSET and len(names) > 1:
             raise Declined("bad_params", f"there are several fingers: say finger, one of {', '.join(names)}")

@@ -1,4 +1,4 @@
-"""What a daemon is made of, for whoever asks and for its recordings."""
+"""Description of a daemon for the command `describe` and for its recordings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PACKAGES: Final = ("softfinger", "numpy", "numba", "llvmlite", "msgspec", "pyzmq
 
 
 def described(rendering: Rendering, scene_name: str) -> dict[str, Any]:
-    """The answer to `describe`, but for the wire itself; plain values."""
+    """Return the answer to `describe` without the wire schema; plain values."""
     servo, scene, faults = rendering.servo, rendering.scene, rendering.faults
     return {
         "rig": describe(rendering.rig),

@@ -1,4 +1,4 @@
-"""The devices of a scene's fingers: opened, and whether another scene or rig may have them."""
+"""Devices of a scene's fingers: opening them, and the check whether another scene or rig can use them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from softfinger.server.loop import shutdown
 
 
 def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
-    """The device of each finger; where one cannot be opened, those before it are closed."""
+    """Open the device of each finger; on an error, close the devices opened before."""
     devices: tuple[Device, ...] = ()
     try:
         for each in pair(scene, rig):
@@ -25,8 +25,10 @@ def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
 def injected(
     devices: tuple[Device, ...], scene: schema.Scene, faults: schema.Faults | None, rate_hz: float
 ) -> tuple[Device, ...]:
-    """The devices of a scene's fingers with faults injected, as they are without any; ConfigError for a fault of a
-    finger that there is not."""
+    """Return the devices with faults injected, or unchanged without any.
+
+    Raises ConfigError for a fault of a finger that the scene does not have.
+    """
     if faults is None:
         return devices
     names = [finger.name for finger in scene.fingers]
@@ -36,19 +38,18 @@ def injected(
                 f"a fault of kind '{fault.kind}' has finger = '{fault.finger}': the scene has "
                 f"{', '.join(repr(name) for name in names if name) or 'a single one, without a name'}: leave it out"
             )
-    from softfinger.drivers.injected import Injected  # its kernels are compiled with it
+    from softfinger.drivers.injected import Injected  # imported here, because its kernels are compiled on import
 
     return tuple(Injected(device, faults, rate_hz, name) for device, name in zip(devices, names, strict=True))
 
 
 def tools(scene: schema.Scene, rig: schema.Rig) -> list[schema.Tool | None]:
-    """What the device of each finger holds."""
+    """Return the tool of each finger's device."""
     return [each.device.tool for each in pair(scene, rig)]
 
 
 def check_replacement(scene: schema.Scene, rig: schema.Rig, of_now: schema.Scene, rig_of_now: schema.Rig) -> None:
-    """Raise ConfigError where a scene and a rig cannot take the place of those that run, as far as it shows before a
-    compile."""
+    """Raise ConfigError if a scene and a rig cannot replace the running ones, as far as known without compiling."""
     for each in pair(scene, rig):
         registry.options(each.device, each.table)
     now, running = ([finger.name for finger in given.fingers] for given in (scene, of_now))

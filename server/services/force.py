@@ -1,4 +1,4 @@
-"""Whether there is force: the reasons to keep it off, and the switch that the loop reads."""
+"""State of the force: the reasons that inhibit it, and the switch that the loop reads."""
 
 from __future__ import annotations
 
@@ -14,18 +14,22 @@ from softfinger.server.loop.force_switch import FOREVER, GIVEN, UNTIL, WANTED
 from softfinger.server.states import UNARMED, States
 
 SWITCH_TICKS: Final = 2
-"""The first tick may have begun before the switch was written; the second has read it."""
+"""The first tick may have started before the switch was written; the second has read it."""
 
 
 class Force:
-    """The force of all fingers, and every reason to keep it off; from any thread.
+    """Force of all fingers, and all reasons that inhibit it; callable from any thread.
 
-    The loop does the rest: it takes the force off along the slew limit, and gives it back along the guard's ramp.
+    <<<<<<< HEAD
+        The loop does the rest: it takes the force off within OFF_S, and gives it back along the guard's ramp.
+    =======
+        The loop applies the switch: it turns the force off within OFF_S, and on along the guard's ramp.
+    >>>>>>> w-words-b
 
-    unarmed  whether somebody has to arm first
-    states   go by the reasons
-    switch   words of the servo (`loop/force_switch.py`)
-    ticks    returns how many ticks were done
+        unarmed  whether a person must arm first
+        states   updated with the reasons
+        switch   memory of the servo's switch (`loop/force_switch.py`)
+        ticks    returns the number of ticks done
     """
 
     def __init__(self, unarmed: bool, states: States, switch: NDArray[np.int64], ticks: Callable[[], int]) -> None:
@@ -33,53 +37,53 @@ class Force:
         self._lock = threading.Lock()
         self._disarmed = {UNARMED} if unarmed else set[str]()
         self._guarded = set[str]()
-        """Why the guard gives none by itself."""
+        """Reasons for which the guard itself inhibits the force."""
         self._suspended = False
         self._off_at = -SWITCH_TICKS
-        """How many ticks were done when it was switched off last."""
+        """Number of ticks done when the force was last switched off."""
         self.given_at = 0
-        """How many ticks may have begun before the force was given last."""
+        """Largest number of ticks that may have started before the force was last switched on."""
         switch[WANTED] = int(self.wanted)
 
     @property
     def wanted(self) -> bool:
-        """Whether there is force, or is to be."""
+        """Whether the force is on or fades in: no reason inhibits it."""
         return not self._disarmed
 
     @property
     def state(self) -> str:
-        """The daemon's."""
+        """State of the daemon."""
         return self._states.now.value
 
     @property
     def is_off(self) -> bool:
-        """Whether it has been taken off, and all hands feel none."""
+        """Whether the force is switched off and all hands have zero force."""
         switch = self._switch
         return not switch[WANTED] and not switch[GIVEN] and self._ticks() >= self._off_at + SWITCH_TICKS
 
     def kept_off(self, why: str) -> bool:
-        """Whether it is kept off for this reason."""
+        """Return whether this reason inhibits the force."""
         return why in self._disarmed
 
     def keep_off(self, why: str) -> None:
-        """Add a reason to keep it off."""
+        """Add a reason that inhibits the force."""
         with self._lock:
             self._disarmed.add(why)
             self._write()
 
     def allow(self, *why: str) -> None:
-        """Take back reasons of `keep_off`."""
+        """Remove reasons of `keep_off`."""
         with self._lock:
             self._disarmed.difference_update(why)
             self._write()
 
     def end_at(self, time_ns: int = FOREVER) -> None:
-        """Have the loop take the force off after a time, ns on CLOCK_MONOTONIC, unless another one is set before."""
+        """Set the time, ns on CLOCK_MONOTONIC, after which the loop turns the force off unless it is extended."""
         self._switch[UNTIL] = time_ns
 
     @contextmanager
     def suspended(self) -> Iterator[None]:
-        """Take the force off while the block runs, for no reason of its own."""
+        """Turn the force off while the block runs, without adding a reason."""
         self._suspend(True)
         try:
             yield
@@ -100,9 +104,9 @@ class Force:
             self._off_at = self._ticks()
 
     def note_guard(self, why: str, there: bool) -> None:
-        """Note whether the guard keeps it off by itself for this reason."""
+        """Set whether the guard itself inhibits the force for this reason."""
         (self._guarded.add if there else self._guarded.discard)(why)
 
     def tell(self) -> None:
-        """Have the state go by what keeps it off now."""
+        """Update the state with the present reasons."""
         self._states.follow(self._disarmed | self._guarded)

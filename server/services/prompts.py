@@ -1,4 +1,4 @@
-"""What pages show the participant of an experiment, and the one answer to it."""
+"""Prompts that pages show to the participant of an experiment, and the single answer to each."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from softfinger.server.wire.envelope import Declined, Request
 
 
 class Prompts:
-    """The prompt of now, and whether it waits for an answer.
+    """Current prompt, and whether it is open for an answer.
 
-    tell   publishes what a command changed: the method, the request's id, the change
-    ticks  how many ticks have begun
+    tell   publishes a change made by a command: method, id of the request, change
+    ticks  returns the number of ticks started
     """
 
     def __init__(self, tell: Callable[[str, str, Mapping[str, Any]], None], ticks: Callable[[], int]) -> None:
@@ -26,11 +26,11 @@ class Prompts:
         self._asked_s = 0.0
 
     def get(self, request: Request) -> wire.Prompted:
-        """The prompt of now."""
+        """Return the current prompt."""
         return self._now
 
     def set(self, request: Request) -> wire.Prompted:
-        """Put a prompt in the place of the one before."""
+        """Replace the current prompt."""
         asked: wire.Prompt = request.params
         if asked.choices and asked.number is not None:
             raise Declined("bad_params", "say either choices or number: there is one answer")
@@ -42,7 +42,7 @@ class Prompts:
         return self._now
 
     def answer(self, request: Request) -> wire.Applied:
-        """Take the answer; raises Declined where nothing is asked, and for what is no answer."""
+        """Store the answer; raises Declined if no question is open or the answer is not valid."""
         given: wire.Answer = request.params
         if not self._now.open or given.prompt not in (None, self._now.number):
             raise Declined("refused", "this question is not open, or not any more: answer the one that is shown")
@@ -54,7 +54,7 @@ class Prompts:
         return wire.Applied(self._ticks())
 
     def _wanted(self, value: str | float) -> str | None:
-        """What an answer has to be, None where this is one."""
+        """Return a description of the valid answers, None if the value is valid."""
         now = self._now.prompt
         if now.number is None:
             return None if value in now.choices else f"one of {', '.join(now.choices)}"

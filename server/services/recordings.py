@@ -1,4 +1,4 @@
-"""Recordings as a service: one at a time, from the beginning or by command, written beside the loop."""
+"""Recording service: one recording at a time, from the start or by command, written outside the loop."""
 
 from __future__ import annotations
 
@@ -27,13 +27,19 @@ log: Final = logging.getLogger(__name__)
 
 ENDING: Final = ".mcap"
 STOP_S: Final = 0.5
-"""How long the answer to `record_stop` waits for the disk."""
+"""Time for which the answer to `record_stop` waits for the disk."""
 CLOSE_S: Final = 2.0
-"""How long the end of the run does."""
+"""Time for which the end of the run waits for the disk."""
 
 
 class Written(NamedTuple):
-    """Of recordings: ticks and bytes in them, ticks and events that the disk was too slow for, the longest write."""
+    """Statistics of recordings.
+
+    ticks, bytes    written
+    ticks_dropped   ticks lost because the disk was too slow
+    events_dropped  events lost because the disk was too slow
+    worst_write_s   duration of the longest write
+    """
 
     ticks: int
     bytes: int
@@ -42,7 +48,7 @@ class Written(NamedTuple):
     worst_write_s: float
 
     def with_(self, one: Recorded) -> Written:
-        """These and one more."""
+        """Return the statistics with one recording added."""
         return Written(
             self.ticks + one.ticks,
             self.bytes + one.bytes,
@@ -53,9 +59,9 @@ class Written(NamedTuple):
 
 
 class Recordings:
-    """What of a daemon is recorded, and whether it is.
+    """Service that starts, feeds and ends recordings of a daemon.
 
-    fingers  names of several fingers, one empty name for a single one
+    fingers  names of several fingers, an empty name for a single one
     event    publishes an event
     """
 
@@ -63,7 +69,7 @@ class Recordings:
         self._rendering, self._fingers, self._event = rendering, list(fingers), event
         self._changing = threading.Lock()
         self._recorder: Recorder | None = None
-        self._ending: list[Recorder] = []  # the disk may still be taking the last of them
+        self._ending: list[Recorder] = []  # recordings with a last part that may not be on disk yet
         self._ended = Written(0, 0, 0, 0, 0.0)
         self._path = Path()
         self._failure: RecordingError | None = None
@@ -71,10 +77,10 @@ class Recordings:
         self.sink: Final = Sink("recordings", self._take)
 
     def start(self) -> None:
-        """Nothing: a recording begins when it is asked for."""
+        """Do nothing: a recording starts on request."""
 
     def stop(self) -> None:
-        """End what is recorded. Raises RecordingError, once, where a recording of this run has ended early."""
+        """End the recording; raises RecordingError, once, if a recording of this run failed."""
         with self._changing:
             if self._recorder is not None:
                 self._recorder.stop(CLOSE_S)
@@ -83,18 +89,18 @@ class Recordings:
             raise failure
 
     def record(self, path: str | Path, scene_name: str) -> None:
-        """Record into a new file of whoever started the daemon; RecordingError where it cannot be made."""
+        """Record into a new file chosen by the user of the daemon; raises RecordingError if it cannot be created."""
         self._begin(Path(path), None, scene_name)
 
     def begin(self, name: str, scene_name: str) -> Path:
-        """Record into a new file below the rig's folder of recordings, as a client asked; returns its path.
+        """Record into a new file in the rig's folder of recordings, at the request of a client; return its path.
 
-        RecordingError where there is a recording already, or the name leads elsewhere or to a file that is there.
+        Raises RecordingError if a recording is running, or if the name leads outside the folder or to an existing file.
         """
         return self._begin(Path(name), Path(self._rendering.rig.recording.directory), scene_name)
 
     def end(self) -> tuple[Path, Recorded]:
-        """End the recording; its file, and what became of it. RecordingError where there is none."""
+        """End the recording; return its file and its statistics. Raises RecordingError if none is running."""
         with self._changing:
             if self._recorder is None:
                 raise RecordingError("nothing is being recorded")
@@ -103,9 +109,9 @@ class Recordings:
             return self._path, recorder.stop(STOP_S)
 
     def kept_to(self) -> int:
-        """The last tick that is in the file of the recording of now, -1 for none.
+        """Return the last tick in the file of the current recording, -1 for none.
 
-        Raises RecordingError where it has ended early, or there is none. Whoever asks tells it, so `stop` does not.
+        Raises RecordingError if the recording has failed or none is running. The caller reports it, so `stop` does not.
         """
         with self._changing:
             recorder = self._recorder
@@ -117,7 +123,7 @@ class Recordings:
             return recorder.written_to
 
     def written(self) -> Written:
-        """What became of all recordings of this run so far."""
+        """Return the statistics of all recordings of this run so far."""
         with self._changing:
             recorders, self._ending = self._ending, []
             for recorder in recorders:
@@ -132,19 +138,19 @@ class Recordings:
         return total
 
     def tell(self, event: dict[str, Any]) -> None:
-        """Record an event that is published; from any thread."""
+        """Record a published event; callable from any thread."""
         recorder = self._recorder
         if recorder is not None:
             recorder.event(event)
 
     def world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
-        """Record where the bodies of a [world] are; from any thread."""
+        """Record the poses of the bodies of a [world]; callable from any thread."""
         recorder = self._recorder
         if recorder is not None:
             recorder.world({"schema": SCHEMA, "timestamp": now_s(), "tick": tick, "bodies": bodies})
 
     def note_settings(self, settings: Any) -> None:
-        """What the machine granted of the real-time settings, plain values; known with the servo's start."""
+        """Record the real-time settings granted by the machine, plain values; called after the servo has started."""
         self._settings = settings
         recorder = self._recorder
         if recorder is not None:

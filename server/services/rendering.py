@@ -1,4 +1,4 @@
-"""Rendering as a service: the servo with its devices, from the first tick to the last zero."""
+"""Rendering service: the servo with its devices, from the first tick to the last zero."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ from softfinger.proxy.record import AT
 from softfinger.proxy.scene import other_model
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.clock import NS_PER_S
+from softfinger.server.loop.force_switch import OFF_S
 from softfinger.server.loop.handover import Loop
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import UNMOVED
-from softfinger.server.loop.tuning import make_tuning, seconds_to_zero, with_armed, with_offsets, with_scene
+from softfinger.server.loop.tuning import make_tuning, with_armed, with_offsets, with_scene
 from softfinger.server.progress import making
 from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.devices import check_replacement, injected, open_devices, tools
@@ -33,22 +34,22 @@ from softfinger.server.services.force import Force
 from softfinger.server.states import UNARMED, States
 
 PAUSE_TICKS: Final = 3
-"""The first begun before may still carry a force, the second is zero, and the third says that it was written."""
+"""The first tick may have started earlier and still have a force; the second is zero; the third confirms the write."""
 PAUSE_SETTLE_S: Final = 0.02
-"""Zeros go on for so long before the process stops: a thread or a transfer between us and the device hands them on."""
+"""Time for which zeros continue before the process is stopped: a thread or a transfer may delay them to the device."""
 PAUSE_WAIT_S: Final = 0.5
 POLL_S: Final = 0.001
 CHANGE_WAIT_S: Final = 0.5
-"""A change of parameters waits for another one, or for a replacement, so long: both take milliseconds."""
+"""Time for which a change of parameters waits for another change or a replacement; both take milliseconds."""
 
 
 class Replacing(HapticError):
-    """What cannot be changed at the moment, since another change is on its way."""
+    """Change that is refused while another change is in progress."""
 
 
 @contextmanager
 def _held(lock: threading.Lock) -> Iterator[None]:
-    """Hold a lock; raises Replacing if another holds it for long."""
+    """Acquire a lock; raise Replacing after a timeout."""
     if not lock.acquire(timeout=CHANGE_WAIT_S):
         raise Replacing("the rendering is being replaced or paused: nothing was changed; try again")
     try:
@@ -58,17 +59,18 @@ def _held(lock: threading.Lock) -> Iterator[None]:
 
 
 class Rendering:
-    """A servo and its devices, opened when made: stopped, the servo has ended, and the devices are closed regardless.
+    """Service of a servo and its devices, which are opened on construction and closed by `stop` in any case.
 
-    All that changes what the servo renders while it runs is here: it knows the scene and whether there is force.
+    All changes to the running servo are made here; this class knows the scene and whether the force is on.
 
     rig, scene      validated configuration
-    ticks, prepare  as of `Servo`, and so is `switch`
-    faults          to be injected between the devices and the loop
-    states          go by what keeps the force off
+    ticks, prepare  as for `Servo`
+    faults          faults to inject between the devices and the loop
+    states          updated with the reasons that keep the force off
+    switch          as for `Servo`
 
-    Its failures are how the servo ends: `Servo.join` has them. Raises what opening a device raises, and ConfigError for
-    a rig that has no device for a finger; nothing stays open then.
+    A failure of the servo is reported by `Servo.join`. The constructor raises the errors of opening a device, and
+    ConfigError if the rig has no device for a finger; no device remains open then.
     """
 
     def __init__(
@@ -86,14 +88,15 @@ class Rendering:
         self._started = self._stopped = False
         self._since = 0
         self._pauses = 0
-        """A handler that pauses may be interrupted by another; with the last of them force comes back."""
+        """Nested pauses: a signal handler that pauses may be interrupted by another one; the force returns with the
+        last."""
         self._replacing = threading.Lock()
         self._changing = threading.Lock()
-        """Held while parameters of the scene are changed, which takes as long as their files take to read."""
+        """Held while parameters of the scene are changed, including the time to read their files."""
         self._handing_over = threading.Lock()
-        """Held by whoever changes the tuning of the loop, or the loop; within `_changing` if both are."""
+        """Held while the tuning or the loop is changed; acquired after `_changing` if both are needed."""
         self._moved = 0
-        """How many ticks had begun when an offset was set last."""
+        """Number of ticks started when an offset was last set."""
         devices = self._open(scene, rig)
         try:
             self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
@@ -118,15 +121,16 @@ class Rendering:
             raise failed
 
     def replace(self, scene: schema.Scene | None = None, rig: schema.Rig | None = None) -> int:
-        """Go on with another scene or rig, from zero force; returns the number of the first tick with it.
+        """Replace scene or rig, starting from zero force; return the number of the first tick with it.
 
-        All that can be refused or takes long comes first, while the old one runs on: where it fails, nothing has
-        changed. Then the guard takes the force off along its slew limit, the loop ends with zero, and the next begins
-        with the guard's ramp. Devices whose tables and rate are the same stay open and armed. Others are opened once
-        those of before are closed, since both may be one piece of hardware: where that fails, the run ends with the
-        error. From any thread but the servo's; one at a time.
+        All steps that can be refused or take long run first, while the old loop continues; if they fail, nothing has
+        changed. Then the guard brings the force to zero within OFF_S, the loop ends with zero, and the next loop
+        starts with the guard's ramp. Devices with the same tables and rate remain open and armed. Other devices are
+        opened after the old ones are closed, because both may be the same hardware; if that fails, the run ends with
+        the error. Callable from any thread except the servo's, one call at a time.
 
-        Raises ConfigError, SafetyStop where nothing runs, or what opening a device raises.
+        Raises ConfigError if scene and rig cannot replace the running ones, SafetyStop if the servo is not running, and
+        the errors of opening a device.
         """
         with self._replacing:
             servo = self.servo
@@ -136,14 +140,14 @@ class Rendering:
             moved, before = pair(asked, rig), pair(self._scene, self._rig)
             keeps = [each.device for each in moved] == [each.device for each in before]
             keeps = keeps and rig.servo.rate_hz == self._rig.servo.rate_hz
-            # With the devices of now: what is compiled does not depend on which they are.
+            # Compiled with the present devices: the compiled loop does not depend on them.
             compiled = self._loop(asked, rig)
             servo.compile(compiled)
 
             def make() -> Loop:
                 if not keeps:
                     return self._opened(asked, rig)
-                # Parameters of the scene that runs on may have changed meanwhile, and the offset of a device.
+                # Parameters of a scene that continues, and the offset of a device, may have changed in the meantime.
                 return self._loop(asked, rig) if scene is None else self._with_offsets(compiled)
 
             with self._changing, self._handing_over:
@@ -155,35 +159,52 @@ class Rendering:
                     first = servo.replace(make, keeps)
                 self._since = first
                 self._rig, self._scene, self._tuning = rig, asked, servo.tuning
-            if self._stopped:  # and did not wait until the devices were open
+            if self._stopped:  # `stop` did not wait for the devices to open
                 shutdown.close_all(servo.devices)
             return first
 
     def check(self, scene: schema.Scene, rig: schema.Rig) -> None:
-        """Raise ConfigError where these cannot take the place of what runs, as far as it shows before a compile."""
+        """Raise ConfigError if these cannot replace the running ones, as far as this is known without compiling."""
         check_replacement(scene, rig, self._scene, self._rig)
 
     @property
     def scene(self) -> schema.Scene:
-        """What is rendered."""
+        """Scene being rendered."""
         return self._scene
 
     @property
     def since(self) -> int:
-        """The first tick of this loop, at which what moves by itself began."""
+        """First tick of this loop, at which scripted motions started."""
         return self._since
 
     @property
     def rig(self) -> schema.Rig:
-        """What it is rendered with."""
+        """Rig in use."""
         return self._rig
 
     def set_parameters(self, changes: Mapping[str, Any], where: str) -> tuple[schema.Scene, schema.Scene, int]:
-        """Put values in place of the scene's, keys as of `load_scene`: from one tick on all of them, or none. What acts
-        on the force is there once the ramp of the rig's [commands] is over.
+        """Change parameters of the scene, all in the same tick.
 
-        Returns the scene before and after, and how many ticks had begun without them at the least. `where` is named
-        in messages. Raises ConfigError where a value is out of its range, or would need another loop; Replacing.
+        Parameters that act on the force reach their values at the end of the ramp of the rig's [commands].
+
+        Parameters
+        ----------
+        changes
+            Values by dotted key, as for `load_scene`.
+        where
+            Origin of the changes, for messages.
+
+        Returns
+        -------
+        tuple[Scene, Scene, int]
+            Scene before and after, and a lower bound of the number of ticks started without the change.
+
+        Raises
+        ------
+        ConfigError
+            If a value is out of its range, or would need another loop.
+        Replacing
+            If another change is in progress.
         """
         with _held(self._changing):
             before, after = self._scene, overridden(self._scene, changes, where)
@@ -193,21 +214,27 @@ class Rendering:
             if not self.servo.fits(tuning):
                 raise ConfigError(f"{where}: {other_model(before, changes)}: set the whole scene")
             with _held(self._handing_over):
-                # An offset may have been set meanwhile.
+                # An offset may have been set in the meantime.
                 self._tuning = self._tuning._replace(scene=tuning.scene, passivity=tuning.passivity)
                 self._scene = after
                 return before, after, self._tune()
 
     @property
     def offsets(self) -> tuple[Vec3, ...]:
-        """What is added to the position that the device of each finger says, m."""
+        """Offset added to the position from the device of each finger, m."""
         return tuple((x + 0.0, y + 0.0, z + 0.0) for x, y, z in self._tuning.offsets)
 
     def move(self, finger: int, position: Vec3 | None, seen: NDArray[np.float64]) -> int:
-        """Have a finger's probe be at `position` (m, world) where its newest record, `seen`, has it; None: where its
-        device says. Until the run ends, or its device is another one. Its contact begins anew.
+        """Set the offset that moves a finger's probe to `position`; None removes the offset.
 
-        Returns how many ticks had begun without it at the least. Raises Replacing, also where there is force.
+        The offset remains until the run ends or the finger gets another device. The contact of the finger restarts.
+
+        finger    index of the finger
+        position  (3,) m, world, or None
+        seen      latest record of the finger
+        returns   a lower bound of the number of ticks started without the change
+
+        Raises Replacing if another change is in progress or the force is not off.
         """
         with _held(self._handing_over):
             if not self.force.is_off:
@@ -224,49 +251,50 @@ class Rendering:
             return self._moved
 
     def lead(self, finger: int, wanted: Wanted | None) -> None:
-        """Have a finger's hand, which is computed, want to be there, and stay; None: do what it does by itself.
+        """Move the computed hand of a finger to a pose and hold it there; None: resume its default motion.
 
-        Raises NoHand where none is computed, ConfigError for what its device does not reach or sense, Replacing.
+        Raises NoHand if the device computes none, ConfigError if the device cannot reach or sense the pose, or
+        Replacing.
         """
         with _held(self._handing_over):
             lead(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], wanted)
 
     def hold(self, finger: int) -> Pose:
-        """Have a finger's hand, which is computed, stay where it wants to be, and say where; raises as `lead`."""
+        """Hold the computed hand of a finger at its present goal and return that pose; errors as for `lead`."""
         with _held(self._handing_over):
             return hold(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger])
 
     def disarm(self, why: str) -> None:
-        """Take the force off along the slew limit, and keep it off; never waits."""
+        """Turn the force off within OFF_S and add the reason `why`; never waits."""
         self.force.keep_off(why)
         self.force.tell()
 
     def arm(self, *why: str) -> None:
-        """Take back reasons of `disarm`: with the last of them the force fades in, along the guard's ramp."""
+        """Remove reasons of `disarm`; with the last one the force fades in along the guard's ramp."""
         self.force.allow(*why)
         self.force.tell()
 
     def _tune(self) -> int:
-        """Hand the tuning over as it is to be now; returns how many ticks had begun without it at the least."""
+        """Pass the tuning to the servo; return a lower bound of the number of ticks started without it."""
         ticks = self.servo.ticks
         self.servo.tune(self._tuning)
         return ticks
 
     def _loop(self, scene: schema.Scene, rig: schema.Rig, given: Sequence[Device] = ()) -> Loop:
-        """A loop on the devices given, or on the present ones."""
+        """Return a loop for the given devices, or for the present ones."""
         devices = given or self.servo.devices
         infos = [device.info for device in devices]
         tuning = make_tuning(scene, rig.guard, infos, tools(scene, rig))
-        if not given:  # an offset is of a device, and stays with it
+        if not given:  # an offset belongs to its device
             tuning = with_offsets(tuning, self._tuning.offsets)
         return self.servo.loop(devices, tuning, rig.servo.rate_hz)
 
     def _with_offsets(self, loop: Loop) -> Loop:
-        """The loop with the offsets of now."""
+        """Return the loop with the present offsets."""
         return self.servo.retuned(loop, with_offsets(loop.tuning, self._tuning.offsets))
 
     def _opened(self, scene: schema.Scene, rig: schema.Rig) -> Loop:
-        """A loop on devices that are opened in place of the present ones."""
+        """Return a loop for devices that are opened in place of the present ones."""
         shutdown.close_all(self.servo.devices)
         devices = self._open(scene, rig)
         try:
@@ -284,8 +312,8 @@ class Rendering:
             raise
 
     def _await_no_force(self) -> None:
-        """Wait until the loop has taken the force off. Raises SafetyStop if it does not tick."""
-        to_zero_s = seconds_to_zero(self._tuning) + PAUSE_TICKS * self.servo.period_ns / NS_PER_S
+        """Wait until the loop has turned the force off; raises SafetyStop if it does not tick."""
+        to_zero_s = OFF_S + PAUSE_TICKS * self.servo.period_ns / NS_PER_S
         until = time.monotonic() + 2.0 * to_zero_s + PAUSE_WAIT_S
         while self.servo.looping and not self.force.is_off:
             if time.monotonic() > until:
@@ -293,17 +321,17 @@ class Rendering:
             time.sleep(POLL_S)
 
     def pause(self) -> Callable[[], None]:
-        """Take the force off, before the process is stopped; call the result to have it fade in anew.
+        """Turn the force off before the process is stopped; return a function that lets it fade in again.
 
-        From the main thread or its signal handlers. Without ticks to take it off in, or while a loop is replaced, the
-        servo is asked to end.
+        Callable from the main thread and its signal handlers. Ends the servo if it does not tick, or while a loop is
+        replaced.
         """
         if not self._pauses and not self._handing_over.acquire(timeout=PAUSE_WAIT_S):
             self._end()
             return lambda: None
         self._pauses += 1
         self.servo.tune(with_armed(self._tuning, 0.0))
-        # Where no tick has come yet, the first will find the guard without force.
+        # If no tick has run yet, the first will find the guard disarmed.
         if not self._ticked(PAUSE_TICKS, PAUSE_WAIT_S) and self.servo.ticks:
             self._end()
         time.sleep(PAUSE_SETTLE_S)
@@ -320,7 +348,10 @@ class Rendering:
         shutdown.stop_all(self.servo.devices)
 
     def _ticked(self, count: int, timeout_s: float) -> bool:
-        """Wait for so many more ticks; False where they do not come in time. With the loop's end there is no force."""
+        """Wait for a number of further ticks; return False on a timeout.
+
+        Returns True if the loop ends, because the force is then zero.
+        """
         ticks, until = self.servo.ticks, time.monotonic() + timeout_s
         while self.servo.looping and self.servo.ticks < ticks + count:
             if time.monotonic() > until:
@@ -329,7 +360,7 @@ class Rendering:
         return True
 
     def _join(self) -> None:
-        # A servo that does not answer within this is stuck in a device; the devices are closed regardless.
+        # A servo that does not end in time hangs in a device; the devices are closed anyway.
         if self._started:
             self._started = False
             self.servo.join(JOIN_S)

@@ -1,4 +1,4 @@
-"""The supervisor: zero force when ticks stop coming though nobody asked them to. Runs above the servo's priority."""
+"""Supervisor: commands zero force if ticks stop unexpectedly. Runs above the servo's priority."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from softfinger.server.services.base import Worker
 
 
 class Supervisor(Worker):
-    """Looks at a servo from its start to its last tick.
+    """Service that monitors a servo from its start to its last tick.
 
     fail   ends the run with an error
     event  publishes an event
@@ -36,7 +36,7 @@ class Supervisor(Worker):
                 return
 
     def failed(self, error: Exception) -> None:
-        """A servo that nobody looks at may hold a force."""
+        """End the run: an unmonitored servo may stall with a force."""
         self._fail(SafetyStop(f"the supervisor failed: {error}; nobody would see the servo stall"))
 
     def _stop_stalled(self, idle_s: float, ticks: int) -> None:
@@ -45,7 +45,7 @@ class Supervisor(Worker):
             "a device's exchange hangs, or this machine starves the servo thread"
         )
         shutdown.every(
-            lambda: self._fail(stalled),  # first: it takes no time, and stopping a device may
+            lambda: self._fail(stalled),  # first: it takes no time, unlike stopping a device
             lambda: shutdown.stop_all(self._servo.devices),
             lambda: self._event("fault", "stalled", message=str(stalled)),
             first=stalled,

@@ -1,4 +1,4 @@
-"""Whether the system has put memory of the daemon on its disk: a tick that needs it waits for milliseconds."""
+"""Detection of memory of the daemon in swap: a tick that needs it waits for milliseconds."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ ADVICE: Final = (
 
 
 class Swapping(Worker):
-    """Looks at the start, and once a second, and tells it once, until all of it is back in memory.
+    """Service that checks for swapped memory once per second, and reports it once until all of it is back.
 
-    status  of the process, as proc_pid_status(5) has it
+    status  of the process, in the format of proc_pid_status(5)
     """
 
     def __init__(self, event: Callable[..., Any], status: Path = STATUS) -> None:
@@ -38,7 +38,7 @@ class Swapping(Worker):
             self.look()
 
     def look(self) -> None:
-        """Tell what is new since the last look."""
+        """Report memory in swap, unless it has been reported."""
         kilobytes = swapped_kb(self._status.read_text())
         if kilobytes and not self._told:
             message = f"{kilobytes} kB of the daemon are in swap: {ADVICE}"
@@ -47,11 +47,11 @@ class Swapping(Worker):
         self._told = kilobytes > 0
 
     def failed(self, error: Exception) -> None:
-        """What is rendered needs none of it: the run goes on."""
+        """Publish an event; the run continues, because rendering does not depend on this service."""
         self._event("fault", NAME, message=f"memory in swap is not told any more: {error}")
 
 
 def swapped_kb(status: str) -> int:
-    """Memory of a process in swap, kB; 0 where the system does not say."""
+    """Return the memory of a process in swap, kB; 0 if the system does not report it."""
     found = re.search(r"^VmSwap:\s+(\d+) kB$", status, re.MULTILINE)
     return int(found[1]) if found else 0

@@ -1,4 +1,4 @@
-"""Telemetry as a service: tells of the run's start and end, and closes the publisher after the last record."""
+"""Telemetry service: publishes start and end of the run, and closes the publisher after the last record."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from softfinger.server.wire.publisher import Publisher
 
 
 class Telemetry:
-    """An open publisher beside a servo. Its `sink` is vital: nobody can see what is rendered without it."""
+    """Service of an open publisher; its `sink` is vital, because without it rendering cannot be monitored."""
 
     def __init__(self, publisher: Publisher, servo: Servo) -> None:
         self._publisher, self._servo = publisher, servo

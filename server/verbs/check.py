@@ -1,4 +1,4 @@
-"""`softfinger check`: are these scenes, rigs and experiments usable, and what do they model?"""
+"""`softfinger check`: check scenes, rigs and experiments, and summarise their contents."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _EXPERIMENT_KEYS: Final = frozenset(("task", "procedure"))
 
 
 class Finding(NamedTuple):
-    """What one file is: kind (scene, rig, experiment, or empty), summary rows, errors, content, meshes by object."""
+    """Result for one file: kind (scene, rig, experiment, or empty), summary rows, errors, content, meshes by object."""
 
     file: str
     kind: str
@@ -54,7 +54,6 @@ class Finding(NamedTuple):
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.description = "Check scenes, rigs and experiments. Exit code 0: all are usable; 2: at least one is not."
     parser.add_argument("files", nargs="+", metavar="FILE", help="one of these, as a file or a shipped name")
     parser.add_argument(
@@ -70,7 +69,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check every file and print what it is; returns 0, or ConfigError's exit code if any is faulty."""
+    """Check every file and print the results; return 0, or the exit code of ConfigError if any file is faulty."""
     findings = _with_starts([examine_file(file) for file in args.files])
     if args.explain:
         findings = [with_costs(finding) for finding in findings]
@@ -101,9 +100,9 @@ def _with_starts(findings: list[Finding]) -> list[Finding]:
 
 
 def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None:
-    """Print each rig's soft wall about the objects of each scene, unless `quiet`, and save the only one as `plot`.
+    """Print the soft wall of each rig around the objects of each scene, unless `quiet`, and save a picture as `plot`.
 
-    Raises ConfigError for a plot of none, or of several.
+    Raises ConfigError if a plot is requested and there is not exactly one rig with a wall and one scene.
     """
     usable = [finding for finding in findings if not finding.errors]
     rigs = [(each.file, load_rig(_locate(each.file))) for each in usable if each.kind == "rig"]
@@ -132,7 +131,7 @@ def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None
 
 
 def examine_file(file: str) -> Finding:
-    """Everything `run` would find wrong with a file before it touches the device, or what the file means."""
+    """Check a file for every fault that `run` finds before it opens the device, and summarise it if it has none."""
     kind = ""
     try:
         path = _locate(file)
@@ -180,13 +179,13 @@ def _object_faults(scene: Scene) -> list[str]:
 
 
 def _reports(config: Scene | Rig) -> dict[str, Any]:
-    """What was found of each mesh, by the name of its object."""
+    """Return the report on each mesh by the name of its object."""
     meshes = [thing for thing in config.object if isinstance(thing, Mesh)] if isinstance(config, Scene) else []
     return {thing.name: msgspec.to_builtins(mesh_report(thing)) for thing in meshes}
 
 
 def with_costs(finding: Finding) -> Finding:
-    """The finding of a usable scene with the measured cost of a tick and of each part; any other as it is."""
+    """Add the measured cost of a tick and of its parts to the finding of a usable scene; return any other unchanged."""
     if finding.kind != "scene" or finding.errors:
         return finding
     from softfinger.server.offline.cost import bare, measure, touching_poses, without_parts
@@ -208,7 +207,7 @@ def with_costs(finding: Finding) -> Finding:
 
 
 def _stability_row(item: Object) -> tuple[str, str]:
-    """Slope of the normal force at the guard's default largest force, and the device that is passive with it."""
+    """Return the stiffness of the normal force at the guard's default limit, and the device damping for passivity."""
     force, rate = Guard().force_max_n, Servo().rate_hz
     normal = item.material.normal
     crossed = 0.0 if normal is None else normal.damping_s_per_m or 0.0
@@ -221,7 +220,10 @@ def _stability_row(item: Object) -> tuple[str, str]:
 
 
 def kind_of(mapping: dict[str, Any], where: str) -> str:
-    """`scene`, `rig` or `experiment`, by the tables a file has. Raises ConfigError when it is none, or two."""
+    """Return `scene`, `rig` or `experiment`, according to the tables of a file.
+
+    Raises ConfigError if the tables belong to none of them, or to two.
+    """
     if mapping.keys() >= _EXPERIMENT_KEYS:
         return "experiment"
     scene, rig = _SCENE_KEYS & mapping.keys(), _RIG_KEYS & mapping.keys()
@@ -242,7 +244,7 @@ def kind_of(mapping: dict[str, Any], where: str) -> str:
 
 
 def _locate(file: str) -> Path:
-    """Path of a file or of a shipped scene, rig or experiment."""
+    """Return the path of a file, or of a shipped scene, rig or experiment."""
     names = [*shipped(Scene), *shipped(Rig), *names_in(EXPERIMENTS)]
     if file not in names and "." not in file and "/" not in file and not _exists(file):
         raise ConfigError(
@@ -257,12 +259,12 @@ def _locate(file: str) -> Path:
 def _exists(file: str) -> bool:
     try:
         return Path(file).exists()
-    except (OSError, ValueError):  # no name that a file can have
+    except (OSError, ValueError):  # not a valid file name
         return False
 
 
 def _check_driver(device: DeviceConfig, rate_hz: float, table: str, file: str) -> None:
-    """Raise if there is no such driver, or if it does not take the rig's options, or not at this rate."""
+    """Raise ConfigError if the driver is unknown, or if it does not accept the rig's options or this rate."""
     from softfinger.drivers import registry
 
     try:
@@ -273,7 +275,7 @@ def _check_driver(device: DeviceConfig, rate_hz: float, table: str, file: str) -
 
 
 def _check_recording(device: DeviceConfig, table: str, file: str) -> None:
-    """Raise if the recording that a rig replays cannot be."""
+    """Raise ConfigError if the recording that a rig replays cannot be loaded."""
     if device.driver != "replay":
         return
     from softfinger.drivers.poses import load_poses

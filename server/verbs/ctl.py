@@ -1,4 +1,4 @@
-"""`ctl`: one command to a running daemon, and its answer."""
+"""`softfinger ctl`: send one command to a running daemon and print the result."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from softfinger.server.wire.control import Control
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     width = max(map(len, METHODS))
     methods = "\n".join(
@@ -51,13 +50,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Send the command and print its result; returns 0."""
+    """Send the command and print its result; return 0."""
     if args.method not in METHODS:
         raise ConfigError(f"no method {shown(args.method)}{near(args.method, METHODS)}: there are {', '.join(METHODS)}")
     params = dict(map(parameter, args.params))
     scene = params.get("scene")
     if args.method == "set_scene" and isinstance(scene, str) and scene.endswith(".toml"):
-        # Read here, as this user: the daemon opens no file that a client names.
+        # Read here with the rights of this user: the daemon opens no file that a client names.
         params = {"name": Path(scene).stem[:64]} | params | {"scene": read_toml(scene)}
     compiles = ", which may have to compile the scene" if args.method == "set_scene" else ""
     shown_wait = progress(f"{args.method}: waiting for the daemon{compiles}")

@@ -1,4 +1,4 @@
-"""`devices`: what is attached, which driver claims it, why it cannot be opened, and the command that mends it."""
+"""`softfinger devices`: list attached devices, their drivers, why they cannot be opened, and the remedies."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, needs, opti
 from softfinger.drivers.system.discovery import Attached
 
 MAY_BE_ASKED: Final = ("usable", "firmware")
-"""States in which a device can be opened; whether firmware runs in a Falcon, only it knows."""
+"""States in which a device can be opened. Only an opened Falcon can report whether its firmware is loaded."""
 
 
 Found = tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None]
-"""A device, who claims it, what is in the way, and what it said itself."""
+"""Device, claim of its driver, diagnosis, and identification that the device reported."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -53,9 +53,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def ask(device: Attached, claim: Claim, rig: DeviceConfig | None = None) -> tuple[Diagnosis, dict[str, Any] | None]:
-    """Open a device that is free and ask it; what is in the way then, and its answers by name.
+    """Open a free device and read its identification; return the diagnosis and the identification by name.
 
-    The answers are None where its driver has nothing to ask, or the device could not be opened.
+    The identification is None if the driver has no `identify`, or if the device could not be opened.
     """
     driver, options = registry.load(claim.driver), options_for(claim, rig)
     identify = getattr(driver, "identify", None)
@@ -71,7 +71,7 @@ def ask(device: Attached, claim: Claim, rig: DeviceConfig | None = None) -> tupl
 def as_map(
     device: Attached, claim: Claim | None, diagnosis: Diagnosis, said: Mapping[str, Any] | None = None
 ) -> dict[str, object]:
-    """One device for `--json`."""
+    """Return a device as a mapping for `--json`."""
     return {
         "name": device.name,
         "bus": device.bus,
@@ -91,7 +91,7 @@ def _shown(value: Any) -> str:
 
 
 def lines(found: list[Found]) -> list[str]:
-    """The same for people: what a driver claims first, then the rest."""
+    """Return the list as text: devices with a driver first, then the others."""
     text = []
     for device, claim, diagnosis, said in sorted(found, key=lambda one: one[1] is None):
         text.append(f"{device.node or 'no node'}  {device.ids}  {device.name}")

@@ -1,4 +1,4 @@
-"""`softfinger materials`: the library of feels, or one entry of it with its sources, as text or as a figure."""
+"""`softfinger materials`: the library of materials and fingertips, or one entry with its sources, as text or figure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from softfinger.server.offline.figures import plot_file
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.description = (
         'The materials that a scene may name (material = "rubber") and the fingertips (fingertip = "human-index").'
     )
@@ -26,7 +25,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print, and draw where asked for; returns 0. ConfigError for an unknown name, or a plot of none."""
+    """Print the library or an entry, and draw it if requested; return 0.
+
+    Raises ConfigError if the name is unknown, or if a plot is requested without a name.
+    """
     if args.name is None:
         if args.plot is not None:
             raise ConfigError("--plot draws one of them: softfinger materials NAME --plot FILE")
@@ -50,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def as_json(name: str, kind: str, entry: Entry) -> dict[str, Any]:
-    """An entry as plain values; the papers as a mapping from name to text."""
+    """Return an entry as plain values, with the papers as a mapping from name to text."""
     plain = msgspec.to_builtins(entry)
     measured = [{key: value for key, value in each.items() if value is not None} for each in plain.pop("measured")]
     return {"name": name, "kind": kind, **plain, "measured": measured, "papers": dict(paper_rows(cited(entry)))}
@@ -67,7 +69,7 @@ def _list(as_text: bool) -> None:
 
 
 def _short(entry: Entry) -> str:
-    """The values that tell one from another."""
+    """Return the main values of an entry, for the list."""
     values = entry.values
     if "friction" in values:
         friction = values["friction"]

@@ -1,7 +1,7 @@
-"""`softfinger monitor`: what the server is doing, live in a terminal.
+"""`softfinger monitor`: live view of a running server in a terminal.
 
-A client of the wire and nothing more. On a terminal it draws a dashboard; into a pipe or a file it
-writes one line a second; `--json` writes one JSON object a second.
+Only a client of the wire. It draws a dashboard on a terminal, and writes one line per second into a pipe or file. With
+`--json` it writes one JSON object per second.
 """
 
 from __future__ import annotations
@@ -31,17 +31,16 @@ if TYPE_CHECKING:  # rich takes 50 ms to import and only the dashboard needs it
 _EVENTS_KEPT: Final = 8
 _DASHBOARD_PERIOD_S: Final = 0.1
 _LINE_PERIOD_S: Final = 1.0
-_STALLED_S: Final = 1.5  # health comes once a second, so this long without anything means that ticks stopped
-_ONCE_WAIT_S: Final = 2.5  # two seconds bring a whole health message
+_STALLED_S: Final = 1.5  # health is sent once a second, so a longer silence means that ticks stopped
+_ONCE_WAIT_S: Final = 2.5  # a full health message arrives within two seconds
 _NOTHING: Final = 1e-9
-"""A rounding error of a sum, in any unit of the wire: nothing that a device senses or displays is so small."""
+"""Values below this are rounding errors of a sum, in any unit of the wire; no device senses or displays so little."""
 _BAR_CELLS: Final = 32
 _EVENT_INDENT: Final = 12
 _MODE_STYLES: Final = {0: "green", 1: "bold blue", 2: "bold red"}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the verb's arguments."""
     parser.description = "Show what a running server renders: contact mode, forces, lateness, events."
     parser.add_argument(
         "--endpoint",
@@ -58,7 +57,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb. Raises NoTelemetry if nothing arrives, ProtocolError for a stream that is not ours."""
+    """Run the verb; return 0.
+
+    Raises NoTelemetry if nothing arrives, and ProtocolError if the stream has another format.
+    """
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not (0.0 < value < math.inf):
@@ -72,18 +74,18 @@ def run(args: argparse.Namespace) -> int:
             _dashboard(args)
     except KeyboardInterrupt:
         return 0
-    except BrokenPipeError:  # the reader (head, grep -m1) has enough
+    except BrokenPipeError:  # the reader (head, grep -m1) closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
 class Board:
-    """What has arrived so far."""
+    """State of the server according to the messages received so far."""
 
     def __init__(self, endpoint: str) -> None:
         self.endpoint = endpoint
         self.fingers: dict[str, Sample] = {}
-        """The newest tick of each finger by its name; a single one has the name ""."""
+        """Latest tick of each finger by its name; a single finger has the name ""."""
         self.health: Sample | None = None
         self.events: deque[Sample] = deque(maxlen=_EVENTS_KEPT)
         self.event_count = 0
@@ -91,7 +93,7 @@ class Board:
         self.lost = 0
         self.force_peak_n = 1.0
         self.stopped = False
-        """The server has said that it stopped, and not started again since."""
+        """True after the server reported that it stopped, until its next tick."""
         self._arrived_s = time.monotonic()
 
     def take(self, sample: Sample) -> None:
@@ -113,24 +115,26 @@ class Board:
 
     @property
     def contact(self) -> Sample | None:
-        """The newest tick of a single finger."""
+        """Latest tick of a single finger."""
         return self.fingers.get("")
 
     @property
     def silent_s(self) -> float:
-        """Time since the last message."""
+        """Time since the last message, s."""
         return time.monotonic() - self._arrived_s
 
     @property
     def gone(self) -> str:
-        """Why nothing is rendered now, in words; empty while messages come."""
+        """Text on why nothing is rendered now; empty while messages arrive."""
         if self.stopped:
             return "the server has stopped"
         return f"no data for {self.silent_s:.1f} s" if self.messages and self.silent_s > _STALLED_S else ""
 
     def summary(self) -> dict[str, Any]:
-        """The board as plain data; `contact` and `health` are None until their first message. Of several fingers there
-        is no `contact`, and each is in `fingers`."""
+        """Return the board as plain data; `contact` and `health` are None until their first message.
+
+        With several fingers there is no `contact`; each finger is in `fingers`.
+        """
         named = {name: sample for name, sample in self.fingers.items() if name}
         told = {
             "fingers": {
@@ -151,7 +155,7 @@ class Board:
 
 
 def _watch(args: argparse.Namespace, show: Callable[[Board], None], period_s: float) -> None:
-    """Receive, and show the board every `period_s`, until `--once` or `--duration` is fulfilled."""
+    """Receive messages and show the board every `period_s`, until `--once` or `--duration` is satisfied."""
     started = time.monotonic()
     end = started + (args.duration or math.inf)
     next_show = started + period_s
@@ -180,12 +184,12 @@ def _watch(args: argparse.Namespace, show: Callable[[Board], None], period_s: fl
 
 
 def _json(board: Board) -> str:
-    # msgspec writes null for nan, which json.dumps would not.
+    # msgspec writes null for nan, json.dumps writes invalid JSON.
     return msgspec.json.encode(board.summary(), enc_hook=str).decode()
 
 
 def line(board: Board) -> str:
-    """One line of plain text."""
+    """Return the board as one line of text."""
     parts = [time.strftime("%H:%M:%S")]
     if board.gone:
         parts.append(f"{board.gone};")
@@ -218,7 +222,7 @@ def _event_words(event: Sample) -> str:
     common = ("schema", "timestamp", "tick", "kind", "name")
     more = " ".join(f"{key}={_short(value)}" for key, value in event.data.items() if key not in common)
     words = f"{event.kind} {event.name} {more}".rstrip()
-    return words if words.isprintable() else repr(words)  # nothing from the wire may steer the terminal
+    return words if words.isprintable() else repr(words)  # text from the wire must not control the terminal
 
 
 def _short(value: Any) -> str:
@@ -230,7 +234,7 @@ def _short(value: Any) -> str:
 
 
 def _fixed(value: float, width: int, digits: int) -> str:
-    """A number with so many digits behind the point, and no minus before a zero."""
+    """Format a number with `digits` decimals, and without a minus sign if it rounds to zero."""
     return f"{round(value, digits) + 0.0:{width}.{digits}f}"
 
 
@@ -244,7 +248,7 @@ def _dashboard(args: argparse.Namespace) -> None:
 
 
 def render(board: Board, width: int, height: int) -> RenderableType:
-    """The dashboard, for a terminal of so many columns and rows: as many of the newest events as fit, each whole."""
+    """Return the dashboard for a terminal of `width` columns and `height` rows, with the latest events that fit."""
     from rich.console import Group
     from rich.panel import Panel
     from rich.table import Table
@@ -270,13 +274,13 @@ def render(board: Board, width: int, height: int) -> RenderableType:
     title = Text(f"softfinger  {board.endpoint}")  # not markup: an IPv6 address has brackets
     if board.gone:
         title.append(f"  {board.gone}", style="bold red")
-    # Frames take two rows each, and the terminal keeps one for the cursor.
+    # Each frame takes two rows, and the terminal needs one for the cursor.
     events = _event_lines(board, width - 4, height - rows.row_count - 5)
     return Group(Panel(rows, title=title, title_align="left"), Panel(events, title="events", title_align="left"))
 
 
 def _event_lines(board: Board, width: int, height: int) -> str:
-    """The newest events that fit whole, the newest last."""
+    """Return the latest events that fit completely, the latest one last."""
     lines: list[str] = []
     for event in reversed(board.events):
         told = textwrap.wrap(
@@ -292,7 +296,7 @@ def _contact_rows(rows: Any, data: Any, board: Board) -> None:
     from rich.text import Text
 
     contact = data.contact
-    style = "dim" if board.gone else ""  # what was last, and is no more
+    style = "dim" if board.gone else ""  # outdated values
     rows.add_row("mode", Text(_mode_name(contact.mode), style=style or _MODE_STYLES.get(contact.mode, "")))
     rows.add_row("object", f"number {contact.object} of the scene" if contact.object >= 0 else "none")
     rows.add_row("tick", str(data.tick))

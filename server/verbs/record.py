@@ -1,6 +1,6 @@
-"""`record`: a running daemon as a recording, or its poses alone as a table that the replay device plays.
+"""`softfinger record`: record a running daemon, or only its poses as a table that the replay device plays.
 
-A client of the wire and nothing more. Rows go to the file as they come, so what was recorded before a kill is there.
+Only a client of the wire. Rows are written as they arrive, so that a kill loses none that arrived before.
 """
 
 from __future__ import annotations
@@ -39,13 +39,12 @@ from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, ProtocolErr
 log: Final = logging.getLogger(__name__)
 
 HELD: Final = 200
-"""Poses held back at the start, to find the period of the loop in; a tick that was late has more than one in its dt."""
+"""Poses buffered at the start to determine the loop's period: `dt` of a late tick covers more than one period."""
 POLL_S: Final = 0.1
 SHOW_EVERY_S: Final = 0.5
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the verb's arguments."""
     parser.description = (
         "Record a running server: everything as .mcap, or the poses alone as .csv, by the file's ending."
     )
@@ -72,7 +71,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb. Raises NoTelemetry if nothing arrives, RecordingError for a file that cannot be written."""
+    """Run the verb; return the exit code.
+
+    Raises NoTelemetry if nothing arrives, and RecordingError if a file cannot be written.
+    """
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not 0.0 < value < math.inf:
@@ -101,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class Stop:
-    """Whether a signal has asked for the end."""
+    """Stop request, set by a signal."""
 
     asked = False
 
@@ -111,16 +113,16 @@ class Stop:
 
 @dataclass
 class Kept:
-    """What a recording holds.
+    """Statistics of one recording.
 
-    first_tick, last_tick  of the server, -1 before there is one
+    first_tick, last_tick  of the server, -1 before the first
     poses                  rows written
-    lost, gap_count        published ticks between them that did not arrive, in so many gaps
+    lost, gap_count        published ticks between them that did not arrive, and the number of gaps
     worst                  (tick before it, ticks lost) of the longest gap
-    unusable               poses left out because they are none: not finite
-    every                  one tick in so many is published
+    unusable               poses skipped because they are not finite
+    every                  one tick in `every` is published
     seconds                time from first to last row
-    ended                  why the recording ended
+    ended                  reason for the end of the recording
     """
 
     first_tick: int = -1
@@ -142,7 +144,7 @@ class Kept:
         return f"{self.poses} poses of {ticks}, {self.seconds:.3f} s{whole}{bad}; {self.ended}"
 
     def gaps(self) -> str:
-        """What to tell a user whose recording has holes."""
+        """Return a message to the user about the gaps."""
         return (
             f"{self.lost} ticks in {self.gap_count} gaps did not arrive, the longest {self.worst[1]} after tick "
             f"{self.worst[0]}: a replay goes smoothly over each; record on a machine with less to do, or with "
@@ -157,13 +159,13 @@ def record(
     timeout_s: float = 3.0,
     stop: Stop | None = None,
 ) -> dict[str, Kept]:
-    """Write what arrives of each finger, by its name, until `duration_s` of ticks, the server's end, or a stop.
+    """Write the poses of each finger until `duration_s` of ticks, the end of the server, or a stop.
 
-    A single finger has the name "". Raises NoTelemetry when nothing arrives within `timeout_s` at the start,
-    ConfigError when it is of other fingers; silence later ends the recording.
+    A single finger has the name "". Raises NoTelemetry if nothing arrives within `timeout_s` at the start, and
+    ConfigError if the server has other fingers. A later silence of `timeout_s` ends the recording.
     """
     first = _first(samples, files, timeout_s, stop)
-    # Of several fingers the first message is one of a tick of which others may have gone by: all begin with the next.
+    # With several fingers, messages of the first tick may have been missed: all recordings start at the next tick.
     start = first.tick + (len(files) > 1)
     sample: Sample | None = first
     with ExitStack() as opened:
@@ -205,7 +207,7 @@ def _hand_on(sample: Sample, clocks: Mapping[str, Clock], start: int) -> None:
 
 
 def end_all(keeping: Sequence[Kept], why: str) -> None:
-    """End what has not ended."""
+    """Set the reason of the end for recordings that have not ended."""
     for kept in keeping:
         kept.ended = kept.ended or why
 
@@ -226,11 +228,11 @@ def _first(samples: Subscription, files: Mapping[str, Path], timeout_s: float, s
 
 
 class Clock:
-    """Gives each pose its time and hands it to the file.
+    """Assigns a time to each pose and writes it to the file.
 
-    The time of a row is a whole number of the loop's periods: those in each tick's `dt`, and one for each tick that
-    did not arrive. So a replay at the same rate plays each pose in a tick of its own, which times of the wall clock,
-    rounded as they are, would not do. Leaving the context finishes the file.
+    The time of a row is an integer number of loop periods: the periods in the `dt` of each tick, and one for each lost
+    tick. A replay at the same rate therefore plays one pose per tick. Rounded wall-clock times would not guarantee
+    that. Leaving the context completes the file.
     """
 
     def __init__(self, file: PosesFile, duration_s: float | None) -> None:
@@ -239,10 +241,10 @@ class Clock:
         self._duration_s = duration_s
         self._period = 0.0
         self._periods = 0
-        self._held: list[tuple[int, Sample]] = []  # with the ticks lost before each
+        self._held: list[tuple[int, Sample]] = []  # (ticks since the previous sample, sample)
 
     def take(self, sample: Sample) -> None:
-        """A message of the wire, in its order; sets `kept.ended` at the end."""
+        """Process a message of the wire, in the order of arrival; set `kept.ended` at the end."""
         kept = self.kept
         if sample.topic == EVENT:
             if (sample["kind"], sample["name"]) == ("lifecycle", "stopped"):
@@ -282,7 +284,7 @@ class Clock:
             self._file.close()
 
     def flush(self) -> None:
-        """Write what is held back."""
+        """Write the buffered poses."""
         if not self._period and self._held:
             self._period = min(sample.dt for _, sample in self._held)
         for step, sample in self._held:

@@ -1,4 +1,4 @@
-"""`run`: the daemon in the foreground, until its duration, the end of a recording, or a signal."""
+"""`softfinger run`: the daemon in the foreground, until its duration, the end of a recording, or a signal."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ log: Final = logging.getLogger(__name__)
 
 RIG: Final = "replay"
 LED_RIG: Final = "simulated-hand"
-"""Of --view: its hand is the mouse."""
+"""Rig for --view, in which the mouse moves the hand."""
 
 TERMINAL_PERIOD_S: Final = 0.25
 PLAIN_PERIOD_S: Final = 10.0
 
-# Options that stand for a key of the rig: flag, key, type, metavar, help.
+# Options that override a key of the rig: flag, key, type, metavar, help.
 OVERRIDES: Final[tuple[tuple[str, str, Any, str, str], ...]] = (
     ("--device", "device.driver", str, "D", "driver, in place of the rig's"),
     ("--recording", "device.recording", str, "P", "poses to replay: file or name of a shipped recording"),
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         changes["device.loop"], sources["device.loop"] = False, "command line --once"
     if args.view:
         check_viewer()
-    with making("kernels that call the device"):  # as its driver is imported
+    with making("kernels that call the device"):  # compiled when the driver is imported
         rig = load_rig(args.rig or default_rig(args.scene, LED_RIG if args.view else RIG), changes, sources)
     scene = load_scene(args.scene)
     rate = rig.servo.rate_hz
@@ -122,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def announce(daemon: Daemon, scene_name: str, shown: bool) -> None:
-    """Log what runs, and where it is to be reached; `shown`: a page is open."""
+    """Log scene, device and endpoints; `shown`: a page is open."""
     rendering, telemetry = daemon.rendering, daemon.publisher.endpoint
     if not shown:
         log.info(
@@ -142,12 +142,12 @@ def announce(daemon: Daemon, scene_name: str, shown: bool) -> None:
 
 
 def told(faults: Faults, rate_hz: float) -> str:
-    """What is injected, and when."""
+    """Return the injected faults and their first ticks as text."""
     return ", ".join(f"{fault.kind} from tick {fault.window(rate_hz)[0]} on" for fault in faults.fault)
 
 
 def report_settings(settings: list[Setting]) -> None:
-    """Log what the machine granted of the real-time settings, and what to do about the rest."""
+    """Log the real-time settings that the system granted, and those refused with advice."""
     for setting in settings:
         if setting.ok:
             log.info("real time: %s %s", setting.name, setting.detail)
@@ -156,7 +156,10 @@ def report_settings(settings: list[Setting]) -> None:
 
 
 def watch_over(daemon: Daemon) -> list[Watcher]:
-    """Start a watcher of each of a daemon's devices; ConfigError where no other process can take the force off one."""
+    """Start a watcher for each device of a daemon.
+
+    Raises ConfigError if no other process can remove the force of a device.
+    """
     words = []
     for device in daemon.devices:
         word = device.last_word()
@@ -170,7 +173,7 @@ def watch_over(daemon: Daemon) -> list[Watcher]:
 
 
 def watch(daemon: Daemon, page: Shown | None) -> None:
-    """Show that the servo runs, until it ends: a line kept up to date on a terminal, else a log line at times."""
+    """Show progress until the servo ends: a line updated in place on a terminal, otherwise a log line at intervals."""
     with counter() as show:
         told = time.monotonic()
         while not daemon.wait(TERMINAL_PERIOD_S):

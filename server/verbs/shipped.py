@@ -1,4 +1,4 @@
-"""`scenes`, `rigs`, `recordings`, `faults`, `experiments`: what is shipped, a line each."""
+"""`softfinger scenes`, `rigs`, `recordings`, `faults`, `experiments`: list the shipped files with one line each."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ OPTIONS: Final = {
     "--poses": "recordings",
     "--inject": "faults",
 }
-"""Options that take a name of those that a verb lists, or a file."""
+"""Verb that lists the shipped names for each option that takes a name or a file."""
 WORDS: Final = {("experiment", "file"): "experiments", ("materials", "name"): "materials"}
-"""The same of a verb's word that is no option."""
+"""The same for positional arguments, by verb and argument."""
 
 _SENTENCE: Final = re.compile(r"(?s)(.*?\.)(?=\s|$)")
 
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def shipped_in(verb: str) -> list[dict[str, Any]]:
-    """Name, file and description of each, in the order of names."""
+    """Return name, file and description of each shipped file, ordered by name."""
     folder = FOLDER_OF[verb]
     if verb == "recordings":
         files = sorted(folder.glob("*.csv"))
@@ -66,7 +66,7 @@ def shipped_in(verb: str) -> list[dict[str, Any]]:
 
 
 def first_sentence(text: str) -> str:
-    """The first sentence of the comment that a file begins with."""
+    """Return the first sentence of the comment at the start of a file."""
     lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
     comment = " ".join(line.lstrip("# ") for line in lines)
     found = _SENTENCE.match(comment)
@@ -74,12 +74,12 @@ def first_sentence(text: str) -> str:
 
 
 def _seconds(recording: Path) -> float:
-    """The time of its last row, which begins with it."""
+    """Return the duration of a recording, s: the first column of its last row."""
     return float(recording.read_text("utf-8").rstrip().rpartition("\n")[2].partition(",")[0])
 
 
 def offer_names(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
-    """Have shtab complete what takes a shipped name in every verb; returns the parser."""
+    """Make shtab complete shipped names in every verb; return the parser."""
     for verbs in parser._actions:
         if isinstance(verbs, argparse._SubParsersAction):
             for verb, action in ((name, each) for name, its in verbs.choices.items() for each in its._actions):

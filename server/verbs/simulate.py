@@ -1,4 +1,4 @@
-"""`simulate`: the servo's tick offline, as fast as it goes, over poses or with devices that are computed."""
+"""`softfinger simulate`: run the servo's tick offline, as fast as possible, over poses or with simulated devices."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from softfinger.server.offline.simulate import over_poses, poses_of, with_device
 Array = NDArray[np.float64]
 
 DURATION_S = 10.0
-"""How long a device is run that nobody gave a time."""
+"""Default duration of a run with simulated devices."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def summarised(blocks: Iterable[Array], summaries: Sequence[Summary]) -> Iterator[Array]:
-    """Pass blocks (m, fingers, RECORD_SIZE) on, and add each finger's records to its summary."""
+    """Yield blocks (m, fingers, RECORD_SIZE) unchanged, and add the records of each finger to its summary."""
     for block in blocks:
         for place, each in enumerate(summaries):
             each.add(block[:, place])
@@ -90,7 +90,7 @@ def summarised(blocks: Iterable[Array], summaries: Sequence[Summary]) -> Iterato
 
 
 class Summary:
-    """What is printed about a finger's run, and the curves of its plot where one is wanted."""
+    """Statistics of a finger's run for the printed line, and the curves of its plot if one is drawn."""
 
     def __init__(self, drawn: bool) -> None:
         self.curves: list[Array] = []
@@ -99,7 +99,7 @@ class Summary:
         self._causes = np.zeros(len(CAUSE_NAMES), int)
 
     def add(self, records: Array) -> None:
-        """Records (m, RECORD_SIZE), after those before."""
+        """Add records (m, RECORD_SIZE) that follow those added before."""
         self.ticks += len(records)
         self._modes += np.bincount(records[:, AT.contact_mode].astype(int), minlength=len(MODE_NAMES))
         self._causes += np.bincount(records[:, AT.contact_cause].astype(int), minlength=len(CAUSE_NAMES))
@@ -109,7 +109,7 @@ class Summary:
             self.curves.append(records[:, DRAWN])
 
     def __str__(self) -> str:
-        """Modes, mode changes and largest force of the run, in a line."""
+        """Format modes, mode changes and largest force of the run as one line."""
         modes = ", ".join(
             f"{name} {count / self.ticks:.1%}" for name, count in zip(MODE_NAMES, self._modes, strict=True)
         )

@@ -1,4 +1,4 @@
-"""`view`: a page in the browser, of a running daemon or of a recording."""
+"""`softfinger view`: show a running daemon or a recording on a page in the browser."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ NICE: Final = 5
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.description = "A page in the browser: what a running daemon renders, and a mouse for a hand; or a recording."
     parser.add_argument(
         "recording", nargs="?", metavar="RECORDING", help="an .mcap, results, poses, or the name of a shipped recording"
@@ -57,14 +56,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--print-address", action="store_true", help="the address alone on standard output, for programs"
     )
-    # For `run --view`. Standard input begins with the token, or an empty line for a new one; the page ends with it.
+    # For `run --view`. The first line of standard input is the token, or empty for a new one; end of input ends the
+    # page.
     parser.add_argument("--until-eof", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--no-open", action="store_true", help="do not open a browser")
     parser.add_argument("--duration", type=duration, metavar="S", help="leave after S seconds (default: stay)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve the page until a signal, or for a duration; ConfigError without viser."""
+    """Serve the page until a signal, or for a duration. Raises ConfigError if viser is not installed."""
     try:
         from softfinger.server.viewer.page import Page, each_frame
     except ImportError as error:
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     from softfinger.server.viewer.playback import RecordedPage, load
 
     recording = None if args.recording is None else load(args.recording, args.scene)
-    if args.host == HOST:  # beside a servo, most likely, and one that may have no priority
+    if args.host == HOST:  # probably on the machine of a servo, which may run without real-time priority
         os.nice(NICE)
     lock = keys.of_options(args)
     asked = list[bool]()
@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             if args.print_address:
                 print(page.address, flush=True)
-                os.dup2(2, 1)  # whoever reads it reads no more, and a browser may have something to say
+                os.dup2(2, 1)  # the reader expects one line; a browser may write to standard output
             else:
                 log.info("the page is %s; to stop it: Ctrl-C", page.address)
             if args.host != HOST:
@@ -122,5 +122,5 @@ def _until_eof(asked: list[bool]) -> None:
 
 
 def _can_open() -> bool:
-    """Whether there is a screen for a browser; without one, some would start in the terminal."""
+    """Return True if a screen is available; without one, some browsers would start in the terminal."""
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) or os.name == "nt"

@@ -1,4 +1,4 @@
-"""`warmup`: compile ahead, so that the first tick of a later start comes at once."""
+"""`softfinger warmup`: compile kernels ahead, so that later starts need no compilation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from softfinger.server.services.compilation import compile_loop
 from softfinger.server.wire.native.relay import Relay
 
 RATE_HZ: Final = 1000.0
-"""Nothing is compiled for a rate."""
+"""Arbitrary: kernels do not depend on the rate."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     for name in args.scenes or shipped(schema.Scene):
         try:
             scene = load_scene(name)
-        except ConfigError as error:  # its package is not installed
+        except ConfigError as error:  # a package that the scene needs is not installed
             if args.scenes:
                 raise
             print(f"{name}: left out: {error}")
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def prune() -> None:
-    """Remove the compiled kernels of every other version of this program."""
+    """Remove the compiled kernels of other versions of this program."""
     if CACHE_DIR is not None and CACHE_DIR.parent.is_dir():
         for path in CACHE_DIR.parent.iterdir():
             if path.is_dir() and path != CACHE_DIR and re.fullmatch("[0-9a-f]{16}", path.name):

@@ -1,4 +1,4 @@
-"""What the page says of a device of one or two degrees of freedom."""
+"""Displayed part of the force of a device with one or two degrees of freedom."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ WHERE: Final = {1: "along its line", 2: "in its plane"}
 
 
 class Handle(NamedTuple):
-    """A device that moves on a line or in a plane, and how far (3,) m its fingertip is from its handle."""
+    """Device that moves on a line or in a plane, and the offset (3,) m of its fingertip from its handle."""
 
     freedom: Freedom
     offset: Array
 
     def displayed(self, row: Array) -> Array:
-        """The part (3,) N of a tick's force that is displayed."""
+        """Return the part (3,) N of a tick's force that the device displays."""
         place, force = (row[at : at + 3] for at in (AT.probe_position, AT.force))
         return self.freedom.displayed(place - self.offset, force)
 
     def told(self, row: Array) -> str:
-        """A tick in words, as HTML."""
+        """Return the displayed and the missing force of a tick as HTML."""
         shown = self.displayed(row)
         lost = float(np.linalg.norm(row[AT.force : AT.force + 3] - shown))
         many = "one degree" if self.freedom.degrees == 1 else "two degrees"
@@ -45,16 +45,16 @@ class Handle(NamedTuple):
 
 
 def documentation() -> str:
-    """Where the project's documentation is."""
+    """Return the address of the project's documentation."""
     given = dict(str(line).split(", ", 1) for line in metadata("softfinger").get_all("Project-URL") or ())
     return given["Documentation"]
 
 
 def handles(described: Mapping[str, Any]) -> dict[str, Handle]:
-    """Of the fingers, by name, whose devices have fewer than three degrees of freedom; `described` as a daemon does."""
+    """Return the devices with fewer than three degrees of freedom, by finger, from a daemon's description."""
     try:
         rig = build(schema.Rig, described["rig"], "the daemon's rig")
-    except (ConfigError, KeyError):  # of a driver that is not installed here, or of an older recording
+    except (ConfigError, KeyError):  # a driver that is not installed here, or an older recording
         return {}
     found = {}
     for finger in described.get("fingers", ({"name": ""},)):

@@ -1,4 +1,4 @@
-"""Objects that are driven or move by themselves: where a recording has them, and handles to pull at."""
+"""Driven and moving objects: their poses during a recording, and handles to move them on the page."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from softfinger.server.wire import commands
 Vector = tuple[float, float, float]
 
 HANDLE_CM: Final = 3.0
-"""From the middle of an object to the end of its arrows."""
+"""Distance from the centre of an object to the tips of its arrows."""
 
 
 class Drive(NamedTuple):
-    """Where an object, by its number, was driven to: position (3,) m and orientation, None: as it was; and when."""
+    """Tick, index of the driven object, and its new pose: position (3,) m and orientation; None: unchanged."""
 
     tick: int
     number: int
@@ -30,22 +30,22 @@ class Drive(NamedTuple):
 
 
 def drive_of(event: Mapping[str, Any], scene: schema.Scene) -> Drive | None:
-    """What an event tells of an object of the scene that was driven; None for any other event."""
+    """Return the drive in an event; None for other events and for objects that the scene does not have."""
     if (event["kind"], event["name"]) != ("command", "drive"):
         return None
     try:
         told = msgspec.convert(event.get("what"), commands.Drive)
-    except msgspec.ValidationError:  # a recording may say anything
+    except msgspec.ValidationError:  # a recording may contain any value
         return None
     number = next((k for k, thing in enumerate(scene.object) if thing.name == told.object), None)
-    if number is None:  # of another scene
+    if number is None:  # an object of another scene
         return None
     turn = told.orientation_wxyz
     return Drive(event["tick"], number, told.position_m, None if turn is msgspec.UNSET else turn)
 
 
 def resting(scene: schema.Scene) -> dict[int, Place]:
-    """The driven objects of a scene by number, and where they are until they are driven."""
+    """Return the driven objects of a scene by index, with their initial poses."""
     return {
         number: (thing.position_m, thing.orientation_wxyz)
         for number, thing in enumerate(scene.object)
@@ -54,7 +54,7 @@ def resting(scene: schema.Scene) -> dict[int, Place]:
 
 
 class Drives:
-    """Where the driven objects of a recording are at each of its ticks; `events` in the order of time."""
+    """Poses of the driven objects at each tick of a recording, from its events in order of time."""
 
     def __init__(self, scene: schema.Scene, events: Iterable[Mapping[str, Any]]) -> None:
         self._places = {number: [place] for number, place in resting(scene).items()}
@@ -66,26 +66,26 @@ class Drives:
                 self._ticks[drive.number].append(drive.tick)
 
     def at(self, tick: int) -> dict[int, Place]:
-        """Each by its number."""
+        """Return the poses by object index."""
         return {number: places[bisect_right(self._ticks[number], tick)] for number, places in self._places.items()}
 
 
 class Worlds:
-    """Where the bodies of a recording are at each of its ticks; `messages` of `world` in the order of time."""
+    """Poses of the bodies at each tick of a recording, from its messages of `world` in order of time."""
 
     def __init__(self, messages: Iterable[Mapping[str, Any]]) -> None:
         self._messages = list(messages)
         self._ticks = [message["tick"] for message in self._messages]
 
     def at(self, tick: int) -> dict[str, Place]:
-        """Each by its name; none before the first message."""
+        """Return the poses by body name; empty before the first message."""
         newest = bisect_right(self._ticks, tick) - 1
         bodies = self._messages[newest]["bodies"] if newest >= 0 else ()
         return {body["name"]: (tuple(body["position"]), tuple(body["orientation"])) for body in bodies}
 
 
 class Handles:
-    """Arrows and rings on each driven object, once they are switched on; `send(number, place)` asks the daemon."""
+    """Transform controls on each driven object, if switched on; `send(index, place)` commands the daemon."""
 
     def __init__(self, gui: Any, api: Any, send: Callable[[int, Place], None]) -> None:
         self._api, self._send = api, send
@@ -98,26 +98,26 @@ class Handles:
         self.change({})
 
     def change(self, places: dict[int, Place]) -> None:
-        """Other objects are driven, by number, and are there."""
+        """Set the driven objects by index, with their poses."""
         self._places = dict(places)
         self._wanted.clear()
         self._switch.disabled = not places
         self._show()
 
     def see(self, number: int, position: Vector, orientation: Quaternion | None) -> None:
-        """An object has been driven there, by whomever; whoever holds its handles keeps them."""
+        """Update the pose of an object after any client drove it; a control that is being dragged does not move."""
         if number in self._places:
             self._places[number] = (position, orientation or self._places[number][1])
             if number not in self._held:
                 self._put(number)
 
     def step(self) -> None:
-        """Ask for what has been pulled since the last time: once for each object, however many pulls it were."""
+        """Send the latest pose of each object moved since the last call."""
         for _ in range(len(self._wanted)):
             self._send(*self._wanted.popitem())
 
     def restore(self) -> None:
-        """Back to where the objects are, after something else was asked for in vain."""
+        """Move the controls back to the objects after a command was refused."""
         for number in list(self._nodes):
             self._put(number)
 
@@ -132,7 +132,7 @@ class Handles:
                     f"/handles/{number}", scale=HANDLE_CM, line_width=3.0, depth_test=False
                 )
 
-                async def pulled(event: Any, number: int = number) -> None:  # in order: viser waits for each
+                async def pulled(event: Any, number: int = number) -> None:  # in order: viser awaits each call
                     self._pulled(number, event)
 
                 node.on_update(pulled)
@@ -140,7 +140,7 @@ class Handles:
                 self._put(number)
 
     def _pulled(self, number: int, event: Any) -> None:
-        if number not in self._nodes or event.target is not self._nodes[number]:  # of a scene before
+        if number not in self._nodes or event.target is not self._nodes[number]:  # a control of a previous scene
             return
         (self._held.discard if event.phase == "end" else self._held.add)(number)
         if event.phase == "update":

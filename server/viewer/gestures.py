@@ -1,6 +1,6 @@
-"""What a hand does when it is told to press, roll, slide, spin or lift: where its fingers are to be, frame by frame.
+"""Gestures of simulated hands: press, roll, slide, spin and lift, as targets of the fingers per frame.
 
-A gesture is a generator: it yields where each finger is to be by name, and is sent the time (s) since the last frame.
+A gesture is a generator: it yields the target of each finger by name and receives the time (s) since the last frame.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ Goals = Mapping[str, Target]
 Gesture = Generator[Goals, float, None]
 
 HOVER_M: Final = 0.008
-"""Between a fingertip and what it is about to touch."""
+"""Gap between fingertip and object before a touch."""
 SPEED: Final = 0.02
-"""m/s towards a touch."""
+"""m/s during an approach."""
 LOOK_S: Final = 0.05
-"""It goes on no longer than this without another look at the force."""
+"""Maximum time step of an approach, which must check the force between steps."""
 CARRIES: Final = 0.08
-"""m/s through the air."""
+"""m/s in free space."""
 DEEPEST_M: Final = 0.012
-"""Of what the hand intends beyond a surface."""
+"""Maximum depth of the target below a surface."""
 PRESS_N: Final = 1.0
 GRIP_N: Final = 2.5
-"""Twice as much as holds 100 g by a friction of 0.2."""
+"""Twice the force that holds 100 g with friction 0.2."""
 STAYS_S: Final = 0.8
 LIFT_M: Final = 0.05
 LIFTS: Final = 0.04
-"""m/s with what is held."""
+"""m/s of a gripped object."""
 ROLL_M: Final = 0.012
 SLIDE_M: Final = 0.025
 SPIN_RAD: Final = radians(70.0)
@@ -45,8 +45,13 @@ STROKE_S: Final = 1.5
 
 
 class Stage(NamedTuple):
-    """What a gesture sees: where a finger is to be, its normal force N, its radius m; and the height m of what lies
-    straight below a point (3,)."""
+    """Inputs of a gesture.
+
+    target  of a finger
+    force   normal force of a finger, N
+    radius  of a finger, m
+    height  height (m) of the object straight below a point (3,); None if there is none
+    """
 
     target: Callable[[str], Target]
     force: Callable[[str], float]
@@ -55,7 +60,7 @@ class Stage(NamedTuple):
 
 
 class Box(NamedTuple):
-    """A box to be lifted: `middle()` (3,) m as it is now, half its width along x m, and what puts it back."""
+    """Box to lift: current centre `middle()` (3,) m, half width along x (m), and a function that resets its pose."""
 
     middle: Callable[[], Array]
     half_m: float
@@ -63,7 +68,7 @@ class Box(NamedTuple):
 
 
 def glide(starts: Goals, ends: Goals, seconds: float) -> Gesture:
-    """Straight from place to place, beginning and ending at rest; how each is turned is that of its end."""
+    """Move in a straight line with zero speed at both ends, at the orientation of the end."""
     passed = 0.0
     while passed < seconds:
         share = 0.5 - 0.5 * cos(pi * passed / seconds)
@@ -72,7 +77,7 @@ def glide(starts: Goals, ends: Goals, seconds: float) -> Gesture:
 
 
 def carry(stage: Stage, places: Mapping[str, Array], speed: float = CARRIES) -> Gesture:
-    """Bring fingers to places (3,) m, as they are turned, all within the time of the farthest."""
+    """Move fingers to positions (3,) m at constant orientation; all arrive at the same time."""
     starts = {name: stage.target(name) for name in places}
     far = max(float(np.linalg.norm(place - starts[name].position)) for name, place in places.items())
     ends = {name: Target(place, starts[name].orientation) for name, place in places.items()}
@@ -80,7 +85,7 @@ def carry(stage: Stage, places: Mapping[str, Array], speed: float = CARRIES) -> 
 
 
 def close_in(stage: Stage, ways: Mapping[str, Array], force_n: float) -> Gesture:
-    """Go along ways (3,), unit vectors, until each finger feels `force_n`, or intends to be too deep."""
+    """Move along unit vectors (3,) until each finger feels `force_n` or reaches its maximum depth."""
     starts = {name: stage.target(name) for name in ways}
     gone = dict.fromkeys(ways, 0.0)
     going = set(ways)
@@ -96,38 +101,38 @@ def close_in(stage: Stage, ways: Mapping[str, Array], force_n: float) -> Gesture
 
 
 def wait(goals: Goals, seconds: float) -> Gesture:
-    """Stay there."""
+    """Stay at the targets."""
     yield from glide(goals, goals, seconds)
 
 
 def press(stage: Stage, finger: str) -> Gesture:
-    """Press what lies below, and leave it."""
+    """Press the object below, and lift off."""
     yield from _touch(stage, finger)
     yield from wait({finger: stage.target(finger)}, STAYS_S)
     yield from _leave(stage, finger)
 
 
 def roll(stage: Stage, finger: str) -> Gesture:
-    """Press, roll along x like a ball and back, and leave."""
+    """Press, roll along x like a ball and back, and lift off."""
     yield from _stroke(stage, finger, Nudge(roll_x=ROLL_M))
 
 
 def slide(stage: Stage, finger: str) -> Gesture:
-    """Press, slide along x and back without a turn, and leave."""
+    """Press, slide along x and back at constant orientation, and lift off."""
     yield from _stroke(stage, finger, Nudge(x=SLIDE_M))
 
 
 def spin(stage: Stage, finger: str) -> Gesture:
-    """Press, turn about the vertical and back, and leave."""
+    """Press, rotate about the vertical axis and back, and lift off."""
     yield from _stroke(stage, finger, Nudge(spin=SPIN_RAD))
 
 
 ONE_FINGER: Final = {"press": press, "roll": roll, "slide": slide, "spin": spin}
-"""Gestures of one finger on what lies below it."""
+"""Gestures of one finger on the object below it."""
 
 
 def lift(stage: Stage, left: str, right: str, box: Box) -> Gesture:
-    """Open, take the box from both sides, lift it, hold it, put it down, and open again."""
+    """Open, grip the box from both sides, lift it, hold it, put it down, and open."""
     apart = {name: box.half_m + stage.radius(name) + HOVER_M for name in (left, right)}
     sides = {left: np.array([-1.0, 0.0, 0.0]), right: np.array([1.0, 0.0, 0.0])}
 
@@ -155,7 +160,7 @@ def _between(start: Target, end: Target, share: float) -> Target:
 
 
 def _touch(stage: Stage, finger: str) -> Gesture:
-    """From above onto what lies below, until it presses."""
+    """Approach the object below from above until the finger presses it."""
     here = stage.target(finger).position
     height = stage.height(here)
     assert height is not None, "it was looked for before"
@@ -169,7 +174,7 @@ def _leave(stage: Stage, finger: str) -> Gesture:
 
 
 def _stroke(stage: Stage, finger: str, way: Nudge) -> Gesture:
-    """Touch, go a way and back at the same depth, and leave. On the right of the origin, the way is the other one."""
+    """Touch, move by `way` and back at the same depth, and lift off; reversed at x > 0, to stay near the origin."""
     yield from _touch(stage, finger)
     start = stage.target(finger)
     ground = stage.height(start.position)
@@ -186,5 +191,5 @@ def _stroke(stage: Stage, finger: str, way: Nudge) -> Gesture:
 
 
 def half_width(size_m: tuple[float, float, float], turn: tuple[float, float, float, float]) -> float:
-    """Of a turned box along x, m."""
+    """Return the half width of a rotated box along x, m."""
     return 0.5 * float(np.abs(rotated(turn, np.diag(size_m))[:, 0]).sum())

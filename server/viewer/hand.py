@@ -1,4 +1,4 @@
-"""The hand of the simulated device: a mouse on the fingertip, handles to turn it by, and sliders."""
+"""Control of simulated hands: mouse on the fingertip, rotation handles, and sliders."""
 
 from __future__ import annotations
 
@@ -22,9 +22,11 @@ from softfinger.server.viewer.target import Target, closed, from_angles, mirrore
 Array = NDArray[np.float64]
 
 FOLLOWS_S: Final = 0.2
-"""How often the sliders follow a finger that something else leads."""
+"""Update period of the sliders while another source moves the finger."""
 FRESH_S: Final = 1.0
-"""For so long after this page has led them hands want what it told them; later a recording or a program may lead."""
+"""Time after this page's last command in which its targets count as current; later, a recording or a program may have
+moved the hands.
+"""
 HELP: Final = (
     "Take the white ball with the mouse: **drag** moves it, with **shift** up and down, which presses, with **ctrl** "
     "it rolls like a ball. Drag anywhere else to look around. Keys: **I J K L** level, **O** presses, **U** lifts, "
@@ -41,15 +43,15 @@ NO_HAND: Final = (
     "hand."
 )
 BOTH: Final = "both fingers"
-"""In place of a finger, whose name has no space: several are led at once."""
+"""Choice to move all fingers at once; no finger has this name, which contains a space."""
 HOW: Final = {"moves": "move", "presses or lifts": "press", "rolls": "roll", "pinches or opens": "pinch"}
-"""What a plain drag may do, by its name on the page: a touch screen has no shift, no ctrl and no wheel."""
+"""Modes of a plain drag, by label: touch screens have no shift, ctrl or wheel."""
 MARK: Final = "<span data-two-hands hidden></span>"
-"""Tells the page's scripts that two fingers are to be led."""
+"""Marker for the page's scripts that two fingers can be moved."""
 
 
 class Led(NamedTuple):
-    """A finger that may be led: its name, radius m, and how far it reaches, corners (3,) m in the world."""
+    """Finger that can be moved: name, radius (m), and corners (3,) m of its reach, world frame."""
 
     name: str
     radius: float
@@ -60,8 +62,8 @@ class Led(NamedTuple):
 class HandCommands(NamedTuple):
     """Commands to the daemon.
 
-    lead  a finger to a target; None: back to what its hand does by itself
-    hold  a finger at the goal of its hand; the second argument is called with that goal, the third on a refusal
+    lead  move a finger to a target; None: release it to the motion of its simulated hand
+    hold  stop a finger at the current goal of its hand; calls the second argument with that goal, the third on refusal
     """
 
     lead: Callable[[str, Target | None], None]
@@ -69,17 +71,17 @@ class HandCommands(NamedTuple):
 
 
 class Hand:
-    """What leads the hands of all fingers that may be led."""
+    """Controls of all fingers that can be moved."""
 
     def __init__(self, gui: Any, api: Any, commands: HandCommands) -> None:
         self._commands = commands
         self._taking = threading.Lock()
         self._asked: set[str] = set()
-        """Fingers that are asked where they are held; until all are known, what is to be done then waits."""
+        """Fingers with a pending `hold`; the actions in `_then` wait until there are none."""
         self._then: list[Callable[[], None]] = []
         self._led_at = 0.0
         self._beyond: dict[str, Array] = {}
-        """How far (3,) m the target of the chosen finger, once taken, is from what `sliders` and `handles` show."""
+        """Offset (3,) m of the chosen finger's target from the pose that `sliders` or `handles` show after `hold`."""
         self._fingers: dict[str, Led] = {}
         self._targets: dict[str, Target] = {}
         self._seen: dict[str, Target] = {}
@@ -87,7 +89,7 @@ class Hand:
         self._placed = 0.0
         self._sides: tuple[str, ...] = ()
         self.interrupted: Callable[[], None] = lambda: None
-        """Called when a person begins to lead."""
+        """Called when a person starts to move a finger."""
         self._help = gui.add_markdown(HELP)
         self._how = gui.add_dropdown("a drag", tuple(HOW))
         self._finger = gui.add_dropdown("finger", ("",), visible=False)
@@ -106,7 +108,7 @@ class Hand:
         self.change([])
 
     def change(self, fingers: list[Led]) -> None:
-        """Other fingers, or none, may be led."""
+        """Set the fingers that can be moved."""
         self._fingers = {finger.name: finger for finger in fingers}
         for kept in (self._targets, self._seen, self._begun, self._beyond):
             kept.clear()
@@ -123,10 +125,10 @@ class Hand:
         self._show()
 
     def take(self, finger: str, ball: Any) -> None:
-        """Let a mouse take hold of a finger's ball."""
+        """Let a mouse drag a finger's ball."""
         for modifier, how in ((None, None), ("shift", "press"), ("cmd/ctrl", "roll")):
 
-            async def dragged(event: Any, how: str | None = how) -> None:  # in order: viser waits for one after another
+            async def dragged(event: Any, how: str | None = how) -> None:  # in order: viser awaits each call
                 if event.phase == "start":
                     self.interrupted()
                 self.take_over(partial(self._dragged, finger, event, how or self._plain()))
@@ -134,7 +136,7 @@ class Hand:
             ball.on_drag("left", modifier=modifier)(dragged)
 
     def see(self, finger: str, row: Array) -> None:
-        """Where the fingertip is (RECORD_SIZE,): where it is led from, and what the sliders show, until it is."""
+        """Store the pose of a tick (RECORD_SIZE,): the start of the next motion, and shown by the sliders before it."""
         at = AT.probe_orientation
         w, x, y, z = row[at : at + 4].tolist()
         first = finger not in self._seen
@@ -145,7 +147,7 @@ class Hand:
             self._placed = now
 
     def take_over(self, then: Callable[[], None]) -> None:
-        """Do `then` once it is known where every hand wants to be, and each stays there: a grip goes on gripping."""
+        """Call `then` after every hand has stopped at its current goal, so that a grip does not open."""
         with self._taking:
             self._then.append(then)
             stale = not self._asked and time.monotonic() - self._led_at > FRESH_S
@@ -158,7 +160,7 @@ class Hand:
 
     def _is_held(self, finger: str, target: Target) -> None:
         with self._taking:
-            if finger not in self._asked:  # of a scene before
+            if finger not in self._asked:  # a finger of a previous scene
                 return
             shown = self._target(finger)
             if shown is not None and finger == self._chosen():
@@ -180,20 +182,19 @@ class Hand:
             each()
 
     def nudge(self, nudge: Nudge) -> None:
-        """Go a piece of a way further with the finger that is chosen, or with all."""
+        """Move the chosen finger, or all, by an increment."""
         self.interrupted()
         nudges = dict.fromkeys(self._led(), nudge._replace(close=0.0))
         self.take_over(partial(self._nudge, nudges, nudge.close))
 
     def nudge_each(self, left: Nudge, right: Nudge, close: float) -> None:
-        """Go a piece of a way further with the finger on the left and with that on the right, and both so far (m)
-        towards each other."""
+        """Move the left and the right finger by increments, and both by `close` (m) towards each other."""
         self.interrupted()
         nudges = dict(zip(self.sides(), (left, right), strict=False))
         self.take_over(partial(self._nudge, nudges, close))
 
     def sides(self) -> tuple[str, ...]:
-        """The finger that was on the left at first, and that on the right; none until both have been seen."""
+        """Return the fingers that were leftmost and rightmost at first; empty until all have been measured."""
         targets = self._targets_of(self._fingers)
         if not self._sides and len(targets) == len(self._fingers) > 1:
             by_x = sorted(targets, key=lambda finger: float(targets[finger].position[0]))
@@ -204,7 +205,7 @@ class Hand:
         targets = self._targets_of(self._fingers)
         if close != 0.0 and targets:
             targets = _closed(targets, close)
-            for begun in self._begun.values():  # a drag goes on from there
+            for begun in self._begun.values():  # a drag in progress continues from there
                 begun[0].update(_closed(begun[0], close))
         for finger, start in targets.items():
             if finger in nudges or close != 0.0:
@@ -219,7 +220,7 @@ class Hand:
         return next(iter(self._fingers), "") if only else str(self._finger.value)
 
     def _led(self) -> list[str]:
-        """The fingers that keys and a drag lead."""
+        """Return the fingers that keys and a drag move."""
         return list(self._fingers) if self._finger.value == BOTH else [self._chosen()]
 
     def _targets_of(self, fingers: Iterable[str]) -> dict[str, Target]:
@@ -230,19 +231,19 @@ class Hand:
         return self._targets.get(finger, self._seen.get(finger))
 
     def target(self, finger: str) -> Target:
-        """Where a finger is to be or, until it is led, where it is; KeyError for one that has not been seen."""
+        """Return the target of a finger, or its measured pose before any target; raises KeyError without either."""
         return self._targets.get(finger) or self._seen[finger]
 
     def radius(self, finger: str) -> float:
-        """Of a finger that may be led, m."""
+        """Return the radius of a finger, m."""
         return self._fingers[finger].radius
 
     def chosen(self) -> str | None:
-        """The finger that is led where one alone is; its name may be empty. None where none may be led."""
+        """Return the name of the chosen finger, which may be empty; None if no finger can be moved."""
         return self._chosen() if self._fingers else None
 
     def go(self, finger: str, target: Target) -> None:
-        """Lead a finger as far as it reaches."""
+        """Command a finger to a target, clamped to its reach."""
         if not np.isfinite((*target.position, *target.orientation)).all():
             return
         led = self._fingers[finger]
@@ -257,7 +258,7 @@ class Hand:
                 self._begun[finger] = (targets, np.array(event.start_position) / CM)
         if finger not in self._begun or finger not in self._fingers:
             if event.phase == "start":
-                self._commands.lead(finger, self._target(finger))  # which the daemon declines, with the reason
+                self._commands.lead(finger, self._target(finger))  # the daemon refuses it and gives the reason
             return
         starts, grabbed = self._begun[finger]
         start = starts[finger]
@@ -288,7 +289,7 @@ class Hand:
         self.take_over(partial(self._put, "sliders", Target(np.array([x, y, z]) / 1000.0, turn), self._place_handles))
 
     def _put(self, what: str, shown: Target, others: Callable[[], None]) -> None:
-        """Lead the chosen finger to what sliders or handles show, and place the others."""
+        """Move the chosen finger to the pose shown by sliders or handles, and update the other ones."""
         self.go(self._chosen(), Target(shown.position + self._beyond.get(what, 0.0), shown.orientation))
         others()
 
@@ -318,7 +319,7 @@ class Hand:
             angles = (degrees(angle) for angle in to_angles(target.orientation))
             for slider, value in zip(self._sliders, (*(1000.0 * target.position), *angles), strict=True):
                 shown = min(max(round(float(value), 1), slider.min), slider.max)
-                if slider.value != shown:  # each is sent to every page
+                if slider.value != shown:  # each change is sent to every page
                     slider.value = shown
 
     def _place_handles(self) -> None:
@@ -329,6 +330,6 @@ class Hand:
 
 
 def _closed(targets: dict[str, Target], way: float) -> dict[str, Target]:
-    """All of them `way` m nearer to the middle of them."""
+    """Return the targets moved by `way` m towards their common centre."""
     middle = np.mean([target.position for target in targets.values()], axis=0)
     return {name: Target(closed(target.position, middle, way), target.orientation) for name, target in targets.items()}

@@ -1,4 +1,4 @@
-"""The page of a running daemon: its ticks as a picture, its scene as sliders, a mouse for the hand."""
+"""Page of a running daemon: picture of its ticks, controls of its scene, and mouse control of the hand."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ POSE: Final = ("position_m", "orientation_wxyz")
 
 
 class LivePage:
-    """Feeds a page from the daemon at two addresses, whether or not it runs yet; call `step` for each frame."""
+    """Data source of a page from a daemon, which may start later; call `step` for each frame."""
 
     def __init__(
         self, page: Page, daemon: Addresses, keys: ClientKeys | None = None, role: Role = Role.OPERATOR
@@ -49,16 +49,16 @@ class LivePage:
         self._page = page
         self._live = Live(daemon.telemetry, keys)
         self._asker = Asker(commands, keys, may=may)
-        self._slow = Asker(commands, keys, may=may)  # a scene is compiled while the hand goes on
+        self._slow = Asker(commands, keys, may=may)  # separate, so that the hand moves while a scene is compiled
         self._described: dict[str, Any] | None = None
         self._fresh = threading.Event()
         self._sent = deque[tuple[int, int, Triangles]]()
-        """Triangles of objects that are made of a file: of which scene that was drawn, of which object."""
+        """Received triangles of objects from files: number of the drawn scene, index of the object."""
         self._scene: schema.Scene | None = None
         self._first = -1
         self._drawn = 0
         self._turning: set[str] = set()
-        """Fingers whose devices sense how they are turned."""
+        """Fingers with devices that sense orientation."""
         self._since = 0.0
         gui = page.server.gui
         self._prompt = PromptPanel(gui, self._asker, self._refused, answers=may is None)
@@ -77,7 +77,7 @@ class LivePage:
         page.say(WAITING)
 
     def step(self, dt: float) -> None:
-        """Show what has come in the `dt` s since the last time."""
+        """Show the data received in the last `dt` s."""
         news = self._live.take()
         if self._fresh.is_set():
             self._fresh.clear()
@@ -106,7 +106,7 @@ class LivePage:
         self._page.show({finger: rows[rows[:, AT.tick] >= self._first] for finger, rows in news.ticks.items()})
 
     def _look(self) -> None:
-        """Ask what the daemon is, and renders."""
+        """Request the daemon's description."""
         self._since = 0.0
         self._prompt.look()
         self._asker.ask("describe", Request("describe", {}, self._is_described, lambda text: None))
@@ -116,7 +116,7 @@ class LivePage:
         self._fresh.set()
 
     def _change(self) -> None:
-        """Show the scene that has been described."""
+        """Show the described scene."""
         described = self._described
         assert described is not None
         try:
@@ -146,7 +146,7 @@ class LivePage:
             self._hand.take(name, nodes.ball)
 
     def _go_on(self, scene: schema.Scene, described: dict[str, Any]) -> None:
-        """Show new parameters, or a world that was reset, without drawing the objects again: a drag goes on."""
+        """Show new parameters or a reset world without drawing the objects again, so that a drag continues."""
         self._scene = scene
         for nodes in self._page.fingers.values():
             nodes.change(scene)
@@ -164,7 +164,7 @@ class LivePage:
         self._sent.append((drawn, number, triangles))
 
     def _draw(self, drawn: int, number: int, sent: Triangles) -> None:
-        """Show the triangles of an object, if it is still there."""
+        """Draw the triangles of an object, unless the scene was replaced."""
         if drawn != self._drawn:
             return
         try:
@@ -185,7 +185,7 @@ class LivePage:
             params["release"] = True
         else:
             params["position_m"] = [float(x) for x in target.position]
-            if finger in self._turning:  # else the command refuses one
+            if finger in self._turning:  # other devices refuse an orientation
                 params["orientation_wxyz"] = list(target.orientation)
         self._asker.ask(f"hand {finger}", Request("hand", params, lambda result: None, self._refused))
 
@@ -230,7 +230,7 @@ class LivePage:
 
 
 def _form(scene: schema.Scene) -> dict[str, Any]:
-    """What of a scene is to be seen; where driven objects are, events tell."""
+    """Return the visible part of a scene, without the poses of driven objects, which events report."""
     plain, driven = describe(scene), resting(scene)
     objects = [
         {key: value for key, value in each.items() if key not in (POSE if number in driven else ()) + ("material",)}

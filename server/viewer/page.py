@@ -1,4 +1,4 @@
-"""The page: a scene and its fingertips in the middle, what is to be read and done beside it, some 30 times a second."""
+"""Page: 3-D view of a scene and its fingertips with a panel of text and controls, updated about 30 times per second."""
 
 from __future__ import annotations
 
@@ -39,26 +39,27 @@ FRAME_S: Final = 1.0 / 30.0
 TEXT_S: Final = 0.2
 PLOT_S: Final = 0.33
 COLLECT_S: Final = 60.0
-"""CPython keeps 2000 freed tuples of each length, 4 MB in all, until it collects garbage among all objects: by itself
-so rarely that a page grew for the best part of an hour."""
+"""Period of garbage collection. CPython caches up to 2000 freed tuples of each length, 4 MB in all, until a full
+collection. Automatic ones are so rare that the memory of a page grew for most of an hour.
+"""
 TITLE: Final = "softfinger"
 READ: Final = '<div style="padding: 0.3em 0.75em; font-size: 0.85em; line-height: 1.5">{}</div>'
 GRID: Final = "display: grid; grid-template-columns: 5.5em 6em 6.5em auto; font-variant-numeric: tabular-nums"
 NONE: Final[Mapping[str, Handle]] = MappingProxyType({})
 ARROW: Final = "arrow, N per 10 mm"
 FADE_S: Final = 6.0
-"""Time constant of the largest force: the scale of arrows stays for some seconds after a push."""
+"""Time constant of the largest force: the scale of arrows changes slowly after a push."""
 PANEL: Final = 380
 """Width of the controls, pixels."""
 WIDE: Final = 640
-"""Of a page of prompts alone."""
+"""Width of a page that has only prompts, pixels."""
 
 
 _push: Final = AsyncMessageBuffer.push
 
 
 def push_from_any_thread(buffer: AsyncMessageBuffer, message: Any) -> None:
-    """Queue a message for browsers although one connects or closes in the event loop's thread at the same time.
+    """Queue a message for browsers, even while one connects or closes in the thread of the event loop.
 
     viser 1.1.1 sets an `asyncio.Event` in the caller's thread, which raises RuntimeError if its waiters change then.
     The message is queued by that time, so only the event loop has to be woken.
@@ -75,17 +76,25 @@ AsyncMessageBuffer.push = push_from_any_thread  # type: ignore[method-assign, as
 
 
 class Page:
-    """A page on `host`:`port`, or the next port that is free, for whoever has its `address`; `allowed` are more names
-    of its host, `token` is its secret where that is to be that of a page before. What feeds it calls `change`, `show`
-    and `say`."""
+    """Page on `host`:`port`, or the next free port; a data source, such as `LivePage`, updates it.
+
+    Parameters
+    ----------
+    host, port
+        Address to listen on.
+    allowed
+        Further host names of the page.
+    token
+        Secret part of the address, reused from a previous page; None: a new one.
+    """
 
     def __init__(self, host: str, port: int, allowed: tuple[str, ...] = (), token: str | None = None) -> None:
         access = Access(host, allowed, TITLE, token)
-        logging.getLogger("websockets").setLevel(logging.WARNING)  # it tells of every page that is opened
-        with access.guarding(), contextlib.redirect_stdout(io.StringIO()):  # it draws a box with its address
+        logging.getLogger("websockets").setLevel(logging.WARNING)  # it logs every page that is opened
+        with access.guarding(), contextlib.redirect_stdout(io.StringIO()):  # viser prints a box with its address
             self.server: Final = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
         self.address: Final = access.address(self.server.get_port())
-        # Without a graphics card each would cost a third of a frame.
+        # Without a graphics card, each would cost a third of a frame.
         self.server.scene.configure_environment_map(None)
         self.server.scene.configure_default_lights(cast_shadow=False)
         self.server.scene.add_light_hemisphere("/light", ground_color=(190, 196, 206), intensity=2.2)
@@ -109,13 +118,13 @@ class Page:
         Theme(gui)
 
     def only_prompts(self) -> None:
-        """Leave out what tells of the rendering."""
+        """Hide everything that shows the rendering."""
         for part in (self._state, self._paused, self.tabs):
             part.visible = False
         self.server.gui.main_panel.set_width(WIDE)
 
     def add_views(self) -> None:
-        """The tabs for what is shown and for plots; behind those of who feeds the page."""
+        """Add the tabs for view settings and plots; call after the data source has added its tabs."""
         gui, looks = self.server.gui, self.looks
         with self.tabs.add_tab("Show"):
             for name, text in (
@@ -134,8 +143,17 @@ class Page:
             self._plots = Plots(gui)
 
     def change(self, scene: schema.Scene, began: Began, handles: Mapping[str, Handle] = NONE) -> None:
-        """Another scene; its nodes take the place of those before. Of fingers whose devices display a part of a force
-        alone, `handles` by name say which."""
+        """Replace the scene and all its nodes.
+
+        Parameters
+        ----------
+        scene
+            New scene.
+        began
+            Start of the scene.
+        handles
+            Devices that display only a part of the force, by finger name.
+        """
         with self.server.atomic():
             for nodes in self.fingers.values():
                 nodes.remove()
@@ -153,13 +171,13 @@ class Page:
         self._look()
 
     def begin_again(self, began: Began) -> None:
-        """The same scene begins anew."""
+        """Restart the same scene."""
         if self.bodies is not None:
             self.bodies.began = began
         self.forget()
 
     def _look(self) -> None:
-        """Set the camera for pages that will be opened, and in each that is open, where the scene wants another."""
+        """Set the camera for new and open pages, if the scene requires another one."""
         if self._scene is None or self.bodies is None:
             return
         camera = camera_of(self._scene, self._drawn, self.bodies.shown())
@@ -172,27 +190,27 @@ class Page:
                 setattr(view, name, value)
 
     def drive(self, number: int, position: Any, orientation: Any) -> None:
-        """A driven object of the scene has been moved."""
+        """Move a driven object of the scene."""
         if self.bodies is not None:
             self.bodies.drive(number, position, orientation)
 
     def ride(self, bodies: Mapping[str, Place]) -> None:
-        """Bodies of the scene's [world] are there, by name."""
+        """Move the bodies of the scene's [world], by name."""
         if self.bodies is not None and not self._paused.value:
             self.bodies.ride(bodies)
-            if bodies and self._unseen:  # where they are is not known before
+            if bodies and self._unseen:  # their poses are unknown before
                 self._unseen = False
                 self._look()
 
     def draw(self, number: int, mesh: Mesh) -> None:
-        """The triangles of an object of the scene that is made of a file."""
+        """Draw the triangles of an object that is loaded from a file."""
         if self.bodies is not None:
             self.bodies.draw(number, mesh)
             self._drawn[number] = mesh.vertices
             self._look()
 
     def show(self, ticks: dict[str, Array]) -> None:
-        """Ticks (n, RECORD_SIZE) of each finger since the last time."""
+        """Show the new ticks (n, RECORD_SIZE) of each finger."""
         known = {name: rows for name, rows in ticks.items() if name in self.fingers and len(rows)}
         for name, rows in known.items():
             self._newest[name] = rows[-1]
@@ -213,13 +231,13 @@ class Page:
         self._keep_up()
 
     def forget(self) -> None:
-        """Wipe off the traces."""
+        """Clear the traces."""
         for nodes in self.fingers.values():
             nodes.forget()
 
     def say(self, text: str, title: str = "") -> None:
-        """Something that the viewer is told, until something else is; a title is shown in front, too."""
-        if self._closed:  # an answer that came late
+        """Show a message until the next one; with a title, also as a notification."""
+        if self._closed:  # a late answer
             return
         self._said.content = f"**{title}** {text}" if title else text
         if title:
@@ -246,7 +264,7 @@ class Page:
 
 
 def _bound(control: Any, looks: Looks, name: str) -> None:
-    """What a control says, as a look: a checkbox, or a slider within its ends."""
+    """Connect a checkbox or slider to an attribute of the looks; slider values out of range are ignored."""
 
     def seen(event: Any) -> None:
         if not hasattr(control, "max") or on_slider(control):
@@ -256,8 +274,8 @@ def _bound(control: Any, looks: Looks, name: str) -> None:
 
 
 def told(name: str, row: Array, state: State, height_m: float | None) -> str:
-    """A tick in words and figures, with the height above what lies below, as HTML."""
-    row = np.round(row, 9) + 0.0  # no minus before a zero
+    """Return the values of a tick as HTML, with the height above the object below."""
+    row = np.round(row, 9) + 0.0  # avoids negative zeros
     figures = (
         ("normal", f"{row[AT.contact_normal_force]:.2f} N"),
         ("tangential", f"{row[AT.contact_tangential_force]:.2f} N"),
@@ -273,20 +291,28 @@ def told(name: str, row: Array, state: State, height_m: float | None) -> str:
 
 
 def began_of(described: dict[str, Any]) -> Began:
-    """When the scene that a daemon describes began."""
+    """Return the start of the scene in a daemon's description."""
     own = all(finger["device"]["own_clock"] for finger in described["fingers"])
     return Began(described["since"], described["since_missed"], 1.0 / described["rate_hz"], own)
 
 
 def scene_of(described: dict[str, Any]) -> schema.Scene:
-    """The scene that a daemon describes; ConfigError for one with a shape that is not known here."""
+    """Return the scene in a daemon's description; raises ConfigError for an unknown shape."""
     return build(schema.Scene, described["scene"], "the daemon's scene")
 
 
 def each_frame(work: Callable[[float], None], asked: list[bool], duration: float | None) -> None:
-    """Call `work(dt)` some 30 times a second until asked to stop, once anything is in the list; never faster than the
-    page is drawn. A signal may ask: an event's lock would be held by whom the signal holds up."""
-    gc.freeze()  # what is there by now stays, and makes no collection long
+    """Call `work(dt)` about 30 times per second, and no faster than the page is drawn.
+
+    Parameters
+    ----------
+    asked
+        Stops the loop once it has an element. A list, because a signal handler may add to it: the lock of an Event
+        could be locked by the interrupted thread.
+    duration
+        Maximum duration, s; None: no limit.
+    """
+    gc.freeze()  # existing objects are permanent: exclude them from collections
     began = last = collected = time.monotonic()
     while not asked:
         time.sleep(max(0.0, last + FRAME_S - time.monotonic()))

@@ -1,4 +1,4 @@
-"""The page of a participant: prompts and their answers, nothing else."""
+"""Page of a participant: only prompts and their answers."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from softfinger.server.viewer.wire import Asker, Live
 from softfinger.server.wire.protocol import EVENT
 
 SIZE: Final = 1.5
-"""Of the text, of that of other pages: it is read from behind a device."""
+"""Text size relative to other pages: participants sit behind a device."""
 ASK_AGAIN_S: Final = 1.0
 
 
 class ParticipantPage:
-    """Feeds a page from the daemon at two addresses, whether or not it runs yet; call `step` for each frame."""
+    """Data source of a page from a daemon, which may start later; call `step` for each frame."""
 
     def __init__(self, page: Page, daemon: Addresses, keys: ClientKeys | None = None) -> None:
         self._live = Live(daemon.telemetry, keys, (EVENT,))
@@ -28,7 +28,7 @@ class ParticipantPage:
         self._since = ASK_AGAIN_S
 
     def step(self, dt: float) -> None:
-        """Show what has come in the `dt` s since the last time."""
+        """Show the data received in the last `dt` s."""
         self._since += dt
         if not self._prompt.known and self._since > ASK_AGAIN_S:
             self._since = 0.0

@@ -1,4 +1,4 @@
-"""A button for each gesture, which plays it with the hand of the page, or says why that cannot be."""
+"""Buttons that play gestures with the simulated hand, or give the reason why one is impossible."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ Array = NDArray[np.float64]
 
 LIFT: Final = "lift a box"
 LIFTED: Final = "lift-a-box"
-"""The shipped scene of a box, and its fingers."""
+"""Shipped scene with a box, and its fingers below."""
 FINGERS: Final = ("thumb", "index")
 LONGEST_S: Final = 0.2
-"""A page that stood still for longer goes on as if it had not."""
+"""Maximum time step; after a longer pause of the page, a gesture continues as if without pause."""
 FIRST: Final = -1.0
-"""Place of the buttons among the controls of their tab."""
+"""Order of the buttons: above the other controls of the tab."""
 SENSES: Final = 6
-"""Degrees of freedom of a device that senses how it is turned."""
+"""Degrees of freedom of a device that senses orientation."""
 
 
 class Ask(NamedTuple):
-    """What is asked for: `say(text, title)` the viewer, `put_back()` that bodies be where they began, `scene(name)`."""
+    """Requests: `say(text, title)` to the user, `put_back()` resets the bodies, `scene(name)` loads a scene."""
 
     say: Callable[[str, str], None]
     put_back: Callable[[], None]
@@ -38,7 +38,7 @@ class Ask(NamedTuple):
 
 
 class Play:
-    """The buttons; call `see` for each tick of a finger, and `step` for each frame."""
+    """Gesture buttons; call `see` for each tick of a finger and `step` for each frame."""
 
     def __init__(self, gui: Any, hand: Hand, ask: Ask) -> None:
         self._hand, self._ask = hand, ask
@@ -52,9 +52,9 @@ class Play:
         self._wanted = self._after = ""
 
     def change(self, scene: schema.Scene, bodies: Bodies | None, described: dict[str, Any]) -> None:
-        """Another scene is rendered, as the daemon describes it."""
+        """Set a new scene, with the daemon's description."""
         after = self._after if described["scene_name"] == LIFTED else ""
-        if scene != self._scene:  # else its bodies were put back, maybe by the gesture itself
+        if scene != self._scene:  # otherwise its bodies were reset, possibly by the gesture itself
             self.stop()
         self._scene, self._bodies = scene, bodies
         self._senses = {each["name"]: each["device"]["sensed_dof"] for each in described["fingers"]}
@@ -64,11 +64,11 @@ class Play:
             self._want(after)
 
     def see(self, finger: str, row: Array) -> None:
-        """The newest tick (RECORD_SIZE,) of a finger."""
+        """Update the force from the latest tick (RECORD_SIZE,) of a finger."""
         self._forces[finger] = float(row[AT.contact_normal_force])
 
     def step(self, dt: float) -> None:
-        """`dt` s have gone by."""
+        """Advance the gesture by `dt` s."""
         if self._wanted and self._scene is not None and len(self._forces) == len(self._scene.fingers):
             wanted, self._wanted = self._wanted, ""
             why = self._begin(wanted)
@@ -88,7 +88,7 @@ class Play:
     _fresh = True
 
     def stop(self) -> None:
-        """A person leads, or there is another scene."""
+        """Cancel the gesture: a person moves the hand, or the scene was replaced."""
         self._gesture, self._wanted, self._after = None, "", ""
 
     def _clicked(self, event: Any) -> None:
@@ -97,11 +97,11 @@ class Play:
             self._want(event.target.value)
 
     def _want(self, name: str) -> None:
-        """Begin a gesture once the hands are this page's."""
+        """Start a gesture after all hands have stopped at their goals."""
         self._hand.take_over(partial(setattr, self, "_wanted", name))
 
     def _begin(self, name: str) -> str:
-        """Begin a gesture; why not, where it cannot be."""
+        """Start a gesture; return why it is impossible, else empty."""
         finger = self._hand.chosen()
         if finger is None:
             return "nothing here is to be led; `softfinger run --view` has a hand"
@@ -121,7 +121,7 @@ class Play:
         return None if foot is None else float(foot.point[2])
 
     def _why_not(self, name: str, finger: str) -> str:
-        """Why a finger cannot do it here; empty where it can."""
+        """Return why a finger cannot perform a gesture here, else empty."""
         assert self._scene is not None and self._bodies is not None
         foot = self._bodies.below(self._hand.target(finger).position)
         if foot is None:
@@ -162,7 +162,7 @@ class Play:
         return np.array(self._bodies.places[number][0])
 
     def _fetch_a_box(self) -> str:
-        """Ask for the scene that has one, where the fingers are those of it."""
+        """Request the scene with a box, if the fingers match it."""
         assert self._scene is not None
         if tuple(finger.name for finger in self._scene.fingers) != FINGERS or not self._hand.sides():
             return "it takes two fingers and a box: end the program, and begin with `run --scene lift-a-box --view`"

@@ -1,4 +1,4 @@
-"""A recording on the page: read, played, and scrubbed through."""
+"""Page of a recording: loading, playback and seeking."""
 
 from __future__ import annotations
 
@@ -29,15 +29,24 @@ from softfinger.server.viewer.timeline import Events, band, pointer
 Array = NDArray[np.float64]
 
 BEFORE: Final = 2000
-"""Ticks whose trace is drawn where one has jumped to."""
+"""Ticks before the new position that are drawn as a trace after a seek."""
 SPEEDS: Final = ("0.1", "0.25", "0.5", "1", "2")
 EVENTS: Final = ("the one before", "the next")
 DEFAULT_SCENE: Final = "paper-plane"
 
 
 class Recording(NamedTuple):
-    """Records (n, RECORD_SIZE) of each finger by name, as many of each; the scene, what it is called, when it began;
-    events, and messages of `world`, in the order of time; what the daemon said of itself, where it did."""
+    """Contents of a recording.
+
+    fingers  records (n, RECORD_SIZE) by finger, the same number of each
+    scene    rendered scene
+    name     of the scene
+    rate_hz  of the ticks
+    began    start of the scene
+    events   in order of time
+    worlds   messages of `world` in order of time
+    notes    description of the daemon; empty if the file has none
+    """
 
     fingers: dict[str, Array]
     scene: schema.Scene
@@ -50,11 +59,19 @@ class Recording(NamedTuple):
 
 
 def load(recording: str, scene: str | None) -> Recording:
-    """An .mcap; a .csv or .npz of results, or of poses, which are rendered first; or a shipped recording's name.
+    """Load a recording to show.
 
-    scene  in place of the recording's, or of poses: `paper-plane` without it
+    Parameters
+    ----------
+    recording
+        An .mcap; a .csv or .npz of results, or of poses, which are rendered first; or the name of a shipped recording.
+    scene
+        Scene that replaces the recording's; None: the recording's, or `paper-plane` for poses.
 
-    Raises RecordingError and ConfigError for what cannot be shown.
+    Raises
+    ------
+    RecordingError, ConfigError
+        If the recording or the scene cannot be read, or their fingers differ.
     """
     path = Path(recording)
     notes: dict[str, Any] = {}
@@ -65,7 +82,7 @@ def load(recording: str, scene: str | None) -> Recording:
     elif path.suffix.lower() in (".csv", ".npz"):
         try:
             fingers = {"": read_results(path)}
-        except RecordingError:  # no results: poses, or neither
+        except RecordingError:  # no results: poses, or an invalid file
             fingers = {"": np.asarray(run_recording(path, scene or DEFAULT_SCENE))}
     else:
         fingers = {"": np.asarray(run_recording(recording, scene or DEFAULT_SCENE))}
@@ -82,7 +99,7 @@ def load(recording: str, scene: str | None) -> Recording:
 
 
 def _began(notes: dict[str, Any], fingers: dict[str, Array], rate_hz: float) -> Began:
-    """When its scene began: what the daemon said, and without that with the first tick."""
+    """Return the start of the scene: as the daemon described it, else at the first tick."""
     if "since_missed" in notes:
         return began_of(notes)
     first = next(iter(fingers.values()))[0]
@@ -113,7 +130,7 @@ def _mcap(
 
 
 class Player:
-    """Play, pause, scrub, and jump from event to event: which ticks are to be shown next."""
+    """Playback controls: play, pause, seek, and jump between events."""
 
     def __init__(self, gui: Any, recording: Recording, tick: int) -> None:
         self._fingers, self._rate_hz = recording.fingers, recording.rate_hz
@@ -146,13 +163,13 @@ class Player:
         self._slider.value = int(place) / self._rate_hz
 
     def advance(self, dt: float) -> None:
-        """`dt` s have gone by."""
+        """Advance the playback by `dt` s."""
         if self._play.value:
             place = self._place + dt * self._rate_hz * float(self._speed.value if on_list(self._speed) else 1.0)
             self._go(place if place <= self._count - 1 else 0.0)
 
     def take(self) -> tuple[dict[str, Array], bool]:
-        """Records of each finger to be shown, none where nothing has changed; and whether one has jumped there."""
+        """Return the records of each finger to draw next, empty if nothing changed, and whether they follow a seek."""
         here = int(self._place)
         if here == self._shown:
             return {}, False
@@ -166,13 +183,13 @@ class Player:
 
 
 def _radii(recording: Recording) -> dict[str, float]:
-    """The largest radius of each finger by the name that its records have, m."""
+    """Return the largest radius of each finger, m, by its name in the records."""
     radii = {finger.name: max(finger.radii_m or (finger.radius_m,)) for finger in recording.scene.fingers}
     return radii if len(radii) > 1 else dict.fromkeys(recording.fingers, next(iter(radii.values())))
 
 
 class RecordedPage:
-    """Feeds a page from a recording; call `step` for each frame."""
+    """Data source of a page from a recording; call `step` for each frame."""
 
     def __init__(self, page: Page, recording: Recording, tick: int) -> None:
         self._page = page
@@ -188,7 +205,7 @@ class RecordedPage:
         self._names = dict(zip(recording.fingers, names, strict=True)) if len(names) == 1 else {n: n for n in names}
 
     def step(self, dt: float) -> None:
-        """`dt` s have gone by."""
+        """Advance the playback by `dt` s and draw."""
         self._player.advance(dt)
         ticks, jumped = self._player.take()
         if jumped:
@@ -201,7 +218,7 @@ class RecordedPage:
         self._page.show({self._names[name]: rows for name, rows in ticks.items()})
 
     def _draw(self, number: int, thing: Filed) -> None:
-        """Show the triangles of what is made of a file, if it is still there."""
+        """Draw the triangles of an object from a file, if the file exists."""
         try:
             vertices, triangles = picture_of(thing).arrays
         except ConfigError as error:
@@ -210,4 +227,4 @@ class RecordedPage:
         self._page.draw(number, Mesh(vertices, triangles.astype(np.uint32)))
 
     def close(self) -> None:
-        """Nothing to be closed."""
+        """Do nothing: there is nothing to close."""

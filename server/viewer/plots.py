@@ -1,4 +1,4 @@
-"""Force, depth, spin, torsion and lateness over the last seconds, as plots beside the picture."""
+"""Plots of force, depth, spin, torsion and lateness over the last seconds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COLOURS: Final = ("#1f6feb", "#d1242f")
 
 
 class Plots:
-    """Four plots of one finger. Lateness is the largest of the ticks of a point."""
+    """Four plots of one finger. Lateness is the maximum over the ticks of a point."""
 
     def __init__(self, gui: Any) -> None:
         self._points: deque[tuple[float, ...]] = deque(maxlen=POINTS)
@@ -30,7 +30,7 @@ class Plots:
         ]
 
     def add(self, rows: NDArray[np.float64]) -> None:
-        """Ticks (n, RECORD_SIZE) of the finger."""
+        """Add ticks (n, RECORD_SIZE) of the finger."""
         for row in rows:
             self._late = max(self._late, row[AT.servo_late])
             if self._points and 0.0 <= row[AT.timestamp] - self._points[-1][0] < EACH_S:
@@ -52,7 +52,7 @@ class Plots:
         self._points.clear()
 
     def show(self) -> None:
-        """Draw what has been added."""
+        """Draw the new points."""
         if not self._changed or len(self._points) < 2:
             return
         self._changed = False

@@ -1,4 +1,4 @@
-"""The prompt of an experiment on the page: text, progress, and buttons, keys or a field for the answer."""
+"""Prompt of an experiment on the page: text, progress, and buttons, keys or a field for the answer."""
 
 from __future__ import annotations
 
@@ -17,17 +17,24 @@ TEXT: Final = (
 )
 DIGITS: Final = "123456789"
 LARGE_MAX: Final = 3
-"""So many choices have a large button each, more stand in a row."""
+"""Up to this number, each choice has a large button; more choices share a row."""
 FIRST: Final = -1.0
-"""Above all else of the panel."""
+"""Order of the prompt: above all other controls."""
 
 
 class PromptPanel:
-    """Shows the prompt of the daemon that `asker` commands, and sends the answer.
+    """Display of a daemon's prompt, and input of the answer.
 
-    refused  is told why an answer was not taken
-    answers  False: the prompt is only shown
-    size     of the text, of that of the page
+    Parameters
+    ----------
+    asker
+        Sends commands to the daemon.
+    refused
+        Called with the reason if an answer was refused.
+    answers
+        False: only show the prompt.
+    size
+        Text size relative to the page.
     """
 
     def __init__(
@@ -44,15 +51,15 @@ class PromptPanel:
 
     @property
     def known(self) -> bool:
-        """Whether the daemon has told its prompt."""
+        """Whether the daemon has sent its prompt."""
         return self._now is not None
 
     def look(self) -> None:
-        """Ask for the prompt; `step` shows it."""
+        """Request the prompt; `step` shows it."""
         self._asker.ask("prompt", Request("get_prompt", {}, self._keep, lambda text: None))
 
     def hear(self, event: dict[str, Any]) -> None:
-        """Look again where an event tells of another prompt, of an answer, or of another daemon."""
+        """Request the prompt again after an event about a new prompt, an answer, or a new daemon."""
         if event["kind"] == "lifecycle" or event["name"] in ("set_prompt", "answer"):
             self.look()
 
@@ -60,7 +67,7 @@ class PromptPanel:
         self._came = prompted
 
     def step(self) -> None:
-        """Show what has come; from the thread that draws."""
+        """Show the received prompt; from the thread that draws."""
         came, self._came = self._came, None
         if came is None or came == self._now:
             return
@@ -75,7 +82,7 @@ class PromptPanel:
         self._asking = self._asked(prompt, came.number) if came.open and self._answers else []
 
     def _asked(self, prompt: Prompt, number: int) -> list[Any]:
-        """What the answer is given by."""
+        """Add the controls for the answer."""
         gui = self._gui
         with self._folder:
             if prompt.number is not None:
@@ -100,13 +107,13 @@ class PromptPanel:
         self._send(choice, number)
 
     def _send(self, value: str | float, number: int) -> None:
-        """What a browser says is checked by the daemon, which knows what is asked."""
+        """Send the answer unchecked: the daemon validates it."""
         params = {"value": value, "prompt": number}
         self._asker.ask("answer", Request("answer", params, lambda result: None, self._refused))
 
 
 def keys_of(choices: tuple[str, ...]) -> dict[str, str]:
-    """Which key means which choice: the digit that it is, or of its place; Enter where there is one."""
+    """Return the keys of choices: a digit that is a choice, else of its position; Enter for a single choice."""
     if len(choices) == 1:
         return {"enter": choices[0]}
     if any(digit in choices for digit in DIGITS):

@@ -1,4 +1,4 @@
-"""Where a hand is to be, and what a drag or a nudge makes of that."""
+"""Targets of a hand, and their change by drags and increments."""
 
 from __future__ import annotations
 
@@ -14,18 +14,21 @@ from softfinger.server.viewer.nodes.glyphs import UNTURNED, Quaternion, about, p
 Array = NDArray[np.float64]
 
 GRAZING: Final = 0.05
-"""Of the sine of the angle between a look and a plane: below it, a pixel would be a long way."""
+"""Minimum sine of the angle between view ray and plane; below it, one pixel would be a long distance."""
 
 
 class Target(NamedTuple):
-    """Where the hand is to be: position (3,) m and orientation."""
+    """Target of a hand: position (3,) m and orientation."""
 
     position: Array
     orientation: Quaternion
 
 
 def hit(eye: Array, through: Array, point: Array, normal: Array) -> Array | None:
-    """Where the look from `eye` through a point meets the plane of `point` and `normal`; None where it hardly does."""
+    """Return the point where the ray from `eye` through a point meets the plane of `point` and `normal`.
+
+    None if the ray is nearly parallel to the plane or points away from it.
+    """
     look = through - eye
     slope = float(look @ normal) / float(np.linalg.norm(look) * np.linalg.norm(normal))
     if abs(slope) < GRAZING:
@@ -35,9 +38,9 @@ def hit(eye: Array, through: Array, point: Array, normal: Array) -> Array | None
 
 
 def moved(start: Target, eye: Array, grabbed: Array, pointer: Array, how: str, radius: float) -> Target | None:
-    """What a drag makes of the target that it began with, all (3,) m; None where the look does not tell.
+    """Return the target after a drag from `start`, all positions (3,) m; None if the ray misses the drag plane.
 
-    how  "move" in a level plane, "press" up and down, or "roll", as a ball of `radius` on a level plane
+    how  "move" in a horizontal plane, "press" up and down, or "roll", as a ball of `radius` on a horizontal plane
     """
     up = np.array([0.0, 0.0, 1.0])
     if how == "press":
@@ -56,39 +59,39 @@ def moved(start: Target, eye: Array, grabbed: Array, pointer: Array, how: str, r
 
 
 def rolled(way: Array, radius: float) -> Quaternion:
-    """How a ball turns that rolls a level way (3,) m; none of it where there is no way."""
+    """Return the rotation of a ball that rolls horizontally by `way` (3,) m; the identity for zero."""
     length = float(np.linalg.norm(way))
     return UNTURNED if length == 0.0 else about(np.cross((0.0, 0.0, 1.0), way), length / radius)
 
 
 def nudged(start: Target, nudge: Nudge, radius: float) -> Target:
-    """The target a piece of a way further, as a ball of `radius` m where it rolls."""
+    """Return the target moved by an increment; a ball of `radius` (m) for rolling."""
     roll = np.array([nudge.roll_x, nudge.roll_y, 0.0])
     turn = product(about(np.array([0.0, 0.0, 1.0]), nudge.spin), rolled(roll, radius))
     return Target(start.position + roll + (nudge.x, nudge.y, nudge.z), product(turn, start.orientation))
 
 
 def mirrored(way: Array, line: Array) -> Array:
-    """How one finger goes (3,) m when another goes `way`: along with it across their `line`, against it along that."""
+    """Return the mirrored motion (3,) m of `way`: its component along `line`, between two fingers, is reversed."""
     length = float(line @ line)
     return way if length == 0.0 else way - 2.0 * float(way @ line) / length * line
 
 
 def closed(place: Array, middle: Array, way: float) -> Array:
-    """A place (3,) m, `way` m nearer to the middle of all fingers, and not past it."""
+    """Return a position (3,) m moved by `way` m towards the centre of all fingers, and not past it."""
     apart = middle - place
     distance = float(np.linalg.norm(apart))
     return place if distance == 0.0 else place + min(way, distance) / distance * apart
 
 
 def from_angles(roll_x: float, roll_y: float, spin: float) -> Quaternion:
-    """First about x, then y, then z, all of the world; rad."""
+    """Return the rotation about the world axes x, then y, then z; rad."""
     x, y, z = (np.array(axis, dtype=np.float64) for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
     return product(about(z, spin), product(about(y, roll_y), about(x, roll_x)))
 
 
 def to_angles(q: Quaternion) -> tuple[float, float, float]:
-    """The angles of `from_angles`, rad."""
+    """Return the angles of `from_angles`, rad."""
     w, x, y, z = q
     return (
         atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),

@@ -1,4 +1,4 @@
-"""Light or dark, for each browser by itself: as it prefers, or as its switch says."""
+"""Light or dark theme of each browser: its preference, or the choice made by a switch on the page."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SWITCH: Final = (
 
 
 class Theme:
-    """A switch, and the script that tells what it says."""
+    """Theme switch, and the script that reports its value."""
 
     def __init__(self, gui: Any) -> None:
         gui.configure_theme(show_logo=False, show_share_button=False)

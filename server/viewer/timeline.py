@@ -1,4 +1,4 @@
-"""What happened in a recording: a band with the colours of its states over its time, and its events to jump to."""
+"""Timeline of a recording: coloured bands of the contact states, and the events."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from softfinger.server.wire.events import RecordEvents
 Array = NDArray[np.float64]
 
 COLUMNS: Final = 600
-"""Of the band: two to a pixel of it."""
+"""Columns of a band: two per pixel."""
 EARLIER: Final = 100
-"""Ticks over which a contact is seen to roll or to spin, as in the picture."""
+"""Ticks over which rolling and spinning are detected, as in the picture."""
 SHOWN: Final = 4
-"""Events that are told at once, the newest first."""
+"""Number of events listed at once, latest first."""
 HEIGHT: Final = 14
 
 
 def states_of(rows: Array, radius: float) -> list[tuple[int, State]]:
-    """What the contact does from which row (n, RECORD_SIZE) on. A column of the band that slides anywhere slides."""
+    """Return the contact's states, each with its first row (n, RECORD_SIZE); a column with any slip is sliding."""
     wide = max(1, len(rows) // COLUMNS)
     runs: list[tuple[int, State]] = []
     for first in range(0, len(rows), wide):
@@ -40,7 +40,7 @@ def states_of(rows: Array, radius: float) -> list[tuple[int, State]]:
 
 
 def band(fingers: dict[str, Array], radii: dict[str, float]) -> str:
-    """HTML of a band for each finger, the whole recording wide, and what its colours say."""
+    """Return the HTML of a band per finger, of the length of the recording, with a legend."""
     count = max(len(rows) for rows in fingers.values())
     lines = []
     for name, rows in fingers.items():
@@ -60,7 +60,7 @@ def band(fingers: dict[str, Array], radii: dict[str, float]) -> str:
 
 
 def pointer(share: float) -> str:
-    """HTML of what stands above a band and points to a place of it, 0 to 1."""
+    """Return the HTML of a pointer above a band at the position `share`, 0 to 1."""
     return (
         f'<div style="padding: 0 0.75em"><div style="margin-left: {100.0 * share:.2f}%; width: 0; '
         "border-left: 5px solid transparent; border-right: 5px solid transparent; border-top: 7px solid currentColor; "
@@ -73,7 +73,7 @@ def _css(state: State) -> str:
 
 
 class Events:
-    """The events of a recording in the order of its rows; those that follow from the ticks, where it has none."""
+    """Events of a recording in order of time; if it has none, they are derived from its ticks."""
 
     def __init__(self, fingers: dict[str, Array], told: tuple[dict[str, Any], ...], rate_hz: float) -> None:
         ticks = next(iter(fingers.values()))[:, AT.tick]
@@ -87,17 +87,17 @@ class Events:
         self._rate_hz = rate_hz
 
     def before(self, row: int) -> int | None:
-        """The row of the last event before a row."""
+        """Return the row of the last event before a row."""
         found = bisect_left(self._rows, row)
         return self._rows[found - 1] if found else None
 
     def after(self, row: int) -> int | None:
-        """The row of the first event after a row."""
+        """Return the row of the first event after a row."""
         found = bisect_right(self._rows, row)
         return self._rows[found] if found < len(self._rows) else None
 
     def told(self, row: int) -> str:
-        """The last events up to a row, the newest first, as HTML."""
+        """Return the last events up to a row, latest first, as HTML."""
         end = bisect_right(self._rows, row)
         lines = [
             f"{self._rows[k] / self._rate_hz:.3f} s · {html.escape(self._words[k])}"
@@ -108,7 +108,7 @@ class Events:
 
 
 def words(event: dict[str, Any]) -> str:
-    """An event in a few words: what it is, why, and whose."""
+    """Return an event as a short text: kind, name, cause and finger."""
     said = f"{event.get('kind', '')} {event.get('name', '')}"
     for key in ("cause", "finger", "label", "message", "count"):
         if event.get(key) not in (None, "", 0, event.get("name")):

@@ -1,4 +1,4 @@
-"""Sliders and choices: what of a scene may change while it is felt, and which scene it is."""
+"""Controls of a scene's parameters, and choice of the scene."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Change = Callable[[str, dict[str, Any]], None]
 
 
 class Knob:
-    """A slider for one number of a material: `read` gives it, None where the scene has none; `keys` what sets it."""
+    """Slider of one number of a material: `read` returns it, or None without one; `keys` returns the change."""
 
     def __init__(
         self,
@@ -26,7 +26,7 @@ class Knob:
         self.slider, self._read, self._keys = slider, read, keys
 
     def show(self, material: schema.Material) -> None:
-        """Put the slider where the material has it."""
+        """Set the slider to the material's value."""
         value = self._read(material)
         self.slider.disabled = value is None
         if value is not None:
@@ -34,19 +34,19 @@ class Knob:
             self.slider.value = value
 
     def wanted(self, material: schema.Material) -> dict[str, float]:
-        """Keys below the material, and the values that the slider asks for."""
+        """Return the keys, relative to the material, and the values set by the slider."""
         return self._keys(material, float(self.slider.value))
 
 
 def _friction(material: schema.Material, static: float) -> dict[str, float]:
-    """Both coefficients, in the proportion that they have."""
+    """Return both coefficients in their present ratio."""
     friction = material.friction
     share = friction.kinetic / friction.static if friction is not None and friction.static > 0.0 else 1.0
     return {"friction.static": static, "friction.kinetic": static * share}
 
 
 class Tuning:
-    """The sliders and choices; `params(name, values)` and `scene(name, values)` ask the daemon."""
+    """Controls of a scene; `params(name, values)` and `scene(name, values)` send commands to the daemon."""
 
     def __init__(self, gui: Any, params: Change, scene: Change) -> None:
         self._params, self._set_scene = params, scene
@@ -84,7 +84,7 @@ class Tuning:
         self._choice.on_update(self._chosen)
 
     def change(self, scene: schema.Scene, name: str) -> None:
-        """What is rendered now."""
+        """Set the current scene."""
         self._scene, self._name = scene, name
         names = tuple(thing.name for thing in scene.object)
         if self._object.options != names:
@@ -93,7 +93,7 @@ class Tuning:
         self._show()
 
     def restore(self) -> None:
-        """Show again what is rendered, after something else was asked for in vain."""
+        """Show the current values again after a command was refused."""
         self._show()
 
     def _number(self) -> int:

@@ -1,4 +1,4 @@
-"""The wire as the page needs it: ticks and events gathered by one thread, commands asked by another."""
+"""Connection of the page to a daemon: one thread collects telemetry, another sends commands."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, WORLD, finger_of
 
 KEPT: Final = 8192
-"""Ticks of a finger that are kept until they are taken."""
+"""Maximum of queued ticks per finger, and of queued events."""
 TOPICS: Final = (CONTACT, FINGERS, EVENT, WORLD)
 WAIT_S: Final = 0.2
-"""How long a thread waits before it looks whether it is to end."""
+"""Period at which a thread checks whether it should exit."""
 
 
 class News(NamedTuple):
-    """What has come since the last time: records (n, RECORD_SIZE) by finger, events, and where bodies are by name."""
+    """New data: records (n, RECORD_SIZE) by finger, events, and the latest poses of bodies by name."""
 
     ticks: dict[str, NDArray[np.float64]]
     events: list[dict[str, Any]]
@@ -32,7 +32,7 @@ class News(NamedTuple):
 
 
 class Live:
-    """What a running daemon publishes. `problem` says why nothing comes that can be shown, or is empty."""
+    """Telemetry of a running daemon. `problem` is an error of the received messages, or empty."""
 
     def __init__(self, endpoint: str, keys: ClientKeys | None, topics: Sequence[str] = TOPICS) -> None:
         self._samples = subscribe(endpoint, topics, keys=keys)
@@ -62,7 +62,7 @@ class Live:
                 self._rows.setdefault(finger, deque(maxlen=KEPT)).append(record_of(sample))
 
     def take(self) -> News:
-        """What has come since the last time."""
+        """Return the data received since the last call."""
         ticks = {finger: np.array(rows) for finger, held in list(self._rows.items()) if (rows := _emptied(held))}
         return News(ticks, _emptied(self._events), self._bodies)
 
@@ -73,12 +73,12 @@ class Live:
 
 
 def _emptied(queue: deque[Any]) -> list[Any]:
-    """All that is in a queue, which another thread may go on to fill."""
+    """Remove and return all elements of a queue that another thread may be filling."""
     return [queue.popleft() for _ in range(len(queue))]
 
 
 class Request(NamedTuple):
-    """A command, and what is to be called with its result, and with what kept it from being done."""
+    """Command, and the functions to call with its result or its error."""
 
     method: str
     params: dict[str, Any]
@@ -87,9 +87,9 @@ class Request(NamedTuple):
 
 
 class Asker:
-    """Commands to the daemon, one at a time, by a thread; of those that wait under one name the newest is sent.
+    """Command queue: a thread sends one command at a time; a new one replaces a waiting one of the same name.
 
-    may  the methods that are sent, None: all
+    may  allowed methods; None: all
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Asker:
         self._thread.start()
 
     def ask(self, name: str, request: Request) -> None:
-        """Send it in its turn; what waits under the same name is not sent any more."""
+        """Queue a command; it replaces a waiting one of the same name."""
         if self._may is not None and request.method not in self._may:
             request.failed(f"{request.method}: this page has a --role that may not")
             return
@@ -132,7 +132,7 @@ class Asker:
                 request.done(result)
 
     def close(self) -> None:
-        """What waits is not sent any more; what is under way is waited for until its time is over."""
+        """Discard the waiting commands, and wait briefly for a pending answer."""
         with self._changed:
             self._closing = True
             self._changed.notify()

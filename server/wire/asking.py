@@ -1,4 +1,4 @@
-"""What both clients of commands do alike: the socket, a request and its parameters, the answer."""
+"""Common parts of both command clients: the socket, requests with their parameters, and answers."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ SCENE_TIMEOUT_S: Final = 300.0
 
 
 class NoAnswer(HapticError):
-    """No answer came from an endpoint."""
+    """No answer arrived from an endpoint."""
 
     exit_code = 9
 
 
 def default_commands() -> str:
-    """Where a daemon of this user takes commands whose rig says nothing of endpoints."""
+    """Return the default command endpoint of a daemon of this user."""
     return commands_beside(Telemetry().endpoint)
 
 
 def connected(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:
-    """Connect a DEALER to where a daemon takes commands. Where that cannot be it is closed: ConfigError."""
+    """Connect a DEALER to the commands of a daemon; if that fails, close it and raise ConfigError."""
     socket.linger = 0
-    # A name of its own, whose first byte is not 0: an answer finds it when the publisher was restarted meanwhile.
+    # A unique name that does not start with 0: an answer reaches it even if the publisher was restarted in between.
     socket.routing_id = b"c" + uuid.uuid4().bytes
-    socket.maxmsgsize = ANSWER_MAX  # ZeroMQ hangs up on a peer that sends more, before it allocates
+    socket.maxmsgsize = ANSWER_MAX  # ZeroMQ disconnects a peer that sends more, before it allocates
     socket.ipv6 = "[" in endpoint
     if keys is not None:
         keys.put_on(socket)
@@ -60,12 +60,12 @@ def connected(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -
 
 
 def asking(method: str, params: Any, wait_s: float) -> tuple[str, list[bytes]]:
-    """A request's id and frames; ConfigError for what cannot be said in one."""
+    """Return the id and the frames of a request; raises ConfigError if it cannot be encoded."""
     command_id = uuid.uuid4().hex
     request = {"command_id": command_id, "method": method, "params": params, "expires": expiry(wait_s)}
     try:
         body = msgspec.msgpack.encode(request, enc_hook=_plain)
-    except (TypeError, ValueError, OverflowError) as error:  # a text that is no Unicode is a ValueError
+    except (TypeError, ValueError, OverflowError) as error:  # text that is not valid Unicode raises a ValueError
         raise ConfigError(f"{method}: cannot be sent: {error}") from error
     if len(body) > REQUEST_MAX:
         raise ConfigError(f"{method}: a request of {len(body)} bytes: a daemon takes at most {REQUEST_MAX}")
@@ -73,30 +73,30 @@ def asking(method: str, params: Any, wait_s: float) -> tuple[str, list[bytes]]:
 
 
 def _plain(value: Any) -> Any:
-    """Arrays and numbers of numpy, as they come from records and telemetry."""
+    """Convert arrays and numbers of NumPy, as they come from records and telemetry."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"{value!r} is a {type(value).__name__}: give numbers, texts, lists and mappings")
 
 
 def answer_in(frames: list[bytes]) -> dict[str, Any]:
-    """The map of an answer; an empty one for what is none."""
+    """Return the map of an answer, or an empty one if it is invalid."""
     try:
         answer = msgpack.unpackb(frames[1]) if len(frames) == 2 else {}
-    except Exception:  # of a dozen classes
+    except Exception:  # a dozen classes are possible
         return {}
     return answer if isinstance(answer, dict) else {}
 
 
 def result_of(answer: dict[str, Any], kind: type[R]) -> R:
-    """What the daemon has answered; CommandRefused where it has not done what was asked."""
+    """Return the result in an answer; raises CommandRefused if the daemon refused the request."""
     if answer.get("success") is not True:
         raise CommandRefused(str(answer.get("error")))
     return msgspec.convert(answer.get("result"), kind)
 
 
 def no_answer(method: str, endpoint: str, waited_s: float) -> NoAnswer:
-    """The error, with what to look at."""
+    """Return the error, with possible causes."""
     return NoAnswer(
         f"no answer to {method} from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
         "as this user, and is this its [commands] endpoint, which its first lines say?"
@@ -104,19 +104,19 @@ def no_answer(method: str, endpoint: str, waited_s: float) -> NoAnswer:
 
 
 def time_for(method: str, timeout_s: float | None) -> float:
-    """How long (s) to wait for an answer: what the user says, else what the method needs."""
+    """Return the time (s) to wait for an answer: the user's value, or the default of the method."""
     if timeout_s is not None:
         return timeout_s
     return SCENE_TIMEOUT_S if method in ("set_scene", "reset_world") else TIMEOUT_S
 
 
 def given(value: R | None) -> R | msgspec.UnsetType:
-    """A parameter that is left out where it is None."""
+    """Return a parameter, or UNSET for None."""
     return msgspec.UNSET if value is None else value
 
 
 def number_of(text: str) -> str | float:
-    """What a person wrote as an answer: a number where it is one."""
+    """Convert the text of an answer to a number, if it is one."""
     try:
         return float(text.replace(",", "."))
     except ValueError:

@@ -1,7 +1,7 @@
-"""Commands on the wire: a table of every method with what it takes and gives.
+"""Command protocol: a table of all methods with their parameters and results.
 
-Requests (`envelope.py`), `softfinger schema`, the reference page, the clients and the help of `softfinger ctl` all go
-by the table METHODS.
+Requests (`envelope.py`), `softfinger schema`, the reference page, the clients and the help of `softfinger ctl` all use
+the table METHODS.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ERRORS: Final[dict[ErrorName, str]] = {
     "expired": "the client had given up waiting before the daemon came to it: nothing was done",
     "failed": "a defect of the daemon; its log has details",
 }
-"""Every name that an error may begin with."""
+"""Names with which an error may start."""
 
 
 class Empty(Struct, frozen=True, forbid_unknown_fields=True):
@@ -251,7 +251,7 @@ class Stopping(Struct, frozen=True):
 
 
 class Method(NamedTuple):
-    """What a method takes and gives, and what it does."""
+    """Parameters, result and description of a method."""
 
     params: Any
     result: Any
@@ -280,11 +280,11 @@ METHODS: Final = {
     "mesh": Method(OfObject, Triangles, "Return the triangles of a mesh or height map, for display."),
     "stop": Method(Empty, Stopping, "End the daemon in order."),
 }
-"""Every method."""
+"""All methods by name."""
 
 
 def state_of(record: NDArray[np.float64], epoch_s: float, scene: str) -> State:
-    """State of a record (RECORD_SIZE,); `epoch_s` is the epoch's offset to CLOCK_MONOTONIC, s."""
+    """Return the state of a record (RECORD_SIZE,); `epoch_s` is the offset of the epoch from CLOCK_MONOTONIC, s."""
     row = record.tolist()
     mode, touched, depth = row[AT.contact_mode], row[AT.contact_object], row[AT.contact_penetration]
     return State(
@@ -299,7 +299,7 @@ def state_of(record: NDArray[np.float64], epoch_s: float, scene: str) -> State:
 
 
 def schema() -> dict[str, Any]:
-    """Every method with the JSON Schema of its parameters and its result, and the errors."""
+    """Return all methods with the JSON Schema of their parameters and results, and all errors."""
     return {
         "title": "Commands",
         "frames": ["", "msgpack map"],
@@ -318,7 +318,7 @@ def schema() -> dict[str, Any]:
 
 
 def fields(kind: Any) -> str:
-    """What a map of this type holds, for people; what stands in brackets may be left out."""
+    """Describe the fields of a map of this type for people; optional ones are in brackets."""
     info = inspect.type_info(kind)
     if isinstance(info, inspect.StructType):
         return ", ".join(map(_field, info.fields))
@@ -354,5 +354,5 @@ def _words(info: inspect.Type) -> str:
 
 
 def table() -> Mapping[str, tuple[str, str, str]]:
-    """For each method its parameters, its result and what it does, in words."""
+    """Return parameters, result and description of each method as text."""
     return {name: (fields(m.params), fields(m.result), m.meaning) for name, m in METHODS.items()}

@@ -1,11 +1,11 @@
-"""Commanding a running daemon: a client that waits, and one for asyncio.
+"""Clients that command a running daemon: a blocking one, and one for asyncio.
 
     with Control() as daemon:
         daemon.set_params({"object.table.material.stiffness_n_per_m": 800.0})
         print(daemon.get_state().force)
 
-Each method of docs/protocol.md is a method here, and returns what the table there says. Both raise CommandRefused
-for what the daemon does not do, NoAnswer where nothing comes in time.
+Each method in docs/protocol.md is a method here, and returns the result documented there. Both clients raise
+CommandRefused if the daemon refuses a command, and NoAnswer after a timeout.
 """
 
 from __future__ import annotations
@@ -73,10 +73,17 @@ P = ParamSpec("P")
 
 
 class Control(Closing):
-    """A client that waits for each answer, for at most `timeout_s` (None: what the method needs). One thread only.
+    """Client that waits for each answer; for one thread only.
 
-    `endpoint` is what the daemon's first lines say; without one, that of this user's daemon on the usual telemetry.
-    `keys` are for a server that wants some.
+    Parameters
+    ----------
+    endpoint
+        Command endpoint, which the daemon prints at its start; by default that of this user's daemon on the usual
+        telemetry endpoint.
+    timeout_s
+        Longest wait for an answer, s; None selects it by method.
+    keys
+        Keys of the client, if the server requires them.
     """
 
     def __init__(
@@ -91,7 +98,7 @@ class Control(Closing):
         connected(self._socket, self.endpoint, self._keys)
 
     def _move(self, endpoint: str) -> None:
-        """Command what is at another endpoint."""
+        """Connect to another endpoint, without keys."""
         self._socket.close()
         self.endpoint, self._keys = endpoint, None
         self._connect()
@@ -100,11 +107,11 @@ class Control(Closing):
         return f"<{type(self).__name__}: commands on {self.endpoint}>"
 
     def ask(self, method: str, params: Any = Empty()) -> Any:  # noqa: B008 - frozen
-        """Any method by name; returns the result as it came."""
+        """Call a method by name; return the decoded result."""
         return self._ask(method, params, METHODS[method].result if method in METHODS else dict)
 
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
-        if self._process != os.getpid():  # a socket does not survive a fork: libzmq would wait without end
+        if self._process != os.getpid():  # a socket does not survive a fork: libzmq would wait forever
             self._connect()
         wait_s = time_for(method, self.timeout_s)
         if wait_s > TIMEOUT_S and self.timeout_s is None:
@@ -113,51 +120,54 @@ class Control(Closing):
         command_id, frames = asking(method, params, wait_s)
         sent = False
         while not sent and self._socket.poll(milliseconds(until - time.monotonic()), zmq.POLLOUT):
-            # Where the peer is no ROUTER, or has left a thousand requests unanswered, there is nowhere to send to; and
-            # libzmq may hang up at any moment.
+            # Sending is impossible if the peer is not a ROUTER or has left a thousand requests unanswered, and libzmq
+            # may disconnect at any moment.
             with contextlib.suppress(zmq.Again):
                 self._socket.send_multipart(frames, zmq.NOBLOCK)
                 sent = True
         while sent and self._socket.poll(milliseconds(until - time.monotonic())):
             answer = answer_in(self._socket.recv_multipart())
-            if answer.get("command_id") == command_id:  # and none that came too late for an earlier request
+            if answer.get("command_id") == command_id:  # not a late answer to an earlier request
                 return result_of(answer, kind)
         raise no_answer(method, self.endpoint, wait_s)
 
     def _check_answers(self, method: str) -> None:
-        """Raise NoAnswer if nobody answers a short request: no need then to wait for as long as `method` takes."""
+        """Raise NoAnswer if a short request gets no answer, instead of waiting for as long as `method` may take."""
         try:
             self._ask("get_state", Empty(), State)
-        except CommandRefused:  # which is an answer, too
+        except CommandRefused:  # this is an answer, too
             return
         except NoAnswer as error:
             raise no_answer(method, self.endpoint, TIMEOUT_S) from error
 
     def get_state(self) -> State:
-        """The newest tick in few numbers, of several fingers the first: position, velocity, force, contact."""
+        """Return the latest tick of the first finger: position, velocity, force, contact."""
         return self._ask("get_state", Empty(), State)
 
     def heartbeat(self) -> Alive:
-        """A sign of life, for a rig with `heartbeat_s`; gives the force back that was taken for want of one."""
+        """Send a sign of life, for a rig with `heartbeat_s`; restores the force that a missed heartbeat removed."""
         return self._ask("heartbeat", Empty(), Alive)
 
     def set_params(self, values: Mapping[str, Any]) -> Changed:
-        """Parameters of the scene by dotted path, all between the same two ticks, or none; says what they were."""
+        """Change parameters of the scene by dotted key, all between the same two ticks or none; return the changes."""
         return self._ask("set_params", values, Changed)
 
     def set_scene(
         self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
     ) -> SceneSet:
-        """Another scene, from zero force: the name of a shipped one or a mapping like a file. It is compiled first."""
+        """Replace the scene, starting from zero force: a shipped scene by name, or a mapping like a file.
+
+        The new scene is compiled first.
+        """
         source = scene if isinstance(scene, str) else dict(scene)
         return self._ask("set_scene", SetScene(source, dict(overrides or {}), name), SceneSet)
 
     def reset_world(self) -> Applied:
-        """The bodies of the scene's [world] back where they began, from zero force."""
+        """Put the bodies of the scene's [world] back where they started, at zero force."""
         return self._ask("reset_world", Empty(), Applied)
 
     def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
-        """Put a driven object, by name or number, at a place (m, world) with an orientation (w, x, y, z)."""
+        """Set the pose of a driven object, by name or index: position (m, world) and orientation (w, x, y, z)."""
         return self._ask("drive", Drive(what, position_m, given(orientation_wxyz)), Applied)
 
     def hand(
@@ -167,15 +177,25 @@ class Control(Closing):
         finger: str | int | None = None,
         release: bool = False,
     ) -> Applied:
-        """Where (m, world) the hand on a simulated device wants to hold the fingertip, and how turned (w, x, y, z).
+        """Set the goal pose of the fingertip for the hand on a simulated device.
 
-        What is left out stays as it is; `finger` by name or number, of one finger not needed. `release` lets the hand
-        do again what its rig says. Refused for any other device, and for a hand that a puck leads.
+        Refused for any other device, and for a hand that is moved by a puck.
+
+        Parameters
+        ----------
+        position_m
+            Position, m, world; by default the present goal.
+        orientation_wxyz
+            Quaternion (w, x, y, z), fingertip to world; by default the present goal.
+        finger
+            Name or index of the finger; not needed for a single one.
+        release
+            Return the hand to the motion of its rig.
         """
         return self._ask("hand", Hand(given(position_m), given(orientation_wxyz), given(finger), release), Applied)
 
     def hold(self, finger: str | int | None = None) -> Held:
-        """The hand on a simulated device stays where it wants to be, with the force that it grips with; says where."""
+        """Hold the hand on a simulated device at its present goal, with its grip force; return that goal."""
         return self._ask("hold", Hold(given(finger)), Held)
 
     def arm(self) -> Armed:
@@ -183,24 +203,24 @@ class Control(Closing):
         return self._ask("arm", Empty(), Armed)
 
     def disarm(self) -> Armed:
-        """Take the force off every finger until `arm`; devices stay open, ticks go on. No emergency stop."""
+        """Turn off the force of all fingers until `arm`; ticks continue. Not an emergency stop."""
         return self._ask("disarm", Empty(), Armed)
 
     def zero(
         self, position_m: Vector = (0.0, 0.0, 0.0), finger: str | int | None = None, reset: bool = False
     ) -> Zeroed:
-        """Say where (m, world) the probe is now, for a finger by name or number; `reset` takes the offset away.
+        """Define the present position (m, world) of the probe; `reset` removes the offset.
 
-        Refused while there may be force: `disarm` first.
+        `finger` is a name or an index. Refused while the force may be on: `disarm` first.
         """
         return self._ask("zero", Zero(position_m, given(finger), reset), Zeroed)
 
     def mark(self, label: str, data: Mapping[str, Any] | None = None) -> Applied:
-        """An event with a label, into the telemetry and every recording of it."""
+        """Publish an event with a label, which is also part of every recording."""
         return self._ask("mark", Mark(label, dict(data or {})), Applied)
 
     def get_prompt(self) -> Prompted:
-        """What pages show the participant, and the answer to it."""
+        """Return the prompt that pages show the participant, and its answer."""
         return self._ask("get_prompt", Empty(), Prompted)
 
     def set_prompt(
@@ -211,27 +231,27 @@ class Control(Closing):
         choices: Sequence[str] = (),
         number: tuple[float, float] | None = None,
     ) -> Prompted:
-        """Show pages a title, a text, how much is done of how much, and a question: choices, or a number's range."""
+        """Show a title, a text, progress (done, total) and a question, by choices or a range, on all pages."""
         return self._ask("set_prompt", Prompt(title, text, *progress, tuple(choices), number), Prompted)
 
     def answer(self, value: str | float, prompt: int | None = None) -> Applied:
-        """Answer the question of the prompt with this number, or of the one of now; refused where none is open."""
+        """Answer the question with this prompt number, by default the present one; refused if none is open."""
         return self._ask("answer", Answer(value, prompt), Applied)
 
     def record_start(self, file: str) -> RecordStarted:
-        """Record every tick and event into a new .mcap below the rig's [recording] directory."""
+        """Record every tick and event into a new .mcap file below the rig's [recording] directory."""
         return self._ask("record_start", RecordStart(file), RecordStarted)
 
     def record_stop(self) -> RecordStopped:
-        """End that recording; says how many ticks it has."""
+        """End the recording; return its number of ticks and other statistics."""
         return self._ask("record_stop", Empty(), RecordStopped)
 
     def describe(self) -> dict[str, Any]:
-        """Rig, scene, device, fingers, versions, and the wire itself as data."""
+        """Return rig, scene, device, fingers, versions, and the protocol as data."""
         return self._ask("describe", Empty(), dict)
 
     def mesh(self, what: str | int) -> Triangles:
-        """The triangles of an object that is a mesh or a height map, by name or number, for a picture."""
+        """Return the triangles of an object that is a mesh or a height map, by name or index, for display."""
         return self._ask("mesh", OfObject(what), Triangles)
 
     def stop(self) -> Stopping:
@@ -239,14 +259,14 @@ class Control(Closing):
         return self._ask("stop", Empty(), Stopping)
 
     def close(self) -> None:
-        """Disconnect. Any number of times."""
+        """Disconnect; may be called repeatedly."""
         self._socket.close()
 
 
 def _awaited(
     command: Callable[Concatenate[Control, P], R],
 ) -> Callable[Concatenate[AsyncControl, P], Coroutine[Any, Any, R]]:
-    """A command of Control for asyncio: it returns what `_ask` returns, which is to be awaited there."""
+    """Convert a command of Control for asyncio: the awaitable returned by `_ask` is awaited."""
 
     @wraps(command)
     async def asked(self: AsyncControl, /, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -257,7 +277,7 @@ def _awaited(
 
 
 class AsyncControl:
-    """A client for asyncio: any number of requests may wait for their answers. Use it with `async with`."""
+    """Client for asyncio, used with `async with`; any number of requests may wait for their answers."""
 
     def __init__(
         self, endpoint: str | None = None, timeout_s: float | None = None, keys: ClientKeys | None = None
@@ -273,7 +293,7 @@ class AsyncControl:
         self._reader: asyncio.Task[None] | None = None
 
     async def ask(self, method: str, params: Any = Empty()) -> Any:  # noqa: B008 - frozen
-        """Any method by name; returns the result as it came."""
+        """Call a method by name; return the decoded result."""
         return await self._ask(method, params, METHODS[method].result if method in METHODS else dict)
 
     async def _ask(self, method: str, params: Any, kind: type[R]) -> R:
@@ -287,7 +307,7 @@ class AsyncControl:
         answer = self._waiting[command_id] = asyncio.get_running_loop().create_future()
         try:
             async with asyncio.timeout(milliseconds(wait_s) / 1000.0):
-                await self._socket.send_multipart(frames)  # which waits as long as there is nowhere to send to
+                await self._socket.send_multipart(frames)  # waits as long as sending is impossible
                 return result_of(await answer, kind)
         except TimeoutError:
             raise no_answer(method, self.endpoint, wait_s) from None
@@ -332,7 +352,7 @@ class AsyncControl:
     stop = _awaited(Control.stop)
 
     async def close(self) -> None:
-        """Disconnect. Any number of times."""
+        """Disconnect; may be called repeatedly."""
         if self._reader is not None:
             self._reader.cancel()
             with contextlib.suppress(asyncio.CancelledError):

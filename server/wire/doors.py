@@ -1,7 +1,7 @@
-"""Where peers come in: the endpoints of a rig, bound before anything else starts, so that faults are told at once.
+"""Endpoints of a rig, bound before anything else starts, so that errors are reported at once.
 
-The publisher has what listens, and so has the daemon: should the one end, peers wait in the system's queue for the
-next.
+Both the publisher and the daemon have the listening sockets: if the publisher exits, peers wait in the system's queue
+for the next one.
 """
 
 from __future__ import annotations
@@ -21,35 +21,41 @@ COMMANDS: Final = "commands"
 
 
 class Doors:
-    """Endpoints that are bound. `close` frees them; until then `entrances` are the publisher's.
+    """Bound endpoints; `close` frees them, and until then the publisher uses `entrances`.
 
-    Of an endpoint that is open to the network there are two: that one, where keys are asked for, and another in a
-    folder of this user alone, for programs beside the daemon.
+    For an endpoint that is open to the network there are two: that endpoint, which requires keys, and another one in a
+    folder of this user only, for programs on this machine.
     """
 
     def __init__(self) -> None:
         self.files: Final = ExitStack()
         self.entrances: Final[list[Entrance]] = []
         self.telemetry = ""
-        """Where programs of this user find the telemetry."""
+        """Telemetry endpoint for programs of this user."""
         self.commands: str | None = None
-        """The same of commands; None: there are none."""
+        """Command endpoint for programs of this user; None if there is none."""
         self.public: Final[dict[str, str]] = {}
-        """Endpoints that other machines reach, by the name of their table."""
+        """Endpoints that other machines can reach, by the name of their table."""
 
     @property
     def commands_told(self) -> str:
-        """Where telemetry says that commands are taken: the endpoint that other machines reach, if there is one; empty
-        where none are taken."""
+        """Command endpoint announced in the telemetry; empty without commands.
+
+        It is the endpoint that other machines can reach, if there is one.
+        """
         return self.public.get(COMMANDS, self.commands or "")
 
     def close(self) -> None:
-        """Any number of times."""
+        """Free all endpoints; may be called repeatedly."""
         self.files.close()
 
     def open(self, name: str, endpoint: str, own: bool = False, keys: tuple[str, str] | None = None) -> str:
-        """Bind one; returns it with the port that was chosen. `keys`: the server's secret one, and the folder of those
-        who may come in. Raises as `listen`."""
+        """Bind an endpoint; return it with the chosen port. Raises the errors of `listen`.
+
+        name  telemetry or commands
+        own   as for `listen`
+        keys  file of the server's secret key, and the folder of the keys of peers that may connect
+        """
         bound = listen(endpoint, f"[{name}] endpoint", public=keys is not None, own=own)
         self.files.enter_context(bound.files)
         self.entrances.append(Entrance(name, bound.endpoint, bound.fd, *(keys or ("", ""))))
@@ -59,15 +65,17 @@ class Doors:
 
 
 def door(endpoint: str) -> Doors:
-    """Telemetry alone, on one endpoint that is not open to the network. Raises as `listen`."""
+    """Bind telemetry only, on one endpoint that is not open to the network; raises the errors of `listen`."""
     doors = Doors()
     doors.telemetry = doors.open(TELEMETRY, endpoint)
     return doors
 
 
 def doors_of(rig: schema.Rig) -> Doors:
-    """The endpoints of a rig. Raises ConfigError for keys that cannot be used, AddressInUse and ConfigError as
-    `listen`; nothing stays open then."""
+    """Bind the endpoints of a rig.
+
+    Raises ConfigError for unusable keys, and the errors of `listen`; no endpoint remains bound then.
+    """
     doors, telemetry, commands = Doors(), rig.telemetry.endpoint, rig.commands_endpoint
     with ExitStack() as undo:
         undo.callback(doors.close)
@@ -84,7 +92,7 @@ def doors_of(rig: schema.Rig) -> Doors:
         doors.telemetry = doors.open(TELEMETRY, telemetry)
         if commands is not None:
             beside = rig.commands.endpoint is None and COMMANDS not in doors.public
-            # The port that the telemetry got, where the rig leaves it open.
+            # The port chosen for the telemetry, if the rig does not set one.
             place = commands_beside(doors.telemetry) if beside else commands
             doors.commands = doors.open(COMMANDS, place, own=beside)
         undo.pop_all()
@@ -92,17 +100,17 @@ def doors_of(rig: schema.Rig) -> Doors:
 
 
 def _keys(rig: schema.Rig) -> dict[str, tuple[str, str]]:
-    """Secret key, and folder of public ones, for each table."""
+    """Return the secret key and the folder of public keys of each table."""
     if not (is_public(rig.telemetry.endpoint) or is_public(rig.commands_endpoint or "")):
         return {}
-    from softfinger.server.gateway.allowed import key_folders  # and with it libzmq, which takes time
+    from softfinger.server.gateway.allowed import key_folders  # imports libzmq, which takes time
 
-    assert rig.security is not None  # else these endpoints are faults of the rig
+    assert rig.security is not None  # the rig is refused without it
     readers, commanders = key_folders(rig.security)
     return {TELEMETRY: (rig.security.key, readers), COMMANDS: (rig.security.key, commanders)}
 
 
 def _private_folder() -> tempfile.TemporaryDirectory[str]:
-    """A folder that only this user may enter."""
+    """Create a folder that only this user may enter."""
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     return tempfile.TemporaryDirectory(prefix="softfinger-", dir=runtime if os.path.isdir(runtime) else None)

@@ -1,4 +1,4 @@
-"""Events that consecutive records tell: contact transitions, guard interventions, missed deadlines."""
+"""Derivation of events from consecutive records: contact transitions, guard interventions, missed deadlines."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ Map = dict[str, Any]
 MIN_INTERVAL_S: Final = 0.1
 """Shortest time between two guard events of one name, or two missed-deadline events.
 
-A force that hovers at its limit sets the guard in and out every few ticks; what is held back is
-counted into the next event.
+A force close to its limit makes the guard intervene every few ticks; delayed interventions are counted in the next
+event.
 """
 
 ADVICE: Final = {
@@ -33,9 +33,9 @@ ADVICE: Final = {
     "scene or [passivity]; for an object that is meant to push, raise that limit",
     "workspace_edge": "the handle is at the edge of guard.workspace: come back from it",
 }
-"""What to do, by the name of a guard's event; those not here need nothing."""
+"""Remedy by name of a guard's event; other events need none."""
 
-# Event name and the mode before, by cause; a release can come from rolling or sliding.
+# Event name and previous mode, by cause; a release can follow rolling or sliding.
 _TRANSITIONS: Final[dict[str, tuple[str, int | None]]] = {
     "touch": ("touch", FREE),
     "drag": ("slip", ROLLING),
@@ -49,11 +49,11 @@ _WATCHED: Final = [AT.contact_mode, AT.contact_cause, AT.servo_guard, AT.servo_m
 
 
 class RecordEvents:
-    """Derives event maps from the stream of records; feed it every record, in order.
+    """Converter from records to event maps; pass it every record, in order.
 
-    guard_names  of the bits of `servo.guard`, bit 0 first
-    finger       whose records these are, of several
-    of_servo     whether what the servo misses is told from these: all fingers' records say the same
+    guard_names  names of the bits of `servo.guard`, bit 0 first
+    finger       finger of the records, if there are several
+    of_servo     whether to report missed deadlines, which are equal in the records of all fingers
     """
 
     def __init__(self, guard_names: Sequence[str] = (), finger: str = "", of_servo: bool = True) -> None:
@@ -65,7 +65,7 @@ class RecordEvents:
         self._sent_s: dict[tuple[str, str], float] = {}
 
     def observe(self, records: NDArray[np.float64]) -> list[Map]:
-        """Events of a batch of records, shape (n, RECORD_SIZE), in tick order."""
+        """Return the events of a batch of records, shape (n, RECORD_SIZE), in tick order."""
         events: list[Map] = []
         for index, watched in enumerate(records[:, _WATCHED].tolist()):
             cause = watched[1]
@@ -73,7 +73,7 @@ class RecordEvents:
                 continue  # nearly every tick ends here
             self._changed(records[index], watched, events)
         if len(records):
-            # The object of a release is the one touched before; touch events keep it current in between.
+            # The object of a release is the one touched before; touch events update it in between.
             touched = int(records[-1, AT.contact_object])
             self._object = touched if touched >= 0 else self._object
         return events
@@ -88,7 +88,7 @@ class RecordEvents:
         for bit in range(rising.bit_length()):
             if rising >> bit & 1:
                 self._hold("guard", self._guard_names[bit] if bit < len(self._guard_names) else f"bit {bit}", 1)
-        # A counter that went back is a servo that started again.
+        # The counter restarts with the servo.
         if self._of_servo:
             self._hold("servo", "missed", missed - before[3] if missed >= before[3] else missed)
         events.extend(self._due(record, missed))
@@ -101,7 +101,7 @@ class RecordEvents:
         return {
             **_head(record, "contact", name),
             "cause": cause,
-            # By cause where it tells: the record before may have been dropped.
+            # From the cause if possible: the previous record may have been dropped.
             "from": mode_before if usual is None else usual,
             "to": mode,
             "object": self._object,
@@ -117,11 +117,12 @@ class RecordEvents:
             self._held[kind, name] = self._held.get((kind, name), 0) + count
 
     def _due(self, record: NDArray[np.float64], missed: int) -> list[Map]:
-        """Held-back events whose interval has passed."""
+        """Return delayed events for which the interval has passed."""
         events: list[Map] = []
         now = float(record[AT.timestamp])
         for key in list(self._held):
-            # abs: the epoch clock may be set back. A microsecond: it resolves no more, this far from the epoch.
+            # abs: the epoch clock may be set back. A microsecond: the resolution of the timestamp this far from the
+            # epoch.
             if abs(now - self._sent_s.get(key, -np.inf)) < MIN_INTERVAL_S - 1e-6:
                 continue
             event = {**_head(record, *key), "count": self._held.pop(key)}
@@ -135,7 +136,7 @@ class RecordEvents:
 
 
 def event_map(moment: tuple[int, float], kind: str, name: str, fields: Mapping[str, Any]) -> Map:
-    """The map of an event at a moment, the last tick that was done and s since the epoch; with further keys."""
+    """Return the map of an event at a moment, (last tick done, s since the epoch), with further keys."""
     tick, timestamp = moment
     return {**fields, "schema": SCHEMA, "timestamp": timestamp, "tick": tick, "kind": kind, "name": name}
 

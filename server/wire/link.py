@@ -1,7 +1,7 @@
-"""The publisher's process as the daemon has it: started, told, heard, and started again when it has ended.
+"""The daemon's side of the publisher process: starts it, exchanges messages with it, and restarts it if it exits.
 
-One thread looks after it, and receives what its peers ask. Nobody waits for it: what is said to it while it is away, or
-while it does not read, is kept in a bounded queue or left out.
+A single thread monitors it and receives the requests of its clients. No other thread waits for it: messages to it are
+queued or dropped while it is restarted or does not read.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from softfinger.server.publishing.setup import Figures, Kind, Setup
 log: Final = logging.getLogger(__name__)
 
 PERIOD_S: Final = 0.02
-"""How often `each_period` is called where nobody asks anything."""
+"""Interval of calls of `each_period` without requests."""
 REST_MAX_S: Final = 0.002
-"""Longest rest after requests were received: what takes longer waits for its turn in another thread."""
+"""Longest pause after requests were received; slow requests are queued for another thread."""
 SOUND_S: Final = 10.0
-"""One that has run for so long is started again at once."""
+"""A process that has run for this long is restarted without a pause."""
 PAUSE_S: Final = 0.1
 PAUSE_MAX_S: Final = 5.0
-"""How long to wait before the next start: doubled each time that one ends early, up to this."""
+"""Pause before a restart: doubled each time the process exits early, up to this."""
 LOG_PERIOD_S: Final = 10.0
-"""How seldom it is told what peers lose: a peer must not fill the log."""
+"""Shortest interval of log messages about peers: a peer must not fill the log."""
 BACK_S: Final = 1.0
-"""How long after a start subscribers are there again, to be told of it."""
+"""Time after a restart until subscribers have reconnected, and can receive an event about it."""
 END_S: Final = 1.0
-"""How long after its end was asked for the process is ended by force."""
+"""Time after a request to end until the process is killed."""
 MODULE: Final = "softfinger.server.publishing"
 
 
 class Answering(NamedTuple):
-    """Who answers requests; both are called in the thread of the link, and raise nothing.
+    """Handlers of requests; both are called in the thread of the link, and must not raise.
 
-    answer       is given a client, its request (None: not two frames), and whether it asks too much; returns the
-                 answer, or None if that comes later, by `reply`; waits for nobody
+    answer       is called with a client, its request (None: not two frames), and whether it sends too many; returns the
+                 answer, or None if `reply` sends it later; must not wait
     each_period  is called every PERIOD_S or sooner
     """
 
@@ -56,13 +56,13 @@ class Answering(NamedTuple):
 
 
 class Link:
-    """The process, from now on until `close`.
+    """Publisher process, from construction until `close`.
 
-    setup  what it is told at the start: a new one for each, for rows have gone on
-    last   says what has to be said to each new one, after that
-    files  that it needs, by number
-    event  called with what has happened to it, in words
-    obeyed called with each request that was answered, or waits for its turn
+    setup   returns the setup of a new process: another one each time, as the row to start with changes
+    last    sends the messages that each new process needs after its setup
+    files   file descriptors that the process inherits
+    event   is called with a description of each failure of the process
+    obeyed  is called with each request that was answered or queued
     """
 
     def __init__(
@@ -83,48 +83,48 @@ class Link:
         self._ready = self._waits = False
         """`_ready`: a process has been ready. `_waits`: a restart failed, and was reported."""
         self.restarts = 0
-        """How often it was started again."""
+        """Number of restarts."""
         self._news: list[tuple[float, str]] = []
-        """What has happened to it, and when to tell."""
+        """Events about the process, with the time at which to send them."""
         self.failed = False
-        """It cannot be started, or the thread that looks after it has ended by an error of its own."""
+        """The process cannot be started, or the thread that monitors it has failed."""
         self._until_s: float | None = None
         self._replacing = threading.Lock()
-        """Held where one process takes the place of another: what is said meanwhile is said to the next."""
+        """Locked while one process replaces another, so that a message is sent to the new one."""
         self._process, self._channel = self._start()
         self._thread = threading.Thread(target=self._run, name="publisher", daemon=True)
         self._thread.start()
 
-    # --- what is said -----------------------------------------------------------------------------------
+    # --- messages to the process ------------------------------------------------------------------------
 
     def say(self, kind: Kind, key: bytes = b"", body: bytes = b"") -> bool:
-        """Say something to the process, from any thread; False where it is left out."""
+        """Send a message to the process, from any thread; False if it is dropped."""
         with self._replacing:
             return self._channel.say(kind, key, body)
 
     def reply(self, client: bytes, body: bytes) -> None:
-        """Answer a client later than at once; from any thread. One that has gone gets nothing."""
+        """Send a deferred answer to a client; from any thread. It is dropped if the client has disconnected."""
         self.say(Kind.LATE, client, body)
 
     def serve(self, answering: Answering | None) -> None:
-        """Answer requests from here on; None: nobody does any more."""
+        """Set the handlers of requests; None: requests are no longer answered."""
         self._answering = answering
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Process id of the publisher."""
         return self._process.pid
 
     @property
     def figures(self) -> Figures:
-        """What all of the processes have counted, and the subscribers of now."""
+        """Totals of all processes so far, and the present number of subscribers."""
         before, now = self._before, self._now
         return Figures(
             now.subscribers, before.lost + now.lost, before.refused + now.refused, before.missed + now.missed
         )
 
     def close(self, linger_s: float) -> None:
-        """Have it send what is under way, for at most `linger_s`, and end. Once."""
+        """End the process after it has sent its queued messages, for at most `linger_s`. Call it once."""
         self.say(Kind.END)
         self._until_s = time.monotonic() + linger_s + END_S
         self._thread.join(linger_s + 2.0 * END_S)
@@ -137,7 +137,8 @@ class Link:
     def _start(self) -> tuple[subprocess.Popen[bytes], Channel]:
         with ExitStack() as undo:
             ours, its = map(undo.enter_context, socket.socketpair())
-            # A session of its own: Ctrl-C and the end of a terminal are for the daemon, and this ends with the channel.
+            # A separate session: Ctrl-C and the end of a terminal are handled by the daemon; this process ends with the
+            # channel.
             process = subprocess.Popen(
                 [sys.executable, "-m", MODULE, str(its.fileno())],
                 stdin=subprocess.DEVNULL,
@@ -166,7 +167,7 @@ class Link:
                 self._tell(begun)
                 while self._news and begun >= self._news[0][0]:
                     self._event(self._news.pop(0)[1])
-                if asked:  # a flood has half of the time of one processor at most, and the servo's readers the rest
+                if asked:  # a flood uses at most half of a processor, and the servo's readers the rest
                     time.sleep(min(time.monotonic() - begun - asked, REST_MAX_S))
         except Exception:
             self.failed = True
@@ -177,7 +178,7 @@ class Link:
             self._channel.close()
 
     def _listen(self) -> float:
-        """Wait for the process, and do what it says; returns how long it waited, s, or 0.0 where nobody asked."""
+        """Wait for messages and handle them; return the time waited, s, or 0.0 if none was a request."""
         waiting = select.poll()
         waiting.register(self._channel.fileno(), select.POLLIN | (select.POLLOUT if self._channel.waits else 0))
         begun = time.monotonic()
@@ -189,7 +190,7 @@ class Link:
         return waited_s if asked else 0.0
 
     def _take(self, said: Said) -> bool:
-        """Do what the process says; whether it was a request."""
+        """Handle a message; return whether it was a request."""
         match said.kind:
             case Kind.READY:
                 self._ready = True
@@ -211,7 +212,7 @@ class Link:
         return False
 
     def _follow(self) -> bool:
-        """Start another process in the place of one that has ended; False where none is to follow."""
+        """Start another process after one has exited; return False if none is needed."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(END_S)
         self._process.kill()

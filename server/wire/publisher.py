@@ -1,4 +1,4 @@
-"""The publisher as the daemon has it: records in, ZeroMQ messages out by a process beside it, never waiting."""
+"""The daemon's interface to its publisher: accepts records, from which a separate process sends ZeroMQ messages."""
 
 from __future__ import annotations
 
@@ -44,25 +44,25 @@ log: Final = logging.getLogger(__name__)
 Records = NDArray[np.float64]
 
 BACKLOG: Final = 40960
-"""Messages kept for a subscriber that stalls: 5 s at 8 kHz, 41 s at 1 kHz, some 60 MB."""
+"""Messages queued for a subscriber that stalls: 5 s at 8 kHz, 41 s at 1 kHz, about 60 MB."""
 
 LINGER_S: Final = 0.2
-"""How long closing waits for the last messages (the event that says why) to leave."""
+"""Time for which closing waits for the last messages, such as the event with the reason of the end."""
 
 
 class Publisher(Closing):
-    """ZeroMQ publisher on `doors`, which it closes, or on an endpoint of its own; sends one tick in `every`, of several
-    `fingers` each under its name.
+    """ZeroMQ publisher on `doors`, which it closes, or on a new endpoint.
 
-    Ticks come from a servo (`attach`), and a thread without Python hands them on to the process that sends them; what
-    follows from them is told by whoever feeds `observe` with the records of `tap`. `observe` and `publish` belong to
-    one thread; `event` may be called from any, but not from a signal handler. After `close` they do nothing. Raises
-    AddressInUse if another process holds the endpoint, ConfigError if the endpoint cannot or may not be bound.
+    It sends one tick in `every`, with a topic for each of several `fingers`. Ticks come from a servo (`attach`); a
+    thread without Python passes them to the process that sends them. Events and health follow from the records of
+    `tap`, which the caller passes to `observe`. `observe` and `publish` belong to one thread; `event` may be called
+    from any, but not from a signal handler. After `close` they do nothing. Raises AddressInUse if another process uses
+    the endpoint, ConfigError if the endpoint cannot or may not be bound.
 
-    backlog   messages kept for a subscriber that stalls
-    priority  of SCHED_FIFO that the process asks for; 0: for none
+    backlog   messages queued for a subscriber that stalls
+    priority  SCHED_FIFO priority that the process requests; 0 for none
     bodies    whether `world` may be called
-    switch    by which the process takes the force off; it is closed with this
+    switch    force switch shared with the process; it is closed with this object
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Publisher(Closing):
             raise ConfigError(f"[telemetry] every = {every} is below 1: 1 publishes each tick, 10 one in ten")
         self._lock = threading.Lock()
         self.tell: Callable[..., None] = self.event
-        """Called as `event` is with what has happened to the process; whoever also records events puts itself here."""
+        """Called like `event` for events of the process; replaced by a function that also records them."""
         self._topics = [*map(contact_topic, fingers), STATE, EVENT, HEALTH, *([WORLD] if bodies else []), SCHEMA_TOPIC]
         self._ticks = Ticks(SCHEMA, every, self._topics[: len(fingers)], STATE, STATE_HZ)
         self._backlog, self._priority, self._shown, self._health_body = backlog, priority, Shown(), b""
@@ -115,10 +115,10 @@ class Publisher(Closing):
             self._link: Final = Link(self._setup, self._last, files, self._restarted, self._switch.obeyed)
             undo.pop_all()
         self.tap: Final = self._relay.tap
-        """The records that were handed on, for one thread of this process."""
+        """Records passed on by the relay, for one thread of this process."""
 
     def _setup(self) -> Setup:
-        # The first one misses none; who was connected to another that has ended has missed what came meanwhile.
+        # The first process misses no tick; peers of an earlier process have missed the ticks since its end.
         begin = self._relay.rows if self._starts else 0
         self._starts += 1
         self._switch.restart()
@@ -143,56 +143,56 @@ class Publisher(Closing):
         self.tell("fault", "publisher", message=said)
 
     def ring(self) -> dict[str, Any]:
-        """Where programs of this user find every tick as memory, for `describe`."""
+        """Return where programs of this user find every tick in memory, for `describe`."""
         fingers = len(self._events)
         return {"name": self._relay.memory, "layout": LAYOUT, "columns": columns(), "records_in_a_row": fingers}
 
     @property
     def native_id(self) -> int | None:
-        """Of the thread that hands ticks on."""
+        """Native id of the thread that passes ticks on."""
         return self._relay.native_id
 
     @property
     def pid(self) -> int:
-        """Of the process that sends."""
+        """Id of the process that sends."""
         return self._link.pid
 
     @property
     def figures(self) -> Figures:
-        """What is known of peers."""
+        """Counters of peers."""
         return self._link.figures
 
     @property
     def subscribers(self) -> int:
-        """Connections that subscribe to something."""
+        """Connections that subscribe to at least one topic."""
         return self._link.figures.subscribers
 
     @property
     def restarts(self) -> int:
-        """How often the process was started again."""
+        """Number of restarts of the process."""
         return self._link.restarts
 
     def attach(self, source: Source) -> None:
-        """Send what a servo does from here on, until it has ended. Once."""
+        """Send the ticks of a servo from now on, until it ends. Call it once."""
         self._relay.attach(source)
 
     def serve(self, answering: Answering | None) -> None:
-        """Have commands answered by somebody from here on; None: by nobody."""
+        """Set the handlers of commands; None: commands are no longer answered."""
         self._link.serve(answering)
 
     def reply(self, client: bytes, body: bytes) -> None:
-        """Answer a command later than at once; from any thread."""
+        """Send a deferred answer to a command; from any thread."""
         self._link.reply(client, body)
 
     def show(self, shown: Shown) -> None:
-        """What `state` is to say beside the tick."""
+        """Set the contents of `state` that do not come from the tick."""
         with self._lock:
             self._shown = shown
             if not self._closed:
                 self._link.say(Kind.SHOWN, body=msgspec.msgpack.encode(shown))
 
     def publish(self, records: Records, drops: int = 0) -> None:
-        """Send records that come from no servo, shape (n, fingers x RECORD_SIZE), and what follows from them."""
+        """Send records without a servo, shape (n, fingers x RECORD_SIZE), and the messages that follow from them."""
         with self._lock:
             if not self._closed:
                 self._relay.send(records)
@@ -201,7 +201,9 @@ class Publisher(Closing):
     def observe(self, records: Records, drops: int = 0) -> None:
         """Send the events and the health that follow from a batch of records, shape (n, fingers x RECORD_SIZE).
 
-        `drops` is how many records did not get here since the servo started.
+        drops  number of records lost since the servo started
+
+        Raises RuntimeError if the process or the relay has failed.
         """
         with self._lock:
             if self._closed or not len(records):
@@ -224,11 +226,11 @@ class Publisher(Closing):
                 raise RuntimeError("the process that sends, or the thread that hands on, has ended")
 
     def event(self, kind: str, name: str, **fields: Any) -> None:
-        """Send an event of now at once; `fields` are further keys, of types msgpack knows."""
+        """Send an event with the present time; `fields` are further keys, of types that msgpack can encode."""
         self.send_event(event_map((self._relay.tick, now_s()), kind, name, fields))
 
     def send_event(self, event: dict[str, Any]) -> None:
-        """Send an event at once; of a new state of the daemon `health` tells from there on, too."""
+        """Send an event; if it is a new state of the daemon, `health` contains that state from now on."""
         if event["kind"] == "state":
             self._state = event["name"]
         with self._lock:
@@ -236,14 +238,14 @@ class Publisher(Closing):
                 self._send(EVENT, event)
 
     def world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
-        """Send where the bodies of a scene were in a tick: maps with the keys of WORLD_KEYS; from any thread."""
+        """Send the poses of a scene's bodies in a tick: maps with the keys of WORLD_KEYS; from any thread."""
         with self._lock:
             if not self._closed:
                 content = {"schema": SCHEMA, "timestamp": now_s(), "tick": tick, "bodies": bodies}
                 self._send(WORLD, content)
 
     def close(self) -> None:
-        """Send what is under way, for at most LINGER_S, and free the endpoint. Any number of times."""
+        """Send queued messages, for at most LINGER_S, and free the endpoint; may be called repeatedly."""
         with self._lock:
             if self._closed:
                 return

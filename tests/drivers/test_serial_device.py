@@ -20,6 +20,7 @@ from emulators.serialboard import FRAME_BYTES, Board, Cable
 from helpers.compiled_code import called_in, functions
 from helpers.hid_devices import RefusedNode
 from helpers.serial_devices import PLACE, board, fresh, opened, rig_options, settle
+from numba import types
 
 from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
@@ -500,11 +501,21 @@ def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
         "atan",
     }
     allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
-    for function in (exchange.read, exchange.write):
-        ir = numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm()
+    functions_of = {
+        exchange.read: IO_SIGNATURE,
+        exchange.write: IO_SIGNATURE,
+        exchange._send: types.int64(types.int64, types.UniTuple(types.float64, 3)),
+        exchange._take_described: types.UniTuple(types.int64, 2)(types.int64, types.int64),
+    }
+    found = set[str]()
+    for function, signature in functions_of.items():
+        ir = numba.cfunc(signature, error_model="numpy")(function.__wrapped__).inspect_llvm()
         # without the wrapper that would report an exception, which `error_model="numpy"` leaves no cause for
         bodies = functions(ir)
         called = {name for body in bodies.values() for name in called_in(body)}
         outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
-        assert "clock_gettime" in outside
-        assert outside <= allowed
+        units = {name for name in outside if name.startswith("softfinger_unit_")}
+        assert outside - units <= allowed
+        assert all(re.match("softfinger_unit_(_send|_take_described)_", name) for name in units)
+        found |= outside
+    assert "clock_gettime" in found and "write" in found

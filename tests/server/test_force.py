@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from math import ceil
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfinger.server.loop.force_switch import GIVEN, WANTED, make_switch
+from softfinger.config import limits
+from softfinger.server.loop.force_switch import GIVEN, OFF_S, WANTED, is_zero, make_switch, switched
+from softfinger.server.loop.guard import Guard, Guarded, guard_wrench
 from softfinger.server.services.force import SWITCH_TICKS, Force
 from softfinger.server.states import FAST, UNARMED, States
 
@@ -65,3 +69,28 @@ def test_a_suspended_force_returns_by_itself_unless_a_reason_came_meanwhile(at: 
     with loop.force.suspended():
         loop.force.keep_off(UNARMED)
     assert loop.switch[WANTED] == 0
+
+
+def within(span: limits.Range) -> st.SearchStrategy[float]:
+    return st.floats(span.low, span.high)
+
+
+@given(
+    within(limits.FORCE_MAX_N), within(limits.TORQUE_MAX_NM), within(limits.FORCE_SLEW_N_PER_S),
+    within(limits.TORQUE_SLEW_NM_PER_S), within(limits.RATE_HZ),
+)  # fmt: skip
+def test_no_rig_delays_the_end_of_the_force(
+    force: float, torque: float, force_slew: float, torque_slew: float, rate_hz: float
+) -> None:
+    """From the limits of any rig to zero in OFF_S, to the tick, whatever the contact asks for."""
+    guard = Guard(force, torque, force_slew, torque_slew, 0.5, 1.0)
+    guarded = Guarded((0.0, 0.0, force), (0.0, torque, 0.0), 1.0)
+    for _ in range(ceil(OFF_S * rate_hz * (1.0 + 1e-12))):  # rounding of the product
+        now = switched(guard, guarded, False)
+        guarded, _bits = guard_wrench(now, guarded, (0.0, 0.0, 99.0), (0.0, 9.0, 0.0), 1.0 / rate_hz, 1.0 / rate_hz)
+    assert max(map(abs, guarded.force + guarded.torque)) <= 1e-12 * (force + torque)  # rounding of the steps
+    if not is_zero(guarded):
+        guarded, _bits = guard_wrench(
+            switched(guard, guarded, False), guarded, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0 / rate_hz, 1.0 / rate_hz
+        )
+    assert is_zero(guarded)

@@ -21,6 +21,7 @@ from softfinger.drivers.hid.options import Options as HidOptions
 from softfinger.drivers.openhaptics.exchange import TIMEOUT_NS
 from softfinger.drivers.serial.options import Options as SerialOptions
 from softfinger.server.loop import health, limits
+from softfinger.server.loop.force_switch import OFF_S
 from softfinger.server.services import device_warnings, swapping
 from softfinger.server.viewer.door import process
 from softfinger.server.wire import link
@@ -255,7 +256,7 @@ HAZARDS: Final = (
         within=1,
     ),
     Hazard(
-        "a commanding program that is gone", "`heartbeat_s`", "`heartbeat_s` and a tick", "zero, along the slew limit",
+        "a commanding program that is gone", "`heartbeat_s`", f"`heartbeat_s` and {1e3 * OFF_S:g} ms", "zero",
         "the next heartbeat, or `arm`", ("command heartbeat_missed", FAILED),
         ("tests/server/test_commands.py::test_without_a_heartbeat_there_is_no_force_until_the_next",
          "tests/server/test_commands_at_once.py::test_the_force_ends_while_python_does_nothing"),

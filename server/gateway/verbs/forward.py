@@ -1,5 +1,4 @@
-"""`forward`: what a daemon publishes to more subscribers, to other machines by key, or to Lab Streaming Layer; and
-commands back to it."""
+"""`forward`: telemetry to more subscribers, to other machines by key, or to Lab Streaming Layer; and commands back."""
 
 from __future__ import annotations
 
@@ -27,7 +26,7 @@ log: Final = logging.getLogger(__name__)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
+    """Define the arguments of the verb."""
     parser.description = (
         "Hand the telemetry of a daemon on to any number of subscribers, by key to other machines, and their commands "
         "back; ends with Ctrl-C, and says then what was handed on."
@@ -58,7 +57,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Hand on until a signal; returns 0."""
+    """Forward until a signal; returns 0, or the exit code of the signal."""
     if not (args.to or args.commands_to or args.lsl):
         raise ConfigError("nothing to do: give --to, --commands-to or --lsl")
     upstream = None if args.server_key is None else keys.of_options(args)
@@ -95,7 +94,7 @@ def _end_with_input(stop: threading.Event) -> None:
 
 
 def lock_of(endpoint: str, flag: str, own: str | None, folder: str | None) -> Lock | None:
-    """Who may come in at an endpoint; None: everybody who reaches it, which is nobody on another machine."""
+    """Return the lock of an endpoint; None if all peers that reach it may connect, which excludes other machines."""
     folder_flag = "--readers" if flag == "--to" else "--commanders"
     if folder is not None:
         if own is None:
@@ -110,7 +109,7 @@ def lock_of(endpoint: str, flag: str, own: str | None, folder: str | None) -> Lo
 
 
 def bound(endpoint: str, flag: str, stack: ExitStack) -> Bound:
-    """The endpoint, bound here; `stack` frees it."""
+    """Bind the endpoint; `stack` frees it."""
     made = listen(endpoint, flag, public=True)
     stack.enter_context(made.files)
     return made

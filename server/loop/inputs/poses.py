@@ -1,7 +1,7 @@
-"""What the poses of a device tell of the device itself: that it jumps, as no hand does, or stands still, as none does.
+"""Plausibility checks of a device's poses: jumps that no hand makes, and poses that repeat while a hand moves.
 
-Both mean that where the hand is is not known, and then there is no force. A driver that gives numbers cannot see this
-in them; the loop can, from one tick to the next. Poses that are no numbers are `tick.usable`'s.
+In both cases the position of the hand is unknown, so the force is zero. A driver cannot detect this from a single
+sample; the loop compares successive ticks. `tick.usable` rejects poses that are not finite. Called by `all_devices.py`.
 """
 
 from math import cos, pi
@@ -22,11 +22,14 @@ _SINCE: Final = POSE_SIZE
 _REPEATED: Final = POSE_SIZE + 1
 
 LOADED_N: Final = 0.01
-"""Force below which a pose that repeats is no matter: no hand feels it."""
+"""Force below which a repeated pose is harmless, since the hand does not feel it."""
 
 
 def nothing_seen() -> NDArray[np.float64]:
-    """Memory of `doubt` before the first pose: the last one (7,), s since it was fresh, s for which it has repeated."""
+    """Return the memory of `doubt` before the first pose.
+
+    Contains the last pose (7,), the time (s) since it was fresh, and the time (s) for which it has repeated.
+    """
     seen = np.zeros(POSE_SIZE + 2)
     seen[:POSE_SIZE] = np.nan
     return seen
@@ -34,13 +37,13 @@ def nothing_seen() -> NDArray[np.float64]:
 
 @jit
 def doubt(guard: Guard, seen: NDArray[np.float64], raw: Any, status: int, force: Vec3, dt: float) -> int:
-    """The guard's bit of what speaks against a pose: POSE_JUMPED, POSE_FROZEN, or 0.
+    """Return the guard's bit for an implausible pose: POSE_JUMPED, POSE_FROZEN, or 0.
 
-    seen    memory of this device, of `nothing_seen`
-    raw     sample as the driver gave it: position (m) and quaternion first
-    status  of the read; with any but OK the pose may be the one of before, and its age counts on
+    seen    memory of this device, from `nothing_seen`
+    raw     sample from the driver, which starts with position (m) and quaternion
+    status  status of the read; unless it is OK, the pose may be the previous one, and its age continues to grow
     force   (3,) N  on the hand since the last tick
-    dt      s       since then
+    dt      s       time since then
     """
     seen[_SINCE] += dt
     if not usable(raw):
@@ -64,7 +67,7 @@ def doubt(guard: Guard, seen: NDArray[np.float64], raw: Any, status: int, force:
 def _repeated(guard: Guard, seen: NDArray[np.float64], force: Vec3, dt: float) -> int:
     if guard.frozen == 0.0:
         return 0
-    # Once it counts as frozen there is no force, and it stays so until the pose is another.
+    # A frozen pose turns the force off, so it remains frozen until the pose changes.
     if seen[_REPEATED] > guard.frozen or vec3.norm(force) >= LOADED_N:
         seen[_REPEATED] += dt
     else:
@@ -74,7 +77,7 @@ def _repeated(guard: Guard, seen: NDArray[np.float64], force: Vec3, dt: float) -
 
 @jit
 def _jumps(guard: Guard, seen: NDArray[np.float64], raw: Any) -> bool:
-    """Whether a pose is farther from the last than the limits allow in the time since; never of the first."""
+    """Return whether a pose is farther from the last one than the limits allow; False for the first pose."""
     way = (raw[0] - seen[0], raw[1] - seen[1], raw[2] - seen[2])
     if vec3.norm(way) > guard.speed_max * seen[_SINCE]:
         return True

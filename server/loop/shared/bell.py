@@ -1,4 +1,4 @@
-"""How a Python thread waits for an eventfd."""
+"""Wait for an eventfd, called by the Python readers of records."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import os
 
 
 def wait_for(fd: int) -> None:
-    """Sleep until an eventfd counts above zero, and reset it.
+    """Sleep until the counter of an eventfd is above zero, and reset it.
 
-    The kernel may deliver a signal to any thread, and Python does not retry this call after EINTR.
+    Retries after EINTR: the kernel may deliver a signal to any thread, and Python does not retry this call.
     """
     while True:
         try:

@@ -1,4 +1,4 @@
-"""`softfinger info`: what is in a recording."""
+"""`softfinger info`: print a summary of a recording."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from softfinger.server.recording.summary import summary
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
+    """Add the arguments of the verb."""
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="an .mcap of run --record, record or ctl")
     parser.add_argument("--json", action="store_true", help="print it as JSON, with rig and scene")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print it; returns 0."""
+    """Print the summary; return 0."""
     found = summary(args.recording)
     print(json.dumps(found) if args.json else "\n".join(_lines(found)))
     return 0

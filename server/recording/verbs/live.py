@@ -1,4 +1,4 @@
-"""`record FILE.mcap`: every tick and event of a running daemon, from the wire. A client and nothing more."""
+"""`record FILE.mcap`: record every tick and event of a running daemon as one of its telemetry clients."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ POLL_S: Final = 0.02
 DESCRIBE_S: Final = 2.0
 SHOW_EVERY_S: Final = 0.5
 DISK_S: Final = 10.0
-"""How long the end waits for the disk."""
+"""Time limit for the last writes to the disk."""
 _NOT_KEPT: Final = ("wire", "commands", "endpoints")
-"""Of the daemon's description: they say how messages look that are not in the file."""
+"""Keys of the daemon's description that are not recorded: they describe messages of the wire."""
 
 
 class Live(NamedTuple):
-    """What to record, and until when.
+    """Source and end of a recording.
 
-    at          where it is published, and where the daemon describes itself
-    duration_s  of ticks; None until the server's end
-    keys        of a client, where the daemon wants some
-    timeout_s   of silence, that ends it
-    asked       whether somebody asks for the end
+    at          endpoints of telemetry and commands
+    keys        of this client, if the daemon requires keys
+    duration_s  of ticks to record; None: until the server stops
+    timeout_s   silence that ends the recording
+    asked       returns true if the user requested the end
     """
 
     at: Addresses
@@ -52,9 +52,14 @@ class Live(NamedTuple):
 
 
 def record_live(live: Live, path: Path) -> str:
-    """Record into a new file until the end of one of many kinds; returns what to tell of it.
+    """Record into a new file until the first of several causes ends the recording; return a report in one line.
 
-    Raises NoTelemetry when nothing arrives, RecordingError for a file that is there already or cannot be written.
+    Raises
+    ------
+    NoTelemetry
+        If nothing arrives.
+    RecordingError
+        If the file exists or cannot be written.
     """
     with subscribed(live) as wire:
         early, fingers, about = begin(wire, live)
@@ -85,24 +90,24 @@ def _told(path: Path, taking: Taking, recorded: Recorded, ended: str) -> str:
 
 
 class Taker(Protocol):
-    """Whom ticks and events are handed to."""
+    """Receiver of ticks and events."""
 
     def take(self, records: NDArray[np.float64], finger: int) -> None:
-        """Records (n, RECORD_SIZE) of a finger, by its place."""
+        """Receive records (n, RECORD_SIZE) of the finger with this index."""
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """An event's map, as the wire has it."""
+        """Receive an event, a map as on the wire."""
 
     def world(self, world: Mapping[str, Any]) -> None:
-        """A message of `world`, a map as the wire has it."""
+        """Receive a message of the topic `world`, a map as on the wire."""
 
     @property
     def failed(self) -> bool:
-        """Whether it takes no more."""
+        """Return whether the receiver stopped because of an error."""
 
 
 class Taking:
-    """Hands messages to a taker, ticks some at a time."""
+    """Passes messages to a taker, ticks in batches."""
 
     def __init__(self, taker: Taker, fingers: list[str]) -> None:
         self._taker, self._places = taker, {finger: place for place, finger in enumerate(fingers)}
@@ -114,7 +119,7 @@ class Taking:
         self.ended = ""
 
     def take(self, sample: Sample) -> None:
-        """A message, in its order; sets `ended` at the server's end."""
+        """Process the next message; set `ended` if the server stopped or restarted."""
         finger = finger_of(sample.topic)
         if sample.topic == EVENT:
             self._taker.event(sample.data)
@@ -137,7 +142,7 @@ class Taking:
             self.hand_on()
 
     def hand_on(self) -> None:
-        """Give the taker what came."""
+        """Pass the collected ticks to the taker."""
         self._due_s = time.monotonic() + BATCH_S
         for place, rows in self._rows.items():
             if rows:
@@ -146,13 +151,13 @@ class Taking:
 
     @property
     def failed(self) -> bool:
-        """Whether the taker takes no more."""
+        """Return whether the taker stopped because of an error."""
         failed: bool = self._taker.failed
         return failed
 
 
 def go_on(wire: Subscription, live: Live, early: list[Sample], taking: Taking) -> str:
-    """Take what came early and what arrives until the end; returns which it was. All that came is handed on."""
+    """Process the early messages and all that arrive until the end; return the cause of the end."""
     try:
         for sample in early:
             taking.take(sample)
@@ -189,19 +194,22 @@ def _until_the_end(wire: Subscription, live: Live, taking: Taking) -> str:
 def _over(sample: Sample, live: Live, taking: Taking) -> bool:
     if live.duration_s is None or finger_of(sample.topic) is None:
         return False
-    # Half a tick early: a sum of time steps is rounded.
+    # Half a tick early, because the sum of time steps has rounding errors.
     return bool(taking.seconds > live.duration_s - 0.5 * sample.dt and sample.tick > taking.last)
 
 
 def subscribed(live: Live) -> Subscription:
-    """A client of all that is taken."""
+    """Subscribe to all recorded topics."""
     return subscribe(live.at.telemetry, (CONTACT, FINGERS, EVENT, WORLD), keys=live.keys)
 
 
 def begin(wire: Subscription, live: Live) -> tuple[list[Sample], list[str], dict[str, Any]]:
-    """The first messages, the names of the fingers, and what the daemon says of itself, empty if it does not.
+    """Return the first messages, the names of the fingers, and the daemon's description, empty if it sends none.
 
-    Raises NoTelemetry when nothing arrives.
+    Raises
+    ------
+    NoTelemetry
+        If nothing arrives.
     """
     early = _early(wire, live)
     fingers = list(dict.fromkeys(finger for sample in early if (finger := finger_of(sample.topic)) is not None))
@@ -209,7 +217,7 @@ def begin(wire: Subscription, live: Live) -> tuple[list[Sample], list[str], dict
 
 
 def _early(wire: Subscription, live: Live) -> list[Sample]:
-    """The messages of one whole tick at the least, so that every finger is among them, and events before."""
+    """Return the messages of at least one complete tick, which names all fingers, with the events before it."""
     samples: list[Sample] = []
     ticks: dict[str, int] = {}
     until = time.monotonic() + live.timeout_s
@@ -220,14 +228,14 @@ def _early(wire: Subscription, live: Live) -> list[Sample]:
         samples.append(sample)
         if finger_of(sample.topic) is not None:
             ticks[sample.topic] = ticks.get(sample.topic, 0) + 1
-            # Those of a tick come one after the other: with the third of one, all others have come.
+            # Messages of one tick arrive together: before the third message of one finger, each finger has had one.
             if ticks[sample.topic] == 3:
                 return samples
     raise NoTelemetry(silence(live.at.telemetry, live.timeout_s))
 
 
 def _description(live: Live) -> dict[str, Any]:
-    """What the daemon says of itself; empty where it takes no commands."""
+    """Return the daemon's description; empty if it accepts no commands."""
     try:
         with Control(live.at.commanded(), DESCRIBE_S, keys=live.keys) as control:
             return {key: value for key, value in control.describe().items() if key not in _NOT_KEPT}

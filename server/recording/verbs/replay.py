@@ -1,4 +1,4 @@
-"""`softfinger replay`: recorded poses through today's code, beside the forces, modes and contact points of then."""
+"""`softfinger replay`: recompute a recording from its poses; compare forces, modes and contact points."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ Array = NDArray[np.float64]
 Against = dict[str, dict[str, Array]]
 
 TOLERANCE: Final = 1e-9
-"""N, N m, m: what another processor's mathematics may differ by after many ticks; on one machine nothing does."""
+"""N, N m, m: possible difference between processors after many ticks; results on one machine are identical."""
 FORCES_BYTES_MAX: Final = 1 << 30
 SPANS_SHOWN: Final = 10
 POINTS_MAX: Final = 4000
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
+    """Add the arguments of the verb."""
     parser.add_argument(
         "recording",
         metavar="RECORDING",
@@ -57,7 +57,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare; returns 0. Raises Different, with an exit code of its own, at the first difference."""
+    """Compare a recording with today's results; return 0. Raises Different, with its exit code, if a tick differs."""
     if not args.tolerance >= 0.0:
         raise ConfigError(f"--tolerance {args.tolerance} is no tolerance: give 0 or more")
     path = Path(args.recording)
@@ -104,7 +104,7 @@ def _scene(named: str | None, past: Run, path: Path) -> schema.Scene:
 
 
 def _of_poses(name: str, rate_hz: float) -> Run:
-    """Poses as a run from its first tick on."""
+    """Return poses as a run that starts at tick 0."""
     poses = resample(load_poses(name), rate_hz)
     count = len(poses)
     fields = {key: np.zeros((count, NAMED[key].size)).squeeze(axis=1) if NAMED[key].size == 1
@@ -119,7 +119,7 @@ def _recorded(past: Run) -> Against:
 
 
 def _from_file(path: Path, past: Run) -> Against:
-    """What another file has of the run's ticks, NaN where it has none; the ticks are numbered from 0 there and here."""
+    """Return the values of another file at the run's ticks, by number; raises RecordingError if it lacks a tick."""
     against: Against = {}
     for finger, fields in past.fingers.items():
         forces = _forces(path) if len(past.fingers) == 1 else None
@@ -141,7 +141,10 @@ def _from_file(path: Path, past: Run) -> Against:
 
 
 def _forces(path: Path) -> tuple[Array, dict[str, Array]] | None:
-    """Of the file of forces that a replay keeps: the read that each answers, and its wrench; None for another file."""
+    """Read a file of forces written by the replay device: index of the read before each force, and wrench.
+
+    Returns None for other files.
+    """
     try:
         if path.suffix.lower() == ".npz":
             with open_input(path) as file:
@@ -163,7 +166,7 @@ def _forces(path: Path) -> tuple[Array, dict[str, Array]] | None:
             return None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # damaged bytes fail in many ways
+    except Exception as error:  # damaged bytes raise exceptions of many types
         raise RecordingError(f"{path}: not a file of forces: {error}") from error
     return reads, {"force": wrenches[:, :3], "torque": wrenches[:, 3:6]}
 
@@ -187,7 +190,7 @@ def _lines(outcome: Outcome, past: Run) -> list[str]:
 
 
 def draw(past: Run, now: Replayed, against: Against, path: Path) -> None:
-    """Draw the size of both forces of each finger over time, and of their difference where they are compared."""
+    """Plot the force magnitude of each finger over time, recorded and recomputed, and the difference where compared."""
     drawing = figure(8.0, 2.0 + 2.0 * len(past.fingers))
     axes = drawing.subplots(2 * len(past.fingers), 1, sharex=True, squeeze=False)[:, 0]
     seconds = np.cumsum(past.first["dt"])

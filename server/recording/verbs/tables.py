@@ -1,4 +1,4 @@
-"""`softfinger import`: poses of another program, a table of numbers in any layout, as a recording to replay."""
+"""`softfinger import`: convert poses of another program, a table of numbers in any layout, to a replayable file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from softfinger.server.offline.tables import layout_of, read_table, write_poses
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
+    """Add the arguments of the verb."""
     parser.add_argument("table", type=Path, metavar="TABLE", help="text; commas, semicolons, tabs or blanks between")
     parser.add_argument(
         "--out", type=Path, required=True, metavar="FILE.csv", help="poses, for --recording and --poses"
@@ -27,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read and write it; returns 0."""
+    """Convert the table; return 0."""
     layout = layout_of(args.columns, args.unit_s, args.unit_m, args.rate, args.skip)
     if args.out.suffix.lower() != ".csv":
         raise ConfigError(f"--out {args.out}: poses are written as .csv")

@@ -1,8 +1,8 @@
-"""Who may open the page and command by it: whoever has its secret address, from the page itself, and nobody else.
+"""Access control of the page: requests need the secret address and must come from the page itself.
 
-A browser lets any web site connect to any address of this machine, by a websocket or under a name of the site's own
-(DNS rebinding). So each request has to have the page's token in its path, name the page's host, and, where a browser
-says which site it comes from, come from the page.
+Browsers let any web site connect to any address of this machine, by a websocket or under a name of the site's domain
+(DNS rebinding). Therefore each request must have the page's token in its path, the page's host in its header and, if
+the browser sends an origin, the origin of the page.
 """
 
 from __future__ import annotations
@@ -32,17 +32,18 @@ log: Final = logging.getLogger(__name__)
 
 TOKEN_BYTES: Final = 16
 MESSAGE_MAX: Final = 65536
-"""Largest message of a browser, bytes. The page's own have less than 1000. A larger one is refused at the header of its
-frame; viser's own limit is 50 MB."""
+"""Maximum size of a browser's message, bytes. The page sends less than 1000. Larger messages are refused at the header
+of their frame; viser's default limit is 50 MB.
+"""
 BROWSERS_MAX: Final = 32
-"""Largest number of browsers at a time. Each has its own send buffer."""
+"""Maximum number of simultaneous browsers. Each has a separate send buffer."""
 SAID_MAX: Final = 200
-"""Characters of an error that the log repeats."""
+"""Maximum length of an error text in the log."""
 ADVICE: Final = "open the page by the address that `softfinger view` or `softfinger run --view` printed last\n"
 HEADERS: Final = {
     "X-Frame-Options": "DENY",
-    "Content-Security-Policy": "frame-ancestors 'none'",  # no other page may lay it under a click
-    "Referrer-Policy": "no-referrer",  # the address is the secret
+    "Content-Security-Policy": "frame-ancestors 'none'",  # prevents clickjacking: no other page may embed this one
+    "Referrer-Policy": "no-referrer",  # the address is secret
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
@@ -53,13 +54,24 @@ Talk = Callable[[ServerConnection], Awaitable[None]]
 
 
 def new_token() -> str:
-    """One that nobody guesses."""
+    """Return a random token."""
     return secrets.token_urlsafe(TOKEN_BYTES)
 
 
 class Access:
-    """What a request to a page on `host` has to say; `allowed` are more hosts, NAME or NAME:PORT, behind a tunnel.
-    Its `token` is a new one unless it is given."""
+    """Check of requests to a page on `host`.
+
+    Parameters
+    ----------
+    host
+        Address that the page listens on.
+    allowed
+        Further hosts, NAME or NAME:PORT, for access through a tunnel.
+    title
+        Title of the page.
+    token
+        Secret part of the address; None: a new one.
+    """
 
     def __init__(
         self, host: str, allowed: tuple[str, ...] = (), title: str = "softfinger", token: str | None = None
@@ -68,7 +80,7 @@ class Access:
         self._host, self._allowed, self._title = host, allowed, title
 
     def address(self, port: int) -> str:
-        """Where a browser on this machine, or with a wildcard for `host` on another, finds the page."""
+        """Return the page's address for a browser on this machine, or on another one if `host` is a wildcard."""
         if _any(self._host):
             name = self._allowed[0] if self._allowed else socket.gethostname()
         else:
@@ -76,7 +88,7 @@ class Access:
         return f"http://{_with_port(name, port)}/{self.token}/"
 
     def why_not(self, path: str, headers: Headers, local: tuple[Any, ...]) -> str:
-        """Why a request is refused, empty where it is not; `local` is the address (host, port, ...) it came to."""
+        """Return why a request to the `local` address (host, port, ...) is refused; empty if it is allowed."""
         hosts = [each.lower() for each in headers.get_all("Host")]
         if len(hosts) != 1 or hosts[0] not in self._hosts(local):
             return f"the request is for the host {hosts}, which this page is not: --allow-host names others"
@@ -90,7 +102,7 @@ class Access:
         return ""
 
     def _hosts(self, local: tuple[Any, ...]) -> set[str]:
-        """What the header Host may say. An address in figures is no name that a web site could have given itself."""
+        """Return the allowed values of the header Host; numeric addresses cannot belong to a web site's domain."""
         port = int(local[1])
         names = {self._host, str(local[0]), *self._allowed}
         if _any(self._host) or _loopback(str(local[0])):
@@ -100,7 +112,7 @@ class Access:
         return {_with_port(name, port).lower() for name in names}
 
     def guarded(self, serve: Answer) -> Answer:
-        """`serve` for those who may, with the token taken out of the path; a refusal for all others."""
+        """Wrap `serve`: pass on allowed requests, without the token in the path, and refuse all other ones."""
 
         def answer(connection: ServerConnection, request: Request) -> Response | None:
             why = self.why_not(request.path, request.headers, connection.local_address)
@@ -125,10 +137,10 @@ class Access:
 
     @contextmanager
     def guarding(self) -> Iterator[None]:
-        """A server that viser starts meanwhile answers as `guarded` says; ConfigError where it started none so.
+        """Guard the server that viser starts in the block; raises ConfigError if it starts none in the expected way.
 
         viser has no hook for this. It calls `websockets.asyncio.server.serve` with a `process_request`, both public;
-        the call is taken over for as long as the server starts.
+        the call is replaced while the server starts.
         """
         plain, name, taken = websockets_server.serve, "serve", list[bool]()
 
@@ -157,7 +169,7 @@ def cut_off(talk: Talk) -> Talk:
         browsers.add(connection)
         try:
             await talk(connection)
-        except Exception as error:  # of a dozen classes: viser takes the bytes apart by what is written in them
+        except Exception as error:  # of many classes, as viser decodes untrusted bytes
             said = " ".join(f"{type(error).__name__}: {error}".split())[:SAID_MAX]
             log.warning("a browser of the page was cut off: it said what the page does not know (%s)", said)
             await connection.close(CloseCode.INVALID_DATA, "no message of this page: load it anew")
@@ -169,15 +181,15 @@ def cut_off(talk: Talk) -> Talk:
 
 @lru_cache(maxsize=4)
 def _titled(body: bytes, packed: bool, title: str) -> bytes:
-    """A page of HTML with the program's name on its tab."""
+    """Return an HTML page with this program's title."""
     plain = gzip.decompress(body) if packed else body
     plain = plain.replace(NAMED, f"<title>{title}</title>".encode(), 1)
     return gzip.compress(plain) if packed else plain
 
 
 def _with_port(name: str, port: int) -> str:
-    """`name` as an address has it, with the port unless it has one."""
-    if name.count(":") > 1 and not name.startswith("["):  # IPv6, in figures
+    """Return `name` as in an address, with the port unless it has one."""
+    if name.count(":") > 1 and not name.startswith("["):  # numeric IPv6 address
         name = f"[{name}]"
     return name if ":" in name.rpartition("]")[2] else f"{name}:{port}"
 

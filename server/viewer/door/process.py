@@ -1,4 +1,4 @@
-"""How a run is seen: the page of `run --view`, a process of its own, and the commands that show what is published."""
+"""Page process of `run --view`, and the commands that show a daemon's telemetry."""
 
 from __future__ import annotations
 
@@ -23,39 +23,54 @@ from softfinger.server.wire.client import DEFAULT_ENDPOINT
 log: Final = logging.getLogger(__name__)
 
 START_S: Final = 60.0
-"""Time that the page has to say its address; by itself it takes a second, several on a busy machine."""
+"""Time limit for the page to print its address; it takes one second, or several on a busy machine."""
 END_S: Final = 10.0
-"""Time that the page has to end; by itself it takes a tenth of a second."""
+"""Time limit for the page to exit; it takes a tenth of a second."""
 RESTARTS: Final = 3
-"""How often a page that has died is started again in a run."""
+"""Maximum restarts of a crashed page per run."""
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 ASKED: Final = (0, *(128 + number for number in _SIGNALS), *(-number for number in _SIGNALS))
-"""Exit codes of a page that somebody has ended, be it before it listens to signals."""
+"""Exit codes of a page stopped on request, also before it installs its signal handlers."""
 
 
 def shown_by(endpoint: str) -> str:
-    """The command that shows what is published on an endpoint, as a shell would find this program."""
+    """Return the shell command that shows the telemetry of an endpoint."""
     return f"{program()} monitor" + ("" if endpoint == DEFAULT_ENDPOINT else f" --endpoint {shlex.quote(endpoint)}")
 
 
 def program() -> str:
-    """This program, as a shell would find it."""
+    """Return the shell command of this program."""
     called = Path(sys.argv[0])
     return str(called) if called.name == "softfinger" and shutil.which("softfinger") is None else "softfinger"
 
 
 def check_viewer() -> None:
-    """Raise ConfigError where a page cannot be shown."""
+    """Raise ConfigError if viser is not installed."""
     if find_spec("viser") is None:
         raise ConfigError("--view: the page needs viser: pip install 'softfinger[viewer]'")
 
 
 class Shown:
-    """`softfinger view` of a daemon, a process of its own: nothing that goes wrong there stops the servo.
+    """Page process (`softfinger view`) of a daemon; its failures never stop the servo.
 
-    Says where the page is, and waits for that; ConfigError where the daemon takes no commands (None). `loudness` is the
-    option for what it logs. A page that says no address within START_S is ended. One that dies is started again at the
-    same address, RESTARTS times, so that a browser that shows it goes on; `tell` is called with what has happened.
+    Waits for the address of the page and logs it. A page that prints no address within START_S is killed. A page that
+    crashes is restarted at the same address, at most RESTARTS times, so that an open browser can continue.
+
+    Parameters
+    ----------
+    telemetry, commands
+        Endpoints of the daemon.
+    loudness
+        Options for the log level of the page.
+    tell
+        Called with a sentence when the page has crashed or restarted.
+    role
+        Role of the user.
+
+    Raises
+    ------
+    ConfigError
+        If `commands` is None.
     """
 
     def __init__(
@@ -86,7 +101,10 @@ class Shown:
             raise
 
     def _started(self, token: str, *more: str) -> subprocess.Popen[str]:
-        """It ends with its standard input, so with this process; that begins with the token, of which none sees."""
+        """Start the page, which exits when its standard input is closed, and so with this process.
+
+        The token is written to standard input, because other users can read arguments.
+        """
         command = [sys.executable, "-m", "softfinger.server.cli", *self._words, *self._loudness, "--print-address"]
         words = [*command, "--until-eof", *more]
         process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
@@ -97,7 +115,7 @@ class Shown:
         return process
 
     def _said(self) -> str:
-        """The address that it says; empty where it ends before that, or has to be ended, since it says nothing."""
+        """Return the printed address; empty if the page exits without one or is killed after START_S."""
         process = self._process
         assert process.stdout is not None
         ender = threading.Timer(START_S, process.kill)
@@ -110,7 +128,7 @@ class Shown:
             ender.cancel()
 
     def look(self) -> None:
-        """Restart a page that has died, or report once that it has ended."""
+        """Restart a crashed page, or report its exit once."""
         if self._over or (code := self._process.poll()) is None:
             return
         said = f"the page has ended, with exit code {code}; the servo goes on"
@@ -146,14 +164,14 @@ class Shown:
         return True
 
     def _listen_again(self) -> None:
-        """Not by whoever looks after the servo, for the page takes a second."""
+        """Read the address in a separate thread: it takes a second, and the caller supervises the servo."""
         address = self._said()
-        if address and address != self._address:  # another program has taken its port meanwhile
+        if address and address != self._address:  # its port was taken by another program
             self._address = address
             log.info("the page is %s now", address)
 
     def close(self) -> None:
-        """End it; by force where it does not."""
+        """Stop the page, by SIGKILL if it does not exit within END_S."""
         self._process.terminate()
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):

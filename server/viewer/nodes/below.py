@@ -1,4 +1,4 @@
-"""What lies straight below a point: where its plumb line ends, and its shadow lies."""
+"""Vertical projection of a point onto the objects below it, for its plumb line and shadow."""
 
 from __future__ import annotations
 
@@ -16,15 +16,20 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 LEVEL: Final = 0.5
-"""Cosine of the slope up to which a plane is a ground."""
+"""Minimum cosine of the slope of a plane that counts as ground."""
 ROUNDING: Final = 1e-9
-"""Share of a triangle by which a point on its edge may lie outside, lest it fall between two."""
+"""Relative tolerance of the inside test of a triangle, so that no point on an edge is missed."""
 UP: Final = np.array([0.0, 0.0, 1.0])
 
 
 class Foot(NamedTuple):
-    """Where a plumb line ends: point (3,) m, the unit normal (3,) of the surface there, which points up; whether it is
-    flat; of which object, by its number among the places."""
+    """End of a plumb line on a surface.
+
+    point   (3,) m
+    normal  (3,)  unit normal of the surface, upwards
+    flat          whether the surface is flat
+    number        index of the object in `Bodies.places`
+    """
 
     point: Array
     normal: Array
@@ -33,10 +38,10 @@ class Foot(NamedTuple):
 
 
 class Level:
-    """An endless plane."""
+    """Infinite plane."""
 
     def below(self, point: Array, place: Place) -> Foot | None:
-        """Where it lies straight below a point (3,) m; None where it is above, or too steep."""
+        """Return the point straight below (3,) m; None if the plane is above or too steep."""
         normal = rotated(place[1], UP)
         if normal[2] <= LEVEL:
             return None
@@ -45,14 +50,14 @@ class Level:
 
 
 class Triangles:
-    """A surface of triangles, in its own frame, m."""
+    """Surface of triangles in its frame, m."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._corners, self._flat = mesh.vertices[mesh.faces], mesh.flat
         self._place: Any = None
 
     def below(self, point: Array, place: Place) -> Foot | None:
-        """The highest place of it straight below a point (3,) m; None where there is none."""
+        """Return the highest point of the surface straight below (3,) m; None if there is none."""
         if place != self._place:
             self._turn(place)
         x, y, z = point
@@ -73,7 +78,7 @@ class Triangles:
         return Foot(under[best], up if up[2] > 0.0 else -up, self._flat)
 
     def _turn(self, place: Place) -> None:
-        """Put them where they are in the world, without those that stand upright, which nothing lies on."""
+        """Transform the triangles to the world frame, without vertical ones, which have no point below another."""
         world = rotated(place[1], self._corners) + np.array(place[0])
         normal = np.cross(world[:, 1] - world[:, 0], world[:, 2] - world[:, 0])
         lying = np.abs(normal[:, 2]) > 1e-6 * np.linalg.norm(normal, axis=1)

@@ -1,4 +1,4 @@
-"""The objects of a scene as nodes of the page, each where it is at a tick, and geoms of its [world] beside them."""
+"""Nodes of the objects of a scene at their poses in a tick, and of the other geoms of its [world]."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from softfinger.server.viewer.nodes.meshes import PLANE_M, Mesh, mesh_of
 from softfinger.server.viewer.nodes.relief import add_relief
 
 SQUARES: Final = 13
-"""Of a side of a plane's board, a centimetre each."""
+"""Squares per side of a plane's board, one centimetre each."""
 
 Place = tuple[tuple[float, float, float], Quaternion]
 
 
 class Began(NamedTuple):
-    """When a scene began to be rendered.
+    """Start of the rendering of a scene.
 
-    tick       its first one
+    tick       its first tick
     missed     deadlines missed before it
-    period_s   of a tick
-    own_clock  all devices keep their own: a missed deadline is no time
+    period_s   period of a tick
+    own_clock  whether all devices have their own clock; if so, a missed deadline takes no time
     """
 
     tick: int
@@ -45,13 +45,13 @@ class Began(NamedTuple):
     own_clock: bool
 
     def time(self, row: NDArray[np.float64]) -> float:
-        """The scene's time in a tick (RECORD_SIZE,), s: the sum of the time steps of all ticks, seen or not."""
+        """Return the scene's time in a tick (RECORD_SIZE,), s: the sum of all time steps since its start."""
         missed = 0.0 if self.own_clock else row[AT.servo_missed] - self.missed
         return float(row[AT.tick] - self.tick + 1 + missed) * self.period_s
 
 
 class Bodies:
-    """Nodes `/objects/N`, a frame each with its surface below; `began` counts for those that move by themselves."""
+    """Nodes `/objects/N`: a frame with a surface for each object. `began` determines the time of moving objects."""
 
     def __init__(self, api: Any, scene: schema.Scene, began: Began) -> None:
         self.began = began
@@ -59,12 +59,12 @@ class Bodies:
         self._root = api.add_frame("/objects", show_axes=False)
         self._frames: list[Any] = []
         self.places: Final[list[Place]] = []
-        """Where each is: position (3,) m and orientation, object to world."""
+        """Poses of the objects: position (3,) m and orientation, object to world."""
         self._moving: Final[dict[int, tuple[Any, Pose]]] = {}
         self._riding: Final[dict[int, tuple[str, Place]]] = {}
-        """Those that ride on a body: its name, and the place in its frame."""
+        """Objects on a body of [world]: name of the body, and pose in its frame."""
         self._surfaces: Final[dict[int, Level | Triangles]] = {}
-        """What may lie below a point, of those whose surface is known."""
+        """Surfaces for `below`, if known."""
         self._things = (*scene.object, *untouched(scene))
         for number, thing in enumerate(self._things):
             place = (thing.position_m, thing.orientation_wxyz)
@@ -82,14 +82,14 @@ class Bodies:
                 self._surfaces[number] = Triangles(mesh)
 
     def draw(self, number: int, mesh: Mesh) -> None:
-        """The triangles of an object that is made of a file have come."""
+        """Draw the triangles of an object that is loaded from a file."""
         thing = self._scene.object[number]
-        if len(mesh.faces):  # of crumbs alone nothing may be left
+        if len(mesh.faces):  # thinning may leave nothing of a mesh of tiny parts
             self._surfaces[number] = Triangles(mesh)
             _put_surface(self._api, f"/objects/{number}", thing, mesh._replace(flat=True), _colour(number, thing))
 
     def show(self, row: NDArray[np.float64]) -> None:
-        """Put those that move by themselves where they are in a tick (RECORD_SIZE,)."""
+        """Move the objects with a motion to their poses in a tick (RECORD_SIZE,)."""
         time = self.began.time(row)
         for number, (motion, rest) in self._moving.items():
             pose = pose_at(motion, rest, time)
@@ -97,7 +97,7 @@ class Bodies:
             self._put(number)
 
     def ride(self, bodies: Mapping[str, Place]) -> None:
-        """Put those that ride on bodies where these are, in the world, by name."""
+        """Move the objects on bodies to the poses of these bodies (name, world frame)."""
         for number, (name, (position, turn)) in self._riding.items():
             if name in bodies:
                 there = carried(Pose(*bodies[name]), position, turn)
@@ -105,7 +105,7 @@ class Bodies:
                 self._put(number)
 
     def drive(self, number: int, position: Any, orientation: Any = None) -> None:
-        """A driven object has been moved."""
+        """Move a driven object."""
         place = (tuple(position), self.places[number][1] if orientation is None else tuple(orientation))
         self.places[number] = place
         if number in self._moving:
@@ -118,11 +118,11 @@ class Bodies:
         self._frames[number].wxyz = turn
 
     def shown(self) -> list[tuple[Any, Place]]:
-        """What is drawn, and where it is."""
+        """Return the drawn objects with their poses."""
         return list(zip(self._things, self.places, strict=True))
 
     def below(self, point: NDArray[np.float64]) -> Foot | None:
-        """The highest place straight below a point (3,) m; None where there is none."""
+        """Return the highest point of an object straight below a point (3,) m; None if there is none."""
         feet = [
             foot._replace(number=number)
             for number, surface in self._surfaces.items()
@@ -131,13 +131,15 @@ class Bodies:
         return max(feet, key=lambda foot: float(foot.point[2]), default=None)
 
     def remove(self) -> None:
-        """With all that hangs on them."""
+        """Remove the frames with all their child nodes."""
         self._root.remove()
 
 
 def untouched(scene: schema.Scene) -> list[schema.Object]:
-    """The geoms of a scene's [world] that no finger touches, as objects to be drawn; none where its model, which may be
-    another machine's, cannot be read here."""
+    """Return the geoms of a scene's [world] without contact as objects to draw.
+
+    Empty if the model cannot be read, for example because it is on another machine.
+    """
     if scene.world is None:
         return []
     anything = msgspec.structs.replace(scene.world, material=schema.Material(stiffness_n_per_m=1.0), geom=())
@@ -154,7 +156,7 @@ def _colour(number: int, thing: Any) -> Colour:
 
 
 def _draw(api: Any, node: str, thing: Any, colour: tuple[int, int, int]) -> None:
-    if isinstance(thing, Filed):  # `Bodies.draw` is called later, or it cannot be had
+    if isinstance(thing, Filed):  # `Bodies.draw` is called if the triangles arrive
         return
     mesh = mesh_of(thing)
     if mesh is None:
@@ -178,6 +180,6 @@ def _put_surface(api: Any, node: str, thing: Any, mesh: Mesh, colour: tuple[int,
         color=colour,
         opacity=0.88,
         flat_shading=mesh.flat,
-        side="back" if inside else "double",  # of a hollow the far wall alone
+        side="back" if inside else "double",  # of a hollow object, only the far wall
         cast_shadow=False,
     )

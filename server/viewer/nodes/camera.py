@@ -1,4 +1,4 @@
-"""Where a scene is looked at from at first: near enough to see a touch, and so far that all of it is in the picture."""
+"""Initial camera of a scene: close enough to show a touch, far enough to show the complete scene."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Shown = Sequence[tuple[Any, "Place"]]
 
 
 class Camera(NamedTuple):
-    """Where it is and looks, in the page's units, and the angle from top to bottom, rad."""
+    """Position and target of the camera, in the page's units, and the vertical field of view, rad."""
 
     position: tuple[float, float, float]
     look_at: tuple[float, float, float]
@@ -32,27 +32,35 @@ class Camera(NamedTuple):
 FOV: Final = 0.75
 ASIDE: Final = np.array([4.5, -8.5, 4.9])
 FRONT: Final = np.array([0.0, -10.5, 4.4])
-"""From what is looked at to the camera, nearer than which it does not go. Of fingers on both sides of an object neither
-is hidden by it from the front."""
+"""Minimum offset from the target to the camera. FRONT suits fingers on both sides of an object, which hides neither."""
 UP: Final = np.array([0.0, 0.0, 1.0])
 SIDES: Final = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)])
-"""Of four views the first from which most planes are seen from in front."""
+"""Mirrored views; the first one that shows most planes from their front is used."""
 BESIDE_M: Final = np.array([0.02, 0.02, 0.019])
-"""How far around a place of an endless surface one sees at least."""
+"""Visible surroundings of a point on an infinite surface."""
 ABOVE_M: Final = 0.006
-"""The middle of what is seen lies so far above an endless surface, where the fingertip is."""
+"""Height of the picture's centre above an infinite surface, where the fingertip is."""
 HILLS_M: Final = 0.03
-"""How far around the middle of a height map one sees."""
+"""Visible surroundings of the centre of a height map."""
 LIFTED_M: Final = 0.1
-"""So high several fingers lift a body, as those of the shipped scenes do."""
+"""Height to which several fingers lift a body in the shipped scenes."""
 FAR_M: Final = 0.05
-"""Farther from its middle an object is not looked at: a touch would be too small."""
+"""Maximum distance from an object's centre that the picture includes; farther, a touch would be too small."""
 
 
 def camera_of(scene: schema.Scene, drawn: dict[int, Array] | None = None, shown: Shown | None = None) -> Camera:
-    """Where a scene is looked at from at first; `drawn` has the vertices (n, 3) m of objects that are made of files,
-    `shown` what else than the scene's objects is drawn, and where each is: without it they are where the scene has
-    them. What is hollow is larger than a touch, and fills the picture anyway."""
+    """Return the initial camera of a scene.
+
+    Hollow objects do not enlarge the picture, unless there are no other ones: they are larger than a touch and fill it
+    anyway.
+
+    Parameters
+    ----------
+    drawn
+        Vertices (n, 3) m of objects that are loaded from files, by index.
+    shown
+        Drawn objects with their poses; None: the scene's objects at their initial poses.
+    """
     reach = 2.0 * max(max(finger.radii_m or (finger.radius_m,)) for finger in scene.fingers)
     things = shown or [(thing, (thing.position_m, thing.orientation_wxyz)) for thing in scene.object]
     boxes = [_ends(thing, place, reach, (drawn or {}).get(k)) for k, (thing, place) in enumerate(things)]
@@ -71,7 +79,7 @@ def camera_of(scene: schema.Scene, drawn: dict[int, Array] | None = None, shown:
 
 
 def _ends(thing: Any, place: Place, reach: float, drawn: Array | None) -> Array:
-    """Two corners (2, 3) m, of the world, of a box around what is to be seen of an object with a fingertip on it."""
+    """Return the corners (2, 3) m, world frame, of a box around an object with a fingertip on it."""
     position = np.array(place[0])
     mesh = mesh_of(thing)
     points = drawn if drawn is not None and len(drawn) else None if mesh is None else mesh.vertices

@@ -1,4 +1,4 @@
-"""A fingertip as nodes of the page: where the proxy is and the probe, what touches it, and what it feels."""
+"""Nodes of a fingertip: proxy, probe, contact points, forces and traces."""
 
 from __future__ import annotations
 
@@ -32,21 +32,23 @@ from softfinger.server.viewer.nodes.states import COLOURS, State, state_of
 Array = NDArray[np.float64]
 
 APART_M: Final = 2e-5
-"""Proxy and probe nearer than this are shown as one."""
+"""Proxy and probe closer than this are drawn as one."""
 STEP_M: Final = 2e-4
-"""Shortest piece of a trace."""
+"""Minimum length of a trace segment."""
 ABOVE_M: Final = 2e-4
-"""Traces lie so far above their surface, lest it hide them."""
+"""Height of traces above their surface, which would hide them otherwise."""
 TRACED_EVERY: Final = 5
 """Ticks between two points of a trace."""
 NOTHING_N: Final = 1e-4
-"""Force that has no arrow."""
+"""Minimum force that is drawn."""
 RECENT: Final = 100
-"""Ticks over which a contact is seen to roll or to spin."""
+"""Ticks over which rolling and spinning are detected."""
 SHADE_M: Final = (6e-4, 1e-4)
-"""A shadow lies so far above a round surface, whose hollow would hide its rim, and above a flat one, below traces."""
+"""Height of the shadow: above a curved surface, whose concave part would hide its rim, and above a flat one, below
+the traces.
+"""
 LEAST_ARC: Final = radians(8.0)
-"""A shorter arc, rad, would be a head without a line, and is not drawn."""
+"""Minimum arc (rad); a shorter one would be an arrow head without a line."""
 
 
 def _three(at: int) -> slice:
@@ -66,9 +68,12 @@ _PATCHES: Final = [Patch(*(NAMED[f"contacts{k}.{name}"].at for name in Patch._fi
 
 
 class FingerNodes:
-    """Nodes `/fingers/NAME`; `ball` is what a mouse may take hold of.
+    """Nodes `/fingers/NAME`; `ball` is the part that a mouse can drag.
 
-    bodies  on whose frames the trace on the objects lies
+    Parameters
+    ----------
+    bodies
+        Objects; the traces on them are in their frames.
     """
 
     def __init__(self, api: Any, scene: schema.Scene, finger: schema.FingerParts, bodies: Bodies) -> None:
@@ -106,11 +111,12 @@ class FingerNodes:
         self._touched = -1
         self._last: Array | None = None
         self.state = State.FREE
-        """What the contact does."""
+        """State of the contact."""
         self.displays: Callable[[Array], Array] | None = None
-        """The part (3,) N of a tick's force (RECORD_SIZE,) that the device displays, where it is not all of it."""
+        """Function that returns the part (3,) N of a tick's force (RECORD_SIZE,) that the device displays; None: all of
+        it."""
         self.height_m: float | None = None
-        """Of its lowest point above what lies straight below it, with a fingertip that is a ball."""
+        """Height of the fingertip's lowest point above the object below it, as for a sphere."""
         self._plumb = self._lines("plumb", np.zeros((1, 2, 3)), PLUMB, 2.0)
         disc = lathe(np.array([(CM * 0.75 * min(self._radii), 0.0), (0.0, 0.0)]))
         self._shadow = api.add_mesh_simple(
@@ -123,8 +129,7 @@ class FingerNodes:
         )
 
     def show(self, rows: Array, looks: Looks, newtons_per_cm: float) -> None:
-        """The ticks (n, RECORD_SIZE) since the last time: the newest as a picture, with arrows of that scale, all of
-        them as a trace."""
+        """Draw new ticks (n, RECORD_SIZE): the latest as a picture with arrows of the given scale, all as a trace."""
         row = rows[-1]
         probe, proxy = row[_three(AT.probe_position)], row[_three(AT.proxy_position)]
         mode = int(row[AT.contact_mode])
@@ -184,13 +189,13 @@ class FingerNodes:
         self._cone.scale = load / newtons_per_cm
 
     def _colour_of_patch(self, mode: int) -> Colour:
-        """A patch that does not slide does what the contact does, unless that slides elsewhere."""
+        """Return the colour of a patch: a patch that sticks has the contact's state, unless another patch slides."""
         if mode == SLIDING:
             return COLOURS[State.SLIDING]
         return COLOURS[State.STICKING if self.state == State.SLIDING else self.state]
 
     def _show_height(self, centre: Array) -> None:
-        """A plumb line from the fingertip down to what lies below it, and its shadow there."""
+        """Draw a vertical line from the fingertip to the object below it, and its shadow there."""
         foot = self._bodies.below(centre)
         self._plumb.visible = self._shadow.visible = foot is not None
         self.height_m = None if foot is None else float(centre[2] - foot.point[2]) - min(self._radii)
@@ -203,7 +208,7 @@ class FingerNodes:
         drawn = False
         for before, row in zip((rows[0], *rows[:-1]), rows, strict=True):
             mode, number = int(row[AT.contact_mode]), int(row[AT.contact_object])
-            if not 0 <= number < len(self._bodies.places):  # of a scene before or after
+            if not 0 <= number < len(self._bodies.places):  # a tick of another scene
                 mode = FREE
             if mode == FREE or number != self._touched:
                 self._lift(number if mode != FREE else -1)
@@ -240,13 +245,13 @@ class FingerNodes:
             way.lift()
 
     def forget(self) -> None:
-        """Wipe the traces off."""
+        """Clear the traces."""
         for way, node in (*self._on_objects.values(), (self._on_tip, self._tip_trace)):
             way.clear()
             node.points = way.segments
 
     def change(self, scene: schema.Scene) -> None:
-        """Other parameters of the same objects."""
+        """Set new parameters of the same objects."""
         self._scene = scene
 
     def remove(self) -> None:

@@ -1,4 +1,4 @@
-"""Lines that stand for what cannot be seen: a moment as an arc, marks that show a turn, the way a contact has gone."""
+"""Line drawings of moments (arcs), rotations (marks) and paths of contacts (traces); helpers for quaternions."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ Quaternion = tuple[float, float, float, float]
 
 ARC_PIECES: Final = 32
 ARC_MAX: Final = 1.85 * pi
-"""An arc that closed would not show where it ends."""
+"""A closed arc would not show its end."""
 HEAD_RAD: Final = 0.32
 """Length of an arc's arrow head."""
 
 DASHES: Final = 8
 GROWTH: Final = 20
-"""Segments by which the node of a way grows."""
+"""Segments by which the node of a trace grows."""
 LONGEST: Final = 25.0
-"""Longest segment of a way, in its steps: 5 mm."""
+"""Maximum length of a segment, in steps: 5 mm."""
 UNSEEN: Final = 0.12
-"""A point that is left out of a way lies so many of its steps beside it: 0.02 mm, and a fifth of a pixel."""
+"""Maximum distance of an omitted point from its segment, in steps: 0.02 mm, or a fifth of a pixel."""
 
 UNTURNED: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
 
 
 def arc(angle: float, radius: float) -> Array:
-    """Segments (ARC_PIECES + 2, 2, 3) of an arc about +z, right-handed from the x axis, with an arrow head at its end.
+    """Return segments (ARC_PIECES + 2, 2, 3) of an arc about +z from the x axis, with an arrow head at its end.
 
-    angle  rad  its sign is the way round; at most ARC_MAX of it is drawn
+    angle  rad  right-handed; at most ARC_MAX of it is drawn
     """
     angle = copysign(min(abs(angle), ARC_MAX), angle)
     turn = np.linspace(0.0, angle, ARC_PIECES + 1)
@@ -43,13 +43,13 @@ def arc(angle: float, radius: float) -> Array:
 
 
 def dashes(start: Array, way: Array) -> Array:
-    """Segments (DASHES, 2, 3) of a dashed line that begins and ends with a dash, from `start` (3,) by `way` (3,)."""
+    """Return segments (DASHES, 2, 3) of a line from `start` (3,) to `start + way` with a dash at both ends."""
     share = np.linspace(0.0, 1.0, 2 * DASHES)
     return (start + share[:, None] * way).reshape(DASHES, 2, 3)
 
 
 def circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:
-    """Segments (3 pieces, 2, 3) of the three ellipses in which an ellipsoid meets its planes."""
+    """Return segments (3 pieces, 2, 3) of the intersections of an ellipsoid with its principal planes."""
     turn = np.linspace(0.0, 2.0 * pi, pieces + 1)
     c, s, none = np.cos(turn), np.sin(turn), np.zeros_like(turn)
     lines = [np.column_stack(each) * radii for each in ((c, s, none), (none, c, s), (s, none, c))]
@@ -57,7 +57,7 @@ def circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:
 
 
 def towards(normal: Array) -> Quaternion:
-    """A rotation that takes +z to the unit vector `normal` (3,)."""
+    """Return a rotation from +z to the unit vector `normal` (3,)."""
     x, y, z = (float(n) for n in normal)
     if z < -0.999999:
         return (0.0, 1.0, 0.0, 0.0)
@@ -66,14 +66,14 @@ def towards(normal: Array) -> Quaternion:
 
 
 def rotated(q: Quaternion, points: Array) -> Array:
-    """Points (..., 3) turned by the unit quaternion `q`."""
+    """Rotate points (..., 3) by the unit quaternion `q`."""
     w, v = q[0], np.array(q[1:])
     across = 2.0 * np.cross(v, points)
     return np.asarray(points + w * across + np.cross(v, across))
 
 
 def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """First `b`, then `a`."""
+    """Return the rotation by `b` followed by `a`."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (
@@ -85,21 +85,25 @@ def product(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def inverse(q: Quaternion) -> Quaternion:
-    """Of a unit quaternion."""
+    """Return the inverse of a unit quaternion."""
     return (q[0], -q[1], -q[2], -q[3])
 
 
 def about(axis: Array, angle: float) -> Quaternion:
-    """The rotation by `angle` rad about an axis (3,) of any length but 0."""
+    """Return the rotation by `angle` rad about an axis (3,) of any non-zero length."""
     x, y, z = axis / np.linalg.norm(axis) * sin(0.5 * angle)
     return (cos(0.5 * angle), float(x), float(y), float(z))
 
 
 class Way:
-    """The newest part of a way, as segments with a colour each, as few as will do: each costs the page time.
+    """Latest part of a trace as coloured segments, as few as possible because each costs drawing time.
 
-    least     shortest step: what is nearer to the last point is left out
-    segments  how many are kept
+    Parameters
+    ----------
+    least
+        Minimum distance between points; closer points are ignored.
+    segments
+        Maximum number of segments.
     """
 
     def __init__(self, least: float, segments: int = 120) -> None:
@@ -111,19 +115,19 @@ class Way:
 
     @property
     def segments(self) -> Array:
-        """Those drawn so far (n, 2, 3), and some without a length, lest there be other nodes for each one more."""
+        """Segments (n, 2, 3), padded with zero-length ones, so that the node grows only every GROWTH segments."""
         return self._segments[: self._shown()]
 
     @property
     def colours(self) -> NDArray[np.uint8]:
-        """Of the segments (n, 2, 3)."""
+        """Colours of the segments (n, 2, 3)."""
         return self._colours[: self._shown()]
 
     def _shown(self) -> int:
         return min(self._count + GROWTH - self._count % GROWTH, len(self._segments))
 
     def lift(self) -> None:
-        """The next point begins anew, away from the last."""
+        """Start a new line at the next point."""
         self._last, self._goes_on = None, False
 
     _goes_on = False
@@ -133,7 +137,7 @@ class Way:
         self.lift()
 
     def add(self, point: Array, colour: tuple[int, int, int]) -> bool:
-        """Go on to a point (3,); True where that drew a segment or a longer one."""
+        """Append a point (3,); return True if a segment was added or extended."""
         if self._last is None:
             self._last = point
             return False
@@ -150,7 +154,7 @@ class Way:
         return True
 
     def _straight(self, newest: int, point: Array) -> bool:
-        """Whether the newest segment may go on to a point: forward, not far, and its end would lie beside it unseen."""
+        """Return whether the last segment can be extended to a point: forward, short, without visible deviation."""
         start, end = self._segments[newest]
         long = point - start
         length = float(np.linalg.norm(long))

@@ -1,6 +1,6 @@
-"""Objects and fingertips as triangles, in their own frame, m: what the model touches, fine enough to look so.
+"""Triangle meshes of objects and fingertips in their frame, m, fine enough to look smooth.
 
-A shape more is a line more in `TRIANGLES`, at the end.
+`TRIANGLES` at the end maps each shape to its mesh function.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.uint32]
 
 AROUND: Final = 40
-"""Corners of a circle: half a pixel from round on a usual page, and each costs time without a graphics card."""
+"""Corners of a circle: it deviates half a pixel on a usual page. Without a graphics card, each corner costs time."""
 PLANE_M: Final = 0.13
-"""Edge of what is drawn of a plane, which has no end."""
+"""Edge of the drawn part of a plane."""
 ENDLESS_M: Final = 0.2
-"""Length of what is drawn of a cylinder without ends."""
+"""Length of the drawn part of an infinite cylinder."""
 
 
 class Mesh(NamedTuple):
-    """vertices (n, 3) m; faces (m, 3), counter-clockwise seen from outside; flat: edges are edges."""
+    """vertices (n, 3) m; faces (m, 3), counter-clockwise from outside; flat: draw sharp edges."""
 
     vertices: Array
     faces: Faces
@@ -34,7 +34,7 @@ class Mesh(NamedTuple):
 
 
 def sent(vertices: bytes, triangles: bytes) -> Mesh:
-    """Triangles as the command `mesh` gives them. ValueError for what cannot be some."""
+    """Decode the triangles of the command `mesh`; raises ValueError for an invalid vertex index."""
     points = np.frombuffer(vertices, "<f4").reshape(-1, 3).astype(np.float64)
     faces = np.frombuffer(triangles, "<u4").reshape(-1, 3)
     if len(faces) and faces.max() >= len(points):
@@ -43,28 +43,27 @@ def sent(vertices: bytes, triangles: bytes) -> Mesh:
 
 
 def mesh_of(thing: shapes.ObjectBase) -> Mesh | None:
-    """The surface of an object; None for a shape of another package, which is not known here, and for one that is made
-    of a file, whose triangles are in no table."""
+    """Return the surface of an object; None for shapes of other packages and for objects loaded from files."""
     triangles = TRIANGLES.get(type(thing))
     return None if triangles is None else triangles(thing)
 
 
 def plane(edge: float) -> Mesh:
-    """A square about the origin, its outward normal z."""
+    """Return a square centred at the origin, with outward normal z."""
     h = 0.5 * edge
     corners = [(-h, -h, 0.0), (h, -h, 0.0), (h, h, 0.0), (-h, h, 0.0)]
     return Mesh(np.array(corners), np.array([(0, 1, 2), (0, 2, 3)], np.uint32), flat=True)
 
 
 def ellipsoid(radii: tuple[float, float, float]) -> Mesh:
-    """Half lengths along x, y, z."""
+    """Return an ellipsoid with half lengths along x, y, z."""
     angle = np.linspace(-0.5 * pi, 0.5 * pi, AROUND // 2 + 1)
     unit = lathe(np.column_stack([np.cos(angle), np.sin(angle)]))
     return Mesh(unit.vertices * radii, unit.faces)
 
 
 def cylinder(radius: float, length: float, closed: bool) -> Mesh:
-    """About the z axis, with flat ends or without; their rims are edges."""
+    """Return a cylinder about the z axis; flat ends with sharp rims if `closed`."""
     h = 0.5 * length
     side = lathe(np.array([(radius, -h), (radius, h)]))
     if not closed:
@@ -73,20 +72,20 @@ def cylinder(radius: float, length: float, closed: bool) -> Mesh:
 
 
 def capsule(radius: float, length: float) -> Mesh:
-    """About the z axis; `length` lies between the centres of the round ends."""
+    """Return a capsule about the z axis; `length` is the distance between the centres of its round ends."""
     angle = np.linspace(0.0, 0.5 * pi, AROUND // 4 + 1)
     end = np.column_stack([radius * np.cos(angle), radius * np.sin(angle) + 0.5 * length])
     return lathe(np.concatenate([end[::-1] * (1.0, -1.0), end]))
 
 
 def torus(major: float, minor: float) -> Mesh:
-    """About the z axis."""
+    """Return a torus about the z axis."""
     angle = np.linspace(0.0, 2.0 * pi, AROUND + 1)
     return lathe(np.column_stack([major + minor * np.cos(angle), minor * np.sin(angle)]))
 
 
 def box(size: tuple[float, float, float]) -> Mesh:
-    """Full lengths along x, y, z."""
+    """Return a box with full lengths along x, y, z."""
     corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
     quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
     faces = [corner for a, b, c, d in quads for corner in ((a, b, c), (a, c, d))]
@@ -94,12 +93,12 @@ def box(size: tuple[float, float, float]) -> Mesh:
 
 
 def cone(height: float, radius: float) -> Mesh:
-    """Open, from its apex in the origin up the z axis."""
+    """Return an open cone from its apex at the origin along +z."""
     return lathe(np.array([(0.0, 0.0), (radius, height)]))
 
 
 def lathe(profile: Array) -> Mesh:
-    """A profile (n, 2) of radius and z, turned about the z axis; outside is to the right of its way."""
+    """Rotate a profile (n, 2) of radius and z about the z axis; the outside is to the right of its direction."""
     angle = np.linspace(0.0, 2.0 * pi, AROUND, endpoint=False)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     rings = [np.column_stack([r * circle, np.full(AROUND, z)]) for r, z in profile]
@@ -114,7 +113,7 @@ def lathe(profile: Array) -> Mesh:
 
 
 def joined(*parts: Mesh) -> Mesh:
-    """Several in one."""
+    """Return one mesh of several."""
     first = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])]).astype(np.uint32)
     faces = [part.faces + start for part, start in zip(parts, first, strict=True)]
     return Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
@@ -131,4 +130,4 @@ TRIANGLES: Final[dict[type[shapes.ObjectBase], Callable[[Any], Mesh]]] = {
     shapes.Ellipsoid: lambda thing: ellipsoid(thing.semi_axes_m),
     shapes.Torus: lambda thing: torus(thing.major_radius_m, thing.minor_radius_m),
 }
-"""What draws each shape: its table in a scene, to its surface."""
+"""Function that returns the surface of each shape, by its configuration class."""

@@ -1,4 +1,4 @@
-"""What a contact does, for the eye: it sticks, rolls, spins or slides. The mode in telemetry has one word for three."""
+"""Visible state of a contact: sticking, rolling, spinning or sliding. Telemetry has one mode for the first three."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from softfinger.server.viewer.nodes.looks import Colour
 Array = NDArray[np.float64]
 
 ROLLS_M_PER_S: Final = 2e-3
-"""Slower the contact point does not roll, to the eye: a pixel in a tenth of a second."""
+"""Minimum visible speed of rolling: one pixel in a tenth of a second."""
 SPINS_RAD_PER_S: Final = 0.05
-"""Slower nobody sees a turn."""
+"""Minimum visible rate of spin."""
 APART_S: Final = 0.5
-"""Of ticks that are farther apart, as where a recording is scrubbed, the one tells nothing of the other."""
+"""Maximum time between two compared ticks; farther apart, as in a scrubbed recording, they are unrelated."""
 
 
 class State(StrEnum):
-    """What a contact does between two ticks."""
+    """Motion of a contact between two ticks."""
 
     FREE = "free"
     STICKING = "sticking"
@@ -41,7 +41,7 @@ COLOURS: Final[dict[State, Colour]] = {
 
 
 def state_of(before: Array, row: Array, radius: float) -> State:
-    """What the contact of a tick (RECORD_SIZE,) does, as from an earlier one; `radius` of the fingertip, m."""
+    """Return the state of the contact in a tick (RECORD_SIZE,), compared with an earlier one; `radius` in m."""
     if row[AT.contact_mode] == FREE:
         return State.FREE
     if row[AT.contact_mode] == SLIDING:

@@ -1,8 +1,8 @@
-"""The thread that hands ticks on: it sleeps until the servo has a record, and wakes and copies without the interpreter.
+"""Thread that passes ticks on: it sleeps until the servo has a record, and wakes and copies without the interpreter.
 
-It alone empties the servo's ring. What it took it hands on to everybody on this machine who wants records, by a
-broadcast in shared memory: they are woken by it, not by the servo. The publisher is woken for each tick; readers in
-this process only where something has happened, or at times.
+It is the only reader of the servo's ring. It copies every tick into a ring buffer in shared memory for all readers on
+this machine, and wakes them, so the servo does not have to. It wakes the publisher for each tick, and readers in this
+process only after an event or at intervals.
 """
 
 from __future__ import annotations
@@ -31,40 +31,40 @@ from softfinger.server.wire.native.system import ring, silence, sleep_on
 log: Final = logging.getLogger(__name__)
 
 ROWS: Final = 64
-"""Most ticks that are taken from the ring at a time."""
+"""Largest number of ticks read from the ring at a time."""
 
 HANDED_ON: Final = 8192
-"""Ticks that a reader may fall behind: 8 s at 1 kHz, 1 s at 8 kHz."""
+"""Number of ticks by which a reader may be late: 8 s at 1 kHz, 1 s at 8 kHz."""
 
 BELL_MS: Final = 10
-"""Readers in this process are woken at once where something has happened, and else this often: each wake-up of
-Python costs as much as handing on a hundred ticks."""
+"""Readers in this process are woken at once after an event, and otherwise at this interval: each wake-up of Python
+costs as much as passing on a hundred ticks."""
 _BELL_S: Final = BELL_MS / 1000.0
 
 JOIN_S: Final = 1.0
 
-# Words of the post.
-_CALLS: Final = 0  # how often the thread was asked back to Python
-_TICK: Final = 1  # newest tick that was handed on
+# Indices in `Post.words`.
+_CALLS: Final = 0  # number of requests to return to Python
+_TICK: Final = 1  # latest tick passed on
 
 
 class Source(Protocol):
-    """What records come from: the rings of a servo."""
+    """Source of records: the rings of a servo."""
 
     def feeds(self) -> Iterator[Feed]:
-        """Where to take them from; the next one is asked for when the one before has come to its end."""
+        """Yield each ring; the next one is requested when the previous one is complete."""
 
 
 class Post(NamedTuple):
     """Memory of the relay.
 
-    readers       everybody on this machine who wants records
+    readers       ring buffer for all readers on this machine
     publisher_fd  eventfd that wakes the publisher
-    bell_fd       and one that wakes readers in this process
-    words         calls and the newest tick
-    rows          (ROWS, width) as they come out of the ring
-    seen          (fingers + 1,) what the guard changed in the last tick, and deadlines missed
-    belled_s      (1,) time of the tick with which readers in this process were woken last
+    bell_fd       eventfd that wakes readers in this process
+    words         number of calls, and latest tick
+    rows          (ROWS, width) rows from the servo's ring
+    seen          (fingers + 1,) guard bits of each finger in the last tick, and missed deadlines
+    belled_s      (1,) time of the tick at which readers in this process were last woken
     """
 
     readers: Broadcast
@@ -78,11 +78,13 @@ class Post(NamedTuple):
 
 @entry
 def serve(post: Post, feed: Feed, turn: int, call: int, file: NDArray[np.int64]) -> bool:
-    """Hand on all that comes, until the feed is no longer at its turn number `turn` and everything of it is handed on:
-    True; or until there have been more calls than `call`: False. `file` (1,) is overwritten."""
+    """Pass on all ticks; return True once the feed is no longer at turn `turn` and its ring is empty.
+
+    Returns False once there have been more calls than `call`. `file` (1,) is scratch.
+    """
     told = True
     while True:
-        turned = load_acquire(feed.turns, 0) != turn  # both before the ring is emptied: what came before is handed on
+        turned = load_acquire(feed.turns, 0) != turn  # before the ring is emptied, as is `called`
         called = load_acquire(post.words, _CALLS) != call
         count = take(feed.ring, post.rows)
         while count > 0:
@@ -99,7 +101,7 @@ def serve(post: Post, feed: Feed, turn: int, call: int, file: NDArray[np.int64])
 
 @jit
 def hand_on(post: Post, rows: NDArray[np.float64], count: int) -> bool:
-    """Hand on `count` ticks, rows (n, width); returns whether readers in this process were woken."""
+    """Pass on `count` ticks, rows (n, width); return whether readers in this process were woken."""
     told = False
     for r in range(count):
         write_row(post.readers, rows, r)
@@ -115,7 +117,7 @@ def hand_on(post: Post, rows: NDArray[np.float64], count: int) -> bool:
 
 @jit
 def _matters(post: Post, rows: NDArray[np.float64], row: int) -> bool:
-    """Whether readers are to be woken with a tick: something has happened in it, or they were not for a while."""
+    """Return whether to wake readers in this process: the tick has an event, or they were not woken for BELL_MS."""
     since = rows[row, AT.timestamp] - post.belled_s[0]
     matters = not 0.0 <= since < _BELL_S
     fingers = len(post.seen) - 1
@@ -132,46 +134,46 @@ def _matters(post: Post, rows: NDArray[np.float64], row: int) -> bool:
 
 
 class Tap:
-    """Records for one thread of this process, which must not be late by more than HANDED_ON ticks."""
+    """Reader for one thread of this process, which must not fall behind by more than HANDED_ON ticks."""
 
     def __init__(self, readers: Broadcast, bell_fd: int, ended: threading.Event, failed: threading.Event) -> None:
         self._readers, self._ended, self._failed = readers, ended, failed
         self._ring_fd, self._bell_fd = bell_fd, os.dup(bell_fd)  # a thread that reads late outlives the relay
         self.close: Final = weakref.finalize(self, os.close, self._bell_fd)
-        """By who reads, in the end."""
+        """Called by the reader when it has finished."""
         self._place = make_place(readers)
         read_rows.compile(_types(readers, self._place, np.empty((1, readers.slots.shape[1]))))  # type: ignore[attr-defined]
 
     def wait(self) -> None:
-        """Sleep until there may be records, or the end of them."""
+        """Sleep until there may be records, or until the end."""
         wait_for(self._bell_fd)
 
     def wake(self) -> None:
-        """End a `wait`, from any thread, as long as the relay is there."""
+        """Wake a thread in `wait`, from any thread, as long as the relay exists."""
         os.eventfd_write(self._ring_fd, 1)
 
     def take(self, out: NDArray[np.float64]) -> int:
-        """Copy the oldest to `out` (n, width); returns how many."""
+        """Copy the oldest records to `out` (n, width); return their number."""
         return read_rows(self._readers, self._place, out)
 
     @property
     def ended(self) -> bool:
-        """Nothing more will come than can be taken now."""
+        """Whether no record will follow the ones that are available now."""
         return self._ended.is_set()
 
     @property
     def failed(self) -> bool:
-        """It has ended because the thread that hands on did, by an error of its own."""
+        """Whether the thread of the relay has failed."""
         return self._failed.is_set()
 
     @property
     def lost(self) -> int:
-        """Ticks it was too late for."""
+        """Ticks that were overwritten before they were read."""
         return int(self._place.lost[0])
 
 
 class Relay:
-    """The thread, and the memory in which it hands on the records of so many `fingers`."""
+    """Relay thread, and the memory in which it passes on the records of `fingers` fingers."""
 
     def __init__(self, fingers: int) -> None:
         width = fingers * RECORD_SIZE
@@ -188,7 +190,7 @@ class Relay:
         )
         self._file = np.zeros(1, np.int64)
         self._home: Final = Feed(make_ring(1, width), np.zeros(8, np.int64), os.eventfd(0))
-        """Where it sleeps while there is no servo."""
+        """Ring on which the thread sleeps while there is no servo."""
         self._asleep_on = self._home.wake_fd
         self._source: Source | None = None
         self._done, self._failed, self._closing = (threading.Event() for _ in range(3))
@@ -213,36 +215,36 @@ class Relay:
 
     @property
     def file(self) -> int:
-        """The same memory as a file that cannot be written to, for the publisher."""
+        """File of the same memory, opened read-only, for the publisher."""
         return self._memory.reading
 
     @property
     def rows(self) -> int:
-        """How many were handed on."""
+        """Number of ticks passed on."""
         return int(self._post.readers.head[0])
 
     @property
     def tick(self) -> int:
-        """The newest that was handed on; -1: none was."""
+        """Latest tick passed on; -1 before the first."""
         return int(self._post.words[_TICK])
 
     @property
     def native_id(self) -> int | None:
-        """Of the thread."""
+        """Native id of the thread."""
         return self._thread.native_id
 
     def attach(self, source: Source) -> None:
-        """Hand on what a servo's rings have from here on, until it has ended. Once."""
+        """Pass on the records of a servo from now on, until it ends. Call it once."""
         self._source = source
         self._call()
 
     def send(self, rows: NDArray[np.float64]) -> None:
-        """Hand on ticks that come from no servo, shape (n, width). Not beside one."""
+        """Pass on ticks without a servo, shape (n, width). Not while a servo is attached."""
         if len(rows):
             hand_on_given(self._post, np.ascontiguousarray(rows))
 
     def close(self) -> None:
-        """End the thread. Once."""
+        """End the thread. Call it once."""
         self._closing.set()
         self._call()
         self._thread.join(JOIN_S)
@@ -252,7 +254,7 @@ class Relay:
                 os.close(file)
 
     def _call(self) -> None:
-        """Have the thread come back to Python. Not from two threads at once."""
+        """Make the thread return to Python; not from two threads at once."""
         self._post.words[_CALLS] += 1
         os.eventfd_write(self._asleep_on, 1)
 
@@ -270,7 +272,7 @@ class Relay:
                 if serve(self._post, feed, turn, call, self._file) and feeds is not None:
                     turn, feed = turn + 1, next(feeds, self._home)
                     if feed is self._home:
-                        turn, self._asleep_on = 0, feed.wake_fd  # first: with its end the servo closes its own
+                        turn, self._asleep_on = 0, feed.wake_fd  # first: at its end the servo closes its eventfd
                         self._end()
         except Exception:
             self._failed.set()
@@ -285,7 +287,7 @@ class Relay:
 
 @entry
 def hand_on_given(post: Post, rows: NDArray[np.float64]) -> None:
-    """Hand on rows (n, width) from Python."""
+    """Call `hand_on` for rows (n, width) from Python."""
     hand_on(post, rows, len(rows))
 
 

@@ -1,4 +1,4 @@
-"""The switch of the force as memory that the publisher's process shares."""
+"""Force switch in memory that is shared with the publisher process."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from softfinger.server.wire.native.memory import PAGE_BYTES, mapped
 
 
 class SharedSwitch:
-    """A switch whose memory the publisher's process shares.
+    """Force switch in shared memory.
 
     words  (n,) int64
-    file   of them
+    file   file of the memory
     """
 
     def __init__(self) -> None:
@@ -28,14 +28,14 @@ class SharedSwitch:
             raise
 
     def obeyed(self, body: bytes) -> None:
-        """Note that a request of a client has been done, or declined."""
+        """Count a client's request that was handled or declined, if it turns the force off."""
         if takes_force_off(body):
             self.words[OBEYED] += 1
 
     def restart(self) -> None:
-        """Forget requests that a publisher which has ended did not hand on."""
+        """Reset the count, because a publisher that has exited may not have passed on all requests."""
         self.words[OBEYED] = self.words[ASKED]
 
     def close(self) -> None:
-        """Close the file; the words stay."""
+        """Close the file; the memory remains valid."""
         os.close(self.file)
