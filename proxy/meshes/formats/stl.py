@@ -35,6 +35,8 @@ def read(data: bytes) -> Faces:
         return _faces(np.frombuffer(body, _TRIANGLE)["corners"].astype(np.float64), count)
     text = clean(data).strip(b"\0 \t\n\x1a")
     if text[:5].lower() != b"solid" or b"\0" in text:
+        if not data.strip():
+            raise ValueError("is empty")
         there = f"says that it has {count:,} triangles, and has {max(0, len(data) - HEAD):,} bytes of 50 each for them"
         raise ValueError(f"{there}: it was cut off, or is no STL file")
     if b"endsolid" not in text[text.rfind(b"\n") + 1 :].lower() and b"endsolid" not in text[-4096:].lower():
