@@ -407,7 +407,8 @@ HOSTILE = {
         "bodies or more; at most 1,000",
     ),
     "a file outside of an attached model": (
-        '<mujoco><asset><model name="m" file="outer.xml"/></asset></mujoco>',
+        '<mujoco><asset><model name="m" file="outer.xml"/></asset>'
+        '<worldbody><frame><attach model="m" body="b" prefix="p"/></frame></worldbody></mujoco>',
         "outside of its folder",
     ),
     "too many bodies of a flexible one": (
@@ -461,7 +462,10 @@ def test_a_model_that_cannot_be_used_is_one_clear_error(name: str, tmp_path: Pat
     (tmp_path / "inner.xml").write_text('<mujocoinclude><include file="../secret.xml"/></mujocoinclude>')
     (tmp_path / "ball.xml").write_text(f"<mujocoinclude>{BALL}</mujocoinclude>")
     (tmp_path / "model.xml").write_text(f"<mujoco><worldbody>{BALL * 3}</worldbody></mujoco>")
-    (tmp_path / "outer.xml").write_text('<mujoco><asset><mesh file="../secret.stl"/></asset></mujoco>')
+    (tmp_path / "outer.xml").write_text(
+        '<mujoco><asset><mesh name="s" file="../secret.stl"/></asset><worldbody><body name="b">'
+        '<geom type="mesh" mesh="s"/></body></worldbody></mujoco>'
+    )
     with pytest.raises(ConfigError) as error:
         Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
     assert said in str(error.value) and "hostile.xml" in str(error.value)
