@@ -104,7 +104,8 @@ def load_scene(
     things = tuple(_beside(folder, thing) for thing in loaded.object)
     world = loaded.world
     if world is not None:
-        world = msgspec.structs.replace(world, model=str(folder / world.model))
+        root = None if world.root is None else str(folder / world.root)
+        world = msgspec.structs.replace(world, model=str(folder / world.model), root=root)
     return completed(msgspec.structs.replace(loaded, object=things, world=world))
 
 
@@ -291,14 +292,15 @@ def completed(scene: Scene) -> Scene:
     """
     if scene.world is None:
         return scene
-    from softfinger.config.mjcf import with_geoms  # it needs MuJoCo
+    from softfinger.config.mjcf_geoms import with_geoms  # it needs MuJoCo
 
     return build(Scene, describe(with_geoms(scene)), f"{scene.world.model} in the scene")
 
 
 def _beside(folder: Path, thing: Object) -> Object:
     if isinstance(thing, Heightmap | Mesh):
-        return msgspec.structs.replace(thing, file=str(folder / thing.file))
+        root = None if thing.root is None else str(folder / thing.root)
+        return msgspec.structs.replace(thing, file=str(folder / thing.file), root=root)
     if not isinstance(thing, Textured) or thing.texture is None:
         return thing
     texture = msgspec.structs.replace(thing.texture, file=str(folder / thing.texture.file))

@@ -1,4 +1,4 @@
-"""Limits of a model's XML, checked before MuJoCo reads it: files of its folder only, and at most a second of reading.
+"""Limits of a model's XML, checked before MuJoCo reads it: files below one folder, and at most a second of reading.
 
 A line of MJCF may expand to a million bodies, and MuJoCo cannot be interrupted while it creates them. Therefore the
 elements are counted here, times the copies that `<replicate>`, `<include>` and `<attach>` make of them.
@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from softfinger.config import limits
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
-from softfinger.config.urdf import places
+from softfinger.config.mjcf_files import check_place
+from softfinger.config.urdf import is_urdf, places
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -33,6 +34,8 @@ CHUNK: Final = 1 << 15
 """Characters parsed at a time, which takes a millisecond."""
 DEPTH_MAX: Final = 8
 """Deepest nesting of models attached to models."""
+PARSED: Final = ("include", "model")
+"""Elements whose files are XML."""
 FILES: Final = ("file", "filename", "meshdir", "texturedir", "assetdir")
 ROWS_PER_BYTE: Final = 1 / 50
 """Vertices per byte of a mesh file, at most, in the usual notation."""
@@ -71,20 +74,42 @@ LISTS: Final = ("vertex", "normal", "texcoord", "face", "point", "element", "ele
 """Attributes that are lists of numbers."""
 
 
-def check_files(text: str, path: Path, name: str) -> None:
-    """Raise ConfigError if a model with this text reads files outside of its folder or is too large."""
-    _Model(path.resolve().parent, name).read(text, path, name, 1, 0)
+class Names(NamedTuple):
+    """Names in a model with which it asks for files.
+
+    parts     XML files, without folders
+    folders   values of meshdir and assetdir
+    flexes    files of <flexcomp>
+    attaches  whether it attaches other models
+    """
+
+    parts: set[str]
+    folders: set[str]
+    flexes: set[str]
+    attaches: list[str]
+
+
+def check_files(text: str, path: Path, name: str, home: Path) -> Names:
+    """Return names in a model with this text.
+
+    Raises ConfigError if it is too large, or if it includes or attaches a file that is not below `home`.
+    """
+    model = _Model(home, name, is_urdf(str(path)))
+    model.read(text, path, name, 1, 0)
+    return model.names
 
 
 class _Model:
     """Counts of a model so far.
 
-    home  folder of the model
+    home  folder below which its files must lie
     name  name of its file, for messages
+    urdf  whether it is one
     """
 
-    def __init__(self, home: Path, name: str) -> None:
-        self._home, self._name = home, name
+    def __init__(self, home: Path, name: str, urdf: bool) -> None:
+        self._home, self._name, self._urdf = home, name, urdf
+        self.names = Names(set(), set(), set(), [])
         self._counted = Counter[str]()
         self._bytes = 0
 
@@ -146,14 +171,23 @@ class _Model:
             return None
 
     def _check_paths(self, element: Element, folder: Path, name: str) -> None:
+        """Check the files that are read here, and note those that only MuJoCo finds."""
+        given = element.get("file") or ""
+        match element.tag:
+            case "include" | "model":
+                self.names.parts.add(os.path.basename(given))
+            case "attach":
+                self.names.attaches.append(element.get("model") or "")
+            case "flexcomp":
+                self.names.flexes.add(given)
+            case "compiler":
+                self.names.folders.update(element.get(key) or "" for key in ("meshdir", "assetdir"))
+        if not self._urdf and element.tag not in PARSED:
+            return
         for key in FILES:
-            given = element.get(key)
-            for way in places(given or ""):
-                if not Path(os.path.realpath(folder / way)).is_relative_to(self._home):
-                    raise ConfigError(
-                        f"world.model {name}: <{element.tag} {key}={given!r}> is outside of its folder: put the file "
-                        "beside the model"
-                    )
+            given = element.get(key) or ""
+            for way in places(given):
+                check_place(folder / way, self._home, f"{name}: <{element.tag} {key}={given!r}>")
 
     def _check_numbers(self, element: Element, name: str) -> None:
         for bound in BOUNDS.get(element.tag, ()):

@@ -194,12 +194,36 @@ def _tagged(structs: list[inspect.StructType], value: object, key: str, report: 
     dotted, tags = _join(key, tag_field), [struct.tag for struct in structs]
     allowed = either(tags)
     if tag_field not in value:
-        return report.add(dotted, f"{dotted} is missing: give {allowed}, such as {tag_field} = {shown(tags[0])}")
+        report.add(dotted, f"{dotted} is missing: give {allowed}, such as {tag_field} = {shown(tags[0])}")
+        return _without_tag(structs, structs, value, key, report)
     tag = value[tag_field]
     for struct in structs:
         if type(tag) is type(struct.tag) and tag == struct.tag:
             return _fields(struct, value, key, report)
-    return report.add(dotted, f"{dotted} = {shown(tag)}: must be {allowed}{near(tag, tags)}")
+    hint = near(tag, tags)
+    report.add(dotted, f"{dotted} = {shown(tag)}: must be {allowed}{hint}")
+    meant = [struct for struct in structs if hint and repr(struct.tag) in hint]
+    return _without_tag(structs, meant or structs, value, key, report)
+
+
+def _without_tag(
+    structs: list[inspect.StructType],
+    meant: list[inspect.StructType],
+    value: Mapping[Any, Any],
+    key: str,
+    report: Report,
+) -> Any:
+    """Record the faults of a table whose kind is unknown: in keys that all structs of `meant` share, or none has."""
+    every = {field.encode_name for struct in structs for field in struct.fields}
+    likely = [{field.encode_name: field.type for field in struct.fields} for struct in meant]
+    gathering = any(getattr(struct.cls, "gathers", None) for struct in structs)
+    for name, item in value.items():
+        dotted = _join(key, name)
+        if name in likely[0] and all(each.get(name) == likely[0][name] for each in likely):
+            _value(likely[0][name], item, dotted, report)
+        elif name != structs[0].tag_field and name not in every and not gathering:
+            report.add(dotted, f"{dotted} is not a key here{near(name, sorted(every))}")
+    return UNSET
 
 
 def _struct(info: inspect.StructType, value: object, key: str, report: Report) -> Any:
@@ -207,7 +231,7 @@ def _struct(info: inspect.StructType, value: object, key: str, report: Report) -
         return _tagged([info], value, key, report)
     library = getattr(info.cls, "library", None)
     if library is not None:
-        value = _from_library(library, value, key, report)
+        value = _from_library(info, library, value, key, report)
         if value is UNSET:
             return UNSET
     if not isinstance(value, Mapping):
@@ -215,7 +239,7 @@ def _struct(info: inspect.StructType, value: object, key: str, report: Report) -
     return _fields(info, value, key, report)
 
 
-def _from_library(library: Library, value: object, key: str, report: Report) -> Any:
+def _from_library(info: inspect.StructType, library: Library, value: object, key: str, report: Report) -> Any:
     """Fill a table that names an entry of a library with the values of the entry that it leaves out.
 
     A table marked `resolved` is complete: the program that wrote it filled it from its library.
@@ -228,9 +252,10 @@ def _from_library(library: Library, value: object, key: str, report: Report) -> 
         return library.filled(given)
     dotted = key if isinstance(value, str) else _join(key, library.key)
     choices = ", ".join(entries)
-    return report.add(
+    report.add(
         dotted, f"{dotted} = {shown(name)}: not in the library{near(name, entries)}; it has {choices}; or give numbers"
     )
+    return _without_tag([info], [info], given, key, report)
 
 
 def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report: Report) -> Any:

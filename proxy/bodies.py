@@ -14,8 +14,8 @@ import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, SafetyStop
-from softfinger.config.mjcf import moves, mujoco_module, read_model
-from softfinger.config.urdf import is_urdf
+from softfinger.config.mjcf import key_number, mujoco_module, read_model
+from softfinger.config.mjcf_geoms import moves
 from softfinger.proxy.kernels import model as kernels
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import PLAIN
@@ -24,8 +24,6 @@ from softfinger.proxy.kernels.query import bodies as at
 
 TIMESTEP_TOLERANCE: Final = 1e-6
 """Relative difference allowed between a period, in whole nanoseconds, and a model's timestep, in decimal seconds."""
-URDF_TIMESTEP_S: Final = 0.002
-"""MuJoCo's default time step. A URDF cannot specify one, so the servo's period replaces it."""
 
 
 class _LogConfig(ctypes.Structure):
@@ -59,10 +57,10 @@ class RigidBodies:
     def __init__(self, world: schema.World) -> None:
         self.world: Final = world
         package = mujoco_module()
-        _, self.model = read_model(world.model, world.mass_kg)
+        self.model = read_model(world)
         # A divergence must be reported, not hidden by an automatic reset to the initial state.
         self.model.opt.disableflags |= package.mjtDisableBit.mjDSBL_AUTORESET
-        self._without_timestep: Final = is_urdf(world.model) and self.model.opt.timestep == URDF_TIMESTEP_S
+        self._key: Final = key_number(self.model, world)
         self.data: Final = package.MjData(self.model)
         self.moving: Final = [body for body in range(1, self.model.nbody) if moves(self.model, body)]
         """Numbers of the bodies that can move; `names` are their names, or numbers of unnamed bodies."""
@@ -74,7 +72,7 @@ class RigidBodies:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state from which a copy continues with the same bits; MuJoCo pickles its data with the model."""
-        own = ("world", "data", "moving", "names", "_without_timestep", "_fault", "_last", "_said")
+        own = ("world", "data", "moving", "names", "_key", "_fault", "_last", "_said")
         return {name: vars(self)[name] for name in own}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -173,24 +171,28 @@ class RigidBodies:
         return int(number)
 
     def begin(self, period_s: float) -> None:
-        """Reset all bodies to their initial poses, for ticks of `period_s`.
+        """Reset all bodies to their initial poses, or those of the keyframe, for ticks of `period_s`.
 
-        Raises ConfigError if the model's time step differs, or if its initial state has no finite acceleration.
+        Raises ConfigError if the model keeps another time step, or if its initial state has no finite acceleration.
         """
         package = mujoco_module()
-        if self._without_timestep:
-            self.model.opt.timestep = period_s / self.world.substeps
         step = self.model.opt.timestep * self.world.substeps
-        if abs(step - period_s) > TIMESTEP_TOLERANCE * period_s:
+        fits = abs(step - period_s) <= TIMESTEP_TOLERANCE * period_s
+        if not fits and self.world.timestep == "tick":
+            self.model.opt.timestep = period_s / self.world.substeps
+        elif not fits:
             raise ConfigError(
                 f"{self.world.model}: its timestep of {self.model.opt.timestep:g} s, world.substeps = "
                 f"{self.world.substeps} times, is not a tick of {period_s:g} s: write "
-                f'<option timestep="{period_s / self.world.substeps:g}"/>, or take another rate'
+                f'<option timestep="{period_s / self.world.substeps:g}"/>, or take another rate, or world.timestep = '
+                '"tick"'
             )
         self._fault[:] = 0
         self._said = ""
         try:
             package.mj_resetData(self.model, self.data)
+            if self._key is not None:
+                package.mj_resetDataKeyframe(self.model, self.data, self._key)
             package.mj_forward(self.model, self.data)
         except package.FatalError as error:
             raise ConfigError(f"{self.world.model}: {' '.join(str(error).split())}") from error
@@ -214,7 +216,7 @@ def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> Rigid
     if before is None or before.bodies is None:
         return RigidBodies(scene.world)
     owner: RigidBodies = before.bodies.block.owner
-    for key in ("model", "mass_kg", "substeps", "budget_us"):
+    for key in ("model", "mass_kg", "substeps", "budget_us", "timestep", "keyframe"):
         now, given = getattr(owner.world, key), getattr(scene.world, key)
         if now != given:
             raise ConfigError(

@@ -61,7 +61,7 @@ def _levels(thing: schema.Heightmap) -> Grid:
         return read_grid(thing.file, even=True)
     from softfinger.config.mjcf import read_hfield  # requires MuJoCo
 
-    return read_hfield(thing.file, thing.hfield)
+    return read_hfield(thing.file, thing.root, thing.hfield)
 
 
 def kernel_heightmap(heights: Grid, pitch: float) -> model.Heightmap:
@@ -89,6 +89,27 @@ def tightest(heights: Grid, pitch: float) -> float:
     valley, _ = sharpest_bends(coefficients(heights / pitch))
     first, (rows, columns) = RIM - 1, heights.shape
     return float(valley[first : first + max(rows - 1, 1), first : first + max(columns - 1, 1)].max()) / pitch
+
+
+def overshoot(heights: Grid) -> float:
+    """Return by how much the surface rises above or falls below the four pixels around it, m, at fifths of a cell."""
+    rows, columns = heights.shape
+    if min(rows, columns) < 2:
+        heights = np.repeat(np.repeat(heights, 1 + (rows < 2), 0), 1 + (columns < 2), 1)
+        rows, columns = heights.shape
+    first = RIM - 1
+    net = _bezier(coefficients(heights)[first : first + rows + 2, first : first + columns + 2])
+    corners = [heights[j : rows - 1 + j, i : columns - 1 + i] for j in (0, 1) for i in (0, 1)]
+    low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
+    weights = [
+        np.array([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3]) for t in (0.0, 0.2, 0.4, 0.6, 0.8)
+    ]
+    most = 0.0
+    for along in weights:
+        for across in weights:
+            surface = sum(along[j] * across[i] * net[j][i] for j in range(4) for i in range(4))
+            most = max(most, float((surface - high).max()), float((low - surface).max()))
+    return most
 
 
 def thinned(heights: Grid, pitch: float, most: int) -> tuple[Grid, Grid, Grid]:

@@ -30,6 +30,13 @@ CLOSES = 1e-3
 """Tolerated mismatch of a texture around a cylinder, as a fraction of its width; sizes are written with few digits."""
 
 Shading = Literal["none", "normals"]
+ModelRoot = (
+    Annotated[
+        str,
+        sized(limits.FILE_NAME_LENGTH, "folder below which the files of a MuJoCo model lie; default: its own", ".."),
+    ]
+    | None
+)
 Inside = Annotated[bool, said("true: a cavity, touched from inside", False)]
 
 
@@ -241,6 +248,7 @@ class Heightmap(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="h
         Annotated[str, sized(limits.NAME_LENGTH, "height field of a MuJoCo model; elevations are 0 to 1", "hills")]
         | None
     ) = None
+    root: ModelRoot = None
     pitch_m: Annotated[float, within(limits.HEIGHT_PITCH_M, "distance between neighbouring pixels", 0.001)]
     level_m: Annotated[
         float, within(limits.HEIGHT_LEVEL_M, "height of one unit of the file; 1 for an array in metres", 1.0)
@@ -257,17 +265,21 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
         str,
         sized(
             limits.FILE_NAME_LENGTH,
-            ".ply, .stl, .obj or .glb",
+            ".ply, .stl, .obj or .glb; or a MuJoCo model",
             "part.ply",
         ),
     ]
+    mesh: (
+        Annotated[str, sized(limits.NAME_LENGTH, "mesh of a MuJoCo model, in its frame of inertia, m", "handle")] | None
+    ) = None
+    root: ModelRoot = None
     scale: Annotated[float, within(limits.MESH_SCALE, "metres per unit of the file; 0.001 for mm", 0.001)] = 1.0
     inside: Inside = False
     shading: Annotated[Shading, said("normals: force direction interpolated between vertex normals", "none")] = "none"
 
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()
-        if known(self.file) and not self.file.lower().endswith(self.endings):
+        if known(self.file, self.mesh) and self.mesh is None and not self.file.lower().endswith(self.endings):
             yield "file", self.file, f"must end in {', '.join(self.endings)}: export the mesh as one of these"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -37,6 +37,24 @@ class World(Table, frozen=True, kw_only=True):
         str,
         sized(limits.FILE_NAME_LENGTH, "MJCF or URDF file", "box.xml"),
     ]
+    root: (
+        Annotated[
+            str,
+            sized(limits.FILE_NAME_LENGTH, "folder below which the files of the model lie; default: the model's", ".."),
+        ]
+        | None
+    ) = None
+    timestep: Annotated[
+        Literal["tick", "file"],
+        said(
+            "tick: a tick divided by substeps, instead of the model's; file: the model's, which must fit the tick",
+            "tick",
+        ),
+    ] = "tick"
+    keyframe: (
+        Annotated[str, sized(limits.NAME_LENGTH, "<key> of the model at which the bodies begin, with its ctrl", "home")]
+        | None
+    ) = None
     substeps: Annotated[
         int, within(limits.SUBSTEPS, "contact and simulation steps in a tick; very light bodies need several", 1)
     ] = 1

@@ -20,6 +20,7 @@ import numpy as np
 
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
+from softfinger.config.mjcf import read_mesh
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.decorators import SOURCE_HASH
 from softfinger.proxy.meshes import kept
@@ -96,7 +97,7 @@ def rendered(thing: schema.Mesh) -> About:
 
     Without a previous build, return the result of `about`.
     """
-    found: About | None = _abouts.get((thing.file, thing.scale))
+    found: About | None = _abouts.get(_source(thing))
     return about(thing) if found is None else found
 
 
@@ -120,19 +121,30 @@ def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KE
 
 def _remember(thing: schema.Mesh, state: Any, found: About) -> None:
     _abouts.put(state, found)
-    _abouts.put((thing.file, thing.scale), found)
+    _abouts.put(_source(thing), found)
+
+
+def _source(thing: schema.Mesh) -> tuple[Any, ...]:
+    """Return the keys of an object that name its triangles."""
+    return thing.file, thing.mesh, thing.root, thing.scale
 
 
 def _bytes(thing: schema.Mesh) -> bytes:
+    """Return the content of a file, or the numbers of a model's mesh."""
     try:
-        return read_bytes(thing.file)
+        if thing.mesh is None:
+            return read_bytes(thing.file)
+        return b"".join(each.tobytes() for each in read_mesh(thing.file, thing.root, thing.mesh))
     except ConfigError as error:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
 
 
 def _mended(thing: schema.Mesh, data: bytes) -> tuple[Arrays, Report]:
     try:
-        vertices, triangles = arrays_of(thing.file, data)
+        if thing.mesh is None:
+            vertices, triangles = arrays_of(thing.file, data)
+        else:
+            vertices, triangles = read_mesh(thing.file, thing.root, thing.mesh)
         loose = thing.file.lower().endswith(".stl")
         with np.errstate(over="ignore"):  # infinite coordinates are rejected later
             vertices = vertices * thing.scale
@@ -141,7 +153,7 @@ def _mended(thing: schema.Mesh, data: bytes) -> tuple[Arrays, Report]:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
     except ValueError as error:
         raise ConfigError(f"object '{thing.name}': file: {thing.file}: {error}") from error
-    return mended.arrays, report_of(mended, loose)
+    return mended.arrays, report_of(mended, loose, thing.scale if thing.mesh is None else None)
 
 
 def _about(mended: tuple[Arrays, Report]) -> About:
@@ -149,12 +161,14 @@ def _about(mended: tuple[Arrays, Report]) -> About:
 
 
 def _state(thing: schema.Mesh) -> Any:
-    """Return a key that changes if the file may have changed."""
+    """Return a key that changes if the triangles of an object may have changed."""
+    if thing.mesh is not None:
+        return hashlib.sha256(_bytes(thing)).digest(), *_source(thing)
     try:
         found = os.stat(thing.file)
     except (OSError, ValueError):
-        return None, thing.file, thing.scale
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, thing.file, thing.scale
+        return None, *_source(thing)
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, *_source(thing)
 
 
 def _key(data: bytes, thing: schema.Mesh, builder: Builder[Any]) -> str:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from softfinger.proxy.meshes.mending import MERGED_WITHIN, Mended
+
+USUAL_M: Final = (1e-3, 1.0)
+"""Sizes of things that a hand explores; others may come from a file in another unit."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,20 @@ class Report:
         return "closed, but not watertight: see what is noted"
 
 
-def report_of(mended: Mended, loose: bool) -> Report:
-    """Return the report on a mesh from `mend`."""
+def unit_note(size: float, scale: float | None) -> tuple[str, ...]:
+    """Return a question about the unit of a mesh that no hand surrounds, or none can feel; `size` in m, scaled."""
+    if scale is None or USUAL_M[0] <= size <= USUAL_M[1]:
+        return ()
+    if size > USUAL_M[1]:
+        units = [("millimetres", 1e-3), ("centimetres", 1e-2)] if scale == 1.0 else [("a thousandth of it", 1e-3)]
+    else:
+        units = [("a thousand times larger", 1e3)]
+    asked = ", or ".join(f"scale = {scale * factor:g} ({unit}, {size * factor:.3g} m)" for unit, factor in units)
+    return (f"it is {size:.3g} m in size: if that is not meant, give {asked}",)
+
+
+def report_of(mended: Mended, loose: bool, scale: float | None) -> Report:
+    """Return the report on a mesh that `mend` gave; `scale` is the object's, None if its unit is certain."""
     wound, (vertices, triangles) = mended.wound, mended.arrays
     x, y, z = (float(edge) for edge in np.ptp(vertices, axis=0))
     within = f" within {MERGED_WITHIN:g} of its size" if loose else ""
@@ -96,6 +112,7 @@ def report_of(mended: Mended, loose: bool) -> Report:
         turned_triangles=wound.alike + wound.outward,
         mended=tuple(f"{text}: {count:,}" for count, text in done if count),
         noted=(
+            *unit_note(max(x, y, z), scale),
             *(f"{text}: {count:,}" for count, text in left if count),
             "not looked for: triangles that go through each other",
         ),

@@ -20,22 +20,17 @@ from softfinger.config.schema import (
     Texture,
     Textured,
     Workspace,
-    World,
 )
 from softfinger.config.words import shown
 from softfinger.server.offline.library_texts import entry_rows
+from softfinger.server.offline.worlds import world_rows
 
-if TYPE_CHECKING:  # they import kernels, which no rig needs
-    from softfinger.config.mjcf import Taken
+if TYPE_CHECKING:  # with the kernels behind them, which no rig needs
     from softfinger.proxy.meshes.report import Report
 
-COMPILE_BASE_AND_PER_GEOM_S: Final = (31.0, 7.0)
-"""Compile time of a scene with bodies, and for each kind of touched geom, CPU seconds.
 
-Measured with 2, 4 and 8 free bodies of five kinds, friction and rolling, on a busy machine.
-"""
-LONG_S: Final = 90.0
-"""Estimated compile time from which the summary mentions it."""
+OVERSHOOT: Final = 0.02
+"""Share of a map's height by which its surface may leave its pixels before the summary mentions it."""
 
 
 def scene_summary(scene: Scene) -> list[tuple[str, str]]:
@@ -46,30 +41,9 @@ def scene_summary(scene: Scene) -> list[tuple[str, str]]:
         first, *others = _finger_rows(scene, finger)
         rows += [first, *entry_rows(table), *others]
     for item in scene.object:
-        rows += _object_rows(item, scene.soft)
+        rows += object_rows(item, scene.soft)
     rows += [(f"effect {effect.kind}", _values(effect)) for effect in scene.effect]
-    return rows + ([] if scene.world is None else _world_rows(scene.world))
-
-
-def _world_rows(world: World) -> list[tuple[str, str]]:
-    """Return rows on the model, and on geoms that cannot be touched or differ from MuJoCo's."""
-    from softfinger.config.mjcf import taken
-
-    geoms = list(taken(world))
-    touched = sum(geom.object is not None for geom in geoms)
-    rows = [("world", f"{world.model}, {touched} of {len(geoms)} geoms touched, substeps {world.substeps}")]
-    compiling = COMPILE_BASE_AND_PER_GEOM_S[0] + COMPILE_BASE_AND_PER_GEOM_S[1] * _compiled(geoms)
-    if compiling >= LONG_S:
-        few = "to touch fewer meshes give a material to these alone, by [[world.geom]]"
-        rows.append(("  compiling", f"some {round(compiling, -1):g} s at the first start; {few}"))
-    return rows + [(f"  geom '{geom.name}'", geom.note) for geom in geoms if geom.note]
-
-
-def _compiled(geoms: list[Taken]) -> int:
-    """Return the number of separately compiled geoms: geoms of a kind share code, each mesh has separate code."""
-    objects = [geom.object for geom in geoms if geom.object is not None]
-    meshes = sum(isinstance(each, Mesh) for each in objects)
-    return meshes + len({(each.shape, each.motion is None) for each in objects if not isinstance(each, Mesh)})
+    return rows + ([] if scene.world is None else world_rows(scene.world))
 
 
 def _finger_rows(scene: Scene, finger: FingerParts) -> list[tuple[str, str]]:
@@ -109,7 +83,8 @@ def _size(item: ObjectBase) -> str:
     return "".join(f", {name} {shown(getattr(item, name))}" for name in own if getattr(item, name) is not None)
 
 
-def _object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
+def object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
+    """Return the rows of an object. Raises ConfigError for a file of it that cannot be used."""
     material = item.material
     friction, torsion = "left out: frictionless", "left out: no moment about the normal"
     if material.friction is not None:
@@ -144,7 +119,7 @@ def mesh_report(item: Mesh) -> Report:
 
 
 def _heightmap_rows(item: Heightmap) -> list[tuple[str, str]]:
-    from softfinger.proxy.heightmaps import read_heights, tightest
+    from softfinger.proxy.heightmaps import overshoot, read_heights, tightest
 
     heights = read_heights(item)
     rows, columns = heights.shape
@@ -152,10 +127,15 @@ def _heightmap_rows(item: Heightmap) -> list[tuple[str, str]]:
     low, high = float(heights.min()), float(heights.max())
     valley = tightest(heights, item.pitch_m)
     bends = "no valley" if valley == 0.0 else f"valleys bend with {1.0 / valley:.3g} m or more"
-    return [
+    found = [
         ("  map", f"{size}, heights {low:g} to {high:g} m"),
         ("    bends", f"{bends}; where that is less than the fingertip's radius it touches in several places"),
     ]
+    if (over := overshoot(heights)) > OVERSHOOT * (high - low):
+        found.append(
+            ("    steps", f"the smooth surface is up to {over:.3g} m higher or lower than the pixels beside them")
+        )
+    return found
 
 
 def _texture_rows(item: Textured, texture: Texture) -> list[tuple[str, str]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -18,7 +17,8 @@ from softfinger.server.recording.results import csv_lines
 SKIPPED: Final = "-"
 """Name of a column that does not belong to the pose."""
 _COMMENT: Final = re.compile(rb"\s*(#|%|//|;|$)")
-_SEPARATOR: Final = re.compile(r"\s*[,;\s]\s*")
+_SEPARATORS: Final = tuple(re.compile(each) for each in (r"\s*;\s*", r" *\t *", r"\s*,\s*", r"\s+", r"\s*[,;\s]\s*"))
+"""Separators of cells; the first that gives as many cells as there are columns is used."""
 
 
 class Layout(NamedTuple):
@@ -67,21 +67,23 @@ def make_layout(columns: str, unit_s: float, unit_m: float, rate_hz: float | Non
 def read_table(path: Path, layout: Layout) -> Poses:
     """Read the poses in a text file of numbers separated by commas, semicolons, tabs or blanks, one row per line.
 
-    Empty lines and lines that start with #, %, // or ; are skipped. Times are relative to the first row. Raises
-    RecordingError, with the line, if the table is malformed.
+    Numbers have decimal points, or decimal commas if another character separates them. Empty lines and lines that start
+    with #, %, // or ; are skipped. Times are relative to the first row. Raises RecordingError, with the line, if the
+    table is malformed.
     """
-    numbers, values = array("q"), array("d")
+    numbers, values, commas = array("q"), array("d"), set[bool]()
     try:
         with open_input(path) as file:
             number = 0
             while line := file.readline(LINE_MAX):
                 number += 1
-                if number <= layout.skip or _COMMENT.match(line):
+                line = line.removeprefix(b"\xef\xbb\xbf") if number == 1 else line
+                if number <= layout.skip or (_COMMENT.match(line) and line.count(b";") != len(layout.columns) - 1):
                     continue
                 if len(numbers) >= POSES_MAX:
                     raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the most that are read: cut it up")
                 numbers.append(number)
-                values.extend(_parse_row(f"{path}, line {number}", line, layout.columns))
+                values.extend(_parse_row(f"{path}, line {number}", line, layout, commas))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
     table = np.frombuffer(values).reshape(-1, len(layout.columns))
@@ -99,23 +101,40 @@ def read_table(path: Path, layout: Layout) -> Poses:
     )
 
 
-def _parse_row(location: str, line: bytes, columns: Sequence[str]) -> list[float]:
+def _parse_row(location: str, line: bytes, layout: Layout, commas: set[bool]) -> list[float]:
+    """Return the numbers of a line; `commas` gets whether a decimal comma or a decimal point was found."""
     try:
-        cells = _SEPARATOR.split(line.decode().strip().rstrip(",;"))
+        text = line.decode().strip()
     except UnicodeDecodeError as error:
         raise RecordingError(f"{location}: not a text file (not UTF-8)") from error
-    if len(cells) != len(columns):
-        raise RecordingError(
-            f"{location}: {len(cells)} values where --columns has {len(columns)}: give a name or {SKIPPED} for each; "
-            "--skip leaves lines out at the beginning"
-        )
     row = []
-    for name, cell in zip(columns, cells, strict=True):
+    for name, cell in zip(layout.columns, _cells(location, text, len(layout.columns)), strict=True):
         try:
-            row.append(0.0 if name == SKIPPED else float(cell))
+            row.append(0.0 if name == SKIPPED else float(cell.replace(",", ".")))
         except ValueError as error:
-            raise RecordingError(f"{location}, column '{name}': {cell[:40]!r} is not a number") from error
+            what = f"{cell[:40]!r} is not a number" if cell else "the cell is empty"
+            raise RecordingError(f"{location}, column '{name}': {what}; --skip leaves a heading out") from error
+        commas |= {mark == "," for mark in ",." if name != SKIPPED and mark in cell}
+    if len(commas) > 1:
+        raise RecordingError(f"{location}: has decimal commas and decimal points: write all numbers with points")
     return row
+
+
+def _cells(location: str, text: str, columns: int) -> list[str]:
+    """Return the cells of a line, without empty ones at its end that exceed the number of columns."""
+    counts = []
+    for separator in _SEPARATORS:
+        cells = separator.split(text)
+        while len(cells) > columns and not cells[-1]:
+            cells.pop()
+        if len(cells) == columns:
+            return cells
+        counts.append(len(cells))
+    found = next((count for count in counts if count > 1), 1)
+    raise RecordingError(
+        f"{location}: {found} values where --columns has {columns}: give a name or {SKIPPED} for each; "
+        "--skip leaves lines out at the beginning"
+    )
 
 
 def write_poses(path: Path, poses: Poses) -> None:

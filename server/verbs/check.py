@@ -34,7 +34,8 @@ from softfinger.config.schema import (
 )
 from softfinger.config.words import near, shown
 from softfinger.server.offline.figures import plot_file
-from softfinger.server.offline.summary import mesh_report, rig_summary, scene_summary
+from softfinger.server.offline.summary import mesh_report, object_rows, rig_summary, scene_summary
+from softfinger.server.offline.worlds import check_start
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
 _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
@@ -69,7 +70,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check every file and print the results; return 0, or the exit code of ConfigError if any file is faulty."""
-    findings = [examine_file(file) for file in args.files]
+    findings = _with_starts([examine_file(file) for file in args.files])
     if args.explain:
         findings = [with_costs(finding) for finding in findings]
     if args.json:
@@ -79,6 +80,23 @@ def run(args: argparse.Namespace) -> int:
             _show(finding)
     _draw_walls(findings, args.plot, quiet=args.json)
     return ConfigError.exit_code if any(finding.errors for finding in findings) else 0
+
+
+def _with_starts(findings: list[Finding]) -> list[Finding]:
+    """Return the findings with an error for each scene whose [world] cannot begin at the rate of a rig beside it."""
+    usable = [finding for finding in findings if not finding.errors]
+    rates = {load_rig(_locate(each.file)).servo.rate_hz for each in usable if each.kind == "rig"}
+    checked = []
+    for finding in findings:
+        try:
+            world = load_scene(_locate(finding.file)).world if finding.kind == "scene" and not finding.errors else None
+            for rate_hz in rates or {Servo().rate_hz}:
+                if world is not None:
+                    check_start(world, rate_hz)
+        except ConfigError as error:
+            finding = finding._replace(summary=[], errors=[str(error)])
+        checked.append(finding)
+    return checked
 
 
 def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None:
@@ -122,6 +140,8 @@ def examine_file(file: str) -> Finding:
             return _experiment(file, path)
         config = load_scene(path) if kind == "scene" else load_rig(path)
         if isinstance(config, Scene):
+            if faults := _object_faults(config):
+                return Finding(file, kind, [], faults, {}, {})
             summary = scene_summary(config)
         else:
             if config.security is not None:
@@ -145,6 +165,17 @@ def _experiment(file: str, path: Path) -> Finding:
 
     experiment = Experiment(path).file
     return Finding(file, "experiment", summary(experiment), [], describe(experiment), {})
+
+
+def _object_faults(scene: Scene) -> list[str]:
+    """Return what is wrong with the files of each object."""
+    faults = []
+    for item in scene.object:
+        try:
+            object_rows(item, scene.soft)
+        except ConfigError as error:
+            faults.append(str(error))
+    return faults
 
 
 def _reports(config: Scene | Rig) -> dict[str, Any]:

@@ -497,6 +497,25 @@ def test_all_faults_are_reported_at_once() -> None:
     assert caught.value.exit_code == 2
 
 
+def test_faults_behind_an_unknown_kind_are_reported_too() -> None:
+    """In keys of the kind that was meant, in those that all kinds share, and keys of none; no guess what is missing."""
+    bad = scene()
+    bad["object"] = [
+        {"name": "a", "shape": "spher", "radius_m": -2, "colour": 3, "material": {"stiffness_n_per_m": -5}},
+        {"name": "b", "radius_m": 0.1, "size_m": 7, "position_m": [0, 1], "material": {"stiffness_n_per_m": "x"}},
+        {"name": "c", "shape": "plane", "material": {"name": "steell", "damping_ns_per_m": -1}},
+        {"name": "d", "shape": 7, "radius_m": "?", "material": "wood", "effect": [{"kind": "magnt", "force_n": 1}]},
+    ]
+    with pytest.raises(FaultyConfig) as caught:
+        build(Scene, bad, "scene.toml")
+    assert [fault.key for fault in caught.value.faults] == [
+        *("object[0].shape", "object[0].radius_m", "object[0].colour", "object[0].material.stiffness_n_per_m"),
+        *("object[1].shape", "object[1].position_m", "object[1].material.stiffness_n_per_m"),
+        *("object[2].material.name", "object[2].material.damping_ns_per_m"),
+        *("object[3].shape", "object[3].effect[0].kind"),
+    ]
+
+
 def test_ceilings_cannot_be_raised_by_a_file() -> None:
     """Just above each ceiling of the guard is refused, the ceiling itself is taken."""
     ceilings = {

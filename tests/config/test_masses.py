@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
 from softfinger.config.mjcf import read_model
@@ -68,7 +69,8 @@ def test_the_model_is_the_one_with_that_mass(kind: str, tmp_path: Path) -> None:
     """Three times the mass, however a model gives it: every number is MuJoCo's own of a file with that mass."""
     (tmp_path / "one.xml").write_text(model(kind, 1))
     expected = mujoco.MjModel.from_xml_string(model(kind, 3))
-    _, found = read_model(str(tmp_path / "one.xml"), {"a": float(expected.body("a").mass[0])})
+    mass = {"a": float(expected.body("a").mass[0])}
+    found = read_model(schema.World(model=str(tmp_path / "one.xml"), mass_kg=mass))
     for name in ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_invweight0", "dof_M0"):
         # Of the compiler's rounding.
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-12, err_msg=name)

@@ -59,6 +59,21 @@ PLY: Final = [
     + b"".join(struct.pack("<3f", *corner) for corner in _CORNERS)
     + b"".join(struct.pack("<B3i", 3, *face) for face in _FACES),
 ]
+_GLB_POINTS: Final = b"".join(struct.pack("<3f", *corner) for corner in _CORNERS)
+_GLB_JSON: Final = (
+    b'{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0,"scale":[1,1,2],"children":[1]},{"mesh":0}],'
+    b'"meshes":[{"primitives":[{"attributes":{"POSITION":0},"indices":1,"mode":4}]}],"buffers":[{"byteLength":60}],'
+    b'"accessors":[{"bufferView":0,"componentType":5126,"count":4,"type":"VEC3"},'
+    b'{"bufferView":1,"componentType":5121,"count":12,"type":"SCALAR"}],'
+    b'"bufferViews":[{"buffer":0,"byteLength":48},{"buffer":0,"byteOffset":48,"byteLength":12}]}   '
+)
+GLB: Final = (
+    struct.pack("<4sIIII", b"glTF", 2, 28 + len(_GLB_JSON) + 60, len(_GLB_JSON), 0x4E4F534A)
+    + _GLB_JSON
+    + struct.pack("<II", 60, 0x4E4942)
+    + _GLB_POINTS
+    + bytes(corner for face in _FACES for corner in face)
+)
 
 
 def pictures() -> list[bytes]:

@@ -19,7 +19,7 @@ from scipy.special import ellipk
 
 from softfinger.config.errors import ConfigError, SafetyStop
 from softfinger.config.load import load_scene
-from softfinger.config.mjcf import taken
+from softfinger.config.mjcf_geoms import taken
 from softfinger.proxy.bodies import RigidBodies, bodies_of
 from softfinger.proxy.engine import Engine, PoseError
 from softfinger.proxy.kernels.fingers import poses_in
@@ -381,8 +381,10 @@ HOSTILE = {
         '<mujoco><include file="inner.xml"/></mujoco>',
         "outside of its folder",
     ),
-    "a folder outside": ('<mujoco><compiler meshdir="/etc"/></mujoco>', "outside of its folder"),
-    "another time step": (f"<mujoco><worldbody>{BALL}</worldbody></mujoco>", "0.002 s"),
+    "a folder outside": (
+        '<mujoco><compiler meshdir="/etc"/><asset><mesh name="m" file="hosts.stl"/></asset></mujoco>',
+        "outside of its folder",
+    ),
     "too many bodies": (f"<mujoco>{OPTION}<worldbody>{BALL * 6000}</worldbody></mujoco>", "1,001 bodies"),
     "too many bodies in a few words": (
         f'<mujoco>{OPTION}<worldbody><replicate count="1100" offset="1 0 0">{BALL}</replicate></worldbody></mujoco>',
@@ -405,7 +407,8 @@ HOSTILE = {
         "bodies or more; at most 1,000",
     ),
     "a file outside of an attached model": (
-        '<mujoco><asset><model name="m" file="outer.xml"/></asset></mujoco>',
+        '<mujoco><asset><model name="m" file="outer.xml"/></asset>'
+        '<worldbody><frame><attach model="m" body="b" prefix="p"/></frame></worldbody></mujoco>',
         "outside of its folder",
     ),
     "too many bodies of a flexible one": (
@@ -459,7 +462,10 @@ def test_a_model_that_cannot_be_used_is_one_clear_error(name: str, tmp_path: Pat
     (tmp_path / "inner.xml").write_text('<mujocoinclude><include file="../secret.xml"/></mujocoinclude>')
     (tmp_path / "ball.xml").write_text(f"<mujocoinclude>{BALL}</mujocoinclude>")
     (tmp_path / "model.xml").write_text(f"<mujoco><worldbody>{BALL * 3}</worldbody></mujoco>")
-    (tmp_path / "outer.xml").write_text('<mujoco><asset><mesh file="../secret.stl"/></asset></mujoco>')
+    (tmp_path / "outer.xml").write_text(
+        '<mujoco><asset><mesh name="s" file="../secret.stl"/></asset><worldbody><body name="b">'
+        '<geom type="mesh" mesh="s"/></body></worldbody></mujoco>'
+    )
     with pytest.raises(ConfigError) as error:
         Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
     assert said in str(error.value) and "hostile.xml" in str(error.value)

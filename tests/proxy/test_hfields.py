@@ -11,13 +11,14 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
-from softfinger.config.mjcf import taken
+from softfinger.config.mjcf_geoms import taken
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.heightmaps import read_heights
+from softfinger.proxy.heightmaps import overshoot, read_heights
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.query.objects import closest_to_within
 from softfinger.proxy.kernels.query.world import advance, place_all
@@ -148,6 +149,23 @@ def elevations_m() -> Array:
     """Heights (rows, columns) of the geom above its frame, m, the first row at the least y."""
     found = hills()[::-1]
     return np.asarray(TOP * (found - found.min()) / np.ptp(found))
+
+
+def test_a_step_that_is_felt_higher_than_it_is_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By as much as a natural spline through the step leaves it; of smooth hills nothing is said."""
+    step = np.repeat([0.0, TOP], [6, COLUMNS - 6])
+    assert overshoot(np.tile(step, (ROWS, 1))) == pytest.approx(
+        CubicSpline(range(COLUMNS), step, bc_type="natural")(np.linspace(0, COLUMNS - 1, 5000)).max() - TOP,
+        rel=0.02,  # its top is sought at fifths of a cell
+    )
+    assert overshoot(hills()) < 0.02 * np.ptp(hills()) and overshoot(np.zeros((1, 1))) == 0.0
+    np.save(tmp_path / "step.npy", np.tile(step, (ROWS, 1)))
+    (tmp_path / "step.toml").write_text(
+        '[fingertip]\nradius_m = 0.008\n[[object]]\nname = "step"\nshape = "heightmap"\nfile = "step.npy"\n'
+        'pitch_m = 0.004\nlevel_m = 1.0\nmaterial = "wood"\n'
+    )
+    assert cli.main(["check", str(tmp_path / "step.toml")]) == 0
+    assert "the smooth surface is up to 0.000646 m higher or lower than the pixels" in capsys.readouterr().out
 
 
 def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> None:

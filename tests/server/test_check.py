@@ -154,3 +154,17 @@ def test_check_tells_how_geoms_are_taken_and_when_many_take_long_to_compile(tmp_
     shared = called("check", str(tmp_path / "balls.toml"))
     assert shared.returncode == 0, shared.stderr
     assert re.search(r"11 of 11 geoms touched", shared.stdout) and "compiling" not in shared.stdout
+
+
+@pytest.mark.plain
+def test_check_names_every_file_that_cannot_be_used(tmp_path: Path) -> None:
+    """Not the first one alone."""
+    objects = [
+        f'[[object]]\nname = "{name}"\nshape = "mesh"\nfile = "{name}.stl"\nmaterial = "wood"\n'
+        for name in ("one", "two")
+    ]
+    (tmp_path / "two.stl").write_bytes(b"solid")
+    (tmp_path / "scene.toml").write_text("[fingertip]\nradius_m = 0.01\n" + "".join(objects))
+    done = called("check", str(tmp_path / "scene.toml"))
+    assert done.returncode == 2
+    assert re.search("object 'one': file: .*No such file.*\n.*object 'two': file: .*it was cut off", done.stderr)

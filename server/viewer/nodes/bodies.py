@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.mjcf import taken
+from softfinger.config.mjcf_geoms import taken
 from softfinger.proxy.actions import kernel_motion
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.query.motion import carried, pose_at
