@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from softfinger.drivers.system.rules import command
+from softfinger.drivers.system.rules import install_command
 from softfinger.server.install.ledger import Act, Ledger
 from softfinger.server.install.plan import closed_to_others, files, places, service
 from softfinger.server.install.settle import STATE, after_removing, after_writing, before_removing, run_all
@@ -69,7 +69,7 @@ def install(args: argparse.Namespace, ledger: Ledger) -> None:
     closed = closed_to_others(service(args.rig, args.scene)) if args.system else None
     if closed is not None:
         print(f"the service cannot start: {closed} is its owner's alone; put the program into /opt/softfinger")
-    print(LATER if args.system else LATER_FOR_ONE.format(command=command()), end="")
+    print(LATER if args.system else LATER_FOR_ONE.format(command=install_command()), end="")
 
 
 def remove(args: argparse.Namespace, ledger: Ledger) -> None:

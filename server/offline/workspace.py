@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.schema import Object, Plane, Scene, Workspace
-from softfinger.drivers.kinematics.freedom import Freedom
+from softfinger.drivers.kinematics.subspace import MotionSubspace
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.viewer.nodes.meshes import mesh_of, plane
@@ -84,12 +84,12 @@ def rows(wall: Workspace, objects: list[Drawn]) -> list[tuple[str, str]]:
     return told
 
 
-def way(wall: Workspace, freedom: Freedom) -> Array:
+def way(wall: Workspace, freedom: MotionSubspace) -> Array:
     """Return points (n, 3) m inside the wall, on the arc of a device or on the edge of its plane."""
     turn = np.linspace(-np.pi, np.pi, DIRECTIONS)[:, None]
     normal, half = freedom.axis, float(half_sizes(wall).max())
     if freedom.degrees == 1:
-        arm = freedom.middle - freedom.origin
+        arm = freedom.centre - freedom.origin
         points = freedom.origin + np.cos(turn) * arm + np.sin(turn) * np.cross(normal, arm)
         return np.asarray(points[beyond(wall, points) <= 0.0])
     centre = np.array(wall.center_m)
@@ -105,7 +105,7 @@ def way(wall: Workspace, freedom: Freedom) -> Array:
     return np.asarray(points[np.arange(DIRECTIONS), inside.sum(axis=1) - 1])
 
 
-def text(wall: Workspace, objects: list[Drawn], freedom: Freedom | None = None) -> list[str]:
+def text(wall: Workspace, objects: list[Drawn], freedom: MotionSubspace | None = None) -> list[str]:
     """Return both views side by side, as lines."""
     views = [_view(wall, objects, axis, freedom) for _, axis, _ in VIEWS]
     half = 1e3 * AROUND * float(half_sizes(wall).max())
@@ -119,7 +119,7 @@ def text(wall: Workspace, objects: list[Drawn], freedom: Freedom | None = None) 
     return lines
 
 
-def plot(wall: Workspace, objects: list[Drawn], path: Path, freedom: Freedom | None = None) -> None:
+def plot(wall: Workspace, objects: list[Drawn], path: Path, freedom: MotionSubspace | None = None) -> None:
     """Draw both views as a figure, .png or .svg, axes in mm."""
     from matplotlib.collections import PolyCollection
 
@@ -150,7 +150,7 @@ def plot(wall: Workspace, objects: list[Drawn], path: Path, freedom: Freedom | N
     save(drawing, path)
 
 
-def _view(wall: Workspace, objects: list[Drawn], axis: int, freedom: Freedom | None) -> list[str]:
+def _view(wall: Workspace, objects: list[Drawn], axis: int, freedom: MotionSubspace | None) -> list[str]:
     """Return a view as ROWS lines of COLUMNS characters."""
     center, half = np.array(wall.center_m), AROUND * float(half_sizes(wall).max())
     right, up = np.meshgrid(np.linspace(-half, half, COLUMNS), np.linspace(half, -half, ROWS))

@@ -24,8 +24,8 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import build, completed, describe, load_scene, numbered, overridden, shipped, value_at
 from softfinger.config.words import near, shown
-from softfinger.drivers import turns
-from softfinger.drivers.simulated.lead import Wanted, hand_of
+from softfinger.drivers import switch_interval
+from softfinger.drivers.simulated.lead import RequestedPose, hand_of
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import shutdown
@@ -111,7 +111,7 @@ class Commands:
         self.sink: Final = Sink("commands", self._keep)
 
     def start(self) -> None:
-        turns.shorten()
+        switch_interval.shorten()
         self._started = True
         self._scenes.start()
         self._thread.start()
@@ -122,7 +122,7 @@ class Commands:
         failed = shutdown.every(self._scenes.stop, self._stop_turns, lambda: self._doing.serve(None))
         if self._started:
             self._started = False
-            turns.restore()
+            switch_interval.restore()
         if failed is not None:
             raise failed
 
@@ -361,8 +361,8 @@ class Commands:
         wanted = None
         if asked.position_m is not msgspec.UNSET:
             turn = None if asked.orientation_wxyz is msgspec.UNSET else asked.orientation_wxyz
-            hand_of(self._rendering.servo.devices[place])  # raises NoHand even before the first tick
-            wanted = Wanted(asked.position_m, turn, self._turned(place))
+            hand_of(self._rendering.servo.devices[place])  # raises NoSimulatedHand even before the first tick
+            wanted = RequestedPose(asked.position_m, turn, self._turned(place))
         self._rendering.lead(place, wanted)
         self._tell_led(place, not asked.release, request)
         return wire.Applied(self._rendering.servo.ticks)

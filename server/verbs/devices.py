@@ -14,8 +14,8 @@ from softfinger.config.schema import DeviceConfig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers import registry
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import Claim, claim_on
-from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, needs, options_for
+from softfinger.drivers.system.claims import Claim, find_claim
+from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, diagnose_requirements, options_for
 from softfinger.drivers.system.discovery import Attached
 
 MAY_BE_ASKED: Final = ("usable", "firmware")
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     rig = None if args.rig is None else single_device(load_rig(args.rig))
     found: list[Found] = []
     for device in discovery.attached():
-        claim = claim_on(device)
+        claim = find_claim(device)
         diagnosis, said = diagnose(device, claim, rig), None
         if args.ask and claim is not None and diagnosis.state in MAY_BE_ASKED:
             diagnosis, said = ask(device, claim, rig)
@@ -60,12 +60,12 @@ def ask(device: Attached, claim: Claim, rig: DeviceConfig | None = None) -> tupl
     driver, options = registry.load(claim.driver), options_for(claim, rig)
     identify = getattr(driver, "identify", None)
     if identify is None:
-        return needs(claim, options), None
+        return diagnose_requirements(claim, options), None
     try:
         said = identify(device, build(driver.Options, dict(options), "[device]"))
     except HapticError as error:
         return Diagnosis("busy" if isinstance(error, DeviceBusy) else "error", str(error)), None
-    return needs(claim, options, said), said
+    return diagnose_requirements(claim, options, said), said
 
 
 def as_map(

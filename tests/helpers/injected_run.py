@@ -13,7 +13,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Faults
 from softfinger.drivers.base import Device
-from softfinger.drivers.injected import Injected
+from softfinger.drivers.injected import FaultInjector
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
@@ -28,7 +28,7 @@ FROZEN_S = 0.1
 WAIT_S = 30.0
 
 
-class Seen(NamedTuple):
+class PoseReading(NamedTuple):
     """What became of a run: its error, None where it went on to its last tick; names of the recording's events, and of
     those that the supervisor told; ticks done, and those in the recording (n, RECORD_SIZE); when each of these began,
     s of the monotonic clock (n,)."""
@@ -47,14 +47,14 @@ def run(
     rate_hz: float,
     folder: Path,
     each: Callable[[int], object] = lambda _: None,
-) -> Seen:
+) -> PoseReading:
     """Run so many ticks on the paper's plane, with everything that watches over them; the device is closed in the end.
 
     folder  for the recording
     each    called with the ticks done so far, whenever some are
     """
     never = [{"kind": "stale", "at_tick": ticks + 1}]
-    injected = Injected(device, build(Faults, {"fault": faults or never}, "faults"), rate_hz)
+    injected = FaultInjector(device, build(Faults, {"fault": faults or never}, "faults"), rate_hz)
     guard = load_rig("replay", {"guard.ramp_s": RAMP_S, "guard.frozen_s": FROZEN_S}).guard
     servo = s.Servo([injected], make_tuning(load_scene("paper-plane"), guard, [injected.info]), rate_hz, ticks)
     servo.compile()
@@ -87,7 +87,7 @@ def run(
     done, epoch_s = servo.ticks, servo.epoch_s
     servo.close()
     events, recorded = read(path)
-    return Seen(error, events + told, done, recorded, recorded[:, AT.timestamp] - epoch_s)
+    return PoseReading(error, events + told, done, recorded, recorded[:, AT.timestamp] - epoch_s)
 
 
 def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None], each: Callable[[int], object]) -> None:
