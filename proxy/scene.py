@@ -1,4 +1,4 @@
-"""From a validated scene file to the tree the kernels are compiled for."""
+"""Conversion of a validated scene file to the tree of named tuples for which the kernels are compiled."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ from softfinger.proxy.record import FREE
 from softfinger.proxy.textures import kernel_texture
 
 ROWS_FROM: Final = 8
-"""So many objects of one type and more are asked by a loop at run time; fewer by code of their own."""
+"""Smallest number of objects of one type that share compiled code and a loop; fewer are compiled separately."""
 ROWS_OF_WORLD_FROM: Final = 2
-"""The same beside bodies that move by themselves, whose step takes longer than any loop."""
+"""The same in a scene with simulated bodies, with a step that takes longer than any loop."""
 APART_MAX: Final = 24
-"""Objects with code of their own: each takes seconds to compile, and with 32 numba's recursion has no end."""
+"""Largest number of separately compiled objects: each compiles for seconds, and with 32 numba's recursion never
+ends."""
 
 
 class Body(NamedTuple):
-    """A kernel shape with its place (m) and turn in the frame of the object that it is part of."""
+    """Kernel shape with its position (m) and orientation in the frame of the object of which it is a part."""
 
     shape: Any
     position: model.Vec3 = (0.0, 0.0, 0.0)
@@ -40,12 +41,19 @@ class Body(NamedTuple):
 
 
 def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model.Scene:
-    """The scene as named tuples of float64; a table the file leaves out becomes None.
+    """Return the scene as named tuples of float64; a missing table becomes None.
 
-    before  what was built with other parameters: the bodies of its world go on in this one
+    Parameters
+    ----------
+    scene
+        Validated scene.
+    before
+        Scene built earlier with other parameters: the bodies of its world continue in the new one.
 
-    Raises ConfigError where the file of a texture or a height map cannot be used, and for more than APART_MAX objects
-    that cannot share their code.
+    Raises
+    ------
+    ConfigError
+        If the file of a texture or a height map cannot be used, or more than APART_MAX objects cannot share their code.
     """
     materials, rigid = _materials(scene), bodies_of(scene, before)
     bodies, riders = [], []
@@ -56,7 +64,7 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
         for part, (shape, position, orientation) in enumerate(shape_bodies(thing)):
             fixed = motion is None and texture is None
             shape, pose = _placed(shape, thing, position, orientation, fixed)
-            # Several walls of one object do together what the object does once.
+            # The effects of an object with several walls act once.
             own = effects if part == 0 else ()
             made_of = material if isinstance(pose, model.Pose) else _facing(material, thing.orientation_wxyz)
             bodies.append(model.Object(shape, pose, motion, made_of, float(number), own, texture=texture))
@@ -70,10 +78,10 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
 
 
 def _entries(bodies: list[model.Object], rows_from: int) -> tuple[model.Object | Rows, ...]:
-    """The objects as the kernels ask them; so many and more that are alike stand in rows, behind the others.
+    """Return the objects in the form for kernels: large groups of one type in rows, after the separate ones.
 
-    What has a motion of its own, remembers or is textured stays by itself: the world and each finger have a place for
-    it. What rides on a body is where that is.
+    An object with its own motion, effects or a texture is separate, because the world and each finger store a state for
+    it. So is a mesh. The pose of an object attached to a body is the body's.
     """
     alike: dict[Any, list[model.Object]] = {}
     for body in bodies:
@@ -82,7 +90,7 @@ def _entries(bodies: list[model.Object], rows_from: int) -> tuple[model.Object |
             alike.setdefault(_type(body), []).append(body)
     many = [those for those in alike.values() if len(those) >= rows_from]
     if len(many) == 1 and len(many[0]) == len(bodies):
-        many[0].pop(0)  # a tuple of one entry is a scene of one body, which has one patch
+        many[0].pop(0)  # a tuple of one entry would be treated as one object with one contact
     in_rows = {id(body) for those in many for body in those}
     apart = [body for body in bodies if id(body) not in in_rows]
     if len(apart) > APART_MAX:
@@ -95,19 +103,19 @@ def _entries(bodies: list[model.Object], rows_from: int) -> tuple[model.Object |
 
 
 def _type(tree: Any) -> Any:
-    """What of a tree is compiled: its types without its numbers."""
+    """Return the types of a tree, which determine the compiled code, without its numbers."""
     return (type(tree), *map(_type, tree)) if isinstance(tree, tuple) else numba.typeof(tree)
 
 
 def other_model(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
-    """Which of the changes to a scene, that together make another model than its own, do so; for a message."""
+    """Return a message that names the changes to a scene that require another compiled model."""
     kind = numba.typeof(build_scene(scene))
     alone = [key for key, value in changes.items() if _kind_with(scene, {key: value}) != kind]
     return f"{', '.join(alone or changes)}: that is another model, to be compiled"
 
 
 def _kind_with(scene: schema.Scene, changes: Mapping[str, Any]) -> Any:
-    """The type that a scene has with changes; None where they are not usable without others."""
+    """Return the type of a scene with changes; None if they are not valid by themselves."""
     try:
         return numba.typeof(build_scene(overridden(scene, changes, "")))
     except ConfigError:
@@ -131,8 +139,8 @@ def _finger(given: schema.FingerParts, rolling: schema.Rolling | None) -> model.
 
 
 def start_state(scene: model.Scene) -> model.State:
-    """State before the first pose."""
-    bodies = [entry[0] if isinstance(entry, Rows) else entry for entry in scene.objects]  # those in rows have none
+    """Return the state before the first pose."""
+    bodies = [entry[0] if isinstance(entry, Rows) else entry for entry in scene.objects]  # rows have no effects
     effects = (start_states(scene.effects), tuple(start_states(body.effects) for body in bodies))
     alone = [None if isinstance(entry, Rows) or entry.motion is None else entry.pose for entry in scene.objects]
     finger = model.FingerState(
@@ -151,7 +159,7 @@ def start_state(scene: model.Scene) -> model.State:
 
 
 def patches_of(objects: tuple[model.Object, ...]) -> int:
-    """How many patches of contact a fingertip can have at once: one body is touched in one place, a mesh in several."""
+    """Return the largest number of contacts of a fingertip: 1 with one object that is not a mesh, otherwise 3."""
     alone = len(objects) == 1 and not isinstance(objects[0].shape, model.Mesh)
     return 1 if alone else 3
 
@@ -159,8 +167,8 @@ def patches_of(objects: tuple[model.Object, ...]) -> int:
 def _placed(
     shape: Any, thing: schema.Object, position: model.Vec3, orientation: model.Quaternion, fixed: bool
 ) -> tuple[Any, Any]:
-    """A shape and the least pose it needs: none for what is `fixed` and can be given in the world."""
-    turn = thing.orientation_wxyz  # parts are moved against their object, not turned
+    """Return a shape and its simplest pose: none if it is `fixed` and can be expressed in the world frame."""
+    turn = thing.orientation_wxyz  # parts are translated relative to their object, not rotated
     moved = _rotated(thing.orientation_wxyz, position)
     at = (moved[0] + thing.position_m[0], moved[1] + thing.position_m[1], moved[2] + thing.position_m[2])
     if not fixed:
@@ -174,7 +182,7 @@ def _placed(
 
 
 def _rotated(q: model.Quaternion, v: model.Vec3) -> model.Vec3:
-    """`v` (3,) turned by the unit quaternion `q`; in Python, since compiling a kernel for it would delay the start."""
+    """Rotate `v` (3,) by the unit quaternion `q`; in Python, because compiling a kernel would delay the start."""
     w, x, y, z = q
     rows = (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
@@ -186,7 +194,7 @@ def _rotated(q: model.Quaternion, v: model.Vec3) -> model.Vec3:
 
 
 def _facing(material: model.Material, turn: model.Quaternion) -> model.Material:
-    """The material of a shape that is given in the world: its directions are given there too."""
+    """Return the material of a shape expressed in the world frame, with its directions rotated there, too."""
     law = material.friction
     if not isinstance(law, model.Anisotropic):
         return material
@@ -194,7 +202,7 @@ def _facing(material: model.Material, turn: model.Quaternion) -> model.Material:
 
 
 def _materials(scene: schema.Scene) -> list[model.Material]:
-    """A material for each object, all of the same parts."""
+    """Return a material for each object, all with the same types of laws."""
     return [
         model.Material(*laws)
         for laws in zip(
@@ -205,10 +213,10 @@ def _materials(scene: schema.Scene) -> list[model.Material]:
 
 @singledispatch
 def shape_bodies(thing: Any) -> list[Body]:
-    """What an object's shape is made of. A shape from another package registers what serves its table.
+    """Return the bodies of an object's shape. Another package registers a function for the table of its shape.
 
-    Most shapes are one body. The inside of a box or of a cylinder with ends is several walls that
-    hold the fingertip at once, one body each.
+    Most shapes are one body. The inside of a box or of a cylinder with ends consists of several walls that
+    can support the fingertip simultaneously, one body each.
     """
     raise TypeError(f"{type(thing).__name__} is no shape: nothing is registered with shape_bodies for it")
 
@@ -262,7 +270,7 @@ def _heightmap(thing: schema.Heightmap) -> list[Body]:
 
 @shape_bodies.register
 def _mesh(thing: schema.Mesh) -> list[Body]:
-    from softfinger.proxy.meshes.tree import Tree, build_tree  # its kernels are for scenes with a mesh alone
+    from softfinger.proxy.meshes.tree import Tree, build_tree  # its kernels are only for scenes with a mesh
 
     tree = tree_of(thing, Builder(build_tree, Tree))
     x, y, z = tree.center.tolist()
@@ -288,7 +296,7 @@ def _side(inside: bool) -> float:
 
 
 def _walls(axis: int, half: float) -> list[Body]:
-    """Two planes at +-half along an axis, facing each other."""
+    """Return two planes at +-half along an axis, facing each other."""
     return [
         Body(
             model.Plane(
@@ -300,7 +308,6 @@ def _walls(axis: int, half: float) -> list[Body]:
 
 
 def _rolling(scene: schema.Scene) -> Any:
-    """The rolling method; None without one."""
     rolling = scene.rolling
     if rolling is None:
         return None
@@ -320,7 +327,7 @@ def _rolling(scene: schema.Scene) -> Any:
 
 
 def explain(scene: schema.Scene) -> str:
-    """What is modelled and what is left out, in a line."""
+    """Return one line that lists the modelled and the omitted parts."""
     materials = [thing.material for thing in scene.object]
     parts = {
         "rolling" if scene.rolling is None else f"rolling ({scene.rolling.method})": scene.rolling is not None,

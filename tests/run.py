@@ -48,6 +48,10 @@ CPU_FOLDER: Final = HERE.parent / "build" / "cpu-seconds"
 """CPU seconds of each test of the last run, a JSON file for each part."""
 MOST_EXPENSIVE: Final = 20
 
+HANG_S: Final = 300.0
+SAMPLE_S: Final = 0.3
+"""CPU seconds of the measurement of `hang_limit`; three periods of a quota of Linux, 0.1 s each."""
+
 DRIVERS: Final = (("serial",), ("falcon", "forcedimension", "haply", "hid", "openhaptics", "simulated", "spacemouse"))
 """Drivers whose exchanges two processes compile, in about the same time."""
 
@@ -155,6 +159,18 @@ def run(parts: Sequence[Part], words: Sequence[str], covered: bool = False) -> l
     return running
 
 
+def hang_limit() -> str:
+    """Return pytest's option for the time after which a test counts as hung.
+
+    It is five minutes times the seconds that a CPU second takes here: 3 under a quota of 35 %.
+    """
+    wall, cpu = time.monotonic(), time.process_time()
+    while time.process_time() - cpu < SAMPLE_S:
+        pass
+    seconds_per_cpu_second = max((time.monotonic() - wall) / SAMPLE_S, 1.0)
+    return f"-o faulthandler_timeout={HANG_S * seconds_per_cpu_second:.0f}"
+
+
 def compile_drivers() -> None:
     """Compile the exchanges of all drivers: each pytest process would otherwise do it when it imports them."""
     programs = ["; ".join(f"import softfinger.drivers.{name}.device" for name in names) for names in DRIVERS]
@@ -209,6 +225,7 @@ def main(words: list[str]) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     CPU_FOLDER.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
+    ENVIRONMENT["PYTEST_ADDOPTS"] = f"{os.environ.get('PYTEST_ADDOPTS', '')} {hang_limit()}".strip()
     wanted = words.pop(0) if words and words[0] in ("--rest", "--system", "--coverage") else ""
     if wanted in ("--rest", "--system"):
         ended = [part for one in (REST if wanted == "--rest" else SYSTEM) for part in run([one], words)]

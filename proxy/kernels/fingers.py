@@ -1,4 +1,4 @@
-"""What is done for several fingers one after the other; with one finger nothing of it is left once it is compiled."""
+"""Operations on several fingers in turn: rows, poses and records as tuples. With one finger they compile to nothing."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from softfinger.proxy.record import AT
 
 @by_count
 def rows_of(fingers: Any, table: Any, first: int) -> Any:
-    """Rows of `table` from `first` on, one for each finger, as a tuple."""
+    """Return rows of `table` from index `first` on, one for each finger, as a tuple."""
 
 
 @rows_of.of(1)
@@ -22,19 +22,19 @@ def row_of_one(fingers: Any, table: Any, first: int) -> Any:
 
 @rows_of.of(2)
 def rows_of_several(fingers: Any, table: Any, first: int) -> Any:
-    # numba joins tuples of known types, and does not unpack one inside another.
+    # numba concatenates tuples of known types, but does not support unpacking in a tuple.
     return (table[first],) + rows_of(fingers[1:], table, first + 1)  # noqa: RUF005
 
 
 @jit
 def pose_in(row: Any) -> Pose:
-    """Pose in a row x, y, z, qw, qx, qy, qz."""
+    """Return the Pose of a row x, y, z, qw, qx, qy, qz."""
     return Pose((row[0], row[1], row[2]), as_unit((row[3], row[4], row[5], row[6])))
 
 
 @by_count
 def poses_in(rows: Any) -> Any:
-    """The Pose in each row of a tuple."""
+    """Return the Pose of each row of a tuple."""
 
 
 @poses_in.of(1)
@@ -49,7 +49,7 @@ def poses_of_several(rows: Any) -> Any:
 
 @by_count
 def write_contacts(contacts: Any, rows: Any, probes: Any, tick: int, dt: float) -> None:
-    """Fill a record for each finger, of tick number `tick`; its time is that times dt (s)."""
+    """Fill a record for each finger for tick number `tick`; its timestamp is that number times dt (s)."""
 
 
 @write_contacts.of(1)

@@ -1,4 +1,4 @@
-"""Writing the contact's part of a record: the layout of `softfinger.proxy.record`, compiled."""
+"""Writer of the contact's part of a record: the compiled form of the table `softfinger.proxy.record`."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ def write_contact(
     force: Vec3,
     torque: Vec3,
 ) -> None:
-    """Fill a record (RECORD_SIZE,) with one tick; the servo's and the device's fields are left as they are."""
+    """Fill a record (RECORD_SIZE,) with one tick; the fields of servo and device do not change."""
     row[AT.tick] = tick
     row[AT.dt] = dt
     put3(row, AT.probe_position, position)
@@ -59,7 +59,7 @@ def write_contact(
 
 @by_count
 def write_each_contact(contacts: Any, row: Any) -> Any:
-    """Fill what a record (RECORD_SIZE,) has of each contact."""
+    """Fill the fields of each contact in a record (RECORD_SIZE,)."""
 
 
 @write_each_contact.of(1)
@@ -78,7 +78,7 @@ def write_three_contacts(contacts: Any, row: Any) -> None:
 
 @jit
 def write_outcome(row: Any, at: int, outcome: ContactOutcome) -> None:
-    """One of them, from column `at` on."""
+    """Write the fields of one contact, from column `at` on."""
     row[at] = outcome.object
     put3(row, at + AT.contacts0_point - AT.contacts0_object, outcome.point)
     put3(row, at + AT.contacts0_normal - AT.contacts0_object, outcome.normal)

@@ -10,7 +10,6 @@ from typing import Any, Final, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
-from softfinger.proxy.kernels.jit.tuples import same_for
 from softfinger.proxy.kernels.model import Bodies, Contact, ContactOutcome, FingerState, Pose, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import log, relative, rotate
@@ -42,7 +41,7 @@ NO_REACTION: Final = Reaction(0.0, _ZERO, _ZERO, _ZERO, Pose(_ZERO, (1.0, 0.0, 0
 
 def no_reactions(bodies: Any, finger: FingerState) -> Any:
     """Return the reactions before the first tick, one for each possible contact; None in a scene without bodies."""
-    return None if bodies is None else same_for(finger.contacts, NO_REACTION)
+    return None if bodies is None else (NO_REACTION,) * len(finger.contacts)
 
 
 @jit

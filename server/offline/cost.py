@@ -13,7 +13,7 @@ from softfinger.config import schema
 from softfinger.proxy.kernels.contact.fingertip import seen_by
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import Packed, flatten, pack, packed, unpack
-from softfinger.proxy.kernels.jit.tuples import same_for
+from softfinger.proxy.kernels.jit.tuples import first_of
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.objects import closest_to_within
@@ -81,7 +81,8 @@ def time_steps(
             for i in range(stretch * length, (stretch + 1) * length):
                 pose = poses[i]
                 position, orientation = (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6])
-                probes = same_for(parameters.fingers, Pose(position, orientation))
+                probe = Pose(position, orientation)
+                probes = first_of(parameters.fingers, probe, probe)
                 state, contacts = step(parameters, state, probes, dt)
                 contact = contacts[0]
                 total += contact.force[0] + contact.force[2] + contact.torque[2]

@@ -16,7 +16,6 @@ KINDS: Final = {
         "softfinger.tools.bench.commands",
         "what commands do to a hand that presses: torn sets, steps, memory",
     ),
-    "grasp": ("softfinger.tools.bench.grasp", "a box held by soft fingertips, beside MuJoCo's own contact"),
     "mesh": ("softfinger.tools.bench.mesh", "cost of a tick on a mesh, by its size"),
     "view": ("softfinger.tools.bench.view", "what pages cost the servo, and how many pictures a second they draw"),
     "soak": ("softfinger.tools.bench.soak", "a long run with everything on: what grows, what is missed or lost"),

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.detection import STUCK_TICKS
 from softfinger.proxy.kernels.contact.fingertip import point_on, point_under
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import same_for
+from softfinger.proxy.kernels.jit.tuples import first_of
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
     NO_OUTCOME,
@@ -28,8 +28,7 @@ class Outcome(NamedTuple):
     mode, cause         of the first contact, and of its change in this tick
     object              number in the scene file of what bears the first contact, -1 for none
     normal              (3,)      of that object
-    center              (3,) m    proxy without friction's displacement where there are several objects
-    shown               (3,) m    proxy as it is reported
+    center              (3,) m    proxy
     contacts            ContactState of each contact
     reported            ContactOutcome of each contact
     pressing            (3,) N    sum of the normal forces
@@ -49,7 +48,6 @@ class Outcome(NamedTuple):
     object: float
     normal: Vec3
     center: Vec3
-    shown: Vec3
     contacts: Any
     reported: Any
     pressing: Vec3
@@ -94,9 +92,9 @@ def report(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
         object=outcome.object,
         cause=outcome.cause,
         velocity=probe.velocity,
-        center=outcome.shown,
+        center=outcome.center,
         penetration=depth,
-        point=point_under(finger.form, finger.radius, probe.orientation, outcome.shown, normal),
+        point=point_under(finger.form, finger.radius, probe.orientation, outcome.center, normal),
         normal=normal,
         finger_point=point_on(finger.form, finger.radius, inward),
         rolled=outcome.rolled,
@@ -122,7 +120,7 @@ def remember_free(state: FingerState, probe: Probe, effect_states: Any, known: b
         probe=probe,
         mode=float(FREE),
         center=probe.position,
-        contacts=same_for(state.contacts, NO_CONTACT),
+        contacts=first_of(state.contacts, NO_CONTACT, NO_CONTACT),
         rolled=0.0,
         stuck=0.0,
         effects=effect_states,
@@ -155,6 +153,6 @@ def report_free(state: FingerState, probe: Probe, force: Vec3, budget: float) ->
         patch_radius=0.0,
         patch_normal=zero,
         patch_stretch=zero,
-        contacts=same_for(state.contacts, NO_OUTCOME),
+        contacts=first_of(state.contacts, NO_OUTCOME, NO_OUTCOME),
         budget=budget,
     )

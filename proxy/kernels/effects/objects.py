@@ -1,4 +1,4 @@
-"""The effects of the objects: each is told how the fingertip stands to its own object."""
+"""Effects of all objects, each evaluated with the gap, normal and velocity relative to its object."""
 
 from typing import Any, NamedTuple
 
@@ -12,8 +12,11 @@ from softfinger.proxy.kernels.query.objects import closest_or_bound_on
 
 
 class Touched(NamedTuple):
-    """The up to three constraints that hold the proxy, by the numbers of their objects, -1 for none; where (3,) m the
-    probe was at the last tick."""
+    """Active constraints of the proxy, and the previous probe position.
+
+    one, two, three          constraints; their `body` is the scene index of the object, -1 for none
+    before           (3,) m  probe position at the last tick
+    """
 
     one: Constraint
     two: Constraint
@@ -23,8 +26,11 @@ class Touched(NamedTuple):
 
 @by_count
 def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    """Sum of the forces (3,) N of all objects' effects, their states, and 1 where one of them was told a gap that may
-    be too large, because the search for it did not end; else 0."""
+    """Return the total force (3,) N of the effects of all objects, their states, and a flag.
+
+    The flag is 1 if the gap of an object may be too large because the search for its nearest point did not finish,
+    otherwise 0.
+    """
 
 
 @apply_objects_effects.of(1)
@@ -39,24 +45,24 @@ def effects_of_several(objects: Any, states: Any, radius: float, touched: Touche
     body = objects[0]
     force, state, unsearched = effects_of(element(body, 0.0).effects, body, states[0], radius, touched, contact)
     others, rest, more = apply_objects_effects(objects[1:], states[1:], radius, touched, contact)
-    states = (state,) + rest  # noqa: RUF005  # see world.poses_of_several_at
+    states = (state,) + rest  # noqa: RUF005  # see query.world.poses_of_several_at
     return vec3.add(force, others), states, max(unsearched, more)
 
 
 @by_count
 def effects_of(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    """Force, states and, as above, whether a search did not end, of one object's effects."""
+    """Return force, states and flag, as `apply_objects_effects`, for the effects of one object."""
 
 
 @effects_of.of(0)
 def effects_of_none(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    return (-0.0, -0.0, -0.0), (), 0.0  # see effects.apply_none
+    return (-0.0, -0.0, -0.0), (), 0.0  # see forces.apply_none
 
 
 def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
     gap, _, normal, unsearched = closest_or_bound_on(body, contact.position)
     is_touched = 1.0
-    # The contact's normal, not that of the nearest surface point: the probe may be through a thin body.
+    # The normal of the contact, not of the nearest surface point: the probe may have passed through a thin body.
     if body.number == touched.one.body:
         normal = touched.one.normal
     elif body.number == touched.two.body:
@@ -66,7 +72,7 @@ def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched
     else:
         is_touched = 0.0
     carrier, velocity = moving_pose(body.motion, body.pose), contact.velocity
-    if contact.dt > 0.0:  # against this object
+    if contact.dt > 0.0:  # relative to this object
         way = vec3.sub(carried_along(body.was, body.pose, touched.before), touched.before)
         velocity = vec3.add_scaled(velocity, -1.0 / contact.dt, way)
     situation = Situation(

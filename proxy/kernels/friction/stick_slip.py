@@ -86,6 +86,29 @@ def limit_force(law: Any, normal: Vec3, force: Vec3, largest: float) -> Vec3:
     return force
 
 
+@by_type
+def within_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Any:
+    """`force` (3,) N, brought down to what friction allows under that normal force."""
+
+
+@within_cone.of(None)
+def no_friction(law: None, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Vec3:
+    return (0.0, 0.0, 0.0)
+
+
+@within_cone.of(Friction, SpeedFriction, Anisotropic)
+def within_static_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Vec3:
+    static_limit, kinetic_limit = cone(law, normal_force, slip_speed)
+    return limit_force(law, normal, force, max(static_limit, kinetic_limit))
+
+
+@within_cone.of(PaperFriction)
+def unlimited_as_in_the_paper(
+    law: PaperFriction, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float
+) -> Vec3:
+    return force
+
+
 @jit
 def start_of_sliding(
     law: Any,

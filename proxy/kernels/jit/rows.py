@@ -1,9 +1,9 @@
-"""Trees of one type in memory, one behind the other, of which a kernel reads one by its number.
+"""Trees of one type in consecutive memory, which a kernel reads by index.
 
     objects: Rows        # in a kernel: objects[i], len(objects)
 
-In a tuple every tree is code of its own; in rows the code is that of one tree, and how many there are costs only when
-it runs. The number is part of the type, as the length of a tuple is. Memory and lifetime are those of `arrays`.
+Each tree of a tuple is compiled separately. Rows are compiled once, for one tree, and their number costs only run time.
+The number is part of the type, as is the length of a tuple. Memory and lifetime are as in `arrays`.
 """
 
 import operator
@@ -22,7 +22,13 @@ from softfinger.proxy.kernels.jit.pack import flatten
 
 
 class Rows(ReadOnly):
-    """One or more trees of one type (TypeError for others), copied once and never changed."""
+    """One or more trees of one type, copied once and immutable.
+
+    Raises
+    ------
+    TypeError
+        If the trees differ in type.
+    """
 
     __slots__ = ("like", "trees")
 
@@ -45,7 +51,7 @@ class Rows(ReadOnly):
 
 
 class RowsType(ReadOnlyType):
-    """What `Rows` is to the compiler: an address, what type of tree is there, and how many."""
+    """numba type of `Rows`: an address, with the type and number of the trees stored there."""
 
     instance_class = Rows
 

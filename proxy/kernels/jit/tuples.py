@@ -8,7 +8,6 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
 from softfinger.proxy.kernels.jit.decorators import PLAIN
-from softfinger.proxy.kernels.jit.dispatch import by_count
 
 
 @intrinsic(prefer_literal=True)
@@ -39,17 +38,21 @@ if PLAIN:
     replace = _replaced
 
 
-@by_count
-def same_for(each: Any, thing: Any) -> Any:
-    """A tuple of the same thing for each in another."""
+@intrinsic
+def first_of(typing_context, each, thing, others):  # type: ignore[no-untyped-def]
+    """A tuple as long as another, of a thing and, behind it, the same other thing for each that follows."""
+    count = len(each)
+    result = types.BaseTuple.from_types((thing,) + (others,) * (count - 1))
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return context.make_tuple(builder, result, (args[1],) + (args[2],) * (count - 1))
+
+    return result(each, thing, others), generate
 
 
-@same_for.of(1)
-def same_for_one(each: Any, thing: Any) -> Any:
-    return (thing,)
+def _first_of(each: Any, thing: Any, others: Any) -> Any:
+    return (thing,) + (others,) * (len(each) - 1)
 
 
-@same_for.of(2)
-def same_for_several(each: Any, thing: Any) -> Any:
-    # numba joins tuples of known types, and does not unpack one inside another.
-    return (thing,) + same_for(each[1:], thing)  # noqa: RUF005
+if PLAIN:
+    first_of = _first_of

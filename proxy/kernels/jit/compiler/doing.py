@@ -1,7 +1,7 @@
-"""What is done with kernels just now, for the line that a user waits with.
+"""Progress of compilation and loading of kernels, for the status line of a waiting user.
 
-Nothing of the compiler is imported: a program that only waits for another has no use for it. Whoever compiles or loads
-holds numba's lock, so there is one writer; a reader in another thread sees now this word, now that.
+Imports nothing of the compiler: a program that only waits for another does not need it. A thread that compiles or loads
+holds numba's lock, so there is one writer; a reader in another thread gets one state or the next.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ from contextlib import contextmanager
 
 
 class Doing:
-    """Kernels that this process compiles, and loads from the disk."""
+    """Kernels that this process compiles and loads."""
 
     def __init__(self) -> None:
         self._compiled = self._depth = 0
         self._loading = False
         self.at_first: Callable[[], None] | None = None
-        """Called when the first kernel of this process begins to be compiled, not for those that are loaded."""
+        """Callback at the start of the first compilation in this process; loading does not call it."""
 
     def __str__(self) -> str:
-        """`compiling kernel 2`, the second of this process; `loading kept kernels`; or nothing."""
-        if self._depth:  # others that it calls may be loaded meanwhile
+        """Return `compiling kernel 2` for the second of this process, `loading kept kernels`, or an empty string."""
+        if self._depth:  # its callees may be loaded at the same time
             return f"compiling kernel {self._compiled}"
         return "loading kept kernels" if self._loading else ""
 
     def begin(self) -> None:
-        """A kernel begins to be compiled; one that it calls, while it is, counts as part of it."""
+        """Record the start of a compilation; a nested one, of a callee, counts as part of it."""
         if not self._compiled and self.at_first is not None:
             self.at_first()
         self._compiled += not self._depth
@@ -37,7 +37,7 @@ class Doing:
 
     @contextmanager
     def loading(self) -> Iterator[None]:
-        """While a kernel is looked for on the disk, and made ready."""
+        """Mark the duration of loading a kernel from disk."""
         self._loading = True
         try:
             yield

@@ -1,0 +1,220 @@
+"""A tick of a finger that several objects may touch.
+
+Friction comes first, of each contact by itself. Then the proxy follows to where the objects let it rest, and
+deflections go over from the contacts that bear less to those that bear more. A finger that one object touches, and
+stays clear of all others, is in contact as if there were no others.
+"""
+
+from typing import Any
+
+from numba import literal_unroll
+
+from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, has_ended, separated
+from softfinger.proxy.kernels.contact.carry import any_moves
+from softfinger.proxy.kernels.contact.contact_friction import (
+    ContactForces,
+    Prediction,
+    ProbeMotion,
+    apply_friction,
+    ground_at,
+)
+from softfinger.proxy.kernels.contact.continuation import continue_contact
+from softfinger.proxy.kernels.contact.detection import detect_contact
+from softfinger.proxy.kernels.contact.one_contact import Landing
+from softfinger.proxy.kernels.contact.prediction import continue_several
+from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, one_constraint
+from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
+from softfinger.proxy.kernels.contact.rest.among import (
+    is_a_step,
+    slide_over_facets,
+)
+from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST
+from softfinger.proxy.kernels.contact.texture import with_texture_friction
+from softfinger.proxy.kernels.friction.contact_patch import ContactPatch
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.model import (
+    NONE,
+    ActiveSet,
+    Finger,
+    FingerState,
+    FrictionResult,
+    Probe,
+    Scene,
+    Vec3,
+)
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.elements import contains, count, element
+from softfinger.proxy.kernels.query.kinds import (
+    SINGLE_POINT,
+    WITH_HEIGHTMAP,
+    WITH_MESH,
+    by_multipoint,
+    is_mesh_at,
+    kind_at,
+)
+from softfinger.proxy.kernels.query.objects import deepest
+from softfinger.proxy.kernels.query.sweep import first_hit
+from softfinger.proxy.kernels.shapes.budget import BUDGET
+from softfinger.proxy.record import CAUSE_NONE, FREE, SLIDING
+
+ZERO: Vec3 = (0.0, 0.0, 0.0)
+NO_FORCES = ContactForces(
+    result=FrictionResult(
+        mode=float(FREE), cause=float(CAUSE_NONE), deflection=ZERO, rolled_part=ZERO, slip_speed=0.0,
+        slip_deflection=0.0, spin=0.0, spin_slip_speed=0.0, spin_slip_angle=0.0, force=ZERO, moment=0.0,
+    ),
+    area=ContactPatch(radius=0.0, torsional=0.0, lever=0.0, bending=0.0, bend_max=0.0),
+    unit=1.0, load=0.0, bend=ZERO, bending=ZERO,
+)  # fmt: skip
+"""Forces where there is no contact."""
+
+
+@jit
+def is_single(state: FingerState, radius: float) -> bool:
+    """Whether one object holds the proxy, at rest: displaced from the probe by its push and its deflection alone."""
+    one, two, _ = state.contacts
+    if two.body >= 0.0:
+        return False
+    behind = vec3.sub(vec3.sub(state.center, state.probe.position), one.deflection)
+    beside = vec3.add_scaled(behind, -one.push, one.normal)
+    return vec3.dot(beside, beside) <= (10.0 * AT_REST * radius) ** 2
+
+
+@jit
+def nothing_approached(probe: Probe) -> Approach:
+    """An Approach without a contact."""
+    return Approach(
+        start=probe.position, outside=probe.position, center=probe.position,
+        active=one_constraint(NONE, (0.0, 0.0, 1.0), 0.0), predicted=(NO_PREDICTION, NO_PREDICTION, NO_PREDICTION),
+        rolled=0.0, strays=False, single=True, began=False, bounded=0.0, budget=BUDGET, stuck=0.0,
+    )  # fmt: skip
+
+
+@jit
+def continue_single(
+    scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
+) -> Approach:
+    """The only contact of the last tick goes on, with the object of several that it is on."""
+    index, found, at = state.contacts[0].body, nothing_approached(probe), 0.0
+    for entry in literal_unroll(objects):
+        if contains(entry, at, index):
+            found = continue_contact(scene, finger, element(entry, index - at), index, state, probe, dt)
+        at += count(entry)
+    return found
+
+
+@jit
+def is_clear_of_others(
+    objects: Any, radius: float, start: Vec3, center: Vec3, index: float, budget: int, room: float
+) -> bool:
+    """Whether the proxy meets nothing on its way from `start` to `center` (3,) m but the object with that place.
+
+    room  1 if what it only touches counts too, as the next of two flush objects, else -1
+    """
+    held = (index, -1.0, -1.0)
+    if start != center or any_moves(objects):
+        hit, _, budget = first_hit(objects, start, center, radius, True, held, budget)
+        if hit >= 0.0:
+            return False
+    gap, at, budget = deepest(objects, center, radius * (1.0 + INSIDE), held, budget)
+    # The proxy may cut into its own triangles, and into a height map that was not searched to the end.
+    rests_on_it = at == index and kind_at(objects, index) == 0.0
+    return budget >= 0 and (gap >= radius * (1.0 + room * INSIDE) or rests_on_it)
+
+
+@jit
+def rolls_clear_of_others(objects: Any, radius: float, approach: Approach) -> bool:
+    """Whether the only contact rolls over nothing but its own object: past a seam the next one is what it rolls on."""
+    if approach.center == approach.outside:
+        return True
+    index = approach.active[0].body
+    # Facets that share an edge are touched together on it, and are one surface.
+    room = -1.0 if is_mesh_at(objects, index) else 1.0
+    return is_clear_of_others(objects, radius, approach.center, approach.center, index, approach.budget, room)
+
+
+@jit
+def approach_among_several(
+    scene: Scene, finger: Finger, objects: Any, shapes: Any, state: FingerState, motion: ProbeMotion
+) -> tuple[FingerState, Approach]:
+    """The contacts go on; if they have ended, what is met in the same tick is another one. The state returned is
+    without contacts that have ended."""
+    if state.mode != FREE:
+        single = is_single(state, finger.radius)
+        approach = nothing_approached(motion.probe)
+        if single:
+            approach = continue_single(scene, finger, shapes, state, motion.probe, motion.dt)
+            single = rolls_clear_of_others(shapes, finger.radius, approach)
+        if not single:
+            approach = continue_several(scene, objects, shapes, finger.radius, state, motion)
+        if not has_ended(approach.active):
+            return state, approach
+    state = separated(state)
+    return state, detect_contact(finger, shapes, state, motion.probe)
+
+
+@jit
+def rub(finger: Finger, objects: Any, predicted: Prediction, motion: ProbeMotion) -> ContactForces:
+    """Friction of one of several contacts."""
+    contact = predicted.contact
+    if contact.body < 0.0 or contact.share <= 0.0:
+        return NO_FORCES
+    return apply_friction(finger, objects, ground_at(objects, contact.body), predicted, contact.share, motion)
+
+
+@jit
+def rub_each(
+    finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion
+) -> tuple[ContactForces, ContactForces, ContactForces]:
+    """Friction of each contact."""
+    rough = with_texture_friction(objects, approach.active, approach.center)
+    one, two, three = approach.predicted
+    return rub(finger, rough, one, motion), rub(finger, rough, two, motion), rub(finger, rough, three, motion)
+
+
+@by_multipoint
+def follow_slip(
+    objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> Any:
+    """`settle_on_one`, over the edges of facets too; and whether the proxy has come to rest."""
+
+
+@follow_slip.of(SINGLE_POINT, WITH_HEIGHTMAP)
+def follow_slip_on_shape(
+    objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, ActiveSet, float, bool]:
+    center, active, bounded = settle_on_one(objects, index, radius, position, center, deflection, normal)
+    return center, active, bounded, True
+
+
+@follow_slip.of(WITH_MESH)
+def follow_slip_on_mesh(
+    objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, ActiveSet, float, bool]:
+    bounded, at_rest = 0.0, True
+    if is_mesh_at(objects, index):
+        center, active, at_rest = slide_over_facets(objects, index, radius, position, center, deflection, normal)
+    else:
+        center, active, bounded = settle_on_one(objects, index, radius, position, center, deflection, normal)
+    return center, active, bounded, at_rest
+
+
+@jit
+def land_in_company(
+    finger: Finger, objects: Any, approach: Approach, forces: ContactForces, position: Vec3
+) -> tuple[Landing, bool]:
+    """The only contact's proxy after friction, and whether it stays clear of all other objects."""
+    center, active, bounded, at_rest = approach.center, approach.active, 0.0, True
+    held, radius, kept = active[0], finger.radius, forces.result
+    if not approach.single:
+        return Landing(center, active, bounded), False
+    if kept.mode == SLIDING or kept.deflection != approach.predicted[0].deflection or approach.strays:
+        center, active, bounded, at_rest = follow_slip(
+            objects, held.body, radius, position, center, kept.deflection, held.normal
+        )
+    if not at_rest or (is_mesh_at(objects, held.body) and not is_a_step(approach.outside, center, radius)):
+        return Landing(center, active, bounded), False
+    # A first touch may be over the next of two flush objects, beyond the edge of the one that was met.
+    room = 1.0 if approach.began else -1.0
+    clear = is_clear_of_others(objects, radius, approach.start, center, active[0].body, approach.budget, room)
+    return Landing(center, active, bounded), clear
