@@ -257,7 +257,7 @@ def tell(mistakes: Sequence[Any], results: dict[str, str], excused: set[tuple[st
         row[word] += 1
         if word in (SURVIVED, UNDECIDED):
             survivors.append(f"{word} {mistake.name}")
-    print(f"\n{'part':<14}{'planted':>8}{'caught':>8}{'equivalent':>12}{'explain_ambiguity':>11}{'survived':>10}")
+    print(f"\n{'part':<14}{'planted':>8}{'caught':>8}{'equivalent':>12}{'undecided':>11}{'survived':>10}")
     for part, row in [*rows.items(), ("all", sum(rows.values(), Counter()))]:
         if row.total():
             counts = f"{row[CAUGHT]:>8}{row[EQUIVALENT]:>12}{row[UNDECIDED]:>11}{row[SURVIVED]:>10}"

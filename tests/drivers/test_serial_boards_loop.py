@@ -247,7 +247,7 @@ def test_a_line_that_stalls_gives_no_old_force_and_one_that_is_dead_no_word_of_z
             said = process.communicate(timeout=60)[1]
         ended = len(board.changes())
         line.stalled.clear()
-        settled(lambda: line.ioctl_scratch, lambda waiting: waiting == 0)
+        settled(lambda: line.waiting, lambda waiting: waiting == 0)
         assert not any(torque for _, torque in board.changes()[ended:])
         assert board.torque() == 0.0
     assert process.returncode == 4, said

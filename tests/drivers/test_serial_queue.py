@@ -42,7 +42,7 @@ class Port:
 
     def __init__(self, kind: str, per_ms: float, board: Any) -> None:
         self.kind, self.per_ms, self.board = kind, per_ms, board
-        self.ioctl_scratch: list[tuple[int, int, int]] = []
+        self.waiting: list[tuple[int, int, int]] = []
         """Queued bytes: time of the write (ns), number of the write, value."""
         self.comes, self.error, self.stalled, self.writes = b"", 0, False, 0
         self._credit, self._sent_ms = 0.0, 0
@@ -50,8 +50,8 @@ class Port:
     def advance(self, now: int) -> None:
         """Advance by one millisecond."""
         self._credit += self.per_ms
-        while self.ioctl_scratch and self._credit >= 1.0 and not self.stalled:
-            written, _, byte = self.ioctl_scratch.pop(0)
+        while self.waiting and self._credit >= 1.0 and not self.stalled:
+            written, _, byte = self.waiting.pop(0)
             self._credit -= 1.0
             self.comes += self.board.take(byte, (now - written) / MS)
         self._credit = min(self._credit, self.per_ms)
@@ -67,11 +67,11 @@ class Port:
     def write(self, fd: int, address: int, size: int) -> int:
         if self.error:
             return -self.error
-        if len(self.ioctl_scratch) + size > 4096:
+        if len(self.waiting) + size > 4096:
             return -EAGAIN
         self.writes += 1
         data = ctypes.string_at(int(address), size)
-        self.ioctl_scratch += [(self.now(), self.writes, byte) for byte in data]
+        self.waiting += [(self.now(), self.writes, byte) for byte in data]
         return size
 
     now: Callable[[], int]
@@ -80,12 +80,12 @@ class Port:
         if self.error:
             return -self.error
         if self.kind == "modem":
-            return WRITE_BYTES * len({number for _, number, _ in self.ioctl_scratch})
-        return len(self.ioctl_scratch)
+            return WRITE_BYTES * len({number for _, number, _ in self.waiting})
+        return len(self.waiting)
 
     def flush(self) -> None:
         if self.kind != "chip":
-            self.ioctl_scratch.clear()
+            self.waiting.clear()
 
 
 class Reader:
@@ -227,7 +227,7 @@ class Run:
 
     def goes_on(self) -> None:
         self.port.stalled = False
-        for _ in range(20 + int(len(self.port.ioctl_scratch) / self.port.per_ms)):
+        for _ in range(20 + int(len(self.port.waiting) / self.port.per_ms)):
             self.sleep(0.001)
 
 
@@ -349,11 +349,11 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
     run.port.stalled = True
     run.ticks(2)
     assert run.statuses[20:] == [OK] * 2
-    waiting = len(run.port.ioctl_scratch)  # the one of the tick before the stall, too
+    waiting = len(run.port.waiting)  # the one of the tick before the stall, too
     assert waiting == 3 * 4
     run.ticks(50)
     assert run.statuses[22:] == [WITHHELD] * 50
-    assert len(run.port.ioctl_scratch) == 2 * 4 + (waiting if kind == "chip" else 0)
+    assert len(run.port.waiting) == 2 * 4 + (waiting if kind == "chip" else 0)
     assert run.device.warning() == BLOCKED
     assert run.driver.counts()["blocked"] == 1
     run.port.stalled = False
@@ -380,15 +380,15 @@ def test_a_zero_behind_a_cut_frame_is_sent_twice(monkeypatch: pytest.MonkeyPatch
     """The board appends the first zero to the cut line and rejects the result, so a second zero has to follow."""
     run = Run("woodenhaptics-v3", "uart", 20.0, monkeypatch)
     run.ticks(10)
-    while not 0 < len(run.port.ioctl_scratch) < 64:  # in the middle of a frame
+    while not 0 < len(run.port.waiting) < 64:  # in the middle of a frame
         run.ticks(1)
     assert run.driver.block.call(exchange.discard) == 1
     assert run.driver.block.call(exchange.silence) == 1
-    assert len(run.port.ioctl_scratch) == 128
+    assert len(run.port.waiting) == 128
     run.goes_on()
     assert not run.reader.pushes and run.reader.rest == b""
     assert run.driver.block.call(exchange.silence) == 1
-    assert len(run.port.ioctl_scratch) == 64
+    assert len(run.port.waiting) == 64
 
 
 def test_who_writes_is_not_flushed_over(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -112,8 +112,8 @@ def targets(make: Callable[..., Any]) -> dict[str, Any]:
         "haply": (_haply_seeds(), _haply, (Malformed, Missing)),
     }
     return {
-        name: make(lambda seeds=seeds: seeds, decode_stream, refusals, named=False)
-        for name, (seeds, decode_stream, refusals) in packets.items()
+        name: make(lambda seeds=seeds: seeds, take, refusals, named=False)
+        for name, (seeds, take, refusals) in packets.items()
     }
 
 

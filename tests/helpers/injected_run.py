@@ -28,7 +28,7 @@ FROZEN_S = 0.1
 WAIT_S = 30.0
 
 
-class PoseReading(NamedTuple):
+class Seen(NamedTuple):
     """What became of a run: its error, None where it went on to its last tick; names of the recording's events, and of
     those that the supervisor told; ticks done, and those in the recording (n, RECORD_SIZE); when each of these began,
     s of the monotonic clock (n,)."""
@@ -47,7 +47,7 @@ def run(
     rate_hz: float,
     folder: Path,
     each: Callable[[int], object] = lambda _: None,
-) -> PoseReading:
+) -> Seen:
     """Run so many ticks on the paper's plane, with everything that watches over them; the device is closed in the end.
 
     folder  for the recording
@@ -87,7 +87,7 @@ def run(
     done, epoch_s = servo.ticks, servo.epoch_s
     servo.close()
     events, recorded = read(path)
-    return PoseReading(error, events + told, done, recorded, recorded[:, AT.timestamp] - epoch_s)
+    return Seen(error, events + told, done, recorded, recorded[:, AT.timestamp] - epoch_s)
 
 
 def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None], each: Callable[[int], object]) -> None:

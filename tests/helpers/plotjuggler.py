@@ -25,27 +25,27 @@ def complaints(frames, monotonic=()):
         found.append("no timestamp as a float: it uses the time of receipt for ever")
     elif (timestamp > EPOCH_AFTER_S) == (topic.decode() in monotonic):
         found.append(f"timestamp {timestamp} is of another clock than the other topics'")
-    integrate_series = {}
-    _walk("", message, integrate_series, found)
+    series = {}
+    _walk("", message, series, found)
     return found
 
 
-def _walk(name, value, integrate_series, found):
+def _walk(name, value, series, found):
     if isinstance(value, dict):
         for key, child in value.items():
             if not isinstance(key, str):
                 found.append(f"key {key!r} of {name or 'the map'} is no text")
             else:
-                _walk(f"{name}/{key}" if name else key, child, integrate_series, found)
+                _walk(f"{name}/{key}" if name else key, child, series, found)
     elif isinstance(value, list):
         for i, child in enumerate(value):
-            _walk(f"{name}[{i}]", child, integrate_series, found)
+            _walk(f"{name}[{i}]", child, series, found)
     elif isinstance(value, bool | int | float):
-        if name in integrate_series:
+        if name in series:
             found.append(f"two values for the series {name}")
         if not math.isfinite(value):
             found.append(f"{name} is {value}: an empty series")
-        integrate_series[name] = value
+        series[name] = value
     elif not isinstance(value, str):  # which it leaves out
         found.append(f"{name} is a {type(value).__name__}, which it does not read")
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-SERIES_TERMS = 4000
+TERMS = 4000
 REST = 0.01
 """What the scene format promises to be left at the cutoff."""
 
@@ -24,7 +24,7 @@ def tail(turns: int, count: int) -> float:
 
     Each is under (pi k)^-4 2 pi k / p, on both sides.
     """
-    return 2.0 / (np.pi**4 * SERIES_TERMS**2) * count / abs(turns)
+    return 2.0 / (np.pi**4 * TERMS**2) * count / abs(turns)
 
 
 class Wave(NamedTuple):
@@ -63,7 +63,7 @@ class Wave(NamedTuple):
 
 
 def _spline(f: float, p: float, first: float, u: ArrayLike) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    k = np.arange(-SERIES_TERMS, SERIES_TERMS + 1)
+    k = np.arange(-TERMS, TERMS + 1)
     shares = np.sinc(f * p + k) ** 4
     turn = 2j * np.pi * (f + k / p)
     start = np.exp(2j * np.pi * f * first)

@@ -45,7 +45,7 @@ class Port:
         self.board = Board(intention, early_end=True)
         self.lock = threading.Lock()
         self.made = ""
-        self.sampled_at = time.monotonic()
+        self.heard_at = time.monotonic()
         self.end = -1
         self.gadget = Gadget(1, *IDS, "Emulators", "USB Serial", "SN42")
         self.gadget.function("acm.board")
@@ -105,14 +105,14 @@ class Port:
                 line, _, rest = rest.partition(b"\n")
                 with self.lock:
                     answer = self.board.answer(line + b"\n")
-                    self.sampled_at = time.monotonic()
+                    self.heard_at = time.monotonic()
                 if self.made != "timeout":
                     with suppress(OSError):  # what has no room because nobody reads is lost
                         os.write(end, answer)
 
     def _settle(self) -> None:
         asked = time.monotonic()
-        while time.monotonic() < min(asked + SETTLE_S, max(asked, self.sampled_at) + SETTLED_S):
+        while time.monotonic() < min(asked + SETTLE_S, max(asked, self.heard_at) + SETTLED_S):
             time.sleep(0.005)
 
     def answer(self, line: str) -> object:
