@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from softfinger.server.experiment.experiment import Experiment
     from softfinger.server.offline.simulate import run_recording
     from softfinger.server.remote import Client
-    from softfinger.server.wire.asking import NoAnswer
     from softfinger.server.wire.client import NoTelemetry
+    from softfinger.server.wire.client_requests import NoAnswer
     from softfinger.server.wire.protocol import ProtocolError
 
     __version__: str
@@ -97,7 +97,7 @@ _HOMES = {
     "Exhausted": "softfinger.config.errors",
     "Experiment": "softfinger.server.experiment.experiment",
     "HapticError": "softfinger.config.errors",
-    "NoAnswer": "softfinger.server.wire.asking",
+    "NoAnswer": "softfinger.server.wire.client_requests",
     "NoField": "softfinger.proxy.records",
     "NoTelemetry": "softfinger.server.wire.client",
     "PoseError": "softfinger.proxy.engine",

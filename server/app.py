@@ -17,12 +17,12 @@ from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.server.loop import realtime, shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.publishing.setup import Shown
+from softfinger.server.publishing.setup import StateInfo
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.blackbox import BlackBoxes
-from softfinger.server.services.commands import Commands, Doing
-from softfinger.server.services.description import described
+from softfinger.server.services.commands import Commands, DaemonInterface
+from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.device_warnings import DeviceWarnings
 from softfinger.server.services.hotplug import Hotplug, HotplugWatch
 from softfinger.server.services.notify import Notify
@@ -34,11 +34,11 @@ from softfinger.server.services.swapping import Swapping
 from softfinger.server.services.telemetry import Telemetry
 from softfinger.server.services.world import WorldState
 from softfinger.server.states import State, States, Trigger
-from softfinger.server.wire.doors import doors_of
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.events import event_map
 from softfinger.server.wire.native.switch import SharedSwitch
 from softfinger.server.wire.publisher import Publisher
+from softfinger.server.wire.rig_endpoints import bind_rig
 
 if TYPE_CHECKING:  # an HTTP server takes time to import, and is off by default
     from softfinger.server.metrics.service import Metrics
@@ -98,12 +98,12 @@ class Daemon:
         self._fingers: Final = fingers
         """Names of several fingers, used in messages; [""] for a single finger."""
         self.states: Final = States(self._tell_state)
-        doors = doors_of(rig)
-        opened: list[Callable[[], None]] = [doors.close]
+        endpoints = bind_rig(rig)
+        opened: list[Callable[[], None]] = [endpoints.close]
         try:
             switch = SharedSwitch()
             self.publisher: Final = Publisher(
-                doors,
+                endpoints,
                 rig.telemetry.every,
                 guard_names=GUARD_NAMES,
                 fingers=fingers,
@@ -118,17 +118,19 @@ class Daemon:
                 opened.append(metrics.stop)
             self.rendering: Final = Rendering(rig, scene, ticks, self._prepare, faults, self.states, switch.words)
         except BaseException as error:
-            shutdown.every(*reversed(opened), first=error)
+            shutdown.run_all_steps(*reversed(opened), first=error)
             raise
-        self.public: Final = doors.public
+        self.public: Final = endpoints.public
         """Endpoints reachable from other machines, by table of the rig."""
         self.servo: Final = self.rendering.servo
         self._show(scene_name)
         self.recordings: Final = Recordings(self.rendering, fingers, self._event)
-        self.blackbox: Final = BlackBoxes(self.servo, fingers, lambda: described(self.rendering, self._scene_name))
-        self.publisher.tell = self._event
+        self.blackbox: Final = BlackBoxes(
+            self.servo, fingers, lambda: describe_daemon(self.rendering, self._scene_name)
+        )
+        self.publisher.report_event = self._event
         self.supervisor: Final = Supervisor(self.servo, self.fail, self._event)
-        self.commands_endpoint: Final = doors.commands
+        self.commands_endpoint: Final = endpoints.commands
         """Endpoint of the commands; None if they are off."""
         self.metrics_endpoint: Final = None if metrics is None else metrics.endpoint
         """Endpoint of the metrics for Prometheus; None if they are off."""
@@ -186,7 +188,7 @@ class Daemon:
 
     def _show(self, scene_name: str) -> None:
         self._scene_name = scene_name
-        self.publisher.show(Shown(scene_name, NS_PER_S / self.servo.period_ns, self.servo.epoch_s))
+        self.publisher.set_state_info(StateInfo(scene_name, NS_PER_S / self.servo.period_ns, self.servo.epoch_s))
 
     def fail(self, error: HapticError) -> None:
         """End the run with an error; only the first error counts. From any thread."""
@@ -242,7 +244,7 @@ class Daemon:
         first
             Exception that is already propagating: all errors are logged and none is raised.
         """
-        failed = shutdown.every(lambda: self.states.fire(Trigger.END, "asked to, or done"), first=first)
+        failed = shutdown.run_all_steps(lambda: self.states.fire(Trigger.END, "asked to, or done"), first=first)
         failed = stop_all(self.services, failed)
         if failed is not None and failed is not first:
             raise failed
@@ -259,7 +261,7 @@ class Daemon:
         """Publish and record an event; a fault also gets the file name of its black box."""
         if kind == "fault":
             self._told.add(str(fields.get("message", "")))
-            fields["blackbox"] = self.blackbox.due(name)
+            fields["blackbox"] = self.blackbox.schedule_file(name)
         self._send(kind, name, fields)
 
     def page_ended(self, said: str) -> None:
@@ -268,8 +270,8 @@ class Daemon:
 
     def _send(self, kind: str, name: str, fields: dict[str, Any]) -> None:
         """Send an event with the present tick and time to the publisher, the recordings and the black box."""
-        event = event_map(self.servo.moment(), kind, name, fields)
-        for taking in (self.publisher.send_event, self.recordings.tell, self.blackbox.tell):
+        event = event_map(self.servo.last_tick_and_time(), kind, name, fields)
+        for taking in (self.publisher.send_event, self.recordings.record_event, self.blackbox.record_event):
             taking(event)
 
     def _tell_failure(self, error: Exception) -> None:
@@ -292,11 +294,11 @@ class Daemon:
         telemetry = Telemetry(self.publisher, self.servo)
         others: list[Commands | Metrics] = []
         if self.commands_endpoint is not None:
-            doing = Doing(
+            interface = DaemonInterface(
                 self._replace_scene, self.publisher.ring, self.publisher.endpoint, self.publisher.serve,
                 self.publisher.reply, self._event, self.stop, self.fail, self.recordings,
             )  # fmt: skip
-            others.append(Commands(self.commands_endpoint, self.rendering, doing, scene_name))
+            others.append(Commands(self.commands_endpoint, self.rendering, interface, scene_name))
         if metrics is not None:
             others.append(metrics)
         arming = Arming(self.rendering, self.states)
@@ -339,8 +341,8 @@ class Daemon:
         settings = realtime.apply(wanted.realtime, wanted.priority, wanted.cpu)
         if wanted.realtime != "off":
             settings.settings += [
-                realtime.lift("supervisor", self.supervisor.native_id, wanted.priority + 1),
-                realtime.lift("relay", self.publisher.native_id, wanted.priority - 1),
+                realtime.raise_priority("supervisor", self.supervisor.native_id, wanted.priority + 1),
+                realtime.raise_priority("relay", self.publisher.native_id, wanted.priority - 1),
             ]
         self.recordings.note_settings([setting._asdict() for setting in settings.settings])
         if self._report is not None:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
-from softfinger.proxy.kernels.jit.compiler.doing import DOING
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
 if TYPE_CHECKING:  # importing rich takes 50 ms, and only terminals need it
     from rich.progress import Progress, Task
@@ -61,7 +61,7 @@ def progress(what: str, total: int | None = None) -> Iterator[Callable[[int], No
 
 def described(what: str, count: int = 0, total: int | None = None) -> str:
     """Return the text of the progress line: `simulating: compiling kernel 1`, after that `simulating 40%`."""
-    if doing := str(DOING):
+    if doing := str(COMPILE_PROGRESS):
         return f"{what}: {doing}"
     return f"{what} {count / total:.0%}" if total else what
 
@@ -132,7 +132,7 @@ def _display(bar: bool) -> Progress:
         """Percentage that is empty during a compilation, when the operation has not started yet."""
 
         def render(self, task: Task) -> Text:
-            return Text() if str(DOING) else super().render(task)
+            return Text() if str(COMPILE_PROGRESS) else super().render(task)
 
     text = Column(no_wrap=True, overflow="ellipsis")
     columns: list[ProgressColumn] = [

@@ -7,9 +7,9 @@ from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import commands_beside, telemetry_of
-from softfinger.server.gateway.addresses import Addresses, addresses_of
-from softfinger.server.wire.asking import R
+from softfinger.server.gateway.addresses import Addresses, find_addresses
 from softfinger.server.wire.client import DEFAULT_ENDPOINT, Subscription, Window, subscribe
+from softfinger.server.wire.client_requests import R
 from softfinger.server.wire.commands import Empty
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import CONTACT
@@ -65,13 +65,13 @@ class Client(Control):
 
     def _seek(self) -> Addresses:
         """Look up both endpoints again: the daemon may have been started after this client."""
-        found = addresses_of(self.telemetry)
+        found = find_addresses(self.telemetry)
         self.telemetry = found.telemetry
         return found
 
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
         if not self._met:
-            if (commands := self._seek().commanded()) != self.endpoint:
+            if (commands := self._seek().command_endpoint()) != self.endpoint:
                 self._move(commands)
             found = super()._ask("describe", Empty(), dict).get("endpoints", {}).get("telemetry", "an unknown endpoint")
             if _place(found) != _place(self.telemetry):

@@ -38,7 +38,7 @@ from softfinger.server.loop.clock import (
     sleep_until,
     with_suspension,
 )
-from softfinger.server.loop.guard import DISENGAGED, Guard, Guarded, guard_wrench
+from softfinger.server.loop.guard import INITIAL_GUARD_STATE, Guard, GuardState, guard_wrench
 from softfinger.server.loop.health import STALL_POLL_S, Watchdog
 from softfinger.server.progress import progress
 
@@ -140,7 +140,7 @@ class Exchanged(NamedTuple):
     empty_read, empty_wrote   ns, the same for the empty device
     """
 
-    guarded: Guarded
+    guarded: GuardState
     status: int
     status_out: int
     read: int
@@ -152,7 +152,7 @@ class Exchanged(NamedTuple):
 
 @jit
 def exchange_once(
-    io: Io, empty: Io, guard: Guard, guarded: Guarded, force: Vec3, dt: float, period: float, scratch: Scratch
+    io: Io, empty: Io, guard: Guard, guarded: GuardState, force: Vec3, dt: float, period: float, scratch: Scratch
 ) -> Exchanged:
     """Read, write a force (3,) N through the guard, and do the same with the empty device; stop at a failure."""
     timespec, sample, wrench = scratch
@@ -161,7 +161,7 @@ def exchange_once(
     if status < 0 or status == END:
         return Exchanged(guarded, status, OK, read, read, read, read, read)
     if status == WITHHELD:
-        guarded = DISENGAGED
+        guarded = INITIAL_GUARD_STATE
     held = guarded
     guarded, _ = guard_wrench(guard, guarded, force, (0.0, 0.0, 0.0), dt, period)
     put_wrench(wrench, guarded.force, guarded.torque)
@@ -171,9 +171,9 @@ def exchange_once(
     if status_out < 0:
         return Exchanged(guarded, status, status_out, read, before, wrote, wrote, wrote)
     if status_out == WITHHELD:
-        guarded = DISENGAGED
+        guarded = INITIAL_GUARD_STATE
     elif status_out == HELD:
-        guarded = Guarded(held.force, held.torque, guarded.gain)
+        guarded = GuardState(held.force, held.torque, guarded.gain)
     call_device(empty.read, empty.handle, sample)
     empty_read = now_ns(timespec)
     call_device(empty.write, empty.handle, wrench)
@@ -215,7 +215,7 @@ def exchange_loop(
     """
     timespec, sample, wrench = scratch
     nominal = span.period_ns / NS_PER_S
-    guarded, number, ending, status = DISENGAGED, 0, shutdown.FINISHED, 0
+    guarded, number, ending, status = INITIAL_GUARD_STATE, 0, shutdown.FINISHED, 0
     ticks = load_acquire(words, _TICKS)
     begun = now_ns(timespec)
     pace = first_pace(begun, span.period_ns, 0, timespec)
@@ -284,7 +284,7 @@ class Exchange:
     def __init__(self, device: Device, rig: Rig, guard: Guard) -> None:
         self.device, self.rate_hz = device, rig.servo.rate_hz
         self.settings: list[realtime.Setting] = []
-        self.ended: shutdown.Ended | None = None
+        self.ended: shutdown.LoopEnd | None = None
         """How the exchange has ended by itself; None while it runs."""
         self._servo, self._guard = rig.servo, guard
         self._period = period_ns(rig.servo.rate_hz)
@@ -326,13 +326,13 @@ class Exchange:
                     f"{self.device.info.name}: no exchange for {idle_s:.2f} s after exchange {ticks}: "
                     "zero force was commanded; the device hangs, or this machine starves the thread"
                 )
-                shutdown.every(lambda: shutdown.stop(self.device), first=stalled)
+                shutdown.run_all_steps(lambda: shutdown.stop(self.device), first=stalled)
                 raise stalled
         self._raise_crash()
         return part.rows if part.done.is_set() else part.rows[:0]
 
     def _run(self) -> None:
-        applied: realtime.Applied | None = None
+        applied: realtime.AppliedSettings | None = None
         try:
             applied = realtime.apply(self._servo.realtime, self._servo.priority, self._servo.cpu)
             self.settings = applied.settings
@@ -347,19 +347,19 @@ class Exchange:
                     part = waiting
                 ending, status, count = exchange_loop(*self._arguments(part))
                 if ending in (shutdown.READ_FAILED, shutdown.WRITE_FAILED) or status == END:
-                    self.ended = shutdown.Ended(ending, status)
+                    self.ended = shutdown.LoopEnd(ending, status)
                 part.rows = part.rows[:count]
                 if part is not waiting:
                     part.done.set()
         except BaseException as error:  # for any error, the device must be zeroed and the caller informed
-            self.ended = shutdown.Ended(shutdown.CRASHED, 0, error)
+            self.ended = shutdown.LoopEnd(shutdown.CRASHED, 0, error)
         first = None if self.ended is None else self.ended.error
         undo = [] if applied is None else [applied.undo]
-        failed = shutdown.every(
+        failed = shutdown.run_all_steps(
             lambda: shutdown.stop(self.device), lambda: shutdown.confirm_zero([self.device]), *undo, first=first
         )
         if self.ended is None and failed is not None:
-            self.ended = shutdown.Ended(shutdown.CRASHED, 0, failed)
+            self.ended = shutdown.LoopEnd(shutdown.CRASHED, 0, failed)
         self._over.set()
 
     def _arguments(self, part: _Part) -> tuple[Any, ...]:
@@ -379,7 +379,7 @@ class Exchange:
     ) -> None:
         self._words[_ENOUGH] = 1
         if not self._over.wait(JOIN_S):
-            shutdown.every(lambda: shutdown.stop(self.device), first=error)
+            shutdown.run_all_steps(lambda: shutdown.stop(self.device), first=error)
         elif error is None:
             self._raise_crash()
 

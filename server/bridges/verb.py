@@ -13,7 +13,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.schema import Scene
 from softfinger.server import keys, signals
 from softfinger.server.bridges import foxglove, rerun
-from softfinger.server.gateway.addresses import addresses_of
+from softfinger.server.gateway.addresses import find_addresses
 from softfinger.server.recording.verbs.live import Live, Taker, Taking, begin, go_on, subscribed
 from softfinger.server.recording.writer import scene_of
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
@@ -83,7 +83,7 @@ def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], T
     """Forward the data of the daemon to a viewer until the daemon ends, times out, or a limit or signal stops it."""
     stop: list[bool] = []
     lock = keys.of_options(args)
-    found = addresses_of(args.endpoint, lock, args.commands)
+    found = find_addresses(args.endpoint, lock, args.commands)
     live = Live(found, lock, args.duration, args.timeout, lambda: bool(stop))
     with signals.asked(lambda: stop.append(True)), subscribed(live) as wire:
         early, fingers, about = begin(wire, live)

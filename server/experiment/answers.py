@@ -17,7 +17,7 @@ from softfinger.server.experiment.haptics import Haptics
 from softfinger.server.experiment.observer import Simulated
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import Felt, Given, Place, right
-from softfinger.server.wire.asking import number_of
+from softfinger.server.wire.client_requests import parse_number
 from softfinger.server.wire.commands import Prompt
 
 CHOICES: Final = ("first", "second")
@@ -160,7 +160,7 @@ def meant(prompt: Prompt, typed: str, buttons: int) -> tuple[str | float | None,
     line, newline, rest = typed.partition("\n")
     if not newline or not line.strip():
         return None, rest if newline else line
-    return (line.strip()[:64] if choices else number_of(line)), rest
+    return (line.strip()[:64] if choices else parse_number(line)), rest
 
 
 def said(line: str) -> None:

@@ -197,7 +197,7 @@ class Experiment:
             haptics = Haptics(
                 client, self.file, self._scene, lambda: _check(daemon.wait, looks),
                 lambda changed: daemon.replace(rig=load_rig(rig, {**values, **changed})),
-                daemon.recordings.kept_to,
+                daemon.recordings.last_written_tick,
             )  # fmt: skip
             yield haptics, client.describe()
 

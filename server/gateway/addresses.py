@@ -13,8 +13,8 @@ from typing import Any, Final, NamedTuple
 from softfinger.config.errors import CommandRefused, ConfigError
 from softfinger.config.schema import BESIDE, commands_beside, is_public, telemetry_of
 from softfinger.server.keys import ClientKeys
-from softfinger.server.wire.asking import NoAnswer
 from softfinger.server.wire.client import subscribe
+from softfinger.server.wire.client_requests import NoAnswer
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import SCHEMA_TOPIC, ProtocolError
 
@@ -30,14 +30,14 @@ class Addresses(NamedTuple):
     telemetry: str
     commands: str | None
 
-    def commanded(self) -> str:
+    def command_endpoint(self) -> str:
         """Return the command endpoint; raises ConfigError if there is none."""
         if self.commands is None:
             raise ConfigError(f"the daemon that publishes on {self.telemetry} takes no commands: its rig has them off")
         return self.commands
 
 
-def addresses_of(
+def find_addresses(
     endpoint: str,
     keys: ClientKeys | None = None,
     commands: str | None = None,
@@ -58,34 +58,34 @@ def addresses_of(
     if commands is not None:
         return Addresses(telemetry_of(endpoint), commands)
     if endpoint.startswith("ipc://") and endpoint.endswith(BESIDE):
-        return _answered([_commanded], endpoint, keys, within_s) or Addresses(telemetry_of(endpoint), endpoint)
+        return _first_answer([_query_commands], endpoint, keys, within_s) or Addresses(telemetry_of(endpoint), endpoint)
     beside = commands_beside(endpoint)
     if beside.startswith("ipc://") and Path(beside.removeprefix("ipc://")).is_socket():
         return Addresses(endpoint, beside)
     likely = Addresses(endpoint, endpoint if to_command else beside)
     if is_public(endpoint):
         return likely
-    asks = [_commanded, _published] if to_command else [_published, _commanded]
-    return _answered(asks, endpoint, keys, within_s) or likely
+    queries = [_query_commands, _query_telemetry] if to_command else [_query_telemetry, _query_commands]
+    return _first_answer(queries, endpoint, keys, within_s) or likely
 
 
-def _answered(
-    asks: Sequence[Callable[[str, ClientKeys | None, float], Addresses | None]],
+def _first_answer(
+    queries: Sequence[Callable[[str, ClientKeys | None, float], Addresses | None]],
     endpoint: str,
     keys: ClientKeys | None,
     within_s: float,
 ) -> Addresses | None:
     """Return the first result of the queries, which take turns as long as something listens; None without a result."""
     until = time.monotonic() + within_s
-    for ask in cycle(asks):
-        if (found := ask(endpoint, keys, min(EXPECTED_S, within_s))) is not None:
+    for query in cycle(queries):
+        if (found := query(endpoint, keys, min(EXPECTED_S, within_s))) is not None:
             return found
         if time.monotonic() > until or not _listens(endpoint):
             return None
     return None
 
 
-def _published(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:
+def _query_telemetry(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:
     """Return both addresses if an endpoint is telemetry: its first message has the command endpoint."""
     with subscribe(endpoint, (SCHEMA_TOPIC,), keys=keys) as samples, suppress(ProtocolError):
         if (sample := samples.receive(wait_s)) is not None:
@@ -93,7 +93,7 @@ def _published(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Address
     return None
 
 
-def _commanded(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:
+def _query_commands(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:
     """Return both addresses if an endpoint takes commands: the daemon describes itself."""
     with Control(endpoint, wait_s, keys) as control, suppress(NoAnswer, CommandRefused):
         described: dict[str, Any] = control.describe()

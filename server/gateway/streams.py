@@ -39,7 +39,7 @@ class Stream:
             keys.put_on(self.socket)
         self.socket.subscribe(b"")
         self.socket.connect(endpoint)
-        self.takers: list[Callable[[bytes, bytes], None]] = []
+        self.consumers: list[Callable[[bytes, bytes], None]] = []
         """Functions called with each message."""
         self.messages = self.size = self.lost = 0
         """Number and bytes of messages so far, and number of missing ticks."""
@@ -55,8 +55,8 @@ class Stream:
                 return
             if len(frames) != 2:
                 continue
-            for taker in self.takers:
-                taker(*frames)
+            for consumer in self.consumers:
+                consumer(*frames)
             self.messages += 1
             self.size += len(frames[0]) + len(frames[1])
             if frames[0].startswith(_TICKING):
@@ -64,9 +64,9 @@ class Stream:
 
     def _count(self, topic: bytes, body: bytes) -> None:
         try:
-            seen = self._decode(body)
+            message = self._decode(body)
         except msgspec.MsgspecError:
             return
-        before, self._ticks[topic] = self._ticks.get(topic), seen.tick
-        if before is not None and seen.tick > before:
-            self.lost += (seen.tick - before - 1) // max(seen.every, 1)
+        before, self._ticks[topic] = self._ticks.get(topic), message.tick
+        if before is not None and message.tick > before:
+            self.lost += (message.tick - before - 1) // max(message.every, 1)

@@ -43,17 +43,17 @@ WORKSPACE_EDGE: Final = 4096
 class Guard(NamedTuple):
     """Parameters of the guard.
 
-    force_max    N
-    torque_max   N m
-    force_slew   N/s
-    torque_slew  N m/s
-    ramp         s
-    armed        1 or 0
-    speed_max    m/s    largest plausible speed between poses
-    turn_max     rad/s  largest plausible turn rate between poses
-    frozen       s      time for which a pose may repeat exactly under force; 0 is unlimited
-    turns        1 if the device displays the torque, otherwise 0
-    limits       limits of history and position, applied before these by `output.py`
+    force_max        N
+    torque_max       N m
+    force_slew       N/s
+    torque_slew      N m/s
+    ramp             s
+    armed                   1 or 0
+    speed_max        m/s    largest plausible speed between poses
+    turn_max         rad/s  largest plausible turn rate between poses
+    frozen           s      time for which a pose may repeat exactly under force; 0 is unlimited
+    displays_torque         1 if the device displays the torque, otherwise 0
+    limits                  limits of history and position, applied before these by `output.py`
     """
 
     force_max: float
@@ -65,11 +65,11 @@ class Guard(NamedTuple):
     speed_max: float = inf
     turn_max: float = inf
     frozen: float = 0.0
-    turns: float = 1.0
+    displays_torque: float = 1.0
     limits: Limits = UNLIMITED
 
 
-class Guarded(NamedTuple):
+class GuardState(NamedTuple):
     """State of the guard: the last output (N, N m) and the gain of the ramp, 0 to 1."""
 
     force: Vec3
@@ -85,11 +85,11 @@ PAUSE_MAX_S: Final = 0.1
 hand responds after about 150 ms, so after a longer pause it no longer pushes against the old force, and a new force
 would be a blow."""
 
-DISENGAGED: Final = Guarded((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
+INITIAL_GUARD_STATE: Final = GuardState((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
 
 
 @jit
-def finite(v: Vec3) -> bool:
+def is_finite(v: Vec3) -> bool:
     return isfinite(v[0]) and isfinite(v[1]) and isfinite(v[2])
 
 
@@ -122,24 +122,24 @@ def slew(before: Vec3, goal: Vec3, largest: float) -> tuple[Vec3, bool]:
 
 @jit
 def guard_wrench(
-    guard: Guard, guarded: Guarded, force: Vec3, torque: Vec3, dt: float, period: float
-) -> tuple[Guarded, int]:
+    guard: Guard, guard_state: GuardState, force: Vec3, torque: Vec3, dt: float, period: float
+) -> tuple[GuardState, int]:
     """Limit a wrench to one that is safe to command.
 
     force, torque  (3,) N, N m  from the contact step
     dt             s            time since the last output
     period         s            nominal length of a tick, by which the ramp and the slew limit advance
-    returns        Guarded with the force and torque to command, and the bits of the changes
+    returns        GuardState with the force and torque to command, and the bits of the changes
     """
     bits = 0
     zero = (0.0, 0.0, 0.0)
     if guard.armed == 0.0:
-        return Guarded(zero, zero, 0.0), DISARMED
-    if not (finite(force) and finite(torque)):
-        return Guarded(zero, zero, 0.0), NOT_FINITE
+        return GuardState(zero, zero, 0.0), DISARMED
+    if not (is_finite(force) and is_finite(torque)):
+        return GuardState(zero, zero, 0.0), NOT_FINITE
     if not dt <= PAUSE_MAX_S:
-        guarded = Guarded(zero, zero, 0.0)
-    gain = min(guarded.gain + period / guard.ramp, 1.0) if guard.ramp > 0.0 else 1.0
+        guard_state = GuardState(zero, zero, 0.0)
+    gain = min(guard_state.gain + period / guard.ramp, 1.0) if guard.ramp > 0.0 else 1.0
     if gain < 1.0:
         bits |= RAMPING
         force, torque = vec3.scale(gain, force), vec3.scale(gain, torque)
@@ -149,10 +149,10 @@ def guard_wrench(
     torque, clamped = clamp(torque, gain * guard.torque_max)
     if clamped:
         bits |= TORQUE_CLAMPED
-    force, limited = slew(guarded.force, force, guard.force_slew * period)
+    force, limited = slew(guard_state.force, force, guard.force_slew * period)
     if limited:
         bits |= SLEW_LIMITED
-    torque, limited = slew(guarded.torque, torque, guard.torque_slew * period)
+    torque, limited = slew(guard_state.torque, torque, guard.torque_slew * period)
     if limited:
         bits |= SLEW_LIMITED
-    return Guarded(force, torque, gain), bits
+    return GuardState(force, torque, gain), bits

@@ -22,15 +22,16 @@ class Loop(NamedTuple):
 class Handover:
     """Synchronization between the servo thread and the thread that replaces its loop.
 
-    keeps  the devices do not change and remain armed at zero; otherwise the old ones are stopped and the new ones armed
-    left   the old loop has returned
-    ready  the replacing thread has set `loop` or `error`
-    begun  the new loop starts, with tick `first`
+    keeps_devices  the devices do not change and remain armed at zero; otherwise the old ones are stopped and the
+                   new ones armed
+    loop_ended     the old loop has returned
+    loop_ready     the replacing thread has set `loop` or `error`
+    loop_started   the new loop starts, with tick `first`
     """
 
-    def __init__(self, keeps: bool) -> None:
-        self.keeps = keeps
-        self.left, self.ready, self.begun = threading.Event(), threading.Event(), threading.Event()
+    def __init__(self, keeps_devices: bool) -> None:
+        self.keeps_devices = keeps_devices
+        self.loop_ended, self.loop_ready, self.loop_started = threading.Event(), threading.Event(), threading.Event()
         self.loop: Loop | None = None
         self.error: BaseException | None = None
         self.first = 0

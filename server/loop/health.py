@@ -17,7 +17,7 @@ STARVED: Final = 7
 JUMPING: Final = 8
 """Faults, numbered after the reasons in server.loop.shutdown."""
 
-SILENCE_MAX_S: Final = 0.5
+NO_FORCE_MAX_S: Final = 0.5
 """Time of ticks without a usable pose or a finite force, minus that of good ticks. The force is zero during that time;
 half a second tolerates a cable that was touched, and is too short for a user to wonder whether anything runs."""
 
@@ -25,7 +25,7 @@ JUMP_S: Final = 0.1
 """Time that one jump of a pose adds: each removes the force for most of the ramp that follows, so five in a row, or ten
 per second, leave nothing to render."""
 
-HELD_MAX_S: Final = 0.25
+IGNORED_WRENCH_MAX_S: Final = 0.25
 """Time for which a device may ignore wrenches in successive ticks. It continues the previous force, which no limit of
 the guard can change. Equal to the tolerated stall of a loop, which has the same effect."""
 
@@ -58,12 +58,12 @@ STALL_POLLS_WITHOUT_HAND: Final = 100
 class Health(NamedTuple):
     """State of the fault detection, in seconds.
 
-    silent  time without a force, because a pose or a finite number was missing
-    lost    time lost
-    late    part of the lost time in which the thread was woken late
+    without_force  time without a force, because a pose or a finite number was missing
+    lost           time lost
+    late           part of the lost time in which the thread was woken late
     """
 
-    silent: float
+    without_force: float
     lost: float
     late: float
 
@@ -81,9 +81,9 @@ def examine(health: Health, bits: int, late: float, dt: float, period: float) ->
     period  s  nominal length of a tick
     """
     bad = bits & (POSE_REFUSED | POSE_JUMPED | NOT_FINITE)
-    silent = max(health.silent + (period if bad != 0 else -period), 0.0)
+    without_force = max(health.without_force + (period if bad != 0 else -period), 0.0)
     if bits & POSE_JUMPED:
-        silent += JUMP_S
+        without_force += JUMP_S
     gap = min(dt - period, GAP_MAX_S)
     if gap < GAP_MIN_S:
         gap = 0.0
@@ -91,18 +91,18 @@ def examine(health: Health, bits: int, late: float, dt: float, period: float) ->
     lost = max(health.lost + gap - paid, 0.0)
     woken_late = max(health.late + (min(late, gap) - paid if gap > 0.0 else -paid), 0.0)
     fault = 0
-    if silent > SILENCE_MAX_S:
+    if without_force > NO_FORCE_MAX_S:
         fault = JUMPING if bits & POSE_JUMPED else NO_POSE if bits & POSE_REFUSED else NO_FORCE
     elif lost > LOST_MAX_S:
         fault = STARVED
-    return Health(silent, lost, woken_late), fault
+    return Health(without_force, lost, woken_late), fault
 
 
 class Watchdog:
     """Check of a loop's progress, every STALL_POLL_S; the slowest loop has five ticks between two checks."""
 
     def __init__(self) -> None:
-        self._seen, self._idle = -1, 0
+        self._last_ticks, self._idle = -1, 0
 
     def stalled_s(self, ticks: int, due: bool, polls: int = STALL_POLLS) -> float:
         """Return for how long (s) the loop has stalled, 0 if it has not.
@@ -111,6 +111,6 @@ class Watchdog:
         due    whether a tick is due: none is before the device is armed
         polls  checks without a new tick that make a stall
         """
-        self._idle = self._idle + 1 if ticks == self._seen and due else 0
-        self._seen = ticks
+        self._idle = self._idle + 1 if ticks == self._last_ticks and due else 0
+        self._last_ticks = ticks
         return self._idle * STALL_POLL_S if self._idle >= polls else 0.0

@@ -88,39 +88,39 @@ NO_WALL: Final = Workspace((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), inf, 0.0, 0.0)
 UNLIMITED: Final = Limits(inf, 0.0, inf, 1.0, inf, NO_WALL)
 
 
-class Limited(NamedTuple):
+class LimitState(NamedTuple):
     """State of the limits.
 
-    velocity  (3,)  m/s  smoothed velocity of the handle
-    wait            s    remaining time for which the handle must be slow; 0 if it has not been too fast
-    heat                 1 is the steady state under the continuous force
-    work            J    work of the hand in this contact, negative if the hand received energy
-    given           J    largest energy given to the hand, with decay
-    touching             1 if the last tick was in contact
+    velocity      (3,)  m/s  smoothed velocity of the handle
+    wait                s    remaining time for which the handle must be slow; 0 if it has not been too fast
+    heat                     1 is the steady state under the continuous force
+    work                J    work of the hand in this contact, negative if the hand received energy
+    energy_given        J    largest energy given to the hand, with decay
+    touching                 1 if the last tick was in contact
     """
 
     velocity: Vec3
     wait: float
     heat: float
     work: float
-    given: float
+    energy_given: float
     touching: float
 
 
-COLD: Final = Limited((0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
+INITIAL_LIMITS: Final = LimitState((0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @jit
-def smoothed(velocity: Vec3, moved: Vec3, dt: float) -> Vec3:
-    """Return the smoothed velocity (3,) m/s after the handle moved by `moved` (3,) m in `dt` s."""
+def smooth_velocity(velocity: Vec3, displacement: Vec3, dt: float) -> Vec3:
+    """Return the smoothed velocity (3,) m/s after the handle moved by `displacement` (3,) m in `dt` s."""
     if not dt > 0.0:
         return velocity
     share = 1.0 / (SPEED_S + dt)
-    return vec3.add_scaled(vec3.scale(SPEED_S * share, velocity), share, moved)
+    return vec3.add_scaled(vec3.scale(SPEED_S * share, velocity), share, displacement)
 
 
 @jit
-def waiting(limits: Limits, wait: float, speed: float, armed: bool, period: float) -> float:
+def remaining_wait(limits: Limits, wait: float, speed: float, armed: bool, period: float) -> float:
     """Return the remaining time (s) for which the handle must be slow, given its speed (m/s); at 0, force is allowed.
 
     wait    s  after the last tick
@@ -136,24 +136,24 @@ def waiting(limits: Limits, wait: float, speed: float, armed: bool, period: floa
 
 
 @jit
-def warmed(limits: Limits, heat: float, force: Vec3, dt: float) -> float:
+def update_heat(limits: Limits, heat: float, force: Vec3, dt: float) -> float:
     """Return the heat after `dt` s with a force (3,) N."""
     load = vec3.dot(force, force) / (limits.continuous * limits.continuous)
     return (limits.heat_s * heat + dt * load) / (limits.heat_s + dt)
 
 
 @jit
-def coolest(limits: Limits, heat: float, largest: float) -> float:
+def heat_limited_force(limits: Limits, heat: float, largest: float) -> float:
     """Return the largest force (N) that the heat allows; `largest` while the motors are cool."""
     if heat <= WARM or largest <= limits.continuous:
         return largest
     steady = limits.continuous * limits.continuous
-    left = max(1.0 - heat, 0.0) / (1.0 - WARM)
-    return sqrt(steady + (largest * largest - steady) * left)
+    headroom = max(1.0 - heat, 0.0) / (1.0 - WARM)
+    return sqrt(steady + (largest * largest - steady) * headroom)
 
 
 @jit
-def owed(work: float, given: float, touched: bool, touches: bool, dt: float) -> float:
+def update_work(work: float, given: float, touched: bool, touches: bool, dt: float) -> float:
     """Return the work (J) of the hand after a tick.
 
     work     J  before the tick
@@ -170,20 +170,20 @@ def owed(work: float, given: float, touched: bool, touches: bool, dt: float) -> 
 
 
 @jit
-def remembered(given: float, work: float, dt: float) -> float:
+def decay_energy(energy_given: float, work: float, dt: float) -> float:
     """Return the largest energy (J) given, after `dt` s of decay.
 
     Work of the hand in the next contact does not reduce it.
     """
-    return max(given * FORGET_S / (FORGET_S + dt), -work)
+    return max(energy_given * FORGET_S / (FORGET_S + dt), -work)
 
 
 @jit
-def share_of(limits: Limits, given: float) -> float:
+def energy_scale(limits: Limits, energy_given: float) -> float:
     """Return the fraction of the force allowed by the energy given, 0 to 1."""
-    if given <= limits.energy:
+    if energy_given <= limits.energy:
         return 1.0
-    return max(2.0 - given / limits.energy, 0.0)
+    return max(2.0 - energy_given / limits.energy, 0.0)
 
 
 @jit

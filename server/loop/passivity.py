@@ -19,7 +19,7 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import log, relative, rotate
 from softfinger.proxy.kernels.numerics.tool import Tool
 from softfinger.proxy.record import FREE
-from softfinger.server.loop.guard import Guarded
+from softfinger.server.loop.guard import GuardState
 
 
 class Passivity(NamedTuple):
@@ -62,48 +62,48 @@ def handle_behind_tool(tool: Tool, tip: Pose) -> Vec3:
 
 
 @jit
-def work_on_hand(held: Guarded, motion: Motion) -> float:
+def work_on_hand(wrench: GuardState, motion: Motion) -> float:
     """Return the work (J) of a constant wrench on the handle over a motion."""
-    way = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
+    displacement = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
     turn = log(relative(motion.now.orientation, motion.before.orientation))
-    return vec3.dot(held.force, way) + vec3.dot(held.torque, turn)
+    return vec3.dot(wrench.force, displacement) + vec3.dot(wrench.torque, turn)
 
 
 @by_type
 def keep_passive(
-    passivity: Any, energy: Energy, held: Guarded, motion: Motion, mode: float, force: Vec3, dt: float
+    passivity: Any, energy: Energy, wrench: GuardState, motion: Motion, mode: float, force: Vec3, dt: float
 ) -> Any:
     """Return the force with the damping that makes the rendering passive.
 
-    energy          Energy  state after the last tick
-    held            Guarded wrench on the handle commanded since then, after the guard
-    motion          Motion  of the hand under that wrench
-    mode                    contact mode now
-    force   (3,)    N       from the contact step
-    dt              s       time since the last tick
+    energy          Energy      state after the last tick
+    wrench          GuardState  wrench on the handle commanded since then, after the guard
+    motion          Motion      of the hand under that wrench
+    mode                        contact mode now
+    force   (3,)    N           from the contact step
+    dt              s           time since the last tick
     returns         Energy, force (3,) N
     """
 
 
 @keep_passive.of(None)
-def leave_as_it_is(
-    passivity: None, energy: Energy, held: Guarded, motion: Motion, mode: float, force: Vec3, dt: float
+def pass_force(
+    passivity: None, energy: Energy, wrench: GuardState, motion: Motion, mode: float, force: Vec3, dt: float
 ) -> tuple[Energy, Vec3]:
     return energy, force
 
 
 @keep_passive.of(Passivity)
-def burn_what_is_owed(
-    passivity: Passivity, energy: Energy, held: Guarded, motion: Motion, mode: float, force: Vec3, dt: float
+def add_damping(
+    passivity: Passivity, energy: Energy, wrench: GuardState, motion: Motion, mode: float, force: Vec3, dt: float
 ) -> tuple[Energy, Vec3]:
     """Add a damper alpha v: it dissipates alpha v^2 T in the next tick at constant v, so alpha = -E / (v^2 T)."""
-    work = energy.work - work_on_hand(held, motion)
+    work = energy.work - work_on_hand(wrench, motion)
     if mode == FREE:
         work = min(work, 0.0)
     if not work < 0.0 or not dt > 0.0 or not passivity.damping_max > 0.0:
         return Energy(work, 0.0), force
-    moved = vec3.sub(motion.now.position, motion.before.position)
-    damping, square = passivity.damping_max, vec3.dot(moved, moved)
+    displacement = vec3.sub(motion.now.position, motion.before.position)
+    damping, square = passivity.damping_max, vec3.dot(displacement, displacement)
     if -work * dt < damping * square:
         damping = -work * dt / square
-    return Energy(work, damping), vec3.add_scaled(force, -damping / dt, moved)
+    return Energy(work, damping), vec3.add_scaled(force, -damping / dt, displacement)

@@ -14,7 +14,7 @@ from softfinger.proxy.kernels.model import Bodies, Contact, ContactOutcome, Fing
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import log, relative, rotate
 from softfinger.proxy.kernels.query.bodies import faulty, pose_of_body
-from softfinger.server.loop.guard import Guarded
+from softfinger.server.loop.guard import GuardState
 from softfinger.server.loop.passivity import Energy, Passivity
 
 
@@ -45,14 +45,14 @@ def no_reactions(bodies: Any, finger: FingerState) -> Any:
 
 
 @jit
-def share_given(asked: Vec3, given: Vec3) -> float:
+def received_share(requested: Vec3, received: Vec3) -> float:
     """Return the fraction of the requested force or torque of the contacts that the hand receives, 0 to 1."""
-    square = vec3.dot(asked, asked)
-    return min(max(vec3.dot(asked, given) / square, 0.0), 1.0) if square > 0.0 else 0.0
+    square = vec3.dot(requested, requested)
+    return min(max(vec3.dot(requested, received) / square, 0.0), 1.0) if square > 0.0 else 0.0
 
 
 @by_type
-def reactions_of(passivity: Any, bodies: Any, before: Any, contact: Contact, given: Guarded, center: Vec3) -> Any:
+def reactions_of(passivity: Any, bodies: Any, before: Any, contact: Contact, given: GuardState, center: Vec3) -> Any:
     """Return the wrenches of contacts until the next tick, a tuple of Reaction; `before` unchanged without an observer.
 
     given   wrench on the fingertip, about its `center` (3,) m, after the guard
@@ -60,88 +60,95 @@ def reactions_of(passivity: Any, bodies: Any, before: Any, contact: Contact, giv
 
 
 @reactions_of.of(None)
-def unobserved(passivity: None, bodies: Any, before: Any, contact: Contact, given: Guarded, center: Vec3) -> Any:
+def unchanged_reactions(
+    passivity: None, bodies: Any, before: Any, contact: Contact, given: GuardState, center: Vec3
+) -> Any:
     return before
 
 
 @reactions_of.of(Passivity)
 def observed_reactions(
-    passivity: Passivity, bodies: Any, before: Any, contact: Contact, given: Guarded, center: Vec3
+    passivity: Passivity, bodies: Any, before: Any, contact: Contact, given: GuardState, center: Vec3
 ) -> Any:
     return reactions_on(bodies, contact, given, center)
 
 
 @by_type
-def reactions_on(bodies: Any, contact: Contact, given: Guarded, center: Vec3) -> Any:
+def reactions_on(bodies: Any, contact: Contact, given: GuardState, center: Vec3) -> Any:
     """Return the reactions, or None in a scene without bodies."""
 
 
 @reactions_on.of(None)
-def no_reactions_on(bodies: None, contact: Contact, given: Guarded, center: Vec3) -> None:
+def no_reactions_on(bodies: None, contact: Contact, given: GuardState, center: Vec3) -> None:
     return None
 
 
 @reactions_on.of(Bodies)
-def reactions_on_bodies(bodies: Bodies, contact: Contact, given: Guarded, center: Vec3) -> Any:
-    of_force, of_torque = share_given(contact.force, given.force), share_given(contact.torque, given.torque)
-    return reactions(contact.contacts, bodies, of_force, of_torque, center)
+def reactions_on_bodies(bodies: Bodies, contact: Contact, given: GuardState, center: Vec3) -> Any:
+    force_share, torque_share = received_share(contact.force, given.force), received_share(contact.torque, given.torque)
+    return reactions(contact.contacts, bodies, force_share, torque_share, center)
 
 
 @by_count
-def reactions(outcomes: Any, bodies: Bodies, of_force: float, of_torque: float, center: Vec3) -> Any:
+def reactions(outcomes: Any, bodies: Bodies, force_share: float, torque_share: float, center: Vec3) -> Any:
     """Return a Reaction for each ContactOutcome."""
 
 
 @reactions.of(1)
-def one_reaction(outcomes: Any, bodies: Bodies, of_force: float, of_torque: float, center: Vec3) -> Any:
-    return (reaction(outcomes[0], bodies, of_force, of_torque, center),)
+def one_reaction(outcomes: Any, bodies: Bodies, force_share: float, torque_share: float, center: Vec3) -> Any:
+    return (reaction(outcomes[0], bodies, force_share, torque_share, center),)
 
 
 @reactions.of(2)
-def several_reactions(outcomes: Any, bodies: Bodies, of_force: float, of_torque: float, center: Vec3) -> Any:
-    first = reactions(outcomes[:1], bodies, of_force, of_torque, center)
-    return first + reactions(outcomes[1:], bodies, of_force, of_torque, center)
+def several_reactions(outcomes: Any, bodies: Bodies, force_share: float, torque_share: float, center: Vec3) -> Any:
+    first = reactions(outcomes[:1], bodies, force_share, torque_share, center)
+    return first + reactions(outcomes[1:], bodies, force_share, torque_share, center)
 
 
 @jit
-def reaction(outcome: ContactOutcome, bodies: Bodies, of_force: float, of_torque: float, center: Vec3) -> Reaction:
+def reaction(
+    outcome: ContactOutcome, bodies: Bodies, force_share: float, torque_share: float, center: Vec3
+) -> Reaction:
     body = bodies.riders[int(outcome.object)] if outcome.object >= 0.0 else 0.0
-    force, torque = vec3.scale(of_force, outcome.force), vec3.scale(of_torque, outcome.torque)
+    force, torque = vec3.scale(force_share, outcome.force), vec3.scale(torque_share, outcome.torque)
     return Reaction(body, force, torque, center, pose_of_body(bodies.block, body))
 
 
 @by_type
-def relative_energy(passivity: Any, bodies: Any, energy: Energy, held: Any) -> Any:
-    """Return the energy after the last tick, plus the work of the bodies since then; `held` are Reactions, or None."""
+def relative_energy(passivity: Any, bodies: Any, energy: Energy, last_reactions: Any) -> Any:
+    """Return the energy after the last tick, plus the work of the bodies since then.
+
+    last_reactions  Reactions, or None
+    """
 
 
 @relative_energy.of(None)
-def not_observed(passivity: None, bodies: Any, energy: Energy, held: Any) -> Energy:
+def unchanged_energy(passivity: None, bodies: Any, energy: Energy, last_reactions: Any) -> Energy:
     return energy
 
 
 @relative_energy.of(Passivity)
-def with_what_bodies_gave(passivity: Passivity, bodies: Any, energy: Energy, held: Any) -> Energy:
-    return Energy(energy.work + work_of_bodies(bodies, held), energy.damping)
+def add_body_work(passivity: Passivity, bodies: Any, energy: Energy, last_reactions: Any) -> Energy:
+    return Energy(energy.work + work_of_bodies(bodies, last_reactions), energy.damping)
 
 
 @by_type
-def work_of_bodies(bodies: Any, held: Any) -> Any:
+def work_of_bodies(bodies: Any, last_reactions: Any) -> Any:
     """Return the work (J) of the wrenches of Reactions over the motion of their bodies since then."""
 
 
 @work_of_bodies.of(None)
-def work_of_none(bodies: None, held: Any) -> float:
+def work_of_none(bodies: None, last_reactions: Any) -> float:
     return 0.0
 
 
 @work_of_bodies.of(Bodies)
-def work_of_all(bodies: Bodies, held: Any) -> float:
+def work_of_all(bodies: Bodies, last_reactions: Any) -> float:
     work = 0.0
     if not faulty(bodies):
-        for each in held:
-            now, was = pose_of_body(bodies.block, each.body), each.pose
-            turned = relative(now.orientation, was.orientation)
-            there = vec3.add(now.position, rotate(turned, vec3.sub(each.center, was.position)))
-            work += vec3.dot(each.force, vec3.sub(there, each.center)) + vec3.dot(each.torque, log(turned))
+        for each in last_reactions:
+            now, before = pose_of_body(bodies.block, each.body), each.pose
+            turned = relative(now.orientation, before.orientation)
+            target = vec3.add(now.position, rotate(turned, vec3.sub(each.center, before.position)))
+            work += vec3.dot(each.force, vec3.sub(target, each.center)) + vec3.dot(each.torque, log(turned))
     return work

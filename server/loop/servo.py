@@ -18,10 +18,10 @@ from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.pack import unpack
 from softfinger.proxy.kernels.jit.seqlock import Slot, refresh
 from softfinger.server.loop.all_devices import (
+    DeviceBuffers,
     Io,
-    Line,
     Stamp,
-    ended,
+    first_ended,
     guarded_bits,
     read_all,
     records_of,
@@ -32,9 +32,9 @@ from softfinger.server.loop.all_devices import (
 )
 from softfinger.server.loop.bodies import move_bodies
 from softfinger.server.loop.clock import NS_PER_S, Pace, first_pace, next_pace, now_ns, sleep_until, with_suspension
-from softfinger.server.loop.force_switch import is_on, note_given, switched_all
+from softfinger.server.loop.force_switch import apply_switch_to_all, is_on, store_active
 from softfinger.server.loop.health import HEALTHY, examine
-from softfinger.server.loop.inputs.ramp import Way, advance, head_for, stay
+from softfinger.server.loop.inputs.ramp import ParameterRamp, advance, set_now, set_target
 from softfinger.server.loop.shared.ring import Ring, push
 from softfinger.server.loop.shutdown import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Memory, Tuning, tick
@@ -83,34 +83,34 @@ class Shared(NamedTuple):
 class Scratch(NamedTuple):
     """Private memory of the loop, allocated before it starts.
 
-    lines  buffers of each device; their records are parts of `row`
-    way    ramp from the present parameters to the requested ones
+    buffers  buffers of each device; their records are parts of `row`
+    ramp     ramp from the present parameters to the requested ones
     """
 
     timespec: NDArray[np.int64]
     values: NDArray[np.float64]
     row: NDArray[np.float64]
-    lines: tuple[Line, ...]
-    way: Way
+    buffers: tuple[DeviceBuffers, ...]
+    ramp: ParameterRamp
     motion: NDArray[np.float64]
 
 
 @jit
-def newest_parameters(
-    slot: Slot, seen: int, values: NDArray[np.float64], way: Way, tuning: Tuning
+def update_parameters(
+    slot: Slot, version: int, values: NDArray[np.float64], ramp: ParameterRamp, tuning: Tuning
 ) -> tuple[int, Tuning]:
     """Return the version of the latest parameters, and the ramped parameters of this tick."""
-    newest = refresh(slot, seen, values)
-    if newest != seen:
-        head_for(way, values)
-    if way.left[0] > 0:
-        advance(way)
-        tuning = unpack(tuning, way.now)
+    newest = refresh(slot, version, values)
+    if newest != version:
+        set_target(ramp, values)
+    if ramp.ticks_left[0] > 0:
+        advance(ramp)
+        tuning = unpack(tuning, ramp.now)
     return newest, tuning
 
 
 @jit
-def stamp_of(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -> Stamp:
+def make_stamp(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -> Stamp:
     """Return the loop's part of a record: deadline, start and write of the tick, ns; `busy` is of the previous tick."""
     return Stamp(
         timestamp=(woke + schedule.epoch_ns) / NS_PER_S,
@@ -122,7 +122,7 @@ def stamp_of(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -
 
 
 @jit
-def hand_over_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> None:
+def publish_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> None:
     """Append a tick's records to the ring and wake the reader; `ticks` includes this tick."""
     push(shared.ring, row)
     store_release(shared.progress, 0, ticks)
@@ -137,10 +137,10 @@ def servo_loop(
 
     Ticks and missed deadlines continue from `shared`. In any case, the last write to every device is zero.
     """
-    timespec, lines = scratch.timespec, scratch.lines
-    seen = refresh(shared.tuning, -1, scratch.values)
-    stay(scratch.way, scratch.values)
-    tuning, memory, health = unpack(tuning_like, scratch.way.now), start, HEALTHY
+    timespec, buffers = scratch.timespec, scratch.buffers
+    version = refresh(shared.tuning, -1, scratch.values)
+    set_now(scratch.ramp, scratch.values)
+    tuning, memory, health = unpack(tuning_like, scratch.ramp.now), start, HEALTHY
     nominal = schedule.period_ns / NS_PER_S
     number, busy, ending, status, finger = load_acquire(shared.progress, 0), 0, STOPPED, 0, 0
     pace = first_pace(now_ns(timespec), schedule.period_ns, load_acquire(shared.progress, 1), timespec)
@@ -154,42 +154,42 @@ def servo_loop(
         pace = with_suspension(pace, woke, timespec)
         dt = nominal if schedule.own_clock else pace.dt
 
-        seen, tuning = newest_parameters(shared.tuning, seen, scratch.values, scratch.way, tuning)
-        befores, statuses = read_all(ios, lines, tuning.guards, tuning.offsets, start.fingers, memory.fingers, dt)
-        place, status = ended(statuses)
-        if place >= 0:
-            ending, finger = FINISHED if status == END else READ_FAILED, place
+        version, tuning = update_parameters(shared.tuning, version, scratch.values, scratch.ramp, tuning)
+        befores, statuses = read_all(ios, buffers, tuning.guards, tuning.offsets, start.fingers, memory.fingers, dt)
+        index, status = first_ended(statuses)
+        if index >= 0:
+            ending, finger = FINISHED if status == END else READ_FAILED, index
             break
         memory = Memory(memory.world, befores)
         on = is_on(shared.switch, woke)
-        guards = switched_all(tuning.guards, befores, on)
+        guards = apply_switch_to_all(tuning.guards, befores, on)
         now = Tuning(tuning.scene, guards, tuning.passivity, tuning.tools, tuning.offsets)
-        memory = tick(now, start, memory, samples_of(lines), dt, nominal, number, records_of(lines))
-        hands, statuses_out = write_all(ios, lines, tuning.tools, start.fingers, befores, memory.fingers)
+        memory = tick(now, start, memory, samples_of(buffers), dt, nominal, number, records_of(buffers))
+        hands, statuses_out = write_all(ios, buffers, tuning.tools, start.fingers, befores, memory.fingers)
         wrote = now_ns(timespec)
         move_bodies(tuning.scene.bodies, number, wrote, shared.motion, scratch.motion, timespec)
-        place, status_out = ended(statuses_out)
-        if place >= 0:
-            ending, status, finger = WRITE_FAILED, status_out, place
+        index, status_out = first_ended(statuses_out)
+        if index >= 0:
+            ending, status, finger = WRITE_FAILED, status_out, index
             break
         memory = Memory(memory.world, hands)
-        note_given(shared.switch, hands, on)
+        store_active(shared.switch, hands, on)
 
-        stamp = stamp_of(schedule, pace, woke, wrote, busy)
-        stamp_all(lines, stamp, statuses, statuses_out)
+        stamp = make_stamp(schedule, pace, woke, wrote, busy)
+        stamp_all(buffers, stamp, statuses, statuses_out)
         number += 1
-        hand_over_record(shared, scratch.row, number)
+        publish_record(shared, scratch.row, number)
 
         done = now_ns(timespec)
         busy = done - woke
         pace = next_pace(pace, done, schedule.period_ns)
         store_release(shared.progress, 1, pace.missed)
-        bits, place = guarded_bits(lines)
+        bits, index = guarded_bits(buffers)
         health, fault = examine(health, bits, stamp.late, nominal if schedule.own_clock else pace.dt, nominal)
         if fault != 0:
-            ending, finger = fault, place
+            ending, finger = fault, index
             store_release(shared.progress, 2, int(health.late > 0.5 * health.lost))
             break
 
-    write_zeros(ios, lines)
+    write_zeros(ios, buffers)
     return ending, status, finger

@@ -22,18 +22,18 @@ from softfinger.proxy.bodies import begin_bodies, motion_size
 from softfinger.proxy.kernels.jit.seqlock import make_slot, publish
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop import shutdown
-from softfinger.server.loop.all_devices import Io, make_line
+from softfinger.server.loop.all_devices import Io, make_device_buffers
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.force_switch import make_switch
 from softfinger.server.loop.handover import Handover, Loop
-from softfinger.server.loop.health import HELD_MAX_S
-from softfinger.server.loop.inputs.ramp import leaves, make_way
+from softfinger.server.loop.health import IGNORED_WRENCH_MAX_S
+from softfinger.server.loop.inputs.ramp import leaves, make_ramp
 from softfinger.server.loop.servo import Schedule, Scratch, Shared, servo_loop
 from softfinger.server.loop.shared.ring import make_ring, take
 from softfinger.server.loop.shared.rings import Rings
-from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, Ended
-from softfinger.server.loop.tick import Tuning, begin, carried_over
-from softfinger.server.loop.tuning import alike
+from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, LoopEnd
+from softfinger.server.loop.tick import Tuning, begin, continued_memory
+from softfinger.server.loop.tuning import has_same_structure
 
 log: Final = logging.getLogger(__name__)
 
@@ -74,9 +74,9 @@ class Servo:
         switch: NDArray[np.int64] | None = None,
     ) -> None:
         self._ticks, self._prepare, self._ramp_s = -1 if ticks is None else ticks, prepare, ramp_s
-        self._tuned: list[Tuning] = []
-        self._tuned_at = 0
-        self._ended: Ended | None = None
+        self._recent_tunings: list[Tuning] = []
+        self._tuned_tick = 0
+        self._ended: LoopEnd | None = None
         self._armed = self._stopping = False
         self._handover: Handover | None = None
         self._done = threading.Event()
@@ -95,8 +95,8 @@ class Servo:
         values, period = leaves(tuning), period_ns(rate_hz)
         begin_bodies(tuning.scene, period / NS_PER_S)
         row = np.zeros(len(devices) * RECORD_SIZE)
-        held_max = int(HELD_MAX_S * rate_hz)
-        lines = tuple(make_line(record, held_max) for record in np.split(row, len(devices)))
+        max_ignored_ticks = int(IGNORED_WRENCH_MAX_S * rate_hz)
+        buffers = tuple(make_device_buffers(record, max_ignored_ticks) for record in np.split(row, len(devices)))
         capacity = 1 << int(np.ceil(np.log2(max(RING_SECONDS * rate_hz, 1024))))
         ring = self.records.newest
         if ring is None or len(ring.slots) != capacity:
@@ -113,8 +113,8 @@ class Servo:
                 np.zeros(2, np.int64),
                 values.copy(),
                 row,
-                lines,
-                make_way(tuning, round(self._ramp_s * rate_hz)),
+                buffers,
+                make_ramp(tuning, round(self._ramp_s * rate_hz)),
                 motion,
             ),
         )
@@ -128,18 +128,18 @@ class Servo:
             (take, (shared.ring, np.empty((1, shared.ring.slots.shape[1])))),
             (publish, (shared.tuning, shared.tuning.values)),
         ]
-        for kernel, given in kernels:
-            kernel.compile(tuple(numba.typeof(argument) for argument in given))
+        for kernel, signature in kernels:
+            kernel.compile(tuple(numba.typeof(argument) for argument in signature))
         return all(not kernel.stats.cache_misses for kernel, _ in kernels)
 
     @staticmethod
-    def retuned(loop: Loop, tuning: Tuning) -> Loop:
+    def with_tuning(loop: Loop, tuning: Tuning) -> Loop:
         """Return a loop that has not started yet, with other parameters of the same structure."""
         publish(loop.shared.tuning, leaves(tuning))
         return loop._replace(tuning=tuning)
 
     @staticmethod
-    def compiled_for(tuning: Tuning) -> bool:
+    def has_compiled(tuning: Tuning) -> bool:
         """Return whether this process has compiled the loop for this structure of tuning."""
         return any(signature[0] == numba.typeof(tuning) for signature in servo_loop.signatures)  # type: ignore[attr-defined]
 
@@ -155,9 +155,9 @@ class Servo:
             self._arm()
             ended = self._run_loops()
         except BaseException as error:  # in any case the device must be zeroed and join() must return the error
-            ended = Ended(CRASHED, 0, error)
+            ended = LoopEnd(CRASHED, 0, error)
         self._ended = ended
-        failed = shutdown.every(
+        failed = shutdown.run_all_steps(
             lambda: shutdown.stop_all(self.devices),
             lambda: shutdown.confirm_zero(self.devices),
             *([undo] if undo else []),
@@ -165,7 +165,7 @@ class Servo:
         )
         if failed is not ended.error:
             if ended.ending in (STOPPED, FINISHED):
-                self._ended = Ended(CRASHED, ended.status, failed)
+                self._ended = LoopEnd(CRASHED, ended.status, failed)
             else:  # the reason for the end is the first error
                 log.error("%s", failed)
         self._done.set()
@@ -177,63 +177,63 @@ class Servo:
                 device.arm()
             self._armed = True
 
-    def _run_loops(self) -> Ended:
+    def _run_loops(self) -> LoopEnd:
         while True:
             ending, status, finger = servo_loop(*self._loop.arguments)
             handover = self._handover
             if handover is None or ending != STOPPED or self._stopping:
-                return Ended(ending, status, finger=finger)
-            self._take_over(handover)
+                return LoopEnd(ending, status, finger=finger)
+            self._switch_loop(handover)
 
-    def _take_over(self, handover: Handover) -> None:
+    def _switch_loop(self, handover: Handover) -> None:
         """Switch from one loop to the next, with the devices at zero."""
-        if not handover.keeps:
+        if not handover.keeps_devices:
             self._armed = False  # no tick is due until the next devices are armed
             shutdown.stop_all(self.devices)
             shutdown.confirm_zero(self.devices)
-        handover.left.set()
-        handover.ready.wait()
+        handover.loop_ended.set()
+        handover.loop_ready.wait()
         if handover.loop is None:
             raise handover.error or SafetyStop("there was no loop to go on with")
-        self._loop, self._handover = self._carried_over(handover.loop), None
+        self._loop, self._handover = self._with_continued_limits(handover.loop), None
         self.records.add(self._loop.shared.ring)
         self.shared.stop[0] = 0
         if self._stopping:  # requested in the meantime
             self.shared.stop[0] = 1
-        if not handover.keeps:
+        if not handover.keeps_devices:
             self._arm()
         handover.first, self._missed_before = self.ticks, self.missed
-        handover.begun.set()
+        handover.loop_started.set()
 
-    def _carried_over(self, loop: Loop) -> Loop:
+    def _with_continued_limits(self, loop: Loop) -> Loop:
         """Return the loop with the state of the limits after the last tick."""
-        start = carried_over(loop.arguments[1], loop.tuning.guards, self._loop.arguments[5].row)
+        start = continued_memory(loop.arguments[1], loop.tuning.guards, self._loop.arguments[5].row)
         return loop._replace(arguments=(loop.arguments[0], start, *loop.arguments[2:]))
 
-    def replace(self, make: Callable[[], Loop], keeps: bool) -> int:
+    def replace(self, make: Callable[[], Loop], keeps_devices: bool) -> int:
         """End the loop with zero force and start another one in the same thread; return the number of its first tick.
 
-        make   returns the next loop, compiled; called in this thread once the previous loop has returned. An exception
-               ends the servo, and is also raised here
-        keeps  whether the devices are the same; then they remain armed. Otherwise they are stopped before `make`, and
-               the caller owns them
+        make           returns the next loop, compiled; called in this thread once the previous loop has returned.
+                       An exception ends the servo, and is also raised here
+        keeps_devices  whether the devices are the same; then they remain armed. Otherwise they are stopped
+                       before `make`, and the caller owns them
 
         Numbers of ticks, missed deadlines and times continue; contact, guard and energy restart. The time between the
         loops counts no missed deadline. Raises SafetyStop if the servo is not running. Only one thread may call this.
         """
         self.check_running()
-        handover = Handover(keeps)
+        handover = Handover(keeps_devices)
         self._handover = handover
         self.shared.stop[0] = 1
         try:
-            self._await(handover.left)
+            self._await(handover.loop_ended)
             handover.loop = make()
         except BaseException as error:
             handover.error = error
             raise
         finally:
-            handover.ready.set()
-        self._await(handover.begun)
+            handover.loop_ready.set()
+        self._await(handover.loop_started)
         return handover.first
 
     def _await(self, step: threading.Event) -> None:
@@ -279,7 +279,7 @@ class Servo:
         self._stopping = True  # first: a loop that is being replaced reads both, in this order
         self.shared.stop[0] = 1
 
-    def join(self, timeout_s: float | None = None) -> Ended | None:
+    def join(self, timeout_s: float | None = None) -> LoopEnd | None:
         """Wait for the end and return it; None after a timeout."""
         # Not Thread.join: in Python 3.11 an interrupt inside it marks a live thread as finished.
         if not self._done.wait(timeout_s):
@@ -291,7 +291,7 @@ class Servo:
         return not self._done.is_set()
 
     @property
-    def looping(self) -> bool:
+    def is_ticking(self) -> bool:
         """Whether ticks will follow; after the last one the devices are stopped, and then `running` becomes false."""
         return self._ended is None
 
@@ -310,7 +310,7 @@ class Servo:
         """Ticks done so far."""
         return int(self.shared.progress[0])
 
-    def moment(self) -> tuple[int, float]:
+    def last_tick_and_time(self) -> tuple[int, float]:
         """Return the last tick done, -1 before the first, and the present time (s since the epoch)."""
         while True:
             ticks, now = self.ticks, time.monotonic_ns()
@@ -332,24 +332,24 @@ class Servo:
         """Whether a loop that lost its time lost most of it before the thread was woken."""
         return bool(self.shared.progress[2])
 
-    def fits(self, tuning: Tuning) -> bool:
+    def is_compiled_for(self, tuning: Tuning) -> bool:
         """Return whether the loop was compiled for this structure of tuning."""
-        return alike(tuning, self._loop.tuning)
+        return has_same_structure(tuning, self._loop.tuning)
 
     def tune(self, tuning: Tuning) -> None:
-        """Change parameters along the ramp while running; they must have the same structure (`fits`).
+        """Change parameters along the ramp while running; they must have the same structure (`is_compiled_for`).
 
         Only one thread may call this at a time.
         """
-        if not self.fits(tuning):
+        if not self.is_compiled_for(tuning):
             raise ValueError("the new tuning has other parts than the one compiled: replace the loop")
         # The replaced scene may contain arrays, and the loop reads them until it has accepted the new one. It has done
         # so once two ticks are done since the last write: the second one started after it and read no other scene.
-        if self.ticks >= self._tuned_at + 2:
-            del self._tuned[:-1]
-        self._tuned.append(tuning)
+        if self.ticks >= self._tuned_tick + 2:
+            del self._recent_tunings[:-1]
+        self._recent_tunings.append(tuning)
         publish(self.shared.tuning, leaves(tuning))
-        self._tuned_at = self.ticks
+        self._tuned_tick = self.ticks
 
     def close(self) -> None:
         """Release the eventfd of the records, after loop and reader have stopped."""

@@ -27,7 +27,7 @@ CRASHED: Final = 4
 """Reasons for the end of a loop, and of its thread; the faults of server.loop.health have the next numbers."""
 
 
-class Ended(NamedTuple):
+class LoopEnd(NamedTuple):
     """End of a loop.
 
     ending  STOPPED ... CRASHED or a fault of server.loop.health
@@ -42,7 +42,7 @@ class Ended(NamedTuple):
     finger: int = 0
 
 
-def every(*steps: Callable[[], object], first: BaseException | None = None) -> BaseException | None:
+def run_all_steps(*steps: Callable[[], object], first: BaseException | None = None) -> BaseException | None:
     """Run every step, also after an error; return the first error, for the caller to raise, and log further ones.
 
     first  an earlier error, if any: then the errors of all steps are logged
@@ -72,13 +72,13 @@ def stop(device: Device) -> None:
     After a failed stop, zero is written directly, as the last resort, even if another thread may be writing.
     """
     try:
-        _named(device, device.stop, "be stopped")
+        _call_checked(device, device.stop, "be stopped")
     except BaseException:
-        _write_plainly(device)
+        _write_zero_directly(device)
         raise
 
 
-def _write_plainly(device: Device) -> None:
+def _write_zero_directly(device: Device) -> None:
     """Write zero by the device's write function, without regard to other calls in progress."""
     io, zero = device.io(), np.zeros(6)
     ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(io.write)(io.handle, zero.ctypes.data)
@@ -86,7 +86,7 @@ def _write_plainly(device: Device) -> None:
 
 def close(device: Device) -> None:
     """Close a device; errors as for `stop`."""
-    _named(device, device.close, "be closed")
+    _call_checked(device, device.close, "be closed")
 
 
 def stop_all(devices: Sequence[Device]) -> None:
@@ -96,7 +96,7 @@ def stop_all(devices: Sequence[Device]) -> None:
     """
     failures = open_devices.call_all(stop, devices)
     hung = [device for device, error in failures if isinstance(error, TimeoutError)]
-    open_devices.call_all(_write_plainly, hung)  # this write may hang as well
+    open_devices.call_all(_write_zero_directly, hung)  # this write may hang as well
     _raise_first("be stopped", failures)
 
 
@@ -116,7 +116,8 @@ def confirm_zero(devices: Sequence[Device]) -> None:
 
 def _raise_first(what: str, failures: Sequence[tuple[Device, BaseException]]) -> None:
     errors = [
-        _failed(device, what, str(error)) if isinstance(error, TimeoutError) else error for device, error in failures
+        _device_error(device, what, str(error)) if isinstance(error, TimeoutError) else error
+        for device, error in failures
     ]
     for other in errors[1:]:
         log.error("during shutdown, besides: %s", other)
@@ -124,31 +125,31 @@ def _raise_first(what: str, failures: Sequence[tuple[Device, BaseException]]) ->
         raise errors[0]
 
 
-def _failed(device: Device, what: str, said: str) -> DeviceError:
-    return DeviceError(f"{device.info.name} could not {what} ({said}): it may still display a force: switch it off")
+def _device_error(device: Device, what: str, text: str) -> DeviceError:
+    return DeviceError(f"{device.info.name} could not {what} ({text}): it may still display a force: switch it off")
 
 
-def _named(device: Device, act: Callable[[], None], what: str) -> None:
+def _call_checked(device: Device, act: Callable[[], None], what: str) -> None:
     try:
         act()
     except HapticError:
         raise
     except Exception as error:
-        said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        raise _failed(device, what, said) from error
+        text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        raise _device_error(device, what, text) from error
 
 
-def device_failure(device: Device, ended: Ended, finger: str = "") -> HapticError | None:
+def device_failure(device: Device, ended: LoopEnd, finger: str = "") -> HapticError | None:
     """Return the error of a device that failed, with its reason and the remedy; None if no device failed.
 
     finger  name of the device's finger, if there are several
     """
-    doing = "read" if ended.ending == READ_FAILED else "write"
-    name, said = device.info.name + (f", finger '{finger}'" if finger else ""), device.reason()
-    because = f" ({said})" if said else ""
+    action = "read" if ended.ending == READ_FAILED else "write"
+    name, text = device.info.name + (f", finger '{finger}'" if finger else ""), device.reason()
+    because = f" ({text})" if text else ""
     if ended.ending == health.NO_POSE:
         return DeviceError(
-            f"{name}: no usable pose for {health.SILENCE_MAX_S:g} s{because}: zero force was commanded; "
+            f"{name}: no usable pose for {health.NO_FORCE_MAX_S:g} s{because}: zero force was commanded; "
             "see to its sensors and its cable, then start again"
         )
     if ended.ending == health.JUMPING:
@@ -163,20 +164,20 @@ def device_failure(device: Device, ended: Ended, finger: str = "") -> HapticErro
         return SafetyStop(f"{name} turned its force off{because}: see to the cause, then start again")
     if ended.status == TIMEOUT:
         return DeviceTimeout(
-            f"{name}: no answer to a {doing} in time{because}: check cable and power, then start again"
+            f"{name}: no answer to a {action} in time{because}: check cable and power, then start again"
         )
     what = "answered what is not in its protocol" if ended.status == PROTOCOL else "is gone"
-    return DeviceLost(f"{name} {what} (status {ended.status} on {doing}){because}: plug it in again, then start again")
+    return DeviceLost(f"{name} {what} (status {ended.status} on {action}){because}: plug it in again, then start again")
 
 
-def loop_failure(ended: Ended, ticks: int, missed: int, woken_late: bool) -> HapticError | None:
+def loop_failure(ended: LoopEnd, ticks: int, missed: int, woken_late: bool) -> HapticError | None:
     """Return the error of a loop that failed although its devices work; None if the loop did not fail.
 
     woken_late  whether most of the lost time was lost before its thread was woken
     """
     if ended.ending == health.NO_FORCE:
         return SafetyStop(
-            f"the scene gave no finite force for {health.SILENCE_MAX_S:g} s: zero force was commanded; "
+            f"the scene gave no finite force for {health.NO_FORCE_MAX_S:g} s: zero force was commanded; "
             "softfinger check names values that do not go together, else report the scene"
         )
     if ended.ending != health.STARVED:

@@ -18,9 +18,9 @@ from softfinger.proxy.kernels.record_writer import put3, write_contact
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import AT, POSITION_MAX_M, RECORD_SIZE
 from softfinger.proxy.scene import start_state
-from softfinger.server.loop.guard import DISENGAGED, POSE_REFUSED, TOO_FAST, Guard, Guarded
-from softfinger.server.loop.limits import COLD, SPEED_S, Limited
-from softfinger.server.loop.output import Instant, Passed, at_rest, felt, output_wrench
+from softfinger.server.loop.guard import INITIAL_GUARD_STATE, POSE_REFUSED, TOO_FAST, Guard, GuardState
+from softfinger.server.loop.limits import INITIAL_LIMITS, SPEED_S, LimitState
+from softfinger.server.loop.output import Instant, OutputState, cool_limits, displayed_wrench, output_wrench
 from softfinger.server.loop.passivity import NO_ENERGY, Energy, Motion, keep_passive
 from softfinger.server.loop.reactions import no_reactions, reactions_of, relative_energy
 
@@ -47,17 +47,17 @@ class Tuning(NamedTuple):
 class FingerMemory(NamedTuple):
     """State of one finger between ticks.
 
-    contact    state of its contact
-    guarded    state of its guard
-    energy     state of the passivity observer
-    limited    state of the limits, preserved whenever the other parts are reset
-    reactions  wrenches of its contacts on moving bodies, a tuple of Reaction; None in a scene without bodies
+    contact      state of its contact
+    guard_state  state of its guard
+    energy       state of the passivity observer
+    limit_state  state of the limits, preserved whenever the other parts are reset
+    reactions    wrenches of its contacts on moving bodies, a tuple of Reaction; None in a scene without bodies
     """
 
     contact: FingerState
-    guarded: Guarded
+    guard_state: GuardState
     energy: Energy
-    limited: Limited = COLD
+    limit_state: LimitState = INITIAL_LIMITS
     reactions: Any = None
 
 
@@ -81,13 +81,13 @@ def begin(scene: Scene) -> Memory:
     """Return the state before the first tick."""
     state = start_state(scene)
     fingers = tuple(
-        FingerMemory(finger, DISENGAGED, NO_ENERGY, COLD, no_reactions(scene.bodies, finger))
+        FingerMemory(finger, INITIAL_GUARD_STATE, NO_ENERGY, INITIAL_LIMITS, no_reactions(scene.bodies, finger))
         for finger in state.fingers
     )
     return Memory(state.world, fingers)
 
 
-def carried_over(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
+def continued_memory(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
     """Return the state before the first tick of a loop that continues another one.
 
     row  records of the last tick, one finger after the other
@@ -95,44 +95,46 @@ def carried_over(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
     The limits continue from these records: new guards do not cool the motors or slow the handle.
     """
     fingers = []
-    for place, (finger, guard) in enumerate(zip(start.fingers, guards, strict=True)):
-        record = row[place * RECORD_SIZE :]
+    for index, (finger, guard) in enumerate(zip(start.fingers, guards, strict=True)):
+        record = row[index * RECORD_SIZE :]
         wait = max(guard.limits.slow_s, SPEED_S) if int(record[AT.servo_guard]) & TOO_FAST else 0.0
-        limited = COLD._replace(wait=wait, heat=float(record[AT.limits_heat]), given=float(record[AT.limits_energy]))
-        fingers.append(finger._replace(limited=limited))
+        limit_state = INITIAL_LIMITS._replace(
+            wait=wait, heat=float(record[AT.limits_heat]), energy_given=float(record[AT.limits_energy])
+        )
+        fingers.append(finger._replace(limit_state=limit_state))
     return start._replace(fingers=tuple(fingers))
 
 
 @jit
-def let_go(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
+def reset_guard(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
     """Return the state after the device displayed no force in spite of the command: the guard restarts."""
-    return FingerMemory(hand.contact, start.guarded, hand.energy, hand.limited, start.reactions)
+    return FingerMemory(hand.contact, start.guard_state, hand.energy, hand.limit_state, start.reactions)
 
 
 @jit
-def elsewhere(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
+def reset_contact(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
     """Return the state of a finger that was displaced without a path: its contact restarts."""
-    return FingerMemory(start.contact, hand.guarded, hand.energy, hand.limited, start.reactions)
+    return FingerMemory(start.contact, hand.guard_state, hand.energy, hand.limit_state, start.reactions)
 
 
 @jit
-def held(before: Guarded, hand: FingerMemory) -> FingerMemory:
+def with_kept_wrench(before: GuardState, hand: FingerMemory) -> FingerMemory:
     """Return the state after the device kept the wrench `before`: the slew limit continues from it."""
-    guarded = Guarded(before.force, before.torque, hand.guarded.gain)
-    return FingerMemory(hand.contact, guarded, hand.energy, hand.limited, hand.reactions)
+    guard_state = GuardState(before.force, before.torque, hand.guard_state.gain)
+    return FingerMemory(hand.contact, guard_state, hand.energy, hand.limit_state, hand.reactions)
 
 
 @jit
-def record_wrench(tool: Any, guarded: Guarded, record: Any) -> None:
+def record_wrench(tool: Any, guard_state: GuardState, record: Any) -> None:
     """Replace the wrench in a record by the one of the device; the pose remains."""
     at = AT.probe_orientation
     tip = (record[at], record[at + 1], record[at + 2], record[at + 3])
-    put3(record, AT.force, guarded.force)
-    put3(record, AT.torque, about_tip(tool, tip, guarded.force, guarded.torque))
+    put3(record, AT.force, guard_state.force)
+    put3(record, AT.torque, about_tip(tool, tip, guard_state.force, guard_state.torque))
 
 
 @jit
-def usable(sample: Any) -> bool:
+def has_pose(sample: Any) -> bool:
     """Return whether a device sample has a pose: finite, within reach, with a quaternion of approximately unit norm."""
     square = 0.0
     for i in range(3):
@@ -148,14 +150,14 @@ def usable(sample: Any) -> bool:
 @jit
 def pose_of(tool: Any, last: Probe, sample: Any) -> Pose:
     """Return the fingertip's pose for a sample of the handle; the last pose if the sample has none."""
-    if usable(sample):
+    if has_pose(sample):
         position = (sample[0], sample[1], sample[2])
         return tip_of(tool, Pose(position, as_unit((sample[3], sample[4], sample[5], sample[6]))))
     return Pose(last.position, last.orientation)
 
 
 @jit
-def entered(world: World, finger: FingerState, pose: Pose) -> Any:
+def with_start_probe(world: World, finger: FingerState, pose: Pose) -> Any:
     """Return a finger's state before a tick.
 
     A finger without a previous pose, in a world that has already started, starts at its present pose; otherwise a
@@ -168,21 +170,21 @@ def entered(world: World, finger: FingerState, pose: Pose) -> Any:
 
 
 @by_count
-def arrive(hands: Any, tools: Any, world: World, samples: Any) -> Any:
+def read_poses(hands: Any, tools: Any, world: World, samples: Any) -> Any:
     """Return the states and the poses of the fingers before the step, a tuple each."""
 
 
-@arrive.of(1)
-def arrive_with_one(hands: Any, tools: Any, world: World, samples: Any) -> Any:
+@read_poses.of(1)
+def read_one_pose(hands: Any, tools: Any, world: World, samples: Any) -> Any:
     finger = hands[0].contact
     pose = pose_of(tools[0], finger.probe, samples[0])
-    return (entered(world, finger, pose),), (pose,)
+    return (with_start_probe(world, finger, pose),), (pose,)
 
 
-@arrive.of(2)
-def arrive_with_several(hands: Any, tools: Any, world: World, samples: Any) -> Any:
-    finger, pose = arrive(hands[:1], tools[:1], world, samples[:1])
-    fingers, poses = arrive(hands[1:], tools[1:], world, samples[1:])
+@read_poses.of(2)
+def read_several_poses(hands: Any, tools: Any, world: World, samples: Any) -> Any:
+    finger, pose = read_poses(hands[:1], tools[:1], world, samples[:1])
+    fingers, poses = read_poses(hands[1:], tools[1:], world, samples[1:])
     return finger + fingers, pose + poses
 
 
@@ -201,36 +203,44 @@ def command_one(
     hand, start, record, state, contact = hands[0], starts[0], records[0], stepped[0][0], stepped[1][0]
     guard, tool = output.guards[0], output.tools[0]
     before = hand.contact
-    if usable(samples[0]):
+    if has_pose(samples[0]):
         position, orientation = state.probe.position, state.probe.orientation
         now = Pose(position, orientation)
-        was = Pose(before.probe.position, before.probe.orientation) if before.started != 0.0 else now
-        motion = Motion(was, now, tool)
+        last = Pose(before.probe.position, before.probe.orientation) if before.started != 0.0 else now
+        motion = Motion(last, now, tool)
         energy = relative_energy(output.passivity, output.bodies, hand.energy, hand.reactions)
         energy, force = keep_passive(
-            output.passivity, energy, felt(guard, hand.guarded), motion, contact.mode, contact.force, instant.dt
+            output.passivity,
+            energy,
+            displayed_wrench(guard, hand.guard_state),
+            motion,
+            contact.mode,
+            contact.force,
+            instant.dt,
         )
         torque = about_handle(tool, orientation, force, contact.torque)
-        passed = Passed(hand.guarded, hand.limited)
-        passed, bits = output_wrench(guard, passed, motion, contact.mode, force, torque, instant)
-        guarded, limited = passed.guarded, passed.limited
+        output_state = OutputState(hand.guard_state, hand.limit_state)
+        output_state, bits = output_wrench(guard, output_state, motion, contact.mode, force, torque, instant)
+        guard_state, limit_state = output_state.guard_state, output_state.limit_state
     else:
         position, orientation = before.probe.position, before.probe.orientation
         contact = report_free(before, Probe(position, orientation, (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 0.0)
-        state, guarded, energy, bits = start.contact, start.guarded, start.energy, POSE_REFUSED
-        limited = at_rest(guard, hand.limited, instant.dt)
-    torque = about_tip(tool, orientation, guarded.force, guarded.torque)
-    write_contact(record, instant.number, instant.dt, position, orientation, contact, guarded.force, torque)
+        state, guard_state, energy, bits = start.contact, start.guard_state, start.energy, POSE_REFUSED
+        limit_state = cool_limits(guard, hand.limit_state, instant.dt)
+    torque = about_tip(tool, orientation, guard_state.force, guard_state.torque)
+    write_contact(record, instant.number, instant.dt, position, orientation, contact, guard_state.force, torque)
     record[AT.servo_guard] = bits
     record[AT.passivity_energy] = energy.work
     record[AT.passivity_damping] = energy.damping
-    record[AT.limits_speed] = norm(limited.velocity)
-    record[AT.limits_heat] = limited.heat
-    record[AT.limits_energy] = limited.given
-    shown = felt(guard, guarded)
-    given = Guarded(shown.force, about_tip(tool, orientation, shown.force, shown.torque), shown.gain)
-    reactions = reactions_of(output.passivity, output.bodies, hand.reactions, contact, given, position)
-    return (FingerMemory(state, guarded, energy, limited, reactions),)
+    record[AT.limits_speed] = norm(limit_state.velocity)
+    record[AT.limits_heat] = limit_state.heat
+    record[AT.limits_energy] = limit_state.energy_given
+    displayed = displayed_wrench(guard, guard_state)
+    displayed_at_tip = GuardState(
+        displayed.force, about_tip(tool, orientation, displayed.force, displayed.torque), displayed.gain
+    )
+    reactions = reactions_of(output.passivity, output.bodies, hand.reactions, contact, displayed_at_tip, position)
+    return (FingerMemory(state, guard_state, energy, limit_state, reactions),)
 
 
 @command.of(2)
@@ -260,7 +270,7 @@ def tick(
     A sample without a usable pose ends that finger's contact: zero force, its state as at the `start`, and a new ramp.
     The world and the other fingers continue.
     """
-    fingers, poses = arrive(memory.fingers, tuning.tools, memory.world, samples)
+    fingers, poses = read_poses(memory.fingers, tuning.tools, memory.world, samples)
     state, contacts = step(tuning.scene, State(memory.world, fingers), poses, dt)
     hands = command(
         memory.fingers, start.fingers, samples, (state.fingers, contacts),

@@ -44,19 +44,21 @@ def make_tuning(
     guards = tuple(guard_limits(guard, info) for info in devices)
     for info, limits in zip(devices, guards, strict=True):
         if limits.force_max > 0.0:
-            _tell_what_is_too_stiff(scene, limits.force_max, info)
+            _warn_if_too_stiff(scene, limits.force_max, info)
     guards = guards or (guard_limits(guard),) * len(scene.fingers)
-    held = tuple(None if tool is None else make_tool(tool.offset_m, tool.orientation_wxyz) for tool in tools)
-    held = held or (None,) * len(scene.fingers)
-    return Tuning(_built(scene), guards, _passivity(scene.passivity), held, (UNMOVED,) * len(scene.fingers))
+    made_tools = tuple(None if tool is None else make_tool(tool.offset_m, tool.orientation_wxyz) for tool in tools)
+    made_tools = made_tools or (None,) * len(scene.fingers)
+    return Tuning(
+        _build_with_progress(scene), guards, _passivity(scene.passivity), made_tools, (UNMOVED,) * len(scene.fingers)
+    )
 
 
-def _built(scene: schema.Scene) -> model.Scene:
+def _build_with_progress(scene: schema.Scene) -> model.Scene:
     """Return the scene in rendered form, with a progress message while meshes are read.
 
     The first time, a mesh may take seconds.
     """
-    files = [Path(thing.file).name for thing in scene.object if isinstance(thing, schema.Mesh)]
+    files = [Path(obj.file).name for obj in scene.object if isinstance(obj, schema.Mesh)]
     if not files:
         return build_scene(scene)
     with progress(f"reading {', '.join(files)}"):
@@ -68,19 +70,19 @@ def with_scene(tuning: Tuning, scene: schema.Scene) -> Tuning:
     return tuning._replace(scene=build_scene(scene, tuning.scene), passivity=_passivity(scene.passivity))
 
 
-def _tell_what_is_too_stiff(scene: schema.Scene, force_max: float, device: DeviceInfo) -> None:
-    for thing in scene.object:
-        stiffness = thing.material.stiffness_under(force_max)
+def _warn_if_too_stiff(scene: schema.Scene, force_max: float, device: DeviceInfo) -> None:
+    for obj in scene.object:
+        stiffness = obj.material.stiffness_under(force_max)
         if stiffness > device.stiffness_max_n_per_m * (1.0 + 1e-9):  # beyond rounding
             log.warning(
                 "object '%s' has %.0f N/m at the guard's %g N, beyond the %g N/m of device %s, and may buzz: lower "
                 "stiffness_n_per_m%s",
-                thing.name,
+                obj.name,
                 stiffness,
                 force_max,
                 device.stiffness_max_n_per_m,
                 device.name,
-                "" if thing.material.normal is None else " or guard.force_max_n",
+                "" if obj.material.normal is None else " or guard.force_max_n",
             )
 
 
@@ -98,11 +100,11 @@ def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard
         torque = device.torque_max_nm
     limits = Guard(force, torque, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 1.0)
     if device is not None and device.actuated_dof <= FORCE_DOF:
-        limits = limits._replace(turns=0.0)
+        limits = limits._replace(displays_torque=0.0)
     if device is None or not device.has_persistent_force:
         return limits
-    doubting = {"speed_max": guard.speed_max_m_per_s, "turn_max": guard.turn_max_rad_per_s, "frozen": guard.frozen_s}
-    return limits._replace(**doubting, limits=hand_limits(guard))
+    pose_checks = {"speed_max": guard.speed_max_m_per_s, "turn_max": guard.turn_max_rad_per_s, "frozen": guard.frozen_s}
+    return limits._replace(**pose_checks, limits=hand_limits(guard))
 
 
 def hand_limits(guard: schema.Guard) -> Limits:
@@ -113,12 +115,12 @@ def hand_limits(guard: schema.Guard) -> Limits:
     return Limits(speed, slow_s, continuous, guard.heat_time_s, guard.energy_max_j, wall)
 
 
-def _wall(asked: schema.Workspace | None) -> Workspace:
-    if asked is None:
+def _wall(workspace: schema.Workspace | None) -> Workspace:
+    if workspace is None:
         return NO_WALL
-    x, y, z = (0.0, 0.0, 0.0) if asked.size_m is None else asked.size_m
-    half, radius = (0.5 * x, 0.5 * y, 0.5 * z), 0.0 if asked.radius_m is None else asked.radius_m
-    return Workspace(asked.center_m, half, radius, asked.stiffness_n_per_m, asked.force_max_n)
+    x, y, z = (0.0, 0.0, 0.0) if workspace.size_m is None else workspace.size_m
+    half, radius = (0.5 * x, 0.5 * y, 0.5 * z), 0.0 if workspace.radius_m is None else workspace.radius_m
+    return Workspace(workspace.center_m, half, radius, workspace.stiffness_n_per_m, workspace.force_max_n)
 
 
 def with_offsets(tuning: Tuning, offsets: tuple[Vec3, ...]) -> Tuning:
@@ -131,13 +133,13 @@ def with_offsets(tuning: Tuning, offsets: tuple[Vec3, ...]) -> Tuning:
     return tuning._replace(offsets=offsets, guards=tuple(guards))
 
 
-def _passivity(wanted: schema.Passivity | None) -> Passivity | None:
-    if wanted is None:
+def _passivity(passivity: schema.Passivity | None) -> Passivity | None:
+    if passivity is None:
         return None
-    if wanted.mode == "observe":
+    if passivity.mode == "observe":
         return Passivity(0.0)
-    given = wanted.damping_max_ns_per_m
-    return Passivity(DAMPING_MAX_NS_PER_M if given is None else given)
+    damping_max = passivity.damping_max_ns_per_m
+    return Passivity(DAMPING_MAX_NS_PER_M if damping_max is None else damping_max)
 
 
 def with_armed(tuning: Tuning, share: float) -> Tuning:
@@ -145,13 +147,13 @@ def with_armed(tuning: Tuning, share: float) -> Tuning:
     return tuning._replace(guards=tuple(guard._replace(armed=share) for guard in tuning.guards))
 
 
-def alike(a: Any, b: Any) -> bool:
+def has_same_structure(a: Any, b: Any) -> bool:
     """Return whether two trees have the same structure, so that one compiled loop serves both.
 
     Calling `numba.typeof` on the trees would take milliseconds.
     """
     if isinstance(a, tuple):
-        return type(a) is type(b) and len(a) == len(b) and all(map(alike, a, b))
+        return type(a) is type(b) and len(a) == len(b) and all(map(has_same_structure, a, b))
     if isinstance(a, float):
         return isinstance(b, float)
     return b is None if a is None else bool(numba.typeof(a) == numba.typeof(b))

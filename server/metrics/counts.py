@@ -24,7 +24,7 @@ from prometheus_client.registry import Collector
 from softfinger.drivers.base import HELD, WITHHELD
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.services.recordings import Written
+from softfinger.server.services.recordings import RecordingTotals
 from softfinger.server.states import State
 
 Array = NDArray[np.float64]
@@ -118,7 +118,7 @@ class Counts(Collector):
         self,
         fingers: Sequence[str],
         wire: Callable[[], Wire],
-        written: Callable[[], Written],
+        written: Callable[[], RecordingTotals],
         state: Callable[[], State],
     ) -> None:
         self._names, self._wire, self._written, self._state = tuple(fingers), wire, written, state
@@ -195,7 +195,7 @@ class Counts(Collector):
         yield from (force, modes, guard, errors)
 
 
-def _of_recordings(written: Written) -> Iterator[Metric]:
+def _of_recordings(written: RecordingTotals) -> Iterator[Metric]:
     yield _counter("softfinger_recorded_ticks", "Ticks in recordings, of the first finger", written.ticks)
     yield _counter("softfinger_recorded_bytes", "Bytes of recordings", written.bytes)
     yield _counter(

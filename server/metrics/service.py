@@ -61,7 +61,7 @@ class Metrics(Worker):
         self._event("fault", "metrics", message=str(error))
 
     def stop(self) -> None:
-        failed = shutdown.every(super().stop, self._bound.files.close)
+        failed = shutdown.run_all_steps(super().stop, self._bound.files.close)
         if failed is not None:
             raise failed
 

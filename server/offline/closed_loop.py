@@ -105,7 +105,7 @@ def close_loop(
         sample: Any = (x[0], x[1], x[2], q[0], q[1], q[2], q[3])
         contact = tick(tuning, start, contact, (sample,), dt, dt, number, (NOWHERE,))
         step_bodies(tuning.scene.bodies)
-        force = contact.fingers[0].guarded.force
+        force = contact.fingers[0].guard_state.force
         goal, orientation = goal_at(drive.intention, drive.poses, number + 1)
         before = state.position
         state = advance(plant, state, force, goal, orientation, drive.line)
@@ -155,7 +155,7 @@ def advance_all(hands: Any, states: Any, fingers: Any, number: int) -> Any:
 def advance_one(hands: Any, states: Any, fingers: Any, number: int) -> Any:
     plant, drive = hands[0].plant, hands[0].drive
     goal, orientation = goal_at(drive.intention, drive.poses, number)
-    return (advance(plant, states[0], fingers[0].guarded.force, goal, orientation, drive.line),)
+    return (advance(plant, states[0], fingers[0].guard_state.force, goal, orientation, drive.line),)
 
 
 @advance_all.of(2)

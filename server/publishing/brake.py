@@ -11,7 +11,7 @@ from typing import Final
 
 import msgspec
 
-from softfinger.server.loop.switch_words import ASKED
+from softfinger.server.loop.switch_fields import STOPS_RECEIVED
 
 SHORT: Final = 4096
 """Longest such request in bytes; longer requests are not decoded."""
@@ -44,4 +44,4 @@ class Brake:
 
     def count(self, requests: int) -> None:
         """Add to the count of requests, or subtract from it."""
-        self._words[ASKED] += requests
+        self._words[STOPS_RECEIVED] += requests

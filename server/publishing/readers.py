@@ -10,7 +10,7 @@ from typing import Final
 
 import zmq
 
-from softfinger.server.publishing.front import Front, Gate, Lock, Open
+from softfinger.server.publishing.peer_socket import BoundEndpoint, KeyLock, PeerSocket, SocketContext
 
 log: Final = logging.getLogger(__name__)
 
@@ -26,31 +26,36 @@ AT_ONCE: Final = 256
 class Readers:
     """Subscribers of one endpoint.
 
-    queue  messages queued for a slow subscriber; beyond that, libzmq drops new messages for it
-    asked  called with each topic, or prefix of topics, of a new subscription
+    queue            messages queued for a slow subscriber; beyond that, libzmq drops new messages for it
+    on_subscription  called with each topic, or prefix of topics, of a new subscription
     """
 
     def __init__(
-        self, gate: Gate, bound: Open, lock: Lock | None, queue: int, asked: Callable[[bytes], None] | None = None
+        self,
+        gate: SocketContext,
+        bound: BoundEndpoint,
+        lock: KeyLock | None,
+        queue: int,
+        on_subscription: Callable[[bytes], None] | None = None,
     ) -> None:
         options = {"sndhwm": queue, "maxmsgsize": SUBSCRIPTION_MAX, "xpub_verboser": 1, "xpub_nodrop": 1}
-        self.front: Final = Front(gate, zmq.XPUB, bound, lock, options)
+        self.peers: Final = PeerSocket(gate, zmq.XPUB, bound, lock, options)
         self.lost = 0
         """Messages at which a subscriber was found to be too slow; libzmq does not report losses after these."""
-        self._asked = asked
+        self._on_subscription = on_subscription
         self._topics: dict[int, Counter[bytes]] = {}
-        """Subscriptions of each connection, by its number in `Front.connected`."""
+        """Subscriptions of each connection, by its number in `PeerSocket.connected`."""
         self._new: Counter[bytes] = Counter()
         self._since_s = 0.0
 
     @property
     def subscribers(self) -> int:
         """Number of connections that subscribe to at least one topic."""
-        return sum(bool(self._topics.get(number)) for number in self.front.connected.values())
+        return sum(bool(self._topics.get(number)) for number in self.peers.connected.values())
 
     def send(self, topic: bytes, body: bytes) -> None:
         """Send to all subscribers of the topic; never waits."""
-        socket = self.front.socket
+        socket = self.peers.socket
         try:
             socket.send(topic, zmq.SNDMORE | zmq.NOBLOCK)
         except zmq.Again:  # sent to no subscriber: now send to all that have room
@@ -65,21 +70,21 @@ class Readers:
         now = time.monotonic()
         if now - self._since_s >= 1.0:
             self._since_s, self._new = now, Counter()
-            connected = set(self.front.connected.values())
+            connected = set(self.peers.connected.values())
             self._topics = {number: topics for number, topics in self._topics.items() if number in connected}
         for _ in range(AT_ONCE):
-            if not self.front.has_come:
+            if not self.peers.has_message:
                 return
-            frame = self.front.socket.recv(zmq.NOBLOCK, copy=False)
+            frame = self.peers.socket.recv(zmq.NOBLOCK, copy=False)
             try:
                 file = int(frame.get(zmq.SRCFD))
             except zmq.ZMQError:  # from libzmq itself, for a connection that has closed
                 continue
-            said = frame.bytes
-            self._count(file, said[:1], said[1:])
-            if said[:1] == b"\1" and self._asked is not None:
-                self._asked(said[1:])
-            if self.front.lock is not None and self._floods(frame):
+            frame_bytes = frame.bytes
+            self._count(file, frame_bytes[:1], frame_bytes[1:])
+            if frame_bytes[:1] == b"\1" and self._on_subscription is not None:
+                self._on_subscription(frame_bytes[1:])
+            if self.peers.lock is not None and self._floods(frame):
                 return
 
     def _count(self, file: int, kind: bytes, topic: bytes) -> None:
@@ -88,8 +93,8 @@ class Readers:
         libzmq also passes on ends of subscriptions that never existed. They must not cancel subscriptions of other
         connections.
         """
-        self.front.look()  # libzmq reports a connection before its first frame
-        number = self.front.connected.get(file)
+        self.peers.process_events()  # libzmq reports a connection before its first frame
+        number = self.peers.connected.get(file)
         if number is None:
             return
         topics = self._topics.setdefault(number, Counter())
@@ -101,7 +106,7 @@ class Readers:
                 del topics[topic]
 
     def _floods(self, frame: zmq.Frame) -> bool:
-        lock = self.front.lock
+        lock = self.peers.lock
         assert lock is not None
         try:
             key = str(frame.get("User-Id")).encode()
@@ -111,7 +116,7 @@ class Readers:
         if self._new[key] <= SUBSCRIPTIONS_PER_S:
             return False
         log.warning("key %s is barred: more than %d topics in 1 s", lock.allowed.name(key), SUBSCRIPTIONS_PER_S)
-        lock.allowed.bar(key)
+        lock.allowed.revoke(key)
         lock.allowed.refresh()
-        self.front.renew()
+        self.peers.renew()
         return True

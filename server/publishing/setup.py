@@ -20,7 +20,7 @@ class Kind(IntEnum):
 
     # From the daemon; SETUP is the first.
     SETUP = 1
-    SHOWN = 2
+    STATE_INFO = 2
     MESSAGE = 3
     """Message to be published on the topic `key`, after the ticks that are available."""
     RETAINED = 4
@@ -29,9 +29,9 @@ class Kind(IntEnum):
     """Stored for later subscribers, but not published."""
     ANSWER = 6
     """Answer to the client `key`; frees one of the unanswered requests."""
-    LATER = 7
+    DEFERRED = 7
     """A request was accepted and will be answered with LATE; frees one of the unanswered requests."""
-    LATE = 8
+    DEFERRED_ANSWER = 8
     END = 9
 
     # From the publisher.
@@ -43,11 +43,11 @@ class Kind(IntEnum):
     """Request of a client that sends too many."""
     MALFORMED = 20
     """Message of a client without exactly two frames."""
-    SAID = 21
+    LOG = 21
     """Warning for the log."""
 
 
-class Entrance(Struct, frozen=True):
+class ListeningSocket(Struct, frozen=True):
     """Listening socket for peers.
 
     name    telemetry or commands
@@ -63,7 +63,7 @@ class Entrance(Struct, frozen=True):
     folder: str
 
 
-class Shown(Struct, frozen=True):
+class StateInfo(Struct, frozen=True):
     """Contents of `state` that do not come from the tick.
 
     scene    name of the scene
@@ -111,8 +111,8 @@ class Setup(Struct, frozen=True):
     backlog: int
     priority: int
     ticks: Ticks
-    shown: Shown
-    entrances: list[Entrance]
+    shown: StateInfo
+    entrances: list[ListeningSocket]
 
 
 class Figures(Struct, frozen=True):

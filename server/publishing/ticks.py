@@ -30,7 +30,7 @@ class Rows:
         self.lost = 0
         """Rows that were overwritten before they were read."""
 
-    def heard(self) -> None:
+    def reset_bell(self) -> None:
         """Reset the eventfd after it has signalled."""
         # The call orders this reader's loads after the writes that precede the signal.
         os.eventfd_read(self.bell)

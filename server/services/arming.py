@@ -27,7 +27,7 @@ class Arming:
     def __init__(self, rendering: Rendering, states: States) -> None:
         self._rendering, self._states = rendering, states
         fingers = len(rendering.servo.devices)
-        each = [place * RECORD_SIZE + at for place in range(fingers) for at in (AT.servo_guard, AT.buttons)]
+        each = [finger * RECORD_SIZE + at for finger in range(fingers) for at in (AT.servo_guard, AT.buttons)]
         self._columns: Final = [AT.tick, *each]
         self._pressed = -1
         """Buttons of the previous tick, -1 before the first: a button that is pressed at the start does not arm."""
@@ -38,18 +38,20 @@ class Arming:
         by, fast, pressed = self._rendering.rig.guard.arm, False, False
         for tick, *each in records[:, self._columns].tolist():
             bits = [int(guard) for guard in each[::2]]
-            fast = tick >= self._rendering.force.given_at and any(b & TOO_FAST and not b & DISARMED for b in bits)
+            fast = tick >= self._rendering.force.switched_on_tick and any(
+                b & TOO_FAST and not b & DISARMED for b in bits
+            )
             if fast and by != "automatic":
                 self._rendering.disarm(FAST)
-            pressed |= self._press(each[1::2])
+            pressed |= self._was_pressed(each[1::2])
         if by == "automatic":
             self._rendering.force.note_guard(FAST, fast)
         elif by == "button" and pressed:
             self._rendering.arm(UNARMED, FAST)
         self._states.fire(Trigger.TICK, "the first tick")
-        self._rendering.force.tell()
+        self._rendering.force.update_state()
 
-    def _press(self, buttons: list[float]) -> bool:
+    def _was_pressed(self, buttons: list[float]) -> bool:
         """Return whether a button was pressed since the last tick."""
         down = 0
         for word in buttons:

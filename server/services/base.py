@@ -67,5 +67,5 @@ class Worker(ABC):
 
 
 def stop_all(services: Iterable[Service], first: BaseException | None = None) -> BaseException | None:
-    """Stop services in reverse order and return the first error, as `shutdown.every` does."""
-    return shutdown.every(*(service.stop for service in reversed(list(services))), first=first)
+    """Stop services in reverse order and return the first error, as `shutdown.run_all_steps` does."""
+    return shutdown.run_all_steps(*(service.stop for service in reversed(list(services))), first=first)

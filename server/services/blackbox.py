@@ -43,7 +43,7 @@ class BlackBoxes(Worker):
         super().__init__("blackbox")
         self._describe = describe
         self.box: Final = BlackBox(fingers, GUARD_NAMES, NS_PER_S / servo.period_ns)
-        self.sink: Final = Sink("blackbox", self._take)
+        self.sink: Final = Sink("blackbox", self._add_records)
         self._due: tuple[float, Path] | None = None
         self._written_s = -APART_S
         self._number = 0
@@ -54,31 +54,31 @@ class BlackBoxes(Worker):
         super().stop()
         logging.getLogger().removeHandler(self.box.log)
 
-    def due(self, fault: str) -> str:
+    def schedule_file(self, fault: str) -> str:
         """Return the file that will contain a present fault; empty if none can be created. Callable from any thread."""
         with self._lock:
             if self._due is None:
-                place = folder()
-                if place is None:
+                directory = folder()
+                if directory is None:
                     return ""
                 self._number += 1
-                self._due = time.monotonic() + AFTER_S, place / name_of(fault, self._number)
+                self._due = time.monotonic() + AFTER_S, directory / name_of(fault, self._number)
             return str(self._due[1])
 
-    def tell(self, event: Mapping[str, Any]) -> None:
+    def record_event(self, event: Mapping[str, Any]) -> None:
         """Store a published event; callable from any thread."""
         self.box.event(event)
 
     def work(self) -> None:
         while not self.closing.wait(POLL_S):
-            self._look()
-        self._look(last=True)
+            self._write_due()
+        self._write_due(last=True)
 
     def failed(self, error: Exception) -> None:
         """Log the error; the run continues, because the black box only serves later analysis."""
         log.error("the black box has ended: %s", error)
 
-    def _look(self, last: bool = False) -> None:
+    def _write_due(self, last: bool = False) -> None:
         due, now = self._due, time.monotonic()
         if due is None or not (last or now >= max(due[0], self._written_s + APART_S)):
             return
@@ -89,10 +89,10 @@ class BlackBoxes(Worker):
             make_room(path.parent)
             self.box.write(path, self._describe())
         except (OSError, ConfigError) as error:
-            said = error.strerror if isinstance(error, OSError) and error.strerror else error
-            log.warning("the black box %s cannot be written: %s", path, said)
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+            log.warning("the black box %s cannot be written: %s", path, reason)
             return
         log.info("the last 10 s are in %s", path)
 
-    def _take(self, records: NDArray[np.float64], drops: int) -> None:
+    def _add_records(self, records: NDArray[np.float64], drops: int) -> None:
         self.box.take(records)

@@ -22,7 +22,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import build, describe, load_rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
-from softfinger.proxy.kernels.jit.compiler.doing import DOING
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.kernels.jit.decorators import KEPT
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning
@@ -69,7 +69,7 @@ class SceneChanges(Worker):
         self._next: Change | None = None
         self._compiler: subprocess.Popen[str] | None = None
 
-    def ask(self, change: Change) -> None:
+    def request(self, change: Change) -> None:
         """Replace the scene once it is compiled; returns at once."""
         with self._changed:
             before, self._next = self._next, change
@@ -86,7 +86,7 @@ class SceneChanges(Worker):
         super().stop()
 
     def work(self) -> None:
-        while (change := self._taken()) is not None:
+        while (change := self._next_change()) is not None:
             try:
                 scene = change.read()
                 self._compile(scene, change.name)
@@ -98,7 +98,7 @@ class SceneChanges(Worker):
     def failed(self, error: Exception) -> None:
         """Do nothing: only `done` can have raised, so one client gets no answer, and rendering is not affected."""
 
-    def _taken(self) -> Change | None:
+    def _next_change(self) -> Change | None:
         with self._changed:
             while self._next is None and not self.closing.is_set():
                 self._changed.wait()
@@ -107,17 +107,17 @@ class SceneChanges(Worker):
 
     def _compile(self, scene: schema.Scene, name: str) -> None:
         """Compile the loop of a scene into the cache; raises Superseded if a later scene has been requested."""
-        if Servo.compiled_for(make_tuning(scene, schema.Guard())) or KEPT.problem() is not None:
+        if Servo.has_compiled(make_tuning(scene, schema.Guard())) or KEPT.problem() is not None:
             return  # if the cache cannot be written, a separate process is useless
-        with tempfile.TemporaryFile("w+") as said:
-            code = self._run_compiler(scene, name, said)
+        with tempfile.TemporaryFile("w+") as errors:
+            code = self._run_compiler(scene, name, errors)
             if code:
-                said.seek(0)
-                log.error("the compiler of a scene ended with %d: %s", code, said.read().strip())
+                errors.seek(0)
+                log.error("the compiler of a scene ended with %d: %s", code, errors.read().strip())
                 raise NotCompiled("the scene could not be compiled: the daemon's log says why")
 
-    def _run_compiler(self, scene: schema.Scene, name: str, said: IO[str]) -> int:
-        """Run a process that fills the cache and return its exit code; its errors are in `said`."""
+    def _run_compiler(self, scene: schema.Scene, name: str, errors: IO[str]) -> int:
+        """Run a process that fills the cache and return its exit code; its errors are in `errors`."""
         with self._changed:
             if self._next is not None or self.closing.is_set():
                 raise _superseded()
@@ -125,7 +125,7 @@ class SceneChanges(Worker):
                 [sys.executable, "-P", "-m", __name__],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=said,
+                stderr=errors,
                 text=True,
                 start_new_session=True,  # the daemon handles Ctrl-C
             )
@@ -135,17 +135,17 @@ class SceneChanges(Worker):
                 # Not closed yet: the compiler exits when its standard input ends, as when the daemon dies.
                 compiler.stdin.write(json.dumps(describe(scene)) + "\n")
                 compiler.stdin.flush()
-            with compiler.stdout as told:
-                for line in told:
+            with compiler.stdout as output:
+                for line in output:
                     log.info("scene %s: %s", name, line.rstrip())
             code = compiler.wait()
         finally:
             with self._changed:
                 self._compiler = None
-                ended = self._next is not None or self.closing.is_set()
+                is_superseded = self._next is not None or self.closing.is_set()
             with contextlib.suppress(BrokenPipeError):
                 compiler.stdin.close()  # type: ignore[union-attr]
-        if ended:
+        if is_superseded:
             raise _superseded()
         return code
 
@@ -178,13 +178,13 @@ def main() -> None:
     Prints a line to standard output if anything has to be compiled; functions in the cache are only loaded.
     """
     os.nice(NICE)
-    DOING.at_first = lambda: print("compiling what is not kept of it, in a process of its own", flush=True)
+    COMPILE_PROGRESS.on_first = lambda: print("compiling what is not kept of it, in a process of its own", flush=True)
     scene = build(schema.Scene, json.loads(sys.stdin.readline()), "the scene")
-    threading.Thread(target=_leave_with_the_daemon, daemon=True).start()
+    threading.Thread(target=_exit_with_daemon, daemon=True).start()
     compile_loop(scene)
 
 
-def _leave_with_the_daemon() -> None:
+def _exit_with_daemon() -> None:
     while os.read(sys.stdin.fileno(), 1):
         pass
     os._exit(1)

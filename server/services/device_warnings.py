@@ -24,20 +24,20 @@ class DeviceWarnings(Worker):
     def __init__(self, devices: Callable[[], Sequence[Device]], event: Callable[..., Any]) -> None:
         super().__init__("device warnings")
         self._devices, self._event = devices, event
-        self._told: set[tuple[str, str]] = set()
+        self._reported: set[tuple[str, str]] = set()
 
     def work(self) -> None:
         while not self.closing.wait(PERIOD_S):
-            self.look()
+            self.check()
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Report warnings that are new since the last call."""
         now = {(device.info.name, device.warning()) for device in self._devices()}
-        for name, warning in sorted(now - self._told):
+        for name, warning in sorted(now - self._reported):
             if warning:
                 log.warning("%s: %s", name, warning)
                 self._event("fault", NAME, message=f"{name}: {warning}")
-        self._told = now
+        self._reported = now
 
     def failed(self, error: Exception) -> None:
         """Publish an event; the run continues, because rendering does not depend on this service."""

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.server.loop.force_switch import FOREVER, GIVEN, UNTIL, WANTED
+from softfinger.server.loop.force_switch import DEADLINE_NS, FOREVER, IS_ACTIVE, IS_REQUESTED
 from softfinger.server.states import UNARMED, States
 
 SWITCH_TICKS: Final = 2
@@ -20,35 +20,31 @@ SWITCH_TICKS: Final = 2
 class Force:
     """Force of all fingers, and all reasons that inhibit it; callable from any thread.
 
-    <<<<<<< HEAD
-        The loop does the rest: it takes the force off within OFF_S, and gives it back along the guard's ramp.
-    =======
-        The loop applies the switch: it turns the force off within OFF_S, and on along the guard's ramp.
-    >>>>>>> w-words-b
+    The loop applies the switch: it turns the force off within MAX_OFF_S, and on along the guard's ramp.
 
-        unarmed  whether a person must arm first
-        states   updated with the reasons
-        switch   memory of the servo's switch (`loop/force_switch.py`)
-        ticks    returns the number of ticks done
+    unarmed  whether a person must arm first
+    states   updated with the reasons
+    switch   memory of the servo's switch (`loop/force_switch.py`)
+    ticks    returns the number of ticks done
     """
 
     def __init__(self, unarmed: bool, states: States, switch: NDArray[np.int64], ticks: Callable[[], int]) -> None:
         self._states, self._switch, self._ticks = states, switch, ticks
         self._lock = threading.Lock()
-        self._disarmed = {UNARMED} if unarmed else set[str]()
-        self._guarded = set[str]()
+        self._reasons = {UNARMED} if unarmed else set[str]()
+        self._guard_reasons = set[str]()
         """Reasons for which the guard itself inhibits the force."""
         self._suspended = False
-        self._off_at = -SWITCH_TICKS
+        self._off_tick = -SWITCH_TICKS
         """Number of ticks done when the force was last switched off."""
-        self.given_at = 0
+        self.switched_on_tick = 0
         """Largest number of ticks that may have started before the force was last switched on."""
-        switch[WANTED] = int(self.wanted)
+        switch[IS_REQUESTED] = int(self.is_requested)
 
     @property
-    def wanted(self) -> bool:
+    def is_requested(self) -> bool:
         """Whether the force is on or fades in: no reason inhibits it."""
-        return not self._disarmed
+        return not self._reasons
 
     @property
     def state(self) -> str:
@@ -59,27 +55,27 @@ class Force:
     def is_off(self) -> bool:
         """Whether the force is switched off and all hands have zero force."""
         switch = self._switch
-        return not switch[WANTED] and not switch[GIVEN] and self._ticks() >= self._off_at + SWITCH_TICKS
+        return not switch[IS_REQUESTED] and not switch[IS_ACTIVE] and self._ticks() >= self._off_tick + SWITCH_TICKS
 
-    def kept_off(self, why: str) -> bool:
+    def is_inhibited_by(self, why: str) -> bool:
         """Return whether this reason inhibits the force."""
-        return why in self._disarmed
+        return why in self._reasons
 
-    def keep_off(self, why: str) -> None:
+    def inhibit(self, why: str) -> None:
         """Add a reason that inhibits the force."""
         with self._lock:
-            self._disarmed.add(why)
+            self._reasons.add(why)
             self._write()
 
     def allow(self, *why: str) -> None:
-        """Remove reasons of `keep_off`."""
+        """Remove reasons of `inhibit`."""
         with self._lock:
-            self._disarmed.difference_update(why)
+            self._reasons.difference_update(why)
             self._write()
 
     def end_at(self, time_ns: int = FOREVER) -> None:
         """Set the time, ns on CLOCK_MONOTONIC, after which the loop turns the force off unless it is extended."""
-        self._switch[UNTIL] = time_ns
+        self._switch[DEADLINE_NS] = time_ns
 
     @contextmanager
     def suspended(self) -> Iterator[None]:
@@ -96,17 +92,17 @@ class Force:
             self._write()
 
     def _write(self) -> None:
-        on, before = self.wanted and not self._suspended, bool(self._switch[WANTED])
+        on, before = self.is_requested and not self._suspended, bool(self._switch[IS_REQUESTED])
         if on and not before:
-            self.given_at = self._ticks() + SWITCH_TICKS
-        self._switch[WANTED] = int(on)
+            self.switched_on_tick = self._ticks() + SWITCH_TICKS
+        self._switch[IS_REQUESTED] = int(on)
         if before and not on:
-            self._off_at = self._ticks()
+            self._off_tick = self._ticks()
 
-    def note_guard(self, why: str, there: bool) -> None:
+    def note_guard(self, why: str, is_inhibiting: bool) -> None:
         """Set whether the guard itself inhibits the force for this reason."""
-        (self._guarded.add if there else self._guarded.discard)(why)
+        (self._guard_reasons.add if is_inhibiting else self._guard_reasons.discard)(why)
 
-    def tell(self) -> None:
+    def update_state(self) -> None:
         """Update the state with the present reasons."""
-        self._states.follow(self._disarmed | self._guarded)
+        self._states.follow(self._reasons | self._guard_reasons)

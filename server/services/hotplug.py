@@ -33,29 +33,29 @@ class Hotplug:
     def changes(self) -> list[tuple[str, Attached]]:
         """Return the changes since the last call: `detached` or `attached`, and the device."""
         names = discovery.names(self._root)
-        gone = [("detached", self._known.pop(name)) for name in sorted(self._known.keys() - names)]
-        came = []
+        detached = [("detached", self._known.pop(name)) for name in sorted(self._known.keys() - names)]
+        attached = []
         for name in sorted(names - self._known.keys()):
             device = discovery.read_device(name, self._root)
             # A device listed before its ids can be read is examined again next time; so is a hub, which is never
             # described.
             if device is not None:
                 self._known[name] = device
-                came.append(("attached", device))
-        return [*gone, *came]
+                attached.append(("attached", device))
+        return [*detached, *attached]
 
 
 def watch(hotplug: Hotplug, event: Callable[..., None], closing: threading.Event) -> None:
     """Publish the devices present, then every change, as an event of kind `device` each, until `closing` is set."""
     for device in hotplug.present:
-        event("device", "present", **described(device))
+        event("device", "present", **event_fields(device))
     while not closing.wait(PERIOD_S):
         for what, device in hotplug.changes():
             log.info("%s: %s", what, device)
-            event("device", what, **described(device))
+            event("device", what, **event_fields(device))
 
 
-def described(device: Attached) -> dict[str, Any]:
+def event_fields(device: Attached) -> dict[str, Any]:
     """Return the keys of an event that identify the device."""
     claim = find_claim(device)
     return {

@@ -17,7 +17,7 @@ from softfinger.config.files import open_recording
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.recording.recorder import Recorded, Recorder
-from softfinger.server.services.description import described
+from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering
 from softfinger.server.wire.protocol import SCHEMA
@@ -32,7 +32,7 @@ CLOSE_S: Final = 2.0
 """Time for which the end of the run waits for the disk."""
 
 
-class Written(NamedTuple):
+class RecordingTotals(NamedTuple):
     """Statistics of recordings.
 
     ticks, bytes    written
@@ -47,9 +47,9 @@ class Written(NamedTuple):
     events_dropped: int
     worst_write_s: float
 
-    def with_(self, one: Recorded) -> Written:
+    def with_recording(self, one: Recorded) -> RecordingTotals:
         """Return the statistics with one recording added."""
-        return Written(
+        return RecordingTotals(
             self.ticks + one.ticks,
             self.bytes + one.bytes,
             self.ticks_dropped + one.dropped,
@@ -70,11 +70,11 @@ class Recordings:
         self._changing = threading.Lock()
         self._recorder: Recorder | None = None
         self._ending: list[Recorder] = []  # recordings with a last part that may not be on disk yet
-        self._ended = Written(0, 0, 0, 0, 0.0)
+        self._ended = RecordingTotals(0, 0, 0, 0, 0.0)
         self._path = Path()
         self._failure: RecordingError | None = None
         self._settings: Any = None
-        self.sink: Final = Sink("recordings", self._take)
+        self.sink: Final = Sink("recordings", self._add_records)
 
     def start(self) -> None:
         """Do nothing: a recording starts on request."""
@@ -108,7 +108,7 @@ class Recordings:
             self._ending.append(recorder)
             return self._path, recorder.stop(STOP_S)
 
-    def kept_to(self) -> int:
+    def last_written_tick(self) -> int:
         """Return the last tick in the file of the current recording, -1 for none.
 
         Raises RecordingError if the recording has failed or none is running. The caller reports it, so `stop` does not.
@@ -122,22 +122,22 @@ class Recordings:
                 raise failure or RecordingError(f"{self._path}: the recording has ended: {error}")
             return recorder.written_to
 
-    def written(self) -> Written:
+    def written(self) -> RecordingTotals:
         """Return the statistics of all recordings of this run so far."""
         with self._changing:
             recorders, self._ending = self._ending, []
             for recorder in recorders:
                 recorded = recorder.recorded
                 if recorded.whole or recorded.error:
-                    self._ended = self._ended.with_(recorded)
+                    self._ended = self._ended.with_recording(recorded)
                 else:
                     self._ending.append(recorder)
             total = self._ended
             for recorder in (*self._ending, *filter(None, [self._recorder])):
-                total = total.with_(recorder.recorded)
+                total = total.with_recording(recorder.recorded)
         return total
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def record_event(self, event: dict[str, Any]) -> None:
         """Record a published event; callable from any thread."""
         recorder = self._recorder
         if recorder is not None:
@@ -162,33 +162,33 @@ class Recordings:
         with self._changing:
             if self._recorder is not None and not self._recorder.recorded.error:
                 raise RecordingError(f"{self._path} is being recorded: end that first")
-            file = _opened(path, folder)
+            file = _open_new_file(path, folder)
             if self._recorder is not None:
                 self._ending.append(self._recorder)
-            about = described(self._rendering, scene_name)
+            about = describe_daemon(self._rendering, scene_name)
             if self._settings is not None:
                 about["settings"] = self._settings
             self._path = (folder / path if folder is not None else path).absolute()
-            trouble = partial(self._trouble, self._path)
+            trouble = partial(self._report_trouble, self._path)
             self._recorder = Recorder(file, self._fingers, about, trouble, GUARD_NAMES)
             return self._path
 
-    def _take(self, records: NDArray[np.float64], drops: int) -> None:
+    def _add_records(self, records: NDArray[np.float64], drops: int) -> None:
         recorder = self._recorder
         if recorder is not None:
             fingers = records.reshape(len(records), -1, RECORD_SIZE)
-            for place in range(fingers.shape[1]):
-                recorder.take(fingers[:, place], place)
+            for finger_index in range(fingers.shape[1]):
+                recorder.take(fingers[:, finger_index], finger_index)
 
-    def _trouble(self, path: Path, message: str, ended: bool) -> None:
-        said = f"{path}: {message}"
+    def _report_trouble(self, path: Path, message: str, ended: bool) -> None:
+        text = f"{path}: {message}"
         if ended and self._failure is None:
-            self._failure = RecordingError(said)
-        log.error("%s", said)
-        self._event("fault", "recording", message=said)
+            self._failure = RecordingError(text)
+        log.error("%s", text)
+        self._event("fault", "recording", message=text)
 
 
-def _opened(path: Path, folder: Path | None) -> IO[bytes]:
+def _open_new_file(path: Path, folder: Path | None) -> IO[bytes]:
     try:
         return open_recording(path, folder)
     except FileExistsError as error:

@@ -56,7 +56,7 @@ class Records(Worker):
     ) -> None:
         super().__init__("records")
         self._servo, self._tap, self._sinks, self._fail, self._event = servo, tap, list(sinks), fail, event
-        self._given_up = False
+        self._abandoned = False
 
     def work(self) -> None:
         try:
@@ -70,21 +70,21 @@ class Records(Worker):
         while running:
             self._tap.wait()
             # read before the tap is emptied, so that records from before the end are passed on
-            running = not (self._tap.ended or self._given_up)
+            running = not (self._tap.ended or self._abandoned)
             while (count := self._tap.take(batch)) > 0:
-                self._hand_on(batch[:count], self._servo.records.drops + self._tap.lost)
+                self._distribute(batch[:count], self._servo.records.drops + self._tap.lost)
         if self._tap.failed:
             raise RuntimeError("the thread that hands ticks on has ended")
 
-    def _hand_on(self, records: NDArray[np.float64], drops: int) -> None:
+    def _distribute(self, records: NDArray[np.float64], drops: int) -> None:
         for sink in list(self._sinks):
             try:
                 sink.take(records, drops)
             except Exception as error:
                 self._sinks.remove(sink)
-                self._dropped(sink, error)
+                self._report_failure(sink, error)
 
-    def _dropped(self, sink: Sink, error: Exception) -> None:
+    def _report_failure(self, sink: Sink, error: Exception) -> None:
         if sink.vital is not None:
             log.exception("%s failed; stopping", sink.name)
             self._fail(sink.vital(error))
@@ -98,14 +98,14 @@ class Records(Worker):
 
     def stop(self) -> None:
         # A servo that was never started, or that hangs, produces no last record.
-        failed = shutdown.every(*([self._give_up] if self._servo.running else []), super().stop, self._release)
+        failed = shutdown.run_all_steps(*([self._abandon] if self._servo.running else []), super().stop, self._release)
         if self._thread.ident is None:
             self._tap.close()
         if failed is not None:
             raise failed
 
-    def _give_up(self) -> None:
-        self._given_up = True
+    def _abandon(self) -> None:
+        self._abandoned = True
         self._tap.wake()
 
     def _release(self) -> None:

@@ -22,14 +22,14 @@ from softfinger.proxy.record import AT
 from softfinger.proxy.scene import other_model
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.clock import NS_PER_S
-from softfinger.server.loop.force_switch import OFF_S
+from softfinger.server.loop.force_switch import MAX_OFF_S
 from softfinger.server.loop.handover import Loop
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import UNMOVED
 from softfinger.server.loop.tuning import make_tuning, with_armed, with_offsets, with_scene
 from softfinger.server.progress import making
 from softfinger.server.services.base import JOIN_S
-from softfinger.server.services.devices import check_replacement, injected, open_devices, tools
+from softfinger.server.services.devices import check_replacement, inject_faults, open_devices, tools
 from softfinger.server.services.force import Force
 from softfinger.server.states import UNARMED, States
 
@@ -48,7 +48,7 @@ class Replacing(HapticError):
 
 
 @contextmanager
-def _held(lock: threading.Lock) -> Iterator[None]:
+def _locked(lock: threading.Lock) -> Iterator[None]:
     """Acquire a lock; raise Replacing after a timeout."""
     if not lock.acquire(timeout=CHANGE_WAIT_S):
         raise Replacing("the rendering is being replaced or paused: nothing was changed; try again")
@@ -90,12 +90,12 @@ class Rendering:
         self._pauses = 0
         """Nested pauses: a signal handler that pauses may be interrupted by another one; the force returns with the
         last."""
-        self._replacing = threading.Lock()
-        self._changing = threading.Lock()
+        self._replace_lock = threading.Lock()
+        self._parameters_lock = threading.Lock()
         """Held while parameters of the scene are changed, including the time to read their files."""
-        self._handing_over = threading.Lock()
-        """Held while the tuning or the loop is changed; acquired after `_changing` if both are needed."""
-        self._moved = 0
+        self._tuning_lock = threading.Lock()
+        """Held while the tuning or the loop is changed; acquired after `_parameters_lock` if both are needed."""
+        self._offset_tick = 0
         """Number of ticks started when an offset was last set."""
         devices = self._open(scene, rig)
         try:
@@ -105,7 +105,7 @@ class Rendering:
                     devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s, switch
                 )
         except BaseException as error:
-            shutdown.every(lambda: shutdown.close_all(devices), first=error)
+            shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
             raise
         unarmed = rig.guard.arm != "automatic"
         self.force: Final = Force(unarmed, states or States(), self.servo.switch, lambda: self.servo.ticks)
@@ -116,7 +116,7 @@ class Rendering:
 
     def stop(self) -> None:
         self._stopped = True
-        failed = shutdown.every(self.servo.stop, self._join, self._close)
+        failed = shutdown.run_all_steps(self.servo.stop, self._join, self._close)
         if failed is not None:
             raise failed
 
@@ -124,7 +124,7 @@ class Rendering:
         """Replace scene or rig, starting from zero force; return the number of the first tick with it.
 
         All steps that can be refused or take long run first, while the old loop continues; if they fail, nothing has
-        changed. Then the guard brings the force to zero within OFF_S, the loop ends with zero, and the next loop
+        changed. Then the guard brings the force to zero within MAX_OFF_S, the loop ends with zero, and the next loop
         starts with the guard's ramp. Devices with the same tables and rate remain open and armed. Other devices are
         opened after the old ones are closed, because both may be the same hardware; if that fails, the run ends with
         the error. Callable from any thread except the servo's, one call at a time.
@@ -132,33 +132,35 @@ class Rendering:
         Raises ConfigError if scene and rig cannot replace the running ones, SafetyStop if the servo is not running, and
         the errors of opening a device.
         """
-        with self._replacing:
+        with self._replace_lock:
             servo = self.servo
             servo.check_running()
-            rig, asked = rig or self._rig, scene or self._scene
-            self.check(asked, rig)
-            moved, before = pair(asked, rig), pair(self._scene, self._rig)
-            keeps = [each.device for each in moved] == [each.device for each in before]
-            keeps = keeps and rig.servo.rate_hz == self._rig.servo.rate_hz
+            rig, new_scene = rig or self._rig, scene or self._scene
+            self.check(new_scene, rig)
+            new_pairs, old_pairs = pair(new_scene, rig), pair(self._scene, self._rig)
+            keeps_devices = [each.device for each in new_pairs] == [each.device for each in old_pairs]
+            keeps_devices = keeps_devices and rig.servo.rate_hz == self._rig.servo.rate_hz
             # Compiled with the present devices: the compiled loop does not depend on them.
-            compiled = self._loop(asked, rig)
+            compiled = self._loop(new_scene, rig)
             servo.compile(compiled)
 
             def make() -> Loop:
-                if not keeps:
-                    return self._opened(asked, rig)
+                if not keeps_devices:
+                    return self._loop_for_new_devices(new_scene, rig)
                 # Parameters of a scene that continues, and the offset of a device, may have changed in the meantime.
-                return self._loop(asked, rig) if scene is None else self._with_offsets(compiled)
+                if scene is None:
+                    return self._loop(new_scene, rig)
+                return servo.with_tuning(compiled, with_offsets(compiled.tuning, self._tuning.offsets))
 
-            with self._changing, self._handing_over:
-                asked = scene or self._scene
-                if not keeps and rig.guard.arm != "automatic":  # it may be another hand
-                    self.force.keep_off(UNARMED)
+            with self._parameters_lock, self._tuning_lock:
+                new_scene = scene or self._scene
+                if not keeps_devices and rig.guard.arm != "automatic":  # it may be another hand
+                    self.force.inhibit(UNARMED)
                 with self.force.suspended():
                     self._await_no_force()
-                    first = servo.replace(make, keeps)
+                    first = servo.replace(make, keeps_devices)
                 self._since = first
-                self._rig, self._scene, self._tuning = rig, asked, servo.tuning
+                self._rig, self._scene, self._tuning = rig, new_scene, servo.tuning
             if self._stopped:  # `stop` did not wait for the devices to open
                 shutdown.close_all(servo.devices)
             return first
@@ -206,14 +208,14 @@ class Rendering:
         Replacing
             If another change is in progress.
         """
-        with _held(self._changing):
+        with _locked(self._parameters_lock):
             before, after = self._scene, overridden(self._scene, changes, where)
             if pair(after, self._rig) != pair(before, self._rig):
                 raise ConfigError(f"{where}: a finger's name and device are no parameters: set the whole scene")
             tuning = with_scene(self._tuning, after)
-            if not self.servo.fits(tuning):
+            if not self.servo.is_compiled_for(tuning):
                 raise ConfigError(f"{where}: {other_model(before, changes)}: set the whole scene")
-            with _held(self._handing_over):
+            with _locked(self._tuning_lock):
                 # An offset may have been set in the meantime.
                 self._tuning = self._tuning._replace(scene=tuning.scene, passivity=tuning.passivity)
                 self._scene = after
@@ -224,55 +226,55 @@ class Rendering:
         """Offset added to the position from the device of each finger, m."""
         return tuple((x + 0.0, y + 0.0, z + 0.0) for x, y, z in self._tuning.offsets)
 
-    def move(self, finger: int, position: Vec3 | None, seen: NDArray[np.float64]) -> int:
+    def set_offset(self, finger: int, position: Vec3 | None, record: NDArray[np.float64]) -> int:
         """Set the offset that moves a finger's probe to `position`; None removes the offset.
 
         The offset remains until the run ends or the finger gets another device. The contact of the finger restarts.
 
         finger    index of the finger
         position  (3,) m, world, or None
-        seen      latest record of the finger
+        record    latest record of the finger
         returns   a lower bound of the number of ticks started without the change
 
         Raises Replacing if another change is in progress or the force is not off.
         """
-        with _held(self._handing_over):
+        with _locked(self._tuning_lock):
             if not self.force.is_off:
                 raise Replacing("the force is on its way off: nothing was changed; try again")
-            if position is not None and seen[AT.tick] < self._moved + 2:
+            if position is not None and record[AT.tick] < self._offset_tick + 2:
                 raise Replacing("where the probe is now is not known yet: nothing was changed; try again")
             offsets = list(self._tuning.offsets)
             offsets[finger] = UNMOVED
             if position is not None:
-                at, before = seen[AT.probe_position : AT.probe_position + 3].tolist(), self.offsets[finger]
+                at, before = record[AT.probe_position : AT.probe_position + 3].tolist(), self.offsets[finger]
                 offsets[finger] = tuple(p - (x - b) for p, x, b in zip(position, at, before, strict=True))
             self._tuning = with_offsets(self._tuning, tuple(offsets))
-            self._moved = self._tune()
-            return self._moved
+            self._offset_tick = self._tune()
+            return self._offset_tick
 
-    def lead(self, finger: int, wanted: RequestedPose | None) -> None:
+    def lead_hand(self, finger: int, target: RequestedPose | None) -> None:
         """Move the computed hand of a finger to a pose and hold it there; None: resume its default motion.
 
         Raises NoSimulatedHand if the device computes none, ConfigError if the device cannot reach or sense the pose, or
         Replacing.
         """
-        with _held(self._handing_over):
-            lead(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], wanted)
+        with _locked(self._tuning_lock):
+            lead(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], target)
 
-    def hold(self, finger: int) -> Pose:
-        """Hold the computed hand of a finger at its present goal and return that pose; errors as for `lead`."""
-        with _held(self._handing_over):
+    def hold_hand(self, finger: int) -> Pose:
+        """Hold the computed hand of a finger at its present goal and return that pose; errors as for `lead_hand`."""
+        with _locked(self._tuning_lock):
             return hold(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger])
 
     def disarm(self, why: str) -> None:
-        """Turn the force off within OFF_S and add the reason `why`; never waits."""
-        self.force.keep_off(why)
-        self.force.tell()
+        """Turn the force off within MAX_OFF_S and add the reason `why`; never waits."""
+        self.force.inhibit(why)
+        self.force.update_state()
 
     def arm(self, *why: str) -> None:
         """Remove reasons of `disarm`; with the last one the force fades in along the guard's ramp."""
         self.force.allow(*why)
-        self.force.tell()
+        self.force.update_state()
 
     def _tune(self) -> int:
         """Pass the tuning to the servo; return a lower bound of the number of ticks started without it."""
@@ -280,42 +282,38 @@ class Rendering:
         self.servo.tune(self._tuning)
         return ticks
 
-    def _loop(self, scene: schema.Scene, rig: schema.Rig, given: Sequence[Device] = ()) -> Loop:
+    def _loop(self, scene: schema.Scene, rig: schema.Rig, new_devices: Sequence[Device] = ()) -> Loop:
         """Return a loop for the given devices, or for the present ones."""
-        devices = given or self.servo.devices
+        devices = new_devices or self.servo.devices
         infos = [device.info for device in devices]
         tuning = make_tuning(scene, rig.guard, infos, tools(scene, rig))
-        if not given:  # an offset belongs to its device
+        if not new_devices:  # an offset belongs to its device
             tuning = with_offsets(tuning, self._tuning.offsets)
         return self.servo.loop(devices, tuning, rig.servo.rate_hz)
 
-    def _with_offsets(self, loop: Loop) -> Loop:
-        """Return the loop with the present offsets."""
-        return self.servo.retuned(loop, with_offsets(loop.tuning, self._tuning.offsets))
-
-    def _opened(self, scene: schema.Scene, rig: schema.Rig) -> Loop:
+    def _loop_for_new_devices(self, scene: schema.Scene, rig: schema.Rig) -> Loop:
         """Return a loop for devices that are opened in place of the present ones."""
         shutdown.close_all(self.servo.devices)
         devices = self._open(scene, rig)
         try:
             return self._loop(scene, rig, devices)
         except BaseException as error:
-            shutdown.every(lambda: shutdown.close_all(devices), first=error)
+            shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
             raise
 
     def _open(self, scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
         devices = open_devices(scene, rig)
         try:
-            return injected(devices, scene, self.faults, rig.servo.rate_hz)
+            return inject_faults(devices, scene, self.faults, rig.servo.rate_hz)
         except BaseException as error:
-            shutdown.every(lambda: shutdown.close_all(devices), first=error)
+            shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
             raise
 
     def _await_no_force(self) -> None:
         """Wait until the loop has turned the force off; raises SafetyStop if it does not tick."""
-        to_zero_s = OFF_S + PAUSE_TICKS * self.servo.period_ns / NS_PER_S
+        to_zero_s = MAX_OFF_S + PAUSE_TICKS * self.servo.period_ns / NS_PER_S
         until = time.monotonic() + 2.0 * to_zero_s + PAUSE_WAIT_S
-        while self.servo.looping and not self.force.is_off:
+        while self.servo.is_ticking and not self.force.is_off:
             if time.monotonic() > until:
                 raise SafetyStop("nothing was replaced: the servo did not tick until the force was off")
             time.sleep(POLL_S)
@@ -326,34 +324,34 @@ class Rendering:
         Callable from the main thread and its signal handlers. Ends the servo if it does not tick, or while a loop is
         replaced.
         """
-        if not self._pauses and not self._handing_over.acquire(timeout=PAUSE_WAIT_S):
+        if not self._pauses and not self._tuning_lock.acquire(timeout=PAUSE_WAIT_S):
             self._end()
             return lambda: None
         self._pauses += 1
         self.servo.tune(with_armed(self._tuning, 0.0))
         # If no tick has run yet, the first will find the guard disarmed.
-        if not self._ticked(PAUSE_TICKS, PAUSE_WAIT_S) and self.servo.ticks:
+        if not self._wait_ticks(PAUSE_TICKS, PAUSE_WAIT_S) and self.servo.ticks:
             self._end()
         time.sleep(PAUSE_SETTLE_S)
-        return self._go_on
+        return self._resume
 
-    def _go_on(self) -> None:
+    def _resume(self) -> None:
         self._pauses -= 1
         if not self._pauses:
             self._tune()
-            self._handing_over.release()
+            self._tuning_lock.release()
 
     def _end(self) -> None:
         self.servo.stop()
         shutdown.stop_all(self.servo.devices)
 
-    def _ticked(self, count: int, timeout_s: float) -> bool:
+    def _wait_ticks(self, count: int, timeout_s: float) -> bool:
         """Wait for a number of further ticks; return False on a timeout.
 
         Returns True if the loop ends, because the force is then zero.
         """
         ticks, until = self.servo.ticks, time.monotonic() + timeout_s
-        while self.servo.looping and self.servo.ticks < ticks + count:
+        while self.servo.is_ticking and self.servo.ticks < ticks + count:
             if time.monotonic() > until:
                 return False
             time.sleep(POLL_S)
@@ -367,9 +365,9 @@ class Rendering:
 
     def _close(self) -> None:
         # Not while another device is being opened in its place, unless that takes too long.
-        changed = self._handing_over.acquire(timeout=JOIN_S)
+        acquired = self._tuning_lock.acquire(timeout=JOIN_S)
         try:
             shutdown.close_all(self.servo.devices)
         finally:
-            if changed:
-                self._handing_over.release()
+            if acquired:
+                self._tuning_lock.release()

@@ -25,13 +25,13 @@ class Supervisor(Worker):
 
     def work(self) -> None:
         watchdog = health.Watchdog()
-        while self._servo.looping:
+        while self._servo.is_ticking:
             time.sleep(health.STALL_POLL_S)
             ticks = self._servo.ticks
-            held = any(device.info.has_persistent_force for device in self._servo.devices)
-            polls = health.STALL_POLLS if held else health.STALL_POLLS_WITHOUT_HAND
+            has_force = any(device.info.has_persistent_force for device in self._servo.devices)
+            polls = health.STALL_POLLS if has_force else health.STALL_POLLS_WITHOUT_HAND
             idle_s = watchdog.stalled_s(ticks, self._servo.armed, polls)
-            if idle_s and self._servo.looping:
+            if idle_s and self._servo.is_ticking:
                 self._stop_stalled(idle_s, ticks)
                 return
 
@@ -44,7 +44,7 @@ class Supervisor(Worker):
             f"no tick for {idle_s:.2f} s after tick {ticks}: zero force was commanded; "
             "a device's exchange hangs, or this machine starves the servo thread"
         )
-        shutdown.every(
+        shutdown.run_all_steps(
             lambda: self._fail(stalled),  # first: it takes no time, unlike stopping a device
             lambda: shutdown.stop_all(self._servo.devices),
             lambda: self._event("fault", "stalled", message=str(stalled)),

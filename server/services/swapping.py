@@ -30,21 +30,21 @@ class Swapping(Worker):
     def __init__(self, event: Callable[..., Any], status: Path = STATUS) -> None:
         super().__init__("swapping")
         self._event, self._status = event, status
-        self._told = False
+        self._reported = False
 
     def work(self) -> None:
-        self.look()
+        self.check()
         while not self.closing.wait(PERIOD_S):
-            self.look()
+            self.check()
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Report memory in swap, unless it has been reported."""
         kilobytes = swapped_kb(self._status.read_text())
-        if kilobytes and not self._told:
+        if kilobytes and not self._reported:
             message = f"{kilobytes} kB of the daemon are in swap: {ADVICE}"
             log.warning("%s", message)
             self._event("fault", NAME, message=message)
-        self._told = kilobytes > 0
+        self._reported = kilobytes > 0
 
     def failed(self, error: Exception) -> None:
         """Publish an event; the run continues, because rendering does not depend on this service."""

@@ -15,23 +15,23 @@ class Telemetry:
 
     def __init__(self, publisher: Publisher, servo: Servo) -> None:
         self._publisher, self._servo = publisher, servo
-        self._told = False
-        self.sink = Sink("publisher", publisher.observe, _lost)
+        self._announced = False
+        self.sink = Sink("publisher", publisher.observe, _telemetry_error)
 
     def start(self) -> None:
         self._publisher.attach(self._servo.records)
         self._publisher.event("lifecycle", "started", device=names(self._servo.devices))
-        self._told = True
+        self._announced = True
 
     def stop(self) -> None:
-        failed = shutdown.every(self._tell_stopped, self._publisher.close)
+        failed = shutdown.run_all_steps(self._publish_stopped, self._publisher.close)
         if failed is not None:
             raise failed
 
-    def _tell_stopped(self) -> None:
-        if self._told:
+    def _publish_stopped(self) -> None:
+        if self._announced:
             self._publisher.event("lifecycle", "stopped", ticks=self._servo.ticks)
 
 
-def _lost(error: Exception) -> HapticError:
+def _telemetry_error(error: Exception) -> HapticError:
     return SafetyStop(f"telemetry cannot be published: {error}; nobody can see what is rendered")

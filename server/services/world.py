@@ -38,21 +38,21 @@ class WorldState(Worker):
         self._servo, self._publish, self._event = servo, publish, event
         self._motion: Slot | None = None
         self._sequence, self._values = 0, np.empty(0)
-        self._told: Any = None
+        self._reported: Any = None
         """Bodies whose fault has been reported."""
 
     def work(self) -> None:
         wait_s = IDLE_S
         while not self.closing.wait(wait_s):
-            wait_s = self._look()
+            wait_s = self._publish_latest()
 
-    def _look(self) -> float:
+    def _publish_latest(self) -> float:
         """Publish the latest motion and return the time (s) until the next check.
 
         Drops references to a loop that has finished, or that is about to be replaced by one with other bodies.
         """
         shared, scene = self._servo.shared, self._servo.tuning.scene
-        self._tell_fault(scene)
+        self._report_fault(scene)
         if scene.bodies is None or len(shared.motion.values) != motion_size(scene):
             self._motion = None
             return IDLE_S
@@ -63,15 +63,15 @@ class WorldState(Worker):
         newest = read(self._motion, self._sequence, self._values)
         if newest != self._sequence:
             self._sequence = newest
-            self._publish(int(self._values[0]), told(scene.bodies.block.owner.names, self._values))
+            self._publish(int(self._values[0]), body_maps(scene.bodies.block.owner.names, self._values))
         return 1.0 / WORLD_HZ
 
-    def _tell_fault(self, scene: Scene) -> None:
+    def _report_fault(self, scene: Scene) -> None:
         """Report a fault once; after a reset, the bodies are new objects."""
         owner = None if scene.bodies is None else scene.bodies.block.owner
-        if owner is None or owner is self._told or (failure := owner.failure) is None:
+        if owner is None or owner is self._reported or (failure := owner.failure) is None:
             return
-        self._told = owner
+        self._reported = owner
         message = f"{failure}; then softfinger ctl reset_world puts them back"
         log.error("%s", message)
         self._event("fault", "bodies", message=message)
@@ -81,7 +81,7 @@ class WorldState(Worker):
         self._event("fault", "world", message=str(error))
 
 
-def told(names: list[str], values: NDArray[np.float64]) -> list[dict[str, Any]]:
+def body_maps(names: list[str], values: NDArray[np.float64]) -> list[dict[str, Any]]:
     """Return the bodies of a message, from the array that `query.bodies.tell_motion` writes."""
     return [
         {

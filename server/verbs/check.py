@@ -128,7 +128,7 @@ def examine_file(file: str) -> Finding:
             summary = scene_summary(config)
         else:
             if config.security is not None:
-                from softfinger.server.gateway.allowed import key_folders
+                from softfinger.server.publishing.allowed import key_folders
 
                 key_folders(config.security)
             for table, device in config.tables.items():

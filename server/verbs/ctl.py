@@ -15,7 +15,7 @@ from softfinger.config.load import read_toml
 from softfinger.config.words import near, shown
 from softfinger.server import keys
 from softfinger.server.arguments import duration
-from softfinger.server.gateway.addresses import BUSY_S, addresses_of
+from softfinger.server.gateway.addresses import BUSY_S, find_addresses
 from softfinger.server.progress import progress
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 from softfinger.server.wire.commands import METHODS, table
@@ -62,8 +62,8 @@ def run(args: argparse.Namespace) -> int:
     shown_wait = progress(f"{args.method}: waiting for the daemon{compiles}")
     lock = keys.of_options(args)
     asked_s = BUSY_S if args.timeout is None else args.timeout
-    found = addresses_of(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=asked_s)
-    with Control(found.commanded(), args.timeout, lock) as daemon, shown_wait:
+    found = find_addresses(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=asked_s)
+    with Control(found.command_endpoint(), args.timeout, lock) as daemon, shown_wait:
         result = msgspec.to_builtins(daemon.ask(args.method, params))
     if args.json:
         print(json.dumps(result))

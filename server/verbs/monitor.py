@@ -21,8 +21,8 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import MODE_NAMES
 from softfinger.server import keys
-from softfinger.server.gateway.addresses import addresses_of
-from softfinger.server.wire.client import DEFAULT_ENDPOINT, NoTelemetry, Sample, silence, subscribe
+from softfinger.server.gateway.addresses import find_addresses
+from softfinger.server.wire.client import DEFAULT_ENDPOINT, NoTelemetry, Sample, no_telemetry_text, subscribe
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, finger_of
 
 if TYPE_CHECKING:  # rich takes 50 ms to import and only the dashboard needs it
@@ -161,7 +161,7 @@ def _watch(args: argparse.Namespace, show: Callable[[Board], None], period_s: fl
     next_show = started + period_s
     topics = CONTACT, EVENT, HEALTH, FINGERS
     lock = keys.of_options(args)
-    endpoint = addresses_of(args.endpoint, lock, within_s=args.timeout).telemetry
+    endpoint = find_addresses(args.endpoint, lock, within_s=args.timeout).telemetry
     with subscribe(endpoint, topics, keys=lock) as subscription:
         board = Board(endpoint)
         while True:
@@ -170,7 +170,7 @@ def _watch(args: argparse.Namespace, show: Callable[[Board], None], period_s: fl
                 board.take(sample)
             now = time.monotonic()
             if not board.messages and now >= min(end, started + args.timeout):
-                raise NoTelemetry(silence(endpoint, min(args.timeout, args.duration or math.inf)))
+                raise NoTelemetry(no_telemetry_text(endpoint, min(args.timeout, args.duration or math.inf)))
             if args.once:
                 if board.messages and (now >= min(end, started + _ONCE_WAIT_S) or (board.fingers and board.health)):
                     show(board)

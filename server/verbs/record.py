@@ -22,7 +22,7 @@ from softfinger.config.files import is_same_file
 from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, rate_from_period
 from softfinger.server import keys, signals
 from softfinger.server.arguments import by_finger
-from softfinger.server.gateway.addresses import addresses_of
+from softfinger.server.gateway.addresses import find_addresses
 from softfinger.server.progress import counter
 from softfinger.server.recording.poses_file import PosesFile, poses_file
 from softfinger.server.recording.verbs.live import Live, record_live
@@ -31,7 +31,7 @@ from softfinger.server.wire.client import (
     NoTelemetry,
     Sample,
     Subscription,
-    silence,
+    no_telemetry_text,
     subscribe,
 )
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, ProtocolError, finger_of
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     if (args.file is None) == (args.poses is None):
         raise ConfigError("record takes a FILE, or --poses FILE: give one of them")
     stop, lock = Stop(), keys.of_options(args)
-    found = addresses_of(args.endpoint, lock, args.commands, within_s=args.timeout)
+    found = find_addresses(args.endpoint, lock, args.commands, within_s=args.timeout)
     if args.file is not None and Path(args.file).suffix.lower() == ".mcap":
         live = Live(found, lock, args.duration, args.timeout, lambda: stop.asked)
         with signals.asked(stop.ask):
@@ -224,7 +224,7 @@ def _first(samples: Subscription, files: Mapping[str, Path], timeout_s: float, s
             raise ConfigError(f"--poses of {', '.join(files) or 'one finger'}: the server has {wanted}")
         if finger in files:
             return sample
-    raise NoTelemetry(silence(samples.endpoint, timeout_s))
+    raise NoTelemetry(no_telemetry_text(samples.endpoint, timeout_s))
 
 
 class Clock:

@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
             first = sys.exception()
             pages = [] if page is None else [page.close]
             others = [*(watcher.dismiss for watcher in watchers), *pages]
-            failed = shutdown.every(lambda: daemon.close(first), *others, first=first)
+            failed = shutdown.run_all_steps(lambda: daemon.close(first), *others, first=first)
         if failed is not None and failed is not first:
             raise failed
     return signals.code_of_stop()

@@ -13,7 +13,7 @@ from typing import Final
 from softfinger.config.errors import ConfigError
 from softfinger.server import keys, signals
 from softfinger.server.arguments import duration
-from softfinger.server.gateway.addresses import addresses_of
+from softfinger.server.gateway.addresses import find_addresses
 from softfinger.server.viewer.roles import Role
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     page = Page(args.host, args.port, tuple(args.allow_host), token)
     try:
         if recording is None:
-            daemon = addresses_of(args.endpoint, lock, args.commands)
+            daemon = find_addresses(args.endpoint, lock, args.commands)
             fed: LivePage | ParticipantPage | RecordedPage = (
                 ParticipantPage(page, daemon, lock)
                 if args.role == Role.PARTICIPANT

@@ -45,7 +45,7 @@ class LivePage:
     def __init__(
         self, page: Page, daemon: Addresses, keys: ClientKeys | None = None, role: Role = Role.OPERATOR
     ) -> None:
-        commands, may = daemon.commanded(), ALLOWED[role]
+        commands, may = daemon.command_endpoint(), ALLOWED[role]
         self._page = page
         self._live = Live(daemon.telemetry, keys)
         self._asker = Asker(commands, keys, may=may)

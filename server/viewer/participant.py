@@ -22,7 +22,7 @@ class ParticipantPage:
 
     def __init__(self, page: Page, daemon: Addresses, keys: ClientKeys | None = None) -> None:
         self._live = Live(daemon.telemetry, keys, (EVENT,))
-        self._asker = Asker(daemon.commanded(), keys, may=ALLOWED[Role.PARTICIPANT])
+        self._asker = Asker(daemon.command_endpoint(), keys, may=ALLOWED[Role.PARTICIPANT])
         page.only_prompts()
         self._prompt = PromptPanel(page.server.gui, self._asker, lambda text: page.say(text, "Not done:"), size=SIZE)
         self._since = ASK_AGAIN_S

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, Final
 
 from softfinger.server.viewer.wire import Asker, Request
-from softfinger.server.wire.asking import number_of
+from softfinger.server.wire.client_requests import parse_number
 from softfinger.server.wire.commands import Prompt, Prompted
 
 TEXT: Final = (
@@ -87,7 +87,7 @@ class PromptPanel:
         with self._folder:
             if prompt.number is not None:
                 field, button = gui.add_text("your number", ""), gui.add_button("answer")
-                button.on_click(lambda event: self._send(number_of(field.value), number))
+                button.on_click(lambda event: self._send(parse_number(field.value), number))
                 return [field, button]
             if len(prompt.choices) > LARGE_MAX:
                 buttons = gui.add_button_group("", prompt.choices)

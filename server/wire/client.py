@@ -47,7 +47,7 @@ _LARGEST_FRAME: Final = 1 << 20  # ZeroMQ disconnects a peer that sends more, be
 
 _IN_LISTS: Final = [i for i, field in enumerate(FIELDS) if field.name.startswith("contacts")]
 _VALUES_BEFORE: Final = attrgetter(*(field.name for field in FIELDS[: _IN_LISTS[0]]))
-_VALUES_BEHIND: Final = attrgetter(*(field.name for field in FIELDS[_IN_LISTS[-1] + 1 :]))
+_VALUES_AFTER: Final = attrgetter(*(field.name for field in FIELDS[_IN_LISTS[-1] + 1 :]))
 _PATCH_FIELDS: Final = [field for field in FIELDS if field.name.startswith("contacts0.")]
 _PATCH_VALUES: Final = attrgetter(*(field.name.partition(".")[2] for field in _PATCH_FIELDS))
 _NO_PATCH: Final = [-1.0, *repeat(0.0, sum(field.size for field in _PATCH_FIELDS) - 1)]
@@ -203,7 +203,7 @@ class Subscription(Closing):
             raise StopIteration
         sample = self.receive(self.timeout_s)
         if sample is None:
-            raise NoTelemetry(silence(self.endpoint, self.timeout_s or 0.0))
+            raise NoTelemetry(no_telemetry_text(self.endpoint, self.timeout_s or 0.0))
         return sample
 
     def close(self) -> None:
@@ -249,7 +249,7 @@ def subscribe(
     return Subscription(endpoint, topics, timeout_s, keys)
 
 
-def silence(endpoint: str, waited_s: float) -> str:
+def no_telemetry_text(endpoint: str, waited_s: float) -> str:
     """Return the message for a user if nothing arrived."""
     return (
         f"no telemetry from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
@@ -264,7 +264,7 @@ def record_of(sample: Sample) -> list[float]:
     for patch in message.contacts:
         row += _flat(_PATCH_VALUES(patch))
     row += _NO_PATCH * (PATCHES - len(message.contacts))
-    return row + _flat(_VALUES_BEHIND(message))
+    return row + _flat(_VALUES_AFTER(message))
 
 
 def _flat(values: tuple[Any, ...]) -> list[float]:
@@ -332,15 +332,15 @@ class Window(Closing):
         int
             Number of ticks read.
         """
-        came = 0
+        count = 0
         until_s = time.monotonic() + timeout_s
-        while came < _RECEIVE_BACKLOG:  # a publisher faster than this loop must not block it forever
-            sample = self._subscription.receive(0.0 if came else max(0.0, until_s - time.monotonic()))
+        while count < _RECEIVE_BACKLOG:  # a publisher faster than this loop must not block it forever
+            sample = self._subscription.receive(0.0 if count else max(0.0, until_s - time.monotonic()))
             if sample is None:
                 break
             self._append(sample)
-            came += 1
-        return came
+            count += 1
+        return count
 
     def _append(self, sample: Sample) -> None:
         if sample.data.tick <= self._tick:  # the server was restarted: the old ticks belong to another run

@@ -322,12 +322,12 @@ def fields(kind: Any) -> str:
     info = inspect.type_info(kind)
     if isinstance(info, inspect.StructType):
         return ", ".join(map(_field, info.fields))
-    return "a value for each dotted key" if kind is Values else _words(info)
+    return "a value for each dotted key" if kind is Values else _type_text(info)
 
 
 def _field(field: inspect.Field) -> str:
-    said = f"{field.encode_name}: {_words(field.type)}"
-    return said if field.required else f"[{said}]"
+    text = f"{field.encode_name}: {_type_text(field.type)}"
+    return text if field.required else f"[{text}]"
 
 
 _PLAIN: Final = {
@@ -338,12 +338,12 @@ _PLAIN: Final = {
 }
 
 
-def _words(info: inspect.Type) -> str:
+def _type_text(info: inspect.Type) -> str:
     match info:
         case inspect.Metadata():
-            return _words(info.type)
+            return _type_text(info.type)
         case inspect.UnionType():
-            return " or ".join(_words(each) for each in info.types if not isinstance(each, inspect.NoneType))
+            return " or ".join(_type_text(each) for each in info.types if not isinstance(each, inspect.NoneType))
         case inspect.TupleType():
             return f"{len(info.item_types)} numbers"
         case inspect.DictType() | inspect.StructType():

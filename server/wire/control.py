@@ -25,18 +25,18 @@ import zmq.asyncio
 from softfinger.config.errors import CommandRefused
 from softfinger.server.closing import Closing
 from softfinger.server.keys import ClientKeys
-from softfinger.server.wire.asking import (
+from softfinger.server.wire.client_requests import (
     TIMEOUT_S,
     NoAnswer,
     R,
-    answer_in,
-    asking,
-    connected,
+    connect,
+    decode_answer,
     default_commands,
-    given,
+    encode_request,
     no_answer,
+    or_unset,
     result_of,
-    time_for,
+    timeout_for,
 )
 from softfinger.server.wire.commands import (
     METHODS,
@@ -95,7 +95,7 @@ class Control(Closing):
     def _connect(self) -> None:
         self._process = os.getpid()
         self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
-        connected(self._socket, self.endpoint, self._keys)
+        connect(self._socket, self.endpoint, self._keys)
 
     def _move(self, endpoint: str) -> None:
         """Connect to another endpoint, without keys."""
@@ -113,11 +113,11 @@ class Control(Closing):
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
         if self._process != os.getpid():  # a socket does not survive a fork: libzmq would wait forever
             self._connect()
-        wait_s = time_for(method, self.timeout_s)
+        wait_s = timeout_for(method, self.timeout_s)
         if wait_s > TIMEOUT_S and self.timeout_s is None:
             self._check_answers(method)
         until = time.monotonic() + wait_s
-        command_id, frames = asking(method, params, wait_s)
+        command_id, frames = encode_request(method, params, wait_s)
         sent = False
         while not sent and self._socket.poll(milliseconds(until - time.monotonic()), zmq.POLLOUT):
             # Sending is impossible if the peer is not a ROUTER or has left a thousand requests unanswered, and libzmq
@@ -126,7 +126,7 @@ class Control(Closing):
                 self._socket.send_multipart(frames, zmq.NOBLOCK)
                 sent = True
         while sent and self._socket.poll(milliseconds(until - time.monotonic())):
-            answer = answer_in(self._socket.recv_multipart())
+            answer = decode_answer(self._socket.recv_multipart())
             if answer.get("command_id") == command_id:  # not a late answer to an earlier request
                 return result_of(answer, kind)
         raise no_answer(method, self.endpoint, wait_s)
@@ -168,7 +168,7 @@ class Control(Closing):
 
     def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
         """Set the pose of a driven object, by name or index: position (m, world) and orientation (w, x, y, z)."""
-        return self._ask("drive", Drive(what, position_m, given(orientation_wxyz)), Applied)
+        return self._ask("drive", Drive(what, position_m, or_unset(orientation_wxyz)), Applied)
 
     def hand(
         self,
@@ -192,11 +192,13 @@ class Control(Closing):
         release
             Return the hand to the motion of its rig.
         """
-        return self._ask("hand", Hand(given(position_m), given(orientation_wxyz), given(finger), release), Applied)
+        return self._ask(
+            "hand", Hand(or_unset(position_m), or_unset(orientation_wxyz), or_unset(finger), release), Applied
+        )
 
     def hold(self, finger: str | int | None = None) -> Held:
         """Hold the hand on a simulated device at its present goal, with its grip force; return that goal."""
-        return self._ask("hold", Hold(given(finger)), Held)
+        return self._ask("hold", Hold(or_unset(finger)), Held)
 
     def arm(self) -> Armed:
         """Let the force fade in along the guard's ramp."""
@@ -213,7 +215,7 @@ class Control(Closing):
 
         `finger` is a name or an index. Refused while the force may be on: `disarm` first.
         """
-        return self._ask("zero", Zero(position_m, given(finger), reset), Zeroed)
+        return self._ask("zero", Zero(position_m, or_unset(finger), reset), Zeroed)
 
     def mark(self, label: str, data: Mapping[str, Any] | None = None) -> Applied:
         """Publish an event with a label, which is also part of every recording."""
@@ -269,11 +271,11 @@ def _awaited(
     """Convert a command of Control for asyncio: the awaitable returned by `_ask` is awaited."""
 
     @wraps(command)
-    async def asked(self: AsyncControl, /, *args: P.args, **kwargs: P.kwargs) -> R:
+    async def awaited(self: AsyncControl, /, *args: P.args, **kwargs: P.kwargs) -> R:
         answer: Any = command(self, *args, **kwargs)  # type: ignore[arg-type]
         return await answer  # type: ignore[no-any-return]
 
-    return asked
+    return awaited
 
 
 class AsyncControl:
@@ -288,7 +290,7 @@ class AsyncControl:
     def _connect(self) -> None:
         self._process = os.getpid()
         self._socket: zmq.asyncio.Socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
-        connected(self._socket, self.endpoint, self._keys)
+        connect(self._socket, self.endpoint, self._keys)
         self._waiting: dict[str, asyncio.Future[dict[str, Any]]] = {}
         self._reader: asyncio.Task[None] | None = None
 
@@ -300,10 +302,10 @@ class AsyncControl:
         if self._process != os.getpid():  # as in Control
             self._connect()
             self._reader = asyncio.create_task(self._read())
-        wait_s = time_for(method, self.timeout_s)
+        wait_s = timeout_for(method, self.timeout_s)
         if wait_s > TIMEOUT_S and self.timeout_s is None:
             await self._check_answers(method)
-        command_id, frames = asking(method, params, wait_s)
+        command_id, frames = encode_request(method, params, wait_s)
         answer = self._waiting[command_id] = asyncio.get_running_loop().create_future()
         try:
             async with asyncio.timeout(milliseconds(wait_s) / 1000.0):
@@ -325,7 +327,7 @@ class AsyncControl:
 
     async def _read(self) -> None:
         while True:
-            answer = answer_in(await self._socket.recv_multipart())
+            answer = decode_answer(await self._socket.recv_multipart())
             waiting = self._waiting.get(str(answer.get("command_id")))
             if waiting is not None and not waiting.done():
                 waiting.set_result(answer)

@@ -78,17 +78,17 @@ def parse(body: bytes | None) -> Request:
         raise Declined("malformed", "a request has two frames: an empty one and a msgpack map")
     try:
         # msgpack, not msgspec: it checks a declared length before it allocates, and bounds its stack.
-        given = msgpack.unpackb(body)
+        decoded = msgpack.unpackb(body)
     except Exception as error:  # a dozen classes are possible
         raise Declined("malformed", f"no msgpack: {type(error).__name__} {error}"[:200]) from error
-    command_id = given.get("command_id") if isinstance(given, dict) else None
+    command_id = decoded.get("command_id") if isinstance(decoded, dict) else None
     command_id = command_id if isinstance(command_id, str) and len(command_id) <= 128 else ""
-    if not _is_plain(given):
+    if not _is_plain(decoded):
         raise Declined(
             "malformed", f"deeper than {DEPTH_MAX}, of more than {NODES_MAX} values, or not of plain ones", command_id
         )
     try:
-        envelope = msgspec.convert(given, _Envelope)
+        envelope = msgspec.convert(decoded, _Envelope)
     except msgspec.ValidationError as error:
         raise Declined("malformed", str(error), command_id) from error
     method = METHODS.get(envelope.method)
@@ -104,12 +104,12 @@ def parse(body: bytes | None) -> Request:
     return Request(command_id, envelope.method, params)
 
 
-def _is_plain(given: Any) -> bool:
+def _is_plain(decoded: Any) -> bool:
     """Return whether a decoded value has only JSON's types with string keys, and is within limits.
 
     Does not recurse.
     """
-    level, nodes = [given], 0
+    level, nodes = [decoded], 0
     for _ in range(DEPTH_MAX + 1):
         below: list[Any] = []
         for value in level:
@@ -133,12 +133,12 @@ def _is_plain(given: Any) -> bool:
 _ENCODER: Final = msgspec.msgpack.Encoder()
 
 
-def answered(command_id: str, result: Any) -> bytes:
+def encode_answer(command_id: str, result: Any) -> bytes:
     """Encode the answer to an executed request."""
     return _ENCODER.encode({"command_id": command_id, "success": True, "result": result, "error": None})
 
 
-def declined(reason: Declined, command_id: str = "") -> bytes:
+def encode_refusal(reason: Declined, command_id: str = "") -> bytes:
     """Encode the answer to a rejected request."""
-    said = {"command_id": reason.command_id or command_id, "success": False, "result": {}, "error": str(reason)}
-    return _ENCODER.encode(said)
+    refusal = {"command_id": reason.command_id or command_id, "success": False, "result": {}, "error": str(reason)}
+    return _ENCODER.encode(refusal)

@@ -61,7 +61,7 @@ class RecordEvents:
         self._finger, self._of_servo = finger, of_servo
         self._watched: list[float] | None = None
         self._object = -1
-        self._held: dict[tuple[str, str], int] = {}
+        self._delayed: dict[tuple[str, str], int] = {}
         self._sent_s: dict[tuple[str, str], float] = {}
 
     def observe(self, records: NDArray[np.float64]) -> list[Map]:
@@ -69,16 +69,16 @@ class RecordEvents:
         events: list[Map] = []
         for index, watched in enumerate(records[:, _WATCHED].tolist()):
             cause = watched[1]
-            if watched == self._watched and not cause and not self._held:
+            if watched == self._watched and not cause and not self._delayed:
                 continue  # nearly every tick ends here
-            self._changed(records[index], watched, events)
+            self._append_changes(records[index], watched, events)
         if len(records):
             # The object of a release is the one touched before; touch events update it in between.
             touched = int(records[-1, AT.contact_object])
             self._object = touched if touched >= 0 else self._object
         return events
 
-    def _changed(self, record: NDArray[np.float64], watched: list[float], events: list[Map]) -> None:
+    def _append_changes(self, record: NDArray[np.float64], watched: list[float], events: list[Map]) -> None:
         mode, cause, guard, missed = (int(value) for value in watched)
         before = [int(value) for value in self._watched] if self._watched else [mode, 0, 0, missed]
         self._watched = watched
@@ -87,10 +87,10 @@ class RecordEvents:
         rising = guard & ~before[2]
         for bit in range(rising.bit_length()):
             if rising >> bit & 1:
-                self._hold("guard", self._guard_names[bit] if bit < len(self._guard_names) else f"bit {bit}", 1)
+                self._delay("guard", self._guard_names[bit] if bit < len(self._guard_names) else f"bit {bit}", 1)
         # The counter restarts with the servo.
         if self._of_servo:
-            self._hold("servo", "missed", missed - before[3] if missed >= before[3] else missed)
+            self._delay("servo", "missed", missed - before[3] if missed >= before[3] else missed)
         events.extend(self._due(record, missed))
 
     def _contact(self, record: NDArray[np.float64], cause: str, mode_before: int, mode: int) -> Map:
@@ -112,20 +112,20 @@ class RecordEvents:
             "finger": self._finger,
         }
 
-    def _hold(self, kind: str, name: str, count: int) -> None:
+    def _delay(self, kind: str, name: str, count: int) -> None:
         if count > 0:
-            self._held[kind, name] = self._held.get((kind, name), 0) + count
+            self._delayed[kind, name] = self._delayed.get((kind, name), 0) + count
 
     def _due(self, record: NDArray[np.float64], missed: int) -> list[Map]:
         """Return delayed events for which the interval has passed."""
         events: list[Map] = []
         now = float(record[AT.timestamp])
-        for key in list(self._held):
+        for key in list(self._delayed):
             # abs: the epoch clock may be set back. A microsecond: the resolution of the timestamp this far from the
             # epoch.
             if abs(now - self._sent_s.get(key, -np.inf)) < MIN_INTERVAL_S - 1e-6:
                 continue
-            event = {**_head(record, *key), "count": self._held.pop(key)}
+            event = {**_head(record, *key), "count": self._delayed.pop(key)}
             if key[0] == "servo":
                 event["total"] = missed
             else:

@@ -40,14 +40,14 @@ class Health:
             complete = (elapsed >= HEALTH_PERIOD_S - 1e-6) | (elapsed < 0.0)
             room = len(self._rows) - self._count
             ends = int(complete.argmax()) + 1 if complete.any() else len(records)
-            taken = min(ends, room)
-            self._rows[self._count : self._count + taken] = records[:taken]
-            self._count += taken
-            if complete[taken - 1] or taken == room:
+            count = min(ends, room)
+            self._rows[self._count : self._count + count] = records[:count]
+            self._count += count
+            if complete[count - 1] or count == room:
                 messages.append(self._message(drops))
                 self._rows[0] = self._rows[self._count - 1]
                 self._count = 1
-            records = records[taken:]
+            records = records[count:]
         return messages
 
     def _message(self, drops: int) -> dict[str, Any]:
@@ -80,7 +80,7 @@ class Health:
         return nest(flat)
 
 
-def together(messages: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def combine(messages: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Combine the messages of several fingers for one second: sums of ticks and work, maxima of other figures."""
     first, *others = messages
     for other in others:

@@ -16,11 +16,10 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.schema import commands_beside
 from softfinger.proxy.record import RECORD_SIZE, columns
 from softfinger.server.closing import Closing
-from softfinger.server.publishing.setup import Figures, Kind, Setup, Shown, Ticks
-from softfinger.server.wire.doors import Doors, door
+from softfinger.server.publishing.setup import Figures, Kind, Setup, StateInfo, Ticks
 from softfinger.server.wire.events import RecordEvents, event_map
-from softfinger.server.wire.health import Health, together
-from softfinger.server.wire.link import Answering, Link
+from softfinger.server.wire.health import Health, combine
+from softfinger.server.wire.link import Link, RequestHandlers
 from softfinger.server.wire.native.memory import LAYOUT
 from softfinger.server.wire.native.relay import Relay, Source
 from softfinger.server.wire.native.switch import SharedSwitch
@@ -37,6 +36,7 @@ from softfinger.server.wire.protocol import (
     encode,
     wire_schema,
 )
+from softfinger.server.wire.rig_endpoints import Endpoints, bind_telemetry
 from softfinger.server.wire.stamps import now_s
 
 log: Final = logging.getLogger(__name__)
@@ -51,7 +51,7 @@ LINGER_S: Final = 0.2
 
 
 class Publisher(Closing):
-    """ZeroMQ publisher on `doors`, which it closes, or on a new endpoint.
+    """ZeroMQ publisher on `endpoints`, which it closes, or on a new endpoint.
 
     It sends one tick in `every`, with a topic for each of several `fingers`. Ticks come from a servo (`attach`); a
     thread without Python passes them to the process that sends them. Events and health follow from the records of
@@ -67,7 +67,7 @@ class Publisher(Closing):
 
     def __init__(
         self,
-        doors: Doors | str,
+        endpoints: Endpoints | str,
         every: int = 1,
         *,
         guard_names: Sequence[str] = (),
@@ -80,28 +80,28 @@ class Publisher(Closing):
         if every < 1:
             raise ConfigError(f"[telemetry] every = {every} is below 1: 1 publishes each tick, 10 one in ten")
         self._lock = threading.Lock()
-        self.tell: Callable[..., None] = self.event
+        self.report_event: Callable[..., None] = self.event
         """Called like `event` for events of the process; replaced by a function that also records them."""
         self._topics = [*map(contact_topic, fingers), STATE, EVENT, HEALTH, *([WORLD] if bodies else []), SCHEMA_TOPIC]
         self._ticks = Ticks(SCHEMA, every, self._topics[: len(fingers)], STATE, STATE_HZ)
-        self._backlog, self._priority, self._shown, self._health_body = backlog, priority, Shown(), b""
-        self._events = [RecordEvents(guard_names, finger, place == 0) for place, finger in enumerate(fingers)]
+        self._backlog, self._priority, self._state_info, self._health_body = backlog, priority, StateInfo(), b""
+        self._events = [RecordEvents(guard_names, finger, index == 0) for index, finger in enumerate(fingers)]
         self._health = [Health() for _ in fingers]
         self._closed, self._state = False, ""
-        alone = isinstance(doors, str)
-        self._doors: Final = door(doors) if isinstance(doors, str) else doors
-        self.endpoint: Final = self._doors.telemetry
+        is_standalone = isinstance(endpoints, str)
+        self._endpoints: Final = bind_telemetry(endpoints) if isinstance(endpoints, str) else endpoints
+        self.endpoint: Final = self._endpoints.telemetry
         content = {
             "schema": SCHEMA,
             "timestamp": now_s(),
             "topics": self._topics,
-            "commands": commands_beside(self.endpoint) if alone else self._doors.commands_told,
+            "commands": commands_beside(self.endpoint) if is_standalone else self._endpoints.announced_commands,
             "messages": wire_schema()["messages"],
         }
         self._greeting = encode(content)
         self._starts = 0
         with ExitStack() as undo:
-            undo.callback(self._doors.close)
+            undo.callback(self._endpoints.close)
             self._switch: Final = SharedSwitch() if switch is None else switch
             undo.callback(self._switch.close)
             self._relay: Final = Relay(len(fingers))
@@ -110,9 +110,11 @@ class Publisher(Closing):
                 self._relay.file,
                 self._relay.bell,
                 self._switch.file,
-                *(entrance.fd for entrance in self._doors.entrances),
+                *(entrance.fd for entrance in self._endpoints.entrances),
             ]
-            self._link: Final = Link(self._setup, self._last, files, self._restarted, self._switch.obeyed)
+            self._link: Final = Link(
+                self._setup, self._send_greetings, files, self._report_restart, self._switch.count_handled
+            )
             undo.pop_all()
         self.tap: Final = self._relay.tap
         """Records passed on by the relay, for one thread of this process."""
@@ -130,17 +132,17 @@ class Publisher(Closing):
             self._backlog,
             self._priority,
             self._ticks,
-            self._shown,
-            self._doors.entrances,
+            self._state_info,
+            self._endpoints.entrances,
         )
 
-    def _last(self, say: Callable[[Kind, bytes, bytes], object]) -> None:
-        say(Kind.GREETING, SCHEMA_TOPIC.encode(), self._greeting)
+    def _send_greetings(self, send: Callable[[Kind, bytes, bytes], object]) -> None:
+        send(Kind.GREETING, SCHEMA_TOPIC.encode(), self._greeting)
         if self._health_body:
-            say(Kind.GREETING, HEALTH.encode(), self._health_body)
+            send(Kind.GREETING, HEALTH.encode(), self._health_body)
 
-    def _restarted(self, said: str) -> None:
-        self.tell("fault", "publisher", message=said)
+    def _report_restart(self, text: str) -> None:
+        self.report_event("fault", "publisher", message=text)
 
     def ring(self) -> dict[str, Any]:
         """Return where programs of this user find every tick in memory, for `describe`."""
@@ -176,20 +178,20 @@ class Publisher(Closing):
         """Send the ticks of a servo from now on, until it ends. Call it once."""
         self._relay.attach(source)
 
-    def serve(self, answering: Answering | None) -> None:
+    def serve(self, handlers: RequestHandlers | None) -> None:
         """Set the handlers of commands; None: commands are no longer answered."""
-        self._link.serve(answering)
+        self._link.serve(handlers)
 
     def reply(self, client: bytes, body: bytes) -> None:
         """Send a deferred answer to a command; from any thread."""
         self._link.reply(client, body)
 
-    def show(self, shown: Shown) -> None:
+    def set_state_info(self, state_info: StateInfo) -> None:
         """Set the contents of `state` that do not come from the tick."""
         with self._lock:
-            self._shown = shown
+            self._state_info = state_info
             if not self._closed:
-                self._link.say(Kind.SHOWN, body=msgspec.msgpack.encode(shown))
+                self._link.send(Kind.STATE_INFO, body=msgspec.msgpack.encode(state_info))
 
     def publish(self, records: Records, drops: int = 0) -> None:
         """Send records without a servo, shape (n, fingers x RECORD_SIZE), and the messages that follow from them."""
@@ -209,13 +211,15 @@ class Publisher(Closing):
             if self._closed or not len(records):
                 return
             fingers = records.reshape(len(records), -1, RECORD_SIZE).swapaxes(0, 1)
-            events = [event for seen, each in zip(self._events, fingers, strict=True) for event in seen.observe(each)]
+            events = [
+                event for source, each in zip(self._events, fingers, strict=True) for event in source.observe(each)
+            ]
             for event in sorted(events, key=_tick_of):
                 self._send(EVENT, event)
             figures = self._link.figures
             drops += figures.missed
             healths = [sums.add(each, drops) for sums, each in zip(self._health, fingers, strict=True)]
-            for health in map(together, zip(*healths, strict=True)):
+            for health in map(combine, zip(*healths, strict=True)):
                 health["subscribers"] = figures.subscribers
                 health["lost"] = figures.lost
                 health["refused"] = figures.refused
@@ -253,7 +257,7 @@ class Publisher(Closing):
         self._link.close(LINGER_S)
         self._relay.close()
         self._switch.close()
-        self._doors.close()
+        self._endpoints.close()
 
     def _send(self, topic: str, content: dict[str, Any]) -> None:
         body = encode(content)
@@ -262,7 +266,7 @@ class Publisher(Closing):
             return
         if topic == HEALTH:
             self._health_body = body
-        self._link.say(Kind.RETAINED if topic in (HEALTH, WORLD) else Kind.MESSAGE, topic.encode(), body)
+        self._link.send(Kind.RETAINED if topic in (HEALTH, WORLD) else Kind.MESSAGE, topic.encode(), body)
 
 
 def _tick_of(event: dict[str, Any]) -> int:

@@ -220,7 +220,7 @@ def test_stop_waits_for_the_exchange_under_way(stub: Stub, bench: StubBench) -> 
                 pass
             device.stop()
             servo.stop()
-            assert servo.join(10.0) == s.Ended(s.STOPPED, OK)
+            assert servo.join(10.0) == s.LoopEnd(s.STOPPED, OK)
             servo.close()
     assert stub["threads"] == 0
 

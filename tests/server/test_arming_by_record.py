@@ -25,9 +25,9 @@ class Asked:
         self.servo = SimpleNamespace(devices=[None] * fingers)
         self.acts: list[Any] = []
         self.force = SimpleNamespace(
-            given_at=armed_at,
+            switched_on_tick=armed_at,
             note_guard=lambda reason, there: self.acts.append((reason, there)),
-            tell=lambda: self.acts.append("tell"),
+            update_state=lambda: self.acts.append("update_state"),
         )
 
     def disarm(self, reason: str) -> None:
@@ -52,7 +52,7 @@ def taken(asked: Asked, *batches: np.ndarray) -> list[Any]:
     arming = Arming(cast(Any, asked), States())
     for records in batches:
         arming.take(records, 0)
-    return [act for act in asked.acts if act != "tell"]
+    return [act for act in asked.acts if act != "update_state"]
 
 
 def test_each_batch_is_followed_and_the_first_makes_ready() -> None:
@@ -61,7 +61,7 @@ def test_each_batch_is_followed_and_the_first_makes_ready() -> None:
     arming = Arming(cast(Any, asked), states)
     assert arming.sink.name == "arming"
     arming.take(batch((0, [(0, 0)])), 0)
-    assert asked.acts == ["tell"] and states.now is State.READY
+    assert asked.acts == ["update_state"] and states.now is State.READY
 
 
 @pytest.mark.parametrize("fingers", [1, 2])

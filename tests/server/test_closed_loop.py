@@ -158,7 +158,7 @@ def test_figures_are_those_of_the_records() -> None:
     end = go_on(tuning, begin(tuning.scene), plant, device.state, drive, Run(0, ticks, 0.001), inf)
     x, force = records[:, POSITION], records[:-1, FORCE]
     assert end.state.position == tuple(x[ticks])
-    assert end.memory.fingers[0].guarded.force == tuple(force[-1])
+    assert end.memory.fingers[0].guard_state.force == tuple(force[-1])
     assert (end.ticks, end.left) == (ticks, -1.0)
     assert end.excursion == pytest.approx(np.linalg.norm(x[1:] - x[0], axis=1).max(), rel=1e-15)
     assert end.force == pytest.approx(np.linalg.norm(force, axis=1).max(), rel=1e-15) and end.force > 1.0

@@ -28,7 +28,7 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
-from softfinger.server.loop.realtime import lift
+from softfinger.server.loop.realtime import raise_priority
 from softfinger.server.loop.shared.rings import Rings
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
@@ -416,7 +416,7 @@ while time.monotonic() < until:
 def granted_fifo() -> bool:
     """Whether this process may use SCHED_FIFO, asked in a thread that ends with the answer."""
     asked = []
-    thread = threading.Thread(target=lambda: asked.append(lift("any", threading.get_native_id(), 80).ok))
+    thread = threading.Thread(target=lambda: asked.append(raise_priority("any", threading.get_native_id(), 80).ok))
     thread.start()
     thread.join()
     return asked[0]

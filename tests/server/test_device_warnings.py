@@ -23,7 +23,7 @@ def test_each_warning_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
     watch = DeviceWarnings(lambda: [device], event)
     for words in ("", "hot", "hot", "hotter", "", "", "hot"):
         said[0] = words
-        watch.look()
+        watch.check()
     assert told == [("fault", NAME, f"arm: {words}") for words in ("hot", "hotter", "hot")]
     assert caplog.text.count("arm: hot") == 3
 

@@ -26,7 +26,7 @@ from helpers.programs import Program
 from helpers.two_fingers import SCENE
 
 from softfinger.config.errors import CommandRefused, HapticError
-from softfinger.server.loop.force_switch import OFF_S
+from softfinger.server.loop.force_switch import MAX_OFF_S
 from softfinger.server.wire.control import Control
 
 pytestmark = pytest.mark.real_time
@@ -36,7 +36,7 @@ RUNS = 8
 """A test may take five minutes."""
 FORCE_MAX_N, SLEW_N, HEARTBEAT_S = 3.0, 0.3, 1.0
 """Limits of the rig; SLEW_N is per tick."""
-OFF_STEP_N = FORCE_MAX_N / (1000.0 * OFF_S)
+OFF_STEP_N = FORCE_MAX_N / (1000.0 * MAX_OFF_S)
 """Change per tick while the switch takes the force off."""
 ROUNDING_N = 0.5e-3 * 3**0.5
 """A frame has whole mN of each component."""
@@ -100,7 +100,7 @@ class Forceless:
         """Allow no force beyond the frames that were written before now."""
         if self.since is None:
             frames = ceil((self.cable.sent_to() - self.cable.board.wakes) / FRAME_BYTES)
-            self.since = frames + LATE_FRAMES + ceil(1000.0 * OFF_S)
+            self.since = frames + LATE_FRAMES + ceil(1000.0 * MAX_OFF_S)
 
     def end(self) -> None:
         """Allow force again."""

@@ -94,14 +94,14 @@ def test_each_row_was_seen_to_fit_what_it_says():
 
 SET_BY = {
     "a wall that is unstable": [(limits, "FORGET_S")],
-    "a force that is not finite": [(health, "SILENCE_MAX_S")],
-    "a pose that is not finite, out of range or short": [(health, "SILENCE_MAX_S")],
-    "a pose that jumps": [(health, "SILENCE_MAX_S"), (health, "JUMP_S")],
+    "a force that is not finite": [(health, "NO_FORCE_MAX_S")],
+    "a pose that is not finite, out of range or short": [(health, "NO_FORCE_MAX_S")],
+    "a pose that jumps": [(health, "NO_FORCE_MAX_S"), (health, "JUMP_S")],
     "a handle that runs away": [(limits, "SPEED_S"), (limits, "SLOW_S")],
     "a device that warns": [(device_warnings, "PERIOD_S")],
     "a device that is lost or breaks its protocol": [(DeviceError, "exit_code")],
     "a device that is silent, or sends what cannot be read": [(openhaptics, "TIMEOUT_NS"), (DeviceError, "exit_code")],
-    "a device that takes no force": [(health, "HELD_MAX_S")],
+    "a device that takes no force": [(health, "IGNORED_WRENCH_MAX_S")],
     "a device that removes its force": [(SafetyStop, "exit_code")],
     "a loop that stalls": [(health, name) for name in ("STALL_POLLS", "STALL_POLL_S", "STALL_MAX_S")],
     "a machine that starves the loop": [

@@ -42,7 +42,7 @@ CLOCKED = [AT.timestamp, AT.servo_late, AT.servo_exec, AT.servo_missed, AT.servo
 """Columns that tell of the machine."""
 
 
-def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.Ended, np.ndarray]:
+def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.LoopEnd, np.ndarray]:
     """A servo over two devices to its end, with limits of both guards, and its records (n, fingers, RECORD_SIZE)."""
     tuning = make_tuning(two_fingers(), GUARD)
     tuning = tuning._replace(guards=tuple(guard._replace(**limits) for guard in tuning.guards))

@@ -31,9 +31,9 @@ GOOD, NO_POSE, NO_FORCE = (RAMPING, 0.0, T), (POSE_REFUSED | RAMPING, 0.0, T), (
 
 @pytest.mark.parametrize(("tick", "fault"), [(NO_POSE, h.NO_POSE), (NO_FORCE, h.NO_FORCE)])
 def test_half_a_second_without_a_force_is_a_fault(tick, fault):
-    """Poses or forces that cannot be used, one after the other, end the run after SILENCE_MAX_S, and not before."""
+    """Poses or forces that cannot be used, one after the other, end the run after NO_FORCE_MAX_S, and not before."""
     _, found, count, _ = after([tick] * 2000)
-    assert (found, abs(count - h.SILENCE_MAX_S / T) <= 2) == (fault, True)  # 500 additions, and above, not at
+    assert (found, abs(count - h.NO_FORCE_MAX_S / T) <= 2) == (fault, True)  # 500 additions, and above, not at
 
 
 def test_what_flickers_without_end_is_a_fault_and_what_happens_at_times_is_none():

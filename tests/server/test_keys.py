@@ -16,8 +16,8 @@ import zmq.auth
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Rig
-from softfinger.server.gateway.allowed import Allowed
 from softfinger.server.keys import make_pair, read_pair, read_public
+from softfinger.server.publishing.allowed import Allowed
 
 OTHER = 65534
 """User `nobody`."""
@@ -138,7 +138,7 @@ def test_the_folder_of_those_who_may_is_looked_at_again(tmp_path: Path) -> None:
     public.unlink()
     assert allowed.refresh() and not allowed.callback("", key)
     other, _ = make_pair(tmp_path, "eve")
-    allowed.bar(read_public(other))
+    allowed.revoke(read_public(other))
     assert not allowed.refresh() and not allowed.callback("", read_public(other))
     make_pair(tmp_path, "bob")
     assert not allowed.refresh() and allowed.callback("", read_public(tmp_path / "bob.key"))
@@ -159,7 +159,7 @@ def test_a_key_that_was_not_whole_when_the_folder_was_read_is_let_in(
 ) -> None:
     """A client that is turned away does not come again: whose file has just come is looked for however lately the
     folder was read. Where nothing has changed, strangers do not have it read each time."""
-    monkeypatch.setattr("softfinger.server.gateway.allowed.AGAIN_S", 60.0)
+    monkeypatch.setattr("softfinger.server.publishing.allowed.REREAD_MIN_S", 60.0)
     folder = tmp_path / "readers"
     folder.mkdir()
     public, _ = make_pair(tmp_path, "anna")

@@ -23,8 +23,8 @@ from softfinger.server.app import Daemon
 from softfinger.server.services.commands import Commands
 from softfinger.server.wire.commands import Triangles
 from softfinger.server.wire.control import AsyncControl, Control
-from softfinger.server.wire.doors import doors_of
 from softfinger.server.wire.publisher import Publisher
+from softfinger.server.wire.rig_endpoints import bind_rig
 
 ENDS = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 WAIT_S = 120.0
@@ -59,7 +59,7 @@ def commands(folder: Path) -> Iterator[str]:
         {"name": "table", "shape": "plane"},
     )
     rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", ENDS), scene=scene))
-    doors = doors_of(rendering.rig)
+    doors = bind_rig(rendering.rig)
     with Publisher(doors) as publisher:
         doing = cast(Any, SimpleNamespace(replace=None, serve=publisher.serve, reply=publisher.reply))
         service = Commands(str(doors.commands), rendering, doing, "meshes")

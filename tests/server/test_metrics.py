@@ -24,12 +24,12 @@ from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.metrics.counts import FORCE_N, LATENESS_S, ROWS, STATUSES, Counts, Histogram, Wire
 from softfinger.server.metrics.service import DASHBOARD
 from softfinger.server.recording.summary import summary
-from softfinger.server.services.recordings import Written
+from softfinger.server.services.recordings import RecordingTotals
 from softfinger.server.states import State
 
 pytestmark = pytest.mark.real_time
 
-NOTHING = Written(0, 0, 0, 0, 0.0)
+NOTHING = RecordingTotals(0, 0, 0, 0, 0.0)
 UNITS = ("seconds", "newtons", "info", "total")
 COUNTED = re.compile(r"softfinger_[a-z_]+")
 
@@ -71,7 +71,7 @@ def test_figures_are_those_of_the_records(batch: int) -> None:
     put(fingers[0], "servo.late", late)
     put(fingers[0], "servo.missed", np.arange(count))
     counts = Counts(
-        ["thumb", "index"], lambda: Wire(3, 4, 5, 6), lambda: Written(6, 7, 8, 9, 0.25), lambda: State.ARMED
+        ["thumb", "index"], lambda: Wire(3, 4, 5, 6), lambda: RecordingTotals(6, 7, 8, 9, 0.25), lambda: State.ARMED
     )
     together = np.concatenate(fingers, axis=1)
     for start in range(0, count, batch):

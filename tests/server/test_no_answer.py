@@ -20,8 +20,8 @@ import zmq
 from softfinger.config.errors import ConfigError
 from softfinger.server.wire import asking
 from softfinger.server.wire import control as control_module
-from softfinger.server.wire.asking import NoAnswer
 from softfinger.server.wire.client import subscribe
+from softfinger.server.wire.client_requests import NoAnswer
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.envelope import Declined, parse
 

@@ -128,7 +128,7 @@ def test_a_change_waits_for_a_replacement_and_no_longer(
     held, go_on = threading.Event(), threading.Event()
 
     def hand_over() -> None:
-        with rendering._handing_over:
+        with rendering._tuning_lock:
             held.set()
             go_on.wait(60.0)
 

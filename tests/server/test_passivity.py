@@ -16,7 +16,7 @@ from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.numerics.tool import make_tool, tip_of
 from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE, ROLLING
-from softfinger.server.loop.guard import Guarded
+from softfinger.server.loop.guard import GuardState
 from softfinger.server.loop.passivity import NO_ENERGY, Energy, Motion, Passivity, keep_passive, work_on_hand
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import DAMPING_MAX_NS_PER_M, make_tuning
@@ -38,7 +38,7 @@ def by(*way):
 
 
 def holding(force=NONE, torque=NONE):
-    return Guarded(force, torque, 1.0)
+    return GuardState(force, torque, 1.0)
 
 
 def column(records, name, size=1):
@@ -146,7 +146,7 @@ def cycle(fingertip, height, n, turns=1.0, **tables):
     poses = np.column_stack((x, 0.0 * x, 0.0 * x + height, np.cos(0.5 * tilt), 0.0 * x, np.sin(0.5 * tilt), 0.0 * x))
     guard = schema.Guard(torque_max_nm=1.0, ramp_s=0.01)
     tuning = make_tuning(build(schema.Scene, table, "here"), guard)
-    tuning = tuning._replace(guards=(tuning.guards[0]._replace(turns=turns),))
+    tuning = tuning._replace(guards=(tuning.guards[0]._replace(displays_torque=turns),))
     records = simulate(tuning, poses, 1000.0)
     energy = column(records, "passivity.energy")
     assert (column(records, "contact.mode") == ROLLING).all()

@@ -30,7 +30,7 @@ from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from softfinger.server.publishing.front import Gate
+from softfinger.server.publishing.peer_socket import SocketContext
 from softfinger.server.publishing.readers import TOPICS_MAX, Readers
 from softfinger.server.viewer.door.access import BROWSERS_MAX
 from softfinger.server.wire.client import Subscription
@@ -332,8 +332,8 @@ def test_subscribers_are_the_connections_that_subscribe() -> None:
     chance, asked = random.Random(7), list[bytes]()
     bound = listen("tcp://127.0.0.1:*", "endpoint")
     with zmq.Context() as context, bound.files, contextlib.ExitStack() as ends:
-        readers = Readers(Gate(context, None), bound, None, 1000, asked.append)
-        ends.callback(readers.front.close)
+        readers = Readers(SocketContext(context, None), bound, None, 1000, asked.append)
+        ends.callback(readers.peers.close)
         had: dict[socket.socket, dict[bytes, int]] = {}
 
         def until(true: Callable[[], bool]) -> None:
@@ -341,7 +341,7 @@ def test_subscribers_are_the_connections_that_subscribe() -> None:
             while not true():
                 assert time.monotonic() < end, (readers.subscribers, had)
                 readers.take()
-                readers.front.look()
+                readers.peers.process_events()
 
         for number in range(120):
             if len(had) < 4 and chance.random() < 0.5:
@@ -370,7 +370,7 @@ def test_topics_of_one_peer_are_counted_up_to_a_bound() -> None:
     asked = list[bytes]()
     bound = listen("tcp://127.0.0.1:*", "endpoint")
     with zmq.Context() as context, bound.files:
-        readers = Readers(Gate(context, None), bound, None, 1000, asked.append)
+        readers = Readers(SocketContext(context, None), bound, None, 1000, asked.append)
         with greeted(bound.endpoint, b"SUB") as peer:
             for number in range(2 * TOPICS_MAX):
                 peer.sendall(frame(b"\1%d" % number))
@@ -380,4 +380,4 @@ def test_topics_of_one_peer_are_counted_up_to_a_bound() -> None:
             assert readers.subscribers == 1
             (topics,) = readers._topics.values()
             assert len(topics) == TOPICS_MAX
-        readers.front.close()
+        readers.peers.close()

@@ -273,18 +273,18 @@ def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_with
         rendering.disarm(COMMANDED)
         assert eventually(lambda: rendering.force.is_off and newest)
         z = newest[-1][AT.probe_position + 2]
-        rendering.move(0, (0.0, 0.0, z - 0.0005), newest[-1])
+        rendering.set_offset(0, (0.0, 0.0, z - 0.0005), newest[-1])
         moved = rendering.offsets
         assert moved[0][2] == pytest.approx(-0.0005, rel=1e-6)
         rendering.arm(UNARMED, COMMANDED)
         assert eventually(pressed)
         running.replace(second)
-        assert len(devices) == 1 and rendering.force.wanted and rendering.offsets == moved
+        assert len(devices) == 1 and rendering.force.is_requested and rendering.offsets == moved
         assert eventually(pressed)
         for changes in ({"device.at": 7}, {"device.at": 7, "servo.rate_hz": 500.0}):
             count = len(devices)
             running.replace(second, faulty_rig(**{"guard.arm": "command"} | changes))
-            assert len(devices) == count + 1 and not rendering.force.wanted
+            assert len(devices) == count + 1 and not rendering.force.is_requested
             assert rendering.offsets == ((0.0, 0.0, 0.0),)
             begun = running.servo.ticks
             assert idle(100) and not devices[-1].wrenches.any()
@@ -333,7 +333,7 @@ def test_a_pause_meanwhile_ends_the_run(driver):
     with Daemon(faulty_rig(), first) as running:
         running.start()
         assert eventually(lambda: running.servo.ticks > 100)
-        with running.rendering._handing_over:
+        with running.rendering._tuning_lock:
             running.pause()()
         assert running.wait(60.0)
     assert not driver.devices[0].wrenches[-1].any()

@@ -15,7 +15,7 @@ from softfinger.server.metrics.counts import Counts, Wire
 from softfinger.server.metrics.service import Metrics
 from softfinger.server.services.commands import Commands
 from softfinger.server.services.hotplug import HotplugWatch
-from softfinger.server.services.recordings import Written
+from softfinger.server.services.recordings import RecordingTotals
 from softfinger.server.services.world import WorldState
 from softfinger.server.states import State
 from softfinger.server.wire.events import RecordEvents
@@ -45,7 +45,7 @@ def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
 
     broken = cast(Any, Broken())
     if name == "metrics":
-        counts = Counts([""], lambda: Wire(0, 0, 0, 0), lambda: Written(0, 0, 0, 0, 0.0), lambda: State.READY)
+        counts = Counts([""], lambda: Wire(0, 0, 0, 0), lambda: RecordingTotals(0, 0, 0, 0, 0.0), lambda: State.READY)
         bound = SimpleNamespace(
             endpoint="tcp://127.0.0.1:1", listener=broken, files=SimpleNamespace(close=lambda: None)
         )

@@ -21,7 +21,7 @@ from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, LOST, PROTOCOL, TIMEOUT, Device, DeviceIO
 from softfinger.server.closing import Closing
 from softfinger.server.loop import health, shutdown
-from softfinger.server.loop.shutdown import READ_FAILED, STOPPED, WRITE_FAILED, Ended
+from softfinger.server.loop.shutdown import READ_FAILED, STOPPED, WRITE_FAILED, LoopEnd
 from softfinger.server.watcher import take_force_off
 
 pytestmark = pytest.mark.plain
@@ -90,17 +90,17 @@ def test_every_step_has_its_turn_and_the_first_error_comes_back(caplog: pytest.L
     first = ValueError("one")
     with caplog.at_level(logging.ERROR):
         steps = (fails(first), lambda: done.append(1), fails(KeyboardInterrupt()), lambda: done.append(2))
-        assert shutdown.every(*steps) is first
+        assert shutdown.run_all_steps(*steps) is first
     assert done == [1, 2]
     assert [record.getMessage() for record in caplog.records] == ["during shutdown, besides: KeyboardInterrupt"]
-    assert shutdown.every(lambda: None) is None
+    assert shutdown.run_all_steps(lambda: None) is None
 
 
 def test_an_error_from_before_stays_the_first(caplog: pytest.LogCaptureFixture) -> None:
     """It is returned, and that of a step is logged in its own words."""
     before = SafetyStop("stalled")
     with caplog.at_level(logging.ERROR):
-        assert shutdown.every(fails(OSError("gone")), first=before) is before
+        assert shutdown.run_all_steps(fails(OSError("gone")), first=before) is before
     assert "besides: gone" in caplog.text
 
 
@@ -259,7 +259,7 @@ def test_a_failed_device_is_told_with_what_to_do(
     ending: int, status: int, kind: type[HapticError], words: list[str]
 ) -> None:
     """Each by its own class, with the device, the finger where there are several, and the driver's words."""
-    ended = Ended(ending, status)
+    ended = LoopEnd(ending, status)
     error = shutdown.device_failure(device(Motor(said=SAID)), ended, "thumb")
     assert type(error) is kind
     assert all(word in str(error) for word in [*words, "Motor, finger 'thumb'", f"({SAID})", "start again"])
@@ -269,17 +269,17 @@ def test_a_failed_device_is_told_with_what_to_do(
 
 @pytest.mark.parametrize("ending", [STOPPED, health.NO_FORCE, health.STARVED])
 def test_what_was_not_the_device_is_no_error_of_it(ending: int) -> None:
-    assert shutdown.device_failure(device(Motor()), Ended(ending, 0)) is None
+    assert shutdown.device_failure(device(Motor()), LoopEnd(ending, 0)) is None
 
 
 def test_a_loop_that_could_not_go_on_is_told_with_what_to_do() -> None:
     """A scene without a force, and time lost before or in the exchange, with the deadlines counted; else None."""
-    assert shutdown.loop_failure(Ended(READ_FAILED, LOST), 10, 2, False) is None
-    scene = shutdown.loop_failure(Ended(health.NO_FORCE, 0), 10, 2, False)
+    assert shutdown.loop_failure(LoopEnd(READ_FAILED, LOST), 10, 2, False) is None
+    scene = shutdown.loop_failure(LoopEnd(health.NO_FORCE, 0), 10, 2, False)
     assert isinstance(scene, SafetyStop) and "softfinger check" in str(scene)
-    device_slow = str(shutdown.loop_failure(Ended(health.STARVED, 0), 10, 2, False))
+    device_slow = str(shutdown.loop_failure(LoopEnd(health.STARVED, 0), 10, 2, False))
     assert "2 of 12 deadlines" in device_slow and "in the device's exchange" in device_slow
-    machine = str(shutdown.loop_failure(Ended(health.STARVED, 0), 10, 2, True))
+    machine = str(shutdown.loop_failure(LoopEnd(health.STARVED, 0), 10, 2, True))
     assert "before the servo thread was woken" in machine and "softfinger doctor" in machine
 
 

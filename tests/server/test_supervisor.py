@@ -28,7 +28,7 @@ WAIT_S = 20.0
 class Broken:
     """A servo that cannot be looked at."""
 
-    looping = True
+    is_ticking = True
 
     @property
     def ticks(self) -> int:
@@ -71,7 +71,7 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
         done.append(f"{kind} {name}")
         ended.set()
 
-    servo = SimpleNamespace(looping=True, ticks=7, armed=True, devices=(Device("a"), Device("b")))
+    servo = SimpleNamespace(is_ticking=True, ticks=7, armed=True, devices=(Device("a"), Device("b")))
     supervisor = Supervisor(cast(Any, servo), lambda error: done.append(str(error).partition(" for ")[0]), event)
     supervisor.start()
     assert ended.wait(WAIT_S)
@@ -82,7 +82,7 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
 class Stalled:
     """A servo of which no tick comes, and how often it was looked at."""
 
-    looping, armed, looks = True, True, 0
+    is_ticking, armed, looks = True, True, 0
 
     def __init__(self, *hold_a_force: bool) -> None:
         infos = [SimpleNamespace(has_persistent_force=each) for each in hold_a_force]
@@ -142,7 +142,7 @@ def test_a_stall_ends_with_zero_within_what_the_fault_model_says(
     last = (3.0 + share) * step  # a tick a millisecond before it, and none behind it
 
     class Running:
-        looping, armed = True, True
+        is_ticking, armed = True, True
         devices = (
             SimpleNamespace(
                 info=SimpleNamespace(has_persistent_force=True), stop=lambda: stopped.append(clock.now + turn)
@@ -169,7 +169,7 @@ class Unarmed:
         self._looks = looks
 
     @property
-    def looping(self) -> bool:
+    def is_ticking(self) -> bool:
         self._looks -= 1
         return self._looks > 0
 

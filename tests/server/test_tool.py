@@ -48,7 +48,7 @@ def ticks(tuning: Tuning, handles: Any) -> tuple[np.ndarray, np.ndarray]:
     wrenches, records = [], np.zeros((len(handles), RECORD_SIZE))
     for number, (handle, record) in enumerate(zip(np.asarray(handles, float), records, strict=True)):
         memory = tick(tuning, start, memory, (handle,), DT, DT, number, (record,))
-        guarded = memory.fingers[0].guarded
+        guarded = memory.fingers[0].guard_state
         wrenches.append([*guarded.force, *guarded.torque])
     return np.array(wrenches), records
 

@@ -31,7 +31,7 @@ from softfinger.server.keys import client_keys, make_pair
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.publishing.messages import Messages
-from softfinger.server.publishing.setup import Shown, Ticks
+from softfinger.server.publishing.setup import StateInfo, Ticks
 from softfinger.server.wire.client import NoTelemetry
 from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
 from softfinger.tools.measure import Array, add_output_options, microseconds, quantiles, show
@@ -169,7 +169,9 @@ def body(folder: Path) -> list[str]:
     for i in range(PATCHES):
         record[NAMED[f"contacts{i}.object"].at] = -1.0
     record[AT.timestamp], record[AT.tick] = 1.5, float(_EIGHT_BYTES)
-    ((_, made),) = Messages(Ticks(SCHEMA, 1, [CONTACT], STATE, STATE_HZ), Shown(rate_hz=1e9)).of(tuple(record))
+    ((_, made),) = Messages(Ticks(SCHEMA, 1, [CONTACT], STATE, STATE_HZ), StateInfo(rate_hz=1e9)).encode_row(
+        tuple(record)
+    )
     path.write_bytes(made)
     return [str(path), *(str(made.index(each)) for each in (struct.pack(">d", 1.5), struct.pack(">q", _EIGHT_BYTES)))]
 

@@ -21,7 +21,7 @@ from softfinger.drivers.hid.options import Options as HidOptions
 from softfinger.drivers.openhaptics.exchange import TIMEOUT_NS
 from softfinger.drivers.serial.options import Options as SerialOptions
 from softfinger.server.loop import health, limits
-from softfinger.server.loop.force_switch import OFF_S
+from softfinger.server.loop.force_switch import MAX_OFF_S
 from softfinger.server.services import device_warnings, swapping
 from softfinger.server.viewer.door import process
 from softfinger.server.wire import link
@@ -84,7 +84,7 @@ def starved() -> tuple[float, float]:
 
 
 def ticks_to_exceed(limit: float, speed: float, period_s: float = TICK_S) -> int:
-    """Return the ticks until a handle that starts with `speed` (m/s) exceeds `limit` (m/s), as `limits.smoothed`."""
+    """Return the ticks until a handle that starts with `speed` (m/s) exceeds `limit` (m/s); see `smooth_velocity`."""
     return floor(log(1.0 - limit / speed) / log(limits.SPEED_S / (limits.SPEED_S + period_s))) + 1
 
 
@@ -117,11 +117,11 @@ _LOST: Final = f"zero; the run ends, exit code {DeviceError.exit_code}"
 _STOPPED: Final = f"zero; the run ends, exit code {SafetyStop.exit_code}"
 _START: Final = "start again"
 _NONE: Final = "none needed"
-_RAMP: Final = f"the ramp; {health.SILENCE_MAX_S:g} s of it end the run"
-_JUMPS: Final = floor(health.SILENCE_MAX_S / (health.JUMP_S + TICK_S)) + 1
+_RAMP: Final = f"the ramp; {health.NO_FORCE_MAX_S:g} s of it end the run"
+_JUMPS: Final = floor(health.NO_FORCE_MAX_S / (health.JUMP_S + TICK_S)) + 1
 _FROZEN: Final = 120
 """`frozen_s = 0.1` of the tests' rig, and a fifth more."""
-_HELD: Final = round(health.HELD_MAX_S / TICK_S) + 2
+_HELD: Final = round(health.IGNORED_WRENCH_MAX_S / TICK_S) + 2
 """Including the tick in which it ends."""
 _STALLED: Final = round(health.STALL_MAX_S / TICK_S)
 _QUIET: Final = round(max(QUIET_S.values()) / TICK_S)
@@ -203,7 +203,7 @@ HAZARDS: Final = (
         within=_QUIET,
     ),
     Hazard(
-        "a device that takes no force", "status of the driver", f"{health.HELD_MAX_S:g} s",
+        "a device that takes no force", "status of the driver", f"{health.IGNORED_WRENCH_MAX_S:g} s",
         f"{_LOST}; until then the force of before", _START, (FAILED,), (_INJECTED, _EVERYWHERE), within=_HELD,
     ),
     Hazard(
@@ -256,7 +256,7 @@ HAZARDS: Final = (
         within=1,
     ),
     Hazard(
-        "a commanding program that is gone", "`heartbeat_s`", f"`heartbeat_s` and {1e3 * OFF_S:g} ms", "zero",
+        "a commanding program that is gone", "`heartbeat_s`", f"`heartbeat_s` and {1e3 * MAX_OFF_S:g} ms", "zero",
         "the next heartbeat, or `arm`", ("command heartbeat_missed", FAILED),
         ("tests/server/test_commands.py::test_without_a_heartbeat_there_is_no_force_until_the_next",
          "tests/server/test_commands_at_once.py::test_the_force_ends_while_python_does_nothing"),

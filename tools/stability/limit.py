@@ -220,7 +220,7 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
         x, y, z = sense(plant, state)
         sample: Any = (x, y, z, 1.0, 0.0, 0.0, 0.0)
         memory = tick(tuning, start, memory, (sample,), loop.period, loop.period, k, (NOWHERE,))
-        state = advance(plant, state, memory.fingers[0].guarded.force, zero, upright, line)
+        state = advance(plant, state, memory.fingers[0].guard_state.force, zero, upright, line)
         if not abs(state.position[2]) < REACH * knock:
             return True, k + 1.0
         u = (k + 0.5) / third - 1.0

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.server.loop.guard import DISENGAGED, GUARD_NAMES, NOT_FINITE, Guard, guard_wrench
+from softfinger.server.loop.guard import GUARD_NAMES, INITIAL_GUARD_STATE, NOT_FINITE, Guard, guard_wrench
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class Case(NamedTuple):
 @entry
 def guard_many(guard: Guard, wrenches: Array, dts: Array, period: float, out: Array, bits: Any) -> None:
     """Run the guard on each row of `wrenches` (n, 6), from disengaged; stores the output (n, 6) and its bits (n,)."""
-    guarded = DISENGAGED
+    guarded = INITIAL_GUARD_STATE
     for i in range(wrenches.shape[0]):
         w = wrenches[i]
         guarded, bits[i] = guard_wrench(guard, guarded, (w[0], w[1], w[2]), (w[3], w[4], w[5]), dts[i], period)

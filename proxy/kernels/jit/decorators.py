@@ -25,7 +25,6 @@ import numba
 from numba.core import event
 
 from softfinger.proxy.kernels.jit.cache import KERNEL_FOLDERS, Folder
-from softfinger.proxy.kernels.jit.compiler.doing import DOING
 from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     FOR_KERNELS,
     WITHOUT_ALLOCATOR,
@@ -34,6 +33,7 @@ from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     Inlined,
     KernelCache,
 )
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -94,7 +94,7 @@ INLINED: Final = OPTIONS | FOR_KERNELS
 """Options of a kernel that is called only by kernels: no Python wrapper, compiled into its callers."""
 
 
-class _Told(event.Listener):  # type: ignore[misc]
+class _CompileListener(event.Listener):  # type: ignore[misc]
     """Listener for the start and end of each compilation by numba.
 
     The garbage collector is off until the end of the outermost compilation: numba creates millions of objects that live
@@ -109,16 +109,16 @@ class _Told(event.Listener):  # type: ignore[misc]
             self._collects = gc.isenabled()
             gc.disable()
         self._depth += 1
-        DOING.begin()
+        COMPILE_PROGRESS.begin()
 
     def on_end(self, event: Any) -> None:
-        DOING.end()
+        COMPILE_PROGRESS.end()
         self._depth -= 1
         if self._depth == 0 and self._collects:
             gc.enable()
 
 
-event.register("numba:compile", _Told())
+event.register("numba:compile", _CompileListener())
 
 
 def jit(function: Kernel) -> Kernel:

@@ -88,14 +88,14 @@ def _declare(function: Kernel, holds: Callable[..., bool]) -> Any:
         symbol = symbol_for(given, result)
 
         def generate(context, builder, signature, values):  # type: ignore[no-untyped-def]
-            there = cgutils.alloca_once(builder, context.get_value_type(given))
-            back = cgutils.alloca_once(builder, context.get_value_type(result))
-            builder.store(context.make_tuple(builder, given, values), there)
+            arguments_slot = cgutils.alloca_once(builder, context.get_value_type(given))
+            result_slot = cgutils.alloca_once(builder, context.get_value_type(result))
+            builder.store(context.make_tuple(builder, given, values), arguments_slot)
             code = cgutils.get_or_insert_function(
                 builder.module, ir.FunctionType(ir.VoidType(), [_ADDRESS, _ADDRESS]), symbol
             )
-            builder.call(code, [builder.bitcast(each, _ADDRESS) for each in (there, back)])
-            return builder.load(back)
+            builder.call(code, [builder.bitcast(each, _ADDRESS) for each in (arguments_slot, result_slot)])
+            return builder.load(result_slot)
 
         return result(*args), generate
 
@@ -123,7 +123,7 @@ def _in_and_out(inner: Any, given: types.Type, result: types.Type) -> Callable[[
 
         return types.void(address, result), generate
 
-    def unit(arguments: Any, there: Any) -> None:
-        put(there, inner(*take(arguments)))
+    def unit(arguments: Any, result_address: Any) -> None:
+        put(result_address, inner(*take(arguments)))
 
     return unit

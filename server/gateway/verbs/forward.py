@@ -13,12 +13,12 @@ from typing import Final
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import is_public
 from softfinger.server import keys, signals
-from softfinger.server.gateway.addresses import addresses_of
-from softfinger.server.gateway.allowed import Allowed
-from softfinger.server.gateway.forward import Forward, Source, Way
+from softfinger.server.gateway.addresses import find_addresses
+from softfinger.server.gateway.forward import CommandPath, Forward, Source
 from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.progress import counter
-from softfinger.server.publishing.front import Lock
+from softfinger.server.publishing.allowed import Allowed
+from softfinger.server.publishing.peer_socket import KeyLock
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 from softfinger.server.wire.endpoint import Bound, listen
 
@@ -61,24 +61,24 @@ def run(args: argparse.Namespace) -> int:
     if not (args.to or args.commands_to or args.lsl):
         raise ConfigError("nothing to do: give --to, --commands-to or --lsl")
     upstream = None if args.server_key is None else keys.of_options(args)
-    origin = addresses_of(args.source, upstream, args.commands_from)
+    origin = find_addresses(args.source, upstream, args.commands_from)
     stop = threading.Event()
     with ExitStack() as stack:
         to, commands = None, None
         if args.to:
-            lock = lock_of(args.to, "--to", args.keys, args.readers)
-            to = (bound(args.to, "--to", stack), lock)
+            lock = make_lock(args.to, "--to", args.keys, args.readers)
+            to = (bind(args.to, "--to", stack), lock)
         if args.commands_to:
-            lock = lock_of(args.commands_to, "--commands-to", args.keys, args.commanders)
-            opened = bound(args.commands_to, "--commands-to", stack)
-            commands = Way(Source(origin.commanded(), upstream), opened, lock)
+            lock = make_lock(args.commands_to, "--commands-to", args.keys, args.commanders)
+            opened = bind(args.commands_to, "--commands-to", stack)
+            commands = CommandPath(Source(origin.command_endpoint(), upstream), opened, lock)
         stream = Source(origin.telemetry, upstream) if to or args.lsl else None
         forward = Forward(stream, to, commands, Outlets(origin.telemetry) if args.lsl else None)
         stack.callback(forward.close)
         for name, part in (("telemetry", forward.readers), ("commands", forward.commanders)):
             if part is not None:
-                who = "who has a key" if part.front.lock else "everybody who reaches it"
-                log.info("%s forwarded on %s, to %s", name, part.front.endpoint, who)
+                who = "who has a key" if part.peers.lock else "everybody who reaches it"
+                log.info("%s forwarded on %s, to %s", name, part.peers.endpoint, who)
         if args.until_eof:
             threading.Thread(target=_end_with_input, args=(stop,), daemon=True).start()
         with signals.asked(stop.set), counter() as show:
@@ -93,13 +93,13 @@ def _end_with_input(stop: threading.Event) -> None:
     stop.set()
 
 
-def lock_of(endpoint: str, flag: str, own: str | None, folder: str | None) -> Lock | None:
+def make_lock(endpoint: str, flag: str, own: str | None, folder: str | None) -> KeyLock | None:
     """Return the lock of an endpoint; None if all peers that reach it may connect, which excludes other machines."""
     folder_flag = "--readers" if flag == "--to" else "--commanders"
     if folder is not None:
         if own is None:
             raise ConfigError(f"{folder_flag} {folder}: whoever shows a key meets one: add --keys FILE")
-        return Lock(keys.read_pair(own), Allowed(folder))
+        return KeyLock(keys.read_pair(own), Allowed(folder))
     if is_public(endpoint):
         raise ConfigError(
             f"{flag} {endpoint} is open to the network: say who may come in, with --keys FILE and {folder_flag} DIR "
@@ -108,7 +108,7 @@ def lock_of(endpoint: str, flag: str, own: str | None, folder: str | None) -> Lo
     return None
 
 
-def bound(endpoint: str, flag: str, stack: ExitStack) -> Bound:
+def bind(endpoint: str, flag: str, stack: ExitStack) -> Bound:
     """Bind the endpoint; `stack` frees it."""
     made = listen(endpoint, flag, public=True)
     stack.enter_context(made.files)

@@ -46,12 +46,12 @@ _RAMPED: Final[Mapping[type, frozenset[str]]] = {
 """Fields whose numbers are all ramped, by type of node."""
 
 
-class Way(NamedTuple):
+class ParameterRamp(NamedTuple):
     """Ramp from the present parameters to the requested ones.
 
     kinds        (n,)  kind of each leaf: AT_ONCE, LINEAR, GEOMETRIC
     now, target  (n,)  values as returned by `leaves`
-    left         (1,)  remaining ticks, of which the last sets the exact target; -1 when the ramp is finished
+    ticks_left   (1,)  remaining ticks, of which the last sets the exact target; -1 when the ramp is finished
     rows         (k,)  indices of leaves that are addresses of rows of objects
     addresses    (k,)  their values: addresses inside `now`, which ends with those objects; kernels read them there
     ticks              length of the ramp, at least 1
@@ -60,7 +60,7 @@ class Way(NamedTuple):
     kinds: NDArray[np.int64]
     now: NDArray[np.float64]
     target: NDArray[np.float64]
-    left: NDArray[np.int64]
+    ticks_left: NDArray[np.int64]
     rows: NDArray[np.int64]
     addresses: NDArray[np.float64]
     ticks: int
@@ -71,19 +71,19 @@ def leaves(tuning: Any) -> NDArray[np.float64]:
     return np.concatenate([flatten(tuning), *(rows.array for _, rows in _rows(tuning))])
 
 
-def make_way(tuning: Any, ticks: int) -> Way:
+def make_ramp(tuning: Any, ticks: int) -> ParameterRamp:
     """Return a ramp for a tuning that takes `ticks` ticks; 0 changes parameters at once."""
     now, rows = leaves(tuning), _rows(tuning)
-    behind = [tree for _, those in rows for tree in those.trees]
-    kinds = [kind for tree in (tuning, *behind) for kind in _kinds(tree, AT_ONCE)]
-    begins = len(now) - np.cumsum([len(those.array) for _, those in rows][::-1], dtype=np.int64)[::-1]
-    return Way(
+    row_trees = [tree for _, objects in rows for tree in objects.trees]
+    kinds = [kind for tree in (tuning, *row_trees) for kind in _kinds(tree, AT_ONCE)]
+    offsets = len(now) - np.cumsum([len(objects.array) for _, objects in rows][::-1], dtype=np.int64)[::-1]
+    return ParameterRamp(
         np.array(kinds, np.int64),
         now,
         now.copy(),
         np.full(1, -1, np.int64),
         np.array([leaf for leaf, _ in rows], np.int64),
-        (now.ctypes.data + now.itemsize * begins).view(np.float64),
+        (now.ctypes.data + now.itemsize * offsets).view(np.float64),
         max(ticks, 1),
     )
 
@@ -126,43 +126,43 @@ def _kind_of(node: Any, field: Any, kind: int) -> int:
 
 
 @jit
-def stay(way: Way, values: NDArray[np.float64]) -> None:
+def set_now(ramp: ParameterRamp, values: NDArray[np.float64]) -> None:
     """Set the parameters to `values` (n,) at once."""
     for i in range(values.shape[0]):
-        way.now[i] = way.target[i] = values[i]
-    way.left[0] = -1
-    _keep_rows(way)
+        ramp.now[i] = ramp.target[i] = values[i]
+    ramp.ticks_left[0] = -1
+    _restore_addresses(ramp)
 
 
 @jit
-def head_for(way: Way, values: NDArray[np.float64]) -> None:
+def set_target(ramp: ParameterRamp, values: NDArray[np.float64]) -> None:
     """Set the target to `values` (n,); restart the ramp of all values if a ramped one changes."""
     changed = False
     for i in range(values.shape[0]):
-        changed |= way.kinds[i] != AT_ONCE and values[i] != way.target[i]
-        way.target[i] = values[i]
+        changed |= ramp.kinds[i] != AT_ONCE and values[i] != ramp.target[i]
+        ramp.target[i] = values[i]
     if changed:
-        way.left[0] = way.ticks
-    elif way.left[0] < 0:
-        way.left[0] = 1
+        ramp.ticks_left[0] = ramp.ticks
+    elif ramp.ticks_left[0] < 0:
+        ramp.ticks_left[0] = 1
 
 
 @jit
-def advance(way: Way) -> None:
+def advance(ramp: ParameterRamp) -> None:
     """Advance by one tick; call it only while ticks remain."""
-    left = way.left[0]
-    for i in range(way.now.shape[0]):
-        if way.kinds[i] == AT_ONCE or left <= 1:
-            way.now[i] = way.target[i]
-        elif way.kinds[i] == LINEAR:
-            way.now[i] += (way.target[i] - way.now[i]) / left
+    ticks_left = ramp.ticks_left[0]
+    for i in range(ramp.now.shape[0]):
+        if ramp.kinds[i] == AT_ONCE or ticks_left <= 1:
+            ramp.now[i] = ramp.target[i]
+        elif ramp.kinds[i] == LINEAR:
+            ramp.now[i] += (ramp.target[i] - ramp.now[i]) / ticks_left
         else:
-            way.now[i] *= (way.target[i] / way.now[i]) ** (1.0 / left)
-    way.left[0] = left - 1 if left > 1 else -1
-    _keep_rows(way)
+            ramp.now[i] *= (ramp.target[i] / ramp.now[i]) ** (1.0 / ticks_left)
+    ramp.ticks_left[0] = ticks_left - 1 if ticks_left > 1 else -1
+    _restore_addresses(ramp)
 
 
 @jit
-def _keep_rows(way: Way) -> None:
-    for k in range(way.rows.shape[0]):
-        way.now[way.rows[k]] = way.addresses[k]
+def _restore_addresses(ramp: ParameterRamp) -> None:
+    for k in range(ramp.rows.shape[0]):
+        ramp.now[ramp.rows[k]] = ramp.addresses[k]

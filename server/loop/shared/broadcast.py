@@ -32,7 +32,7 @@ class Broadcast(NamedTuple):
     head: NDArray[np.int64]
 
 
-class Place(NamedTuple):
+class ReadPosition(NamedTuple):
     """Read position of one reader.
 
     next  (1,)  row that is read next
@@ -50,9 +50,9 @@ def make_broadcast(capacity: int, width: int) -> Broadcast:
     return Broadcast(np.zeros((capacity, width)), np.zeros(8, np.int64))
 
 
-def make_place(broadcast: Broadcast) -> Place:
+def make_read_position(broadcast: Broadcast) -> ReadPosition:
     """Return the read position of a reader that starts at the next row."""
-    return Place(broadcast.head[:1].copy(), np.zeros(1, np.int64))
+    return ReadPosition(broadcast.head[:1].copy(), np.zeros(1, np.int64))
 
 
 @jit
@@ -67,14 +67,14 @@ def write_row(broadcast: Broadcast, rows: NDArray[np.float64], row: int) -> None
 
 
 @entry
-def read_rows(broadcast: Broadcast, place: Place, out: NDArray[np.float64]) -> int:
+def read_rows(broadcast: Broadcast, position: ReadPosition, out: NDArray[np.float64]) -> int:
     """Copy up to len(out) rows to `out` (n, width), oldest first; returns the number of rows."""
     capacity = broadcast.slots.shape[0]
     while True:
-        first, head = place.next[0], load_acquire(broadcast.head, 0)
+        first, head = position.next[0], load_acquire(broadcast.head, 0)
         if head - first >= capacity:  # the writer may be overwriting the oldest row
-            place.next[0] = head - capacity // 2
-            place.lost[0] += place.next[0] - first
+            position.next[0] = head - capacity // 2
+            position.lost[0] += position.next[0] - first
             continue
         count = min(head - first, out.shape[0])
         for k in range(count):
@@ -83,5 +83,5 @@ def read_rows(broadcast: Broadcast, place: Place, out: NDArray[np.float64]) -> i
                 out[k, i] = broadcast.slots[slot, i]
         fence_acquire()
         if load_relaxed(broadcast.head, 0) - first < capacity:
-            place.next[0] = first + count
+            position.next[0] = first + count
             return int(count)

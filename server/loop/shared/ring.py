@@ -32,12 +32,12 @@ class Ring(NamedTuple):
 class Feed(NamedTuple):
     """Ring and the notification of its reader.
 
-    turns    element 0 counts the rings that are complete: no record is pushed to them any more
-    wake_fd  eventfd, written after each push and after each increment of `turns`
+    completed_rings  element 0 counts the rings that are complete: no record is pushed to them any more
+    wake_fd          eventfd, written after each push and after each increment of `completed_rings`
     """
 
     ring: Ring
-    turns: NDArray[np.int64]
+    completed_rings: NDArray[np.int64]
     wake_fd: int
 
 

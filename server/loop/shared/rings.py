@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.server.loop.shared.bell import wait_for
+from softfinger.server.loop.shared.eventfd import wait_for
 from softfinger.server.loop.shared.ring import Feed, Ring, take
 
 
@@ -23,7 +23,7 @@ class Rings:
     def __init__(self) -> None:
         self.wake_fd = os.eventfd(0)
         """Eventfd, written after each record and after each change of rings."""
-        self._turns: Final = np.zeros(8, np.int64)
+        self._completed_rings: Final = np.zeros(8, np.int64)
         self._rings: Final = list[Ring]()
         self._dropped = 0
 
@@ -43,11 +43,11 @@ class Rings:
             return
         self._rings.append(ring)
         if len(self._rings) > 1:
-            self._turns[0] += 1
+            self._completed_rings[0] += 1
 
     def end(self) -> None:
         """Mark the last ring as complete and wake the reader."""
-        self._turns[0] += 1
+        self._completed_rings[0] += 1
         os.eventfd_write(self.wake_fd, 1)
 
     def wait(self) -> None:
@@ -56,19 +56,19 @@ class Rings:
 
     def take(self, out: NDArray[np.float64]) -> int:
         """Move the oldest records into `out` (n, width), a row per tick; returns the number of rows."""
-        turned = len(self._rings) > 1  # read before the ring is emptied: a finished loop adds no record
+        is_complete = len(self._rings) > 1  # read before the ring is emptied: a finished loop adds no record
         count = int(take(self._rings[0], out))
-        if count == 0 and turned:
+        if count == 0 and is_complete:
             self._next()
             count = int(take(self._rings[0], out))
         return count
 
     def feeds(self) -> Iterator[Feed]:
         """Yield each ring once the previous one is complete and empty; the last one completes when the servo ends."""
-        yield Feed(self._rings[0], self._turns, self.wake_fd)
+        yield Feed(self._rings[0], self._completed_rings, self.wake_fd)
         while len(self._rings) > 1:
             self._next()
-            yield Feed(self._rings[0], self._turns, self.wake_fd)
+            yield Feed(self._rings[0], self._completed_rings, self.wake_fd)
 
     def close(self) -> None:
         """Release the eventfd; call it after the reader has stopped."""

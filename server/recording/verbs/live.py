@@ -18,7 +18,7 @@ from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.progress import counter
 from softfinger.server.recording.recorder import Recorded, Recorder
-from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, record_of, silence, subscribe
+from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, no_telemetry_text, record_of, subscribe
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, WORLD, finger_of
 
@@ -231,13 +231,13 @@ def _early(wire: Subscription, live: Live) -> list[Sample]:
             # Messages of one tick arrive together: before the third message of one finger, each finger has had one.
             if ticks[sample.topic] == 3:
                 return samples
-    raise NoTelemetry(silence(live.at.telemetry, live.timeout_s))
+    raise NoTelemetry(no_telemetry_text(live.at.telemetry, live.timeout_s))
 
 
 def _description(live: Live) -> dict[str, Any]:
     """Return the daemon's description; empty if it accepts no commands."""
     try:
-        with Control(live.at.commanded(), DESCRIBE_S, keys=live.keys) as control:
+        with Control(live.at.command_endpoint(), DESCRIBE_S, keys=live.keys) as control:
             return {key: value for key, value in control.describe().items() if key not in _NOT_KEPT}
     except HapticError as error:
         log.warning("it is not known which rig and scene this is: %s", error)

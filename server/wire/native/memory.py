@@ -31,7 +31,7 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, sto
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.memory import address_of
 from softfinger.server.closing import Closing
-from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows
+from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows
 
 log: Final = logging.getLogger(__name__)
 
@@ -89,10 +89,10 @@ def make_memory(capacity: int, width: int) -> Memory:
     try:
         if _FUTEX < 0:
             raise OSError(errno.ENOSYS, f"there is no futex known for {platform.machine()}")
-        clear_away()
-        fd, name = _claimed()
+        remove_stale_files()
+        fd, name = _create_locked()
         try:
-            words = _made(fd, size)
+            words = _allocate(fd, size)
         except BaseException:
             (FOLDER / name).unlink(missing_ok=True)
             os.close(fd)
@@ -100,20 +100,20 @@ def make_memory(capacity: int, width: int) -> Memory:
     except OSError as error:
         log.warning("telemetry: local readers cannot have the ticks as memory: %s: %s", FOLDER, error.strerror)
         fd, name = os.memfd_create("softfinger"), ""
-        words = _made(fd, size)
+        words = _allocate(fd, size)
     words[_LAYOUT], words[_CAPACITY], words[_WIDTH] = LAYOUT, capacity, width
     words[_MAGIC] = MAGIC
-    return Memory(_broadcast(words), words, name, fd, os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC))
+    return Memory(_as_broadcast(words), words, name, fd, os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC))
 
 
-def _made(fd: int, size: int) -> NDArray[np.int64]:
+def _allocate(fd: int, size: int) -> NDArray[np.int64]:
     """Return the given number of bytes of a new file, as int64."""
     # Allocated now: if the system had no room, a later write would crash the process.
     os.posix_fallocate(fd, 0, size)
-    return mapped(fd, size)
+    return map_file(fd, size)
 
 
-def _claimed() -> tuple[int, str]:
+def _create_locked() -> tuple[int, str]:
     """Create and lock a file; return it and its name."""
     while True:
         name = f"{PREFIX}{secrets.token_hex(8)}"
@@ -124,7 +124,7 @@ def _claimed() -> tuple[int, str]:
         os.close(fd)
 
 
-def mapped(fd: int, size: int) -> NDArray[np.int64]:
+def map_file(fd: int, size: int) -> NDArray[np.int64]:
     """Map a file as an int64 array, for as long as the array exists.
 
     Not with `mmap`, which would keep a duplicate of the file open.
@@ -137,7 +137,7 @@ def mapped(fd: int, size: int) -> NDArray[np.int64]:
     return np.ctypeslib.as_array(block)
 
 
-def _broadcast(words: NDArray[np.int64]) -> Broadcast:
+def _as_broadcast(words: NDArray[np.int64]) -> Broadcast:
     capacity, width = int(words[_CAPACITY]), int(words[_WIDTH])
     slots = words[PAGE_BYTES // 8 :].view(np.float64)[: capacity * width].reshape(capacity, width)
     return Broadcast(slots, words[HEAD : HEAD + 8])
@@ -146,14 +146,14 @@ def _broadcast(words: NDArray[np.int64]) -> Broadcast:
 def remove(memory: Memory) -> None:
     """Notify readers of the end, and remove the name; readers that have mapped the memory can still read it."""
     memory.words[_ENDED] = 1
-    ring_readers(memory.broadcast)
+    wake_readers_from_python(memory.broadcast)
     if memory.name:
         (FOLDER / memory.name).unlink(missing_ok=True)
     os.close(memory.fd)
     os.close(memory.reading)
 
 
-def clear_away() -> None:
+def remove_stale_files() -> None:
     """Remove the files of killed daemons of this user: files without a lock."""
     for path in FOLDER.glob(f"{PREFIX}*"):
         with contextlib.suppress(OSError):
@@ -174,7 +174,7 @@ def wake_readers(broadcast: Broadcast) -> None:
 
 
 @entry
-def ring_readers(broadcast: Broadcast) -> None:
+def wake_readers_from_python(broadcast: Broadcast) -> None:
     """Call `wake_readers` from Python."""
     wake_readers(broadcast)
 
@@ -204,8 +204,8 @@ class Local(Closing):
             if len(words) * 8 <= PAGE_BYTES or (words[_MAGIC], words[_LAYOUT]) != (MAGIC, LAYOUT):
                 raise ConfigError(f"{name} does not have layout {LAYOUT}: use the client of the daemon's version")
             opened.pop_all()
-        self._words, self._broadcast = words, _broadcast(words)
-        self._place = make_place(self._broadcast)
+        self._words, self._broadcast = words, _as_broadcast(words)
+        self._position = make_read_position(self._broadcast)
         self._rows = np.empty((256, int(words[_WIDTH])))
 
     def take(self, timeout_s: float) -> NDArray[np.float64]:
@@ -216,17 +216,17 @@ class Local(Closing):
         until_s = time.monotonic() + timeout_s
         while True:
             ended, bell = self.ended, int(load_word(self._broadcast.head, _BELL))
-            count = int(read_rows(self._broadcast, self._place, self._rows))
-            left_s = until_s - time.monotonic()
-            if count or ended or left_s <= 0.0:
+            count = int(read_rows(self._broadcast, self._position, self._rows))
+            remaining_s = until_s - time.monotonic()
+            if count or ended or remaining_s <= 0.0:
                 return self._rows[:count]
-            part_s = min(left_s, ALIVE_S)
+            part_s = min(remaining_s, ALIVE_S)
             sleep(self._broadcast, bell, np.array([int(part_s), int(part_s % 1.0 * 1e9)]))
 
     @property
     def lost(self) -> int:
         """Ticks that were overwritten before they were read."""
-        return int(self._place.lost[0])
+        return int(self._position.lost[0])
 
     @property
     def ended(self) -> bool:

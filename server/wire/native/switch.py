@@ -6,9 +6,9 @@ import os
 from typing import Final
 
 from softfinger.server.loop.force_switch import make_switch
-from softfinger.server.loop.switch_words import ASKED, OBEYED
+from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
 from softfinger.server.publishing.brake import takes_force_off
-from softfinger.server.wire.native.memory import PAGE_BYTES, mapped
+from softfinger.server.wire.native.memory import PAGE_BYTES, map_file
 
 
 class SharedSwitch:
@@ -22,19 +22,19 @@ class SharedSwitch:
         self.file: Final = os.memfd_create("softfinger-switch")
         try:
             os.ftruncate(self.file, PAGE_BYTES)
-            self.words: Final = make_switch(mapped(self.file, PAGE_BYTES))
+            self.words: Final = make_switch(map_file(self.file, PAGE_BYTES))
         except BaseException:
             os.close(self.file)
             raise
 
-    def obeyed(self, body: bytes) -> None:
+    def count_handled(self, body: bytes) -> None:
         """Count a client's request that was handled or declined, if it turns the force off."""
         if takes_force_off(body):
-            self.words[OBEYED] += 1
+            self.words[STOPS_HANDLED] += 1
 
     def restart(self) -> None:
         """Reset the count, because a publisher that has exited may not have passed on all requests."""
-        self.words[OBEYED] = self.words[ASKED]
+        self.words[STOPS_HANDLED] = self.words[STOPS_RECEIVED]
 
     def close(self) -> None:
         """Close the file; the memory remains valid."""

@@ -263,7 +263,7 @@ def test_a_daemon_records_by_command(tmp_path: Path) -> None:
 )
 def test_a_client_writes_below_the_folder_only(name: str, why: str, tmp_path: Path) -> None:
     """No path leads out of the folder of recordings, past a link or over a file, and nothing is made."""
-    from softfinger.server.services.recordings import _opened
+    from softfinger.server.services.recordings import _open_new_file
 
     folder = tmp_path / "recordings"
     folder.mkdir()
@@ -275,7 +275,7 @@ def test_a_client_writes_below_the_folder_only(name: str, why: str, tmp_path: Pa
     with Daemon(quiet_rig(folder), load_scene("paper-plane")) as daemon, pytest.raises(RecordingError, match=why):
         daemon.recordings.begin(name, "paper-plane")
     assert sorted(tmp_path.rglob("*")) == before and (folder / "there.mcap").read_text() == "precious"
-    with _opened(Path("in/x.mcap"), folder) as file:
+    with _open_new_file(Path("in/x.mcap"), folder) as file:
         file.write(b"x")
     assert (folder / "in" / "x.mcap").read_bytes() == b"x"
 

@@ -24,7 +24,7 @@ from softfinger.server.viewer.nodes.meshes import sent
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import RecordedPage, Recording
 from softfinger.server.wire.commands import Triangles
-from softfinger.server.wire.envelope import answered
+from softfinger.server.wire.envelope import encode_answer
 
 BEGAN = Began(0, 0, 1e-3, own_clock=False)
 
@@ -45,7 +45,7 @@ def test_a_picture_crosses_the_wire_as_it_is(tmp_path: Path) -> None:
     """The answer to `mesh` is what a client takes at most, even of the largest picture, and comes out the same."""
     report, picture = about(scene_of(scan(tmp_path, 60)).object[1])  # type: ignore[arg-type]
     assert report.triangles == 72000 and 20000 < len(picture.triangles) <= PICTURE_TRIANGLES
-    message = answered(
+    message = encode_answer(
         "7",
         Triangles(
             picture.vertices.astype("<f4").tobytes(), picture.triangles.astype("<u4").tobytes(), report.triangles

@@ -54,7 +54,7 @@ from numba.core.untyped_passes import InlineClosureLikes
 from numba.extending import models, register_model, typeof_impl
 
 from softfinger.proxy.kernels.jit.cache import WRITTEN, Folder, kinds_in, sources_of
-from softfinger.proxy.kernels.jit.compiler.doing import DOING
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
 SEEN: Final = ("0.67", "0.68")
 """Versions of numba with which all of this was tested."""
@@ -132,7 +132,7 @@ def load(folder: Folder, name: str, target_context: Any, key: tuple[Any, ...] | 
 
     Returns None if it is missing, invalid, or compiled for another key than `key`.
     """
-    with DOING.loading():
+    with COMPILE_PROGRESS.loading():
         body = folder.read(name)
         if body is None:
             return None
@@ -311,12 +311,12 @@ class CFunction(CFunc):
         return super().address
 
     def _compile_uncached(self) -> Any:
-        """Compile, and record it in DOING: numba sends no event for C functions."""
-        DOING.begin()
+        """Compile, and record it in COMPILE_PROGRESS: numba sends no event for C functions."""
+        COMPILE_PROGRESS.begin()
         try:
             return super()._compile_uncached()  # type: ignore[misc]
         finally:
-            DOING.end()
+            COMPILE_PROGRESS.end()
 
 
 _LINKED: Final[dict[str, Any]] = {}

@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 
-class Doing:
+class CompileProgress:
     """Kernels that this process compiles and loads."""
 
     def __init__(self) -> None:
         self._compiled = self._depth = 0
         self._loading = False
-        self.at_first: Callable[[], None] | None = None
+        self.on_first: Callable[[], None] | None = None
         """Callback at the start of the first compilation in this process; loading does not call it."""
 
     def __str__(self) -> str:
@@ -27,8 +27,8 @@ class Doing:
 
     def begin(self) -> None:
         """Record the start of a compilation; a nested one, of a callee, counts as part of it."""
-        if not self._compiled and self.at_first is not None:
-            self.at_first()
+        if not self._compiled and self.on_first is not None:
+            self.on_first()
         self._compiled += not self._depth
         self._depth += 1
 
@@ -45,4 +45,4 @@ class Doing:
             self._loading = False
 
 
-DOING = Doing()
+COMPILE_PROGRESS = CompileProgress()

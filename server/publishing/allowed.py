@@ -17,7 +17,7 @@ from softfinger.server.keys import read_pair, read_public
 
 log: Final = logging.getLogger(__name__)
 
-AGAIN_S: Final = 0.1
+REREAD_MIN_S: Final = 0.1
 """Shortest time between two reads because of unknown keys, unless the folder has just changed."""
 SETTLED_NS: Final = 1_000_000_000
 """A new file in the folder is complete after this time."""
@@ -31,21 +31,21 @@ class Allowed:
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         self._names: dict[bytes, str] = {}
-        self._let_in: set[bytes] = set()
+        self._accepted: set[bytes] = set()
         self._read_s, self._read_ns = 0.0, 0
-        self._barred: set[bytes] = set()
-        self._said: set[str] = set()
+        self._revoked: set[bytes] = set()
+        self._warned: set[str] = set()
         self._reading = threading.Lock()
         self._read(strictly=True)
 
     def callback(self, domain: str, key: bytes) -> bool:
         """Return whether a peer with this key (Z85) may connect; called by libzmq's authenticator, in its thread."""
         # A rejected client does not connect again, so a key that was just added must be found now.
-        if key not in self._names and (time.monotonic() - self._read_s > AGAIN_S or self._changes()):
+        if key not in self._names and (time.monotonic() - self._read_s > REREAD_MIN_S or self._changes()):
             self._read()
         if key not in self._names:
             return False
-        self._let_in.add(key)
+        self._accepted.add(key)
         return True
 
     def name(self, key: bytes) -> str:
@@ -55,13 +55,13 @@ class Allowed:
     def refresh(self) -> bool:
         """Read the folder again; return whether a key that was in use is no longer allowed."""
         self._read()
-        gone = set(self._let_in) - self._names.keys()
-        self._let_in -= gone
-        return bool(gone)
+        removed = set(self._accepted) - self._names.keys()
+        self._accepted -= removed
+        return bool(removed)
 
-    def bar(self, key: bytes) -> None:
+    def revoke(self, key: bytes) -> None:
         """Refuse a key (Z85) until the gateway is restarted."""
-        self._barred.add(key)
+        self._revoked.add(key)
 
     def _changes(self) -> bool:
         """Return whether the folder has changed since the last read, or so shortly before that a file may be
@@ -90,7 +90,7 @@ class Allowed:
                 raise ConfigError(f"no keys of those who may: {text}") from error
             self._warn(f"nobody is let in: {text}")
             names = {}
-        self._names = {key: name for key, name in names.items() if key not in self._barred}
+        self._names = {key: name for key, name in names.items() if key not in self._revoked}
 
     def _read_one(self, path: Path, names: dict[bytes, str], strictly: bool) -> None:
         try:
@@ -104,8 +104,8 @@ class Allowed:
 
     def _warn(self, text: str) -> None:
         """Log a warning once, instead of each time the folder is read."""
-        if text not in self._said:
-            self._said.add(text)
+        if text not in self._warned:
+            self._warned.add(text)
             log.warning("%s", text)
 
 

@@ -35,7 +35,7 @@ def default_commands() -> str:
     return commands_beside(Telemetry().endpoint)
 
 
-def connected(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:
+def connect(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:
     """Connect a DEALER to the commands of a daemon; if that fails, close it and raise ConfigError."""
     socket.linger = 0
     # A unique name that does not start with 0: an answer reaches it even if the publisher was restarted in between.
@@ -59,7 +59,7 @@ def connected(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -
         ) from error
 
 
-def asking(method: str, params: Any, wait_s: float) -> tuple[str, list[bytes]]:
+def encode_request(method: str, params: Any, wait_s: float) -> tuple[str, list[bytes]]:
     """Return the id and the frames of a request; raises ConfigError if it cannot be encoded."""
     command_id = uuid.uuid4().hex
     request = {"command_id": command_id, "method": method, "params": params, "expires": expiry(wait_s)}
@@ -79,7 +79,7 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{value!r} is a {type(value).__name__}: give numbers, texts, lists and mappings")
 
 
-def answer_in(frames: list[bytes]) -> dict[str, Any]:
+def decode_answer(frames: list[bytes]) -> dict[str, Any]:
     """Return the map of an answer, or an empty one if it is invalid."""
     try:
         answer = msgpack.unpackb(frames[1]) if len(frames) == 2 else {}
@@ -103,19 +103,19 @@ def no_answer(method: str, endpoint: str, waited_s: float) -> NoAnswer:
     )
 
 
-def time_for(method: str, timeout_s: float | None) -> float:
+def timeout_for(method: str, timeout_s: float | None) -> float:
     """Return the time (s) to wait for an answer: the user's value, or the default of the method."""
     if timeout_s is not None:
         return timeout_s
     return SCENE_TIMEOUT_S if method in ("set_scene", "reset_world") else TIMEOUT_S
 
 
-def given(value: R | None) -> R | msgspec.UnsetType:
+def or_unset(value: R | None) -> R | msgspec.UnsetType:
     """Return a parameter, or UNSET for None."""
     return msgspec.UNSET if value is None else value
 
 
-def number_of(text: str) -> str | float:
+def parse_number(text: str) -> str | float:
     """Convert the text of an answer to a number, if it is one."""
     try:
         return float(text.replace(",", "."))

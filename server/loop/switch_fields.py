@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-ASKED: Final = 3
+STOPS_RECEIVED: Final = 3
 """Number of requests to turn the force off; written by the publisher."""
-OBEYED: Final = 4
+STOPS_HANDLED: Final = 4
 """Number of such requests that the daemon has handled."""

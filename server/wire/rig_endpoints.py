@@ -13,14 +13,14 @@ from typing import Final
 
 from softfinger.config import schema
 from softfinger.config.schema import commands_beside, is_public
-from softfinger.server.publishing.setup import Entrance
+from softfinger.server.publishing.setup import ListeningSocket
 from softfinger.server.wire.endpoint import listen
 
 TELEMETRY: Final = "telemetry"
 COMMANDS: Final = "commands"
 
 
-class Doors:
+class Endpoints:
     """Bound endpoints; `close` frees them, and until then the publisher uses `entrances`.
 
     For an endpoint that is open to the network there are two: that endpoint, which requires keys, and another one in a
@@ -29,7 +29,7 @@ class Doors:
 
     def __init__(self) -> None:
         self.files: Final = ExitStack()
-        self.entrances: Final[list[Entrance]] = []
+        self.entrances: Final[list[ListeningSocket]] = []
         self.telemetry = ""
         """Telemetry endpoint for programs of this user."""
         self.commands: str | None = None
@@ -38,7 +38,7 @@ class Doors:
         """Endpoints that other machines can reach, by the name of their table."""
 
     @property
-    def commands_told(self) -> str:
+    def announced_commands(self) -> str:
         """Command endpoint announced in the telemetry; empty without commands.
 
         It is the endpoint that other machines can reach, if there is one.
@@ -49,7 +49,7 @@ class Doors:
         """Free all endpoints; may be called repeatedly."""
         self.files.close()
 
-    def open(self, name: str, endpoint: str, own: bool = False, keys: tuple[str, str] | None = None) -> str:
+    def bind(self, name: str, endpoint: str, own: bool = False, keys: tuple[str, str] | None = None) -> str:
         """Bind an endpoint; return it with the chosen port. Raises the errors of `listen`.
 
         name  telemetry or commands
@@ -58,52 +58,52 @@ class Doors:
         """
         bound = listen(endpoint, f"[{name}] endpoint", public=keys is not None, own=own)
         self.files.enter_context(bound.files)
-        self.entrances.append(Entrance(name, bound.endpoint, bound.fd, *(keys or ("", ""))))
+        self.entrances.append(ListeningSocket(name, bound.endpoint, bound.fd, *(keys or ("", ""))))
         if keys is not None:
             self.public[name] = bound.endpoint
         return bound.endpoint
 
 
-def door(endpoint: str) -> Doors:
+def bind_telemetry(endpoint: str) -> Endpoints:
     """Bind telemetry only, on one endpoint that is not open to the network; raises the errors of `listen`."""
-    doors = Doors()
-    doors.telemetry = doors.open(TELEMETRY, endpoint)
-    return doors
+    endpoints = Endpoints()
+    endpoints.telemetry = endpoints.bind(TELEMETRY, endpoint)
+    return endpoints
 
 
-def doors_of(rig: schema.Rig) -> Doors:
+def bind_rig(rig: schema.Rig) -> Endpoints:
     """Bind the endpoints of a rig.
 
     Raises ConfigError for unusable keys, and the errors of `listen`; no endpoint remains bound then.
     """
-    doors, telemetry, commands = Doors(), rig.telemetry.endpoint, rig.commands_endpoint
+    endpoints, telemetry, commands = Endpoints(), rig.telemetry.endpoint, rig.commands_endpoint
     with ExitStack() as undo:
-        undo.callback(doors.close)
+        undo.callback(endpoints.close)
         keys = _keys(rig)
         folder = ""
         if is_public(telemetry) or is_public(commands or ""):
-            folder = doors.files.enter_context(_private_folder())
+            folder = endpoints.files.enter_context(_private_folder())
         if is_public(telemetry):
-            doors.open(TELEMETRY, telemetry, keys=keys[TELEMETRY])
+            endpoints.bind(TELEMETRY, telemetry, keys=keys[TELEMETRY])
             telemetry = f"ipc://{folder}/{TELEMETRY}"
         if commands is not None and is_public(commands):
-            doors.open(COMMANDS, commands, keys=keys[COMMANDS])
+            endpoints.bind(COMMANDS, commands, keys=keys[COMMANDS])
             commands = f"ipc://{folder}/{COMMANDS}"
-        doors.telemetry = doors.open(TELEMETRY, telemetry)
+        endpoints.telemetry = endpoints.bind(TELEMETRY, telemetry)
         if commands is not None:
-            beside = rig.commands.endpoint is None and COMMANDS not in doors.public
+            is_beside = rig.commands.endpoint is None and COMMANDS not in endpoints.public
             # The port chosen for the telemetry, if the rig does not set one.
-            place = commands_beside(doors.telemetry) if beside else commands
-            doors.commands = doors.open(COMMANDS, place, own=beside)
+            commands_endpoint = commands_beside(endpoints.telemetry) if is_beside else commands
+            endpoints.commands = endpoints.bind(COMMANDS, commands_endpoint, own=is_beside)
         undo.pop_all()
-    return doors
+    return endpoints
 
 
 def _keys(rig: schema.Rig) -> dict[str, tuple[str, str]]:
     """Return the secret key and the folder of public keys of each table."""
     if not (is_public(rig.telemetry.endpoint) or is_public(rig.commands_endpoint or "")):
         return {}
-    from softfinger.server.gateway.allowed import key_folders  # imports libzmq, which takes time
+    from softfinger.server.publishing.allowed import key_folders  # imports libzmq, which takes time
 
     assert rig.security is not None  # the rig is refused without it
     readers, commanders = key_folders(rig.security)

@@ -13,8 +13,8 @@ from zmq.utils.monitor import recv_monitor_message
 if TYPE_CHECKING:  # they take time to import, and most daemons use no keys
     from zmq.auth.thread import ThreadAuthenticator
 
-    from softfinger.server.gateway.allowed import Allowed
     from softfinger.server.keys import Pair
+    from softfinger.server.publishing.allowed import Allowed
 
 HANDSHAKE_MS: Final = 2000
 LINGER_MS: Final = 200
@@ -34,7 +34,7 @@ _REFUSED: Final = (
 _WATCHED: Final = zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | _REFUSED
 
 
-class Open(Protocol):
+class BoundEndpoint(Protocol):
     """Endpoint that is already bound; its owner frees it."""
 
     @property
@@ -44,27 +44,29 @@ class Open(Protocol):
     def fd(self) -> int: ...
 
 
-class Lock(NamedTuple):
+class KeyLock(NamedTuple):
     """Key pair of the server, and the keys of peers that may connect."""
 
     pair: Pair
     allowed: Allowed
 
 
-class Gate(NamedTuple):
+class SocketContext(NamedTuple):
     """Context of the sockets, and authenticator of keys; None if no key is required."""
 
     context: zmq.Context[Any]
     authenticator: ThreadAuthenticator | None
 
 
-class Front:
+class PeerSocket:
     """Socket on an endpoint that is already bound; without a lock, every peer that reaches it may connect.
 
     options  of the socket, by name
     """
 
-    def __init__(self, gate: Gate, kind: int, bound: Open, lock: Lock | None, options: dict[str, int]) -> None:
+    def __init__(
+        self, gate: SocketContext, kind: int, bound: BoundEndpoint, lock: KeyLock | None, options: dict[str, int]
+    ) -> None:
         self.endpoint: Final = bound.endpoint
         self.lock: Final = lock
         self._domain: Final = f"front-{kind}"
@@ -72,9 +74,9 @@ class Front:
         if lock is not None:  # before the first peer connects: a rejected peer does not connect again
             assert gate.authenticator is not None
             gate.authenticator.configure_curve_callback(self._domain, lock.allowed)
-        self.most = self.refused = 0
+        self.max_connections = self.refused = 0
         """Largest number of simultaneous connections, and number of failed handshakes, for any reason."""
-        self.renewed = 0
+        self.renewals = 0
         """Number of times that all peers were disconnected; `socket` and `monitor` are replaced each time."""
         self._context, self._kind, self._bound, self._options = gate.context, kind, bound, options
         self.connected: Final[dict[int, int]] = {}
@@ -98,7 +100,7 @@ class Front:
         self.socket.bind(self.endpoint)
 
     @property
-    def has_come(self) -> bool:
+    def has_message(self) -> bool:
         """Whether a message can be received."""
         return bool(cast(int, self.socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
 
@@ -108,24 +110,24 @@ class Front:
         self.socket.linger = 0
         self.close()
         self._open()
-        self.renewed += 1
+        self.renewals += 1
 
-    def look(self) -> None:
+    def process_events(self) -> None:
         """Process connection events."""
         for _ in range(EVENTS_AT_ONCE):
             if not self.monitor.poll(0):
                 break
-            seen = recv_monitor_message(self.monitor)
-            if seen["event"] & _REFUSED:
+            event = recv_monitor_message(self.monitor)
+            if event["event"] & _REFUSED:
                 self.refused += 1
-            elif seen["event"] == zmq.EVENT_ACCEPTED:
+            elif event["event"] == zmq.EVENT_ACCEPTED:
                 self._accepted += 1
-                self.connected[seen["value"]] = self._accepted
-            elif seen["event"] == zmq.EVENT_DISCONNECTED:
-                self.connected.pop(seen["value"], None)
-        self.most = max(self.most, len(self.connected))
+                self.connected[event["value"]] = self._accepted
+            elif event["event"] == zmq.EVENT_DISCONNECTED:
+                self.connected.pop(event["value"], None)
+        self.max_connections = max(self.max_connections, len(self.connected))
 
-    def look_at_keys(self) -> None:
+    def refresh_keys(self) -> None:
         """Read the folder of keys again; if a key was removed, disconnect all peers."""
         if self.lock is not None and self.lock.allowed.refresh():
             self.renew()
@@ -140,10 +142,10 @@ class Front:
 
 def bound_resources() -> None:
     """Limit the resources that peers can use in this process, since libzmq does not limit them."""
-    for kind, most in ((resource.RLIMIT_NOFILE, FILES_MAX), (resource.RLIMIT_DATA, MEMORY_MAX)):
+    for kind, maximum in ((resource.RLIMIT_NOFILE, FILES_MAX), (resource.RLIMIT_DATA, MEMORY_MAX)):
         with contextlib.suppress(ValueError, OSError):
             soft, hard = resource.getrlimit(kind)
-            resource.setrlimit(kind, (most if soft < 0 else min(soft, most), hard))
+            resource.setrlimit(kind, (maximum if soft < 0 else min(soft, maximum), hard))
     # Out of memory, libzmq aborts the process: that is expected, and no core file is needed.
     with contextlib.suppress(ValueError, OSError):
         resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
