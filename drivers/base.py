@@ -63,7 +63,7 @@ class DeviceIO(NamedTuple):
     handle: int
 
 
-class Led(Protocol):
+class LeadableHand(Protocol):
     """Simulated hand that a program may lead. Call it from one thread only."""
 
     def lead(self, position_m: Vec3, orientation: Quaternion | None = None) -> None:
@@ -99,7 +99,7 @@ class DeviceInfo:
     own_clock: bool = False
 
     @property
-    def holds_a_force(self) -> bool:
+    def has_persistent_force(self) -> bool:
         """True if the last force persists in a person's hand until it is replaced."""
         return self.actuated_dof > 0 and not self.own_clock
 
@@ -163,7 +163,7 @@ class Device(ABC):
         """
         return ""
 
-    def hand(self) -> Led | None:
+    def hand(self) -> LeadableHand | None:
         """Return the simulated hand, or None if a person or another source moves the device."""
         return None
 

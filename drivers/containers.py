@@ -38,8 +38,8 @@ def mcap_records(file: IO[bytes]) -> Iterator[Any]:
     for record in reader.records:
         if isinstance(record, Chunk):
             if record.uncompressed_size > RECORD_BYTES_MAX:
-                said = f"a chunk has {record.uncompressed_size:,} bytes unpacked, may have {RECORD_BYTES_MAX:,}"
-                raise ValueError(said)
+                message = f"a chunk has {record.uncompressed_size:,} bytes unpacked, may have {RECORD_BYTES_MAX:,}"
+                raise ValueError(message)
             stream, length = get_chunk_data_stream(record, validate_crc=True)
             record.data, record.compression = stream.read(length), ""
         yield record

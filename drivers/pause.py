@@ -19,11 +19,11 @@ RESUME_WAIT_NS: Final = 100_000_000
 
 
 @jit
-def heard_at(heard: int, read: int, now: int, quiet: int) -> int:
+def shift_sample_time(sampled_at: int, read_at: int, now: int, quiet: int) -> int:
     """Return the time (ns) to use as that of the last answer after a pause of the loop.
 
-    heard  ns  time of the last answer
-    read   ns  time of the last read
-    quiet  ns  silence after which no force is sent
+    sampled_at  ns  time of the last answer
+    read_at     ns  time of the last read
+    quiet       ns  silence after which no force is sent
     """
-    return min(heard + now - read, now - quiet - 1)
+    return min(sampled_at + now - read_at, now - quiet - 1)

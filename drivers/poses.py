@@ -37,8 +37,8 @@ RESULT_COLUMNS: Final = (
     *(f"probe.orientation[{i}]" for i in range(4)),
 )
 TOPIC: Final = "contact"
-FINGERS: Final = "finger/"
-"""Topics of ticks: TOPIC of a single finger, FINGERS and the name of one of several."""
+FINGER_TOPIC_PREFIX: Final = "finger/"
+"""Topics of ticks: TOPIC of a single finger, FINGER_TOPIC_PREFIX and the name of one of several."""
 DT_MIN_S: Final = 1e-6
 DT_MAX_S: Final = 3600.0
 """Range from a thousandth of the shortest period to a pause longer than that of any recording."""
@@ -139,27 +139,27 @@ def find_recording(recording: str | Path) -> Path:
     )
 
 
-def checked(t: Array, position: Array, orientation: Array, place: Callable[[int], str]) -> Poses:
+def check_poses(t: Array, position: Array, orientation: Array, locate: Callable[[int], str]) -> Poses:
     """Return checked poses from raw columns (N,), (N, 3), (N, 4).
 
     Values are finite, times increase, and quaternions are normalised and continuous in sign.
 
-    `place(row)` returns the location of a row for the message of RecordingError.
+    `locate(row)` returns the location of a row for the message of RecordingError.
     """
     if len(t) < 2:
-        raise RecordingError(f"{place(0)}: {len(t)} pose(s), at least 2 are needed")
+        raise RecordingError(f"{locate(0)}: {len(t)} pose(s), at least 2 are needed")
     values = np.column_stack((t, position, orientation))
     finite = np.isfinite(values)
     if not finite.all():
         row, column = (int(i) for i in np.argwhere(~finite)[0])
         raise RecordingError(
-            f"{place(row)}, column '{POSE_COLUMNS[column]}': {values[row, column]} is not a finite number"
+            f"{locate(row)}, column '{POSE_COLUMNS[column]}': {values[row, column]} is not a finite number"
         )
     far = np.abs(position) > POSITION_MAX_M
     if far.any():
         row, column = (int(i) for i in np.argwhere(far)[0])
         raise RecordingError(
-            f"{place(row)}, column '{'xyz'[column]}': {position[row, column]:g} m is outside "
+            f"{locate(row)}, column '{'xyz'[column]}': {position[row, column]:g} m is outside "
             f"{-POSITION_MAX_M:g} to {POSITION_MAX_M:g} m: positions are in metres"
         )
     with np.errstate(over="ignore"):  # an infinite norm or step is rejected below
@@ -169,13 +169,13 @@ def checked(t: Array, position: Array, orientation: Array, place: Callable[[int]
     if late.any():
         row = int(np.argmax(late)) + 1
         raise RecordingError(
-            f"{place(row)}, column 't': {t[row]:.9g} s does not follow {t[row - 1]:.9g} s: times must increase"
+            f"{locate(row)}, column 't': {t[row]:.9g} s does not follow {t[row - 1]:.9g} s: times must increase"
         )
     odd = ~((norm >= NORM_MIN) & (norm <= NORM_MAX))
     if odd.any():
         row = int(np.argmax(odd))
         raise RecordingError(
-            f"{place(row)}, columns 'qw' to 'qz': quaternion of norm {norm[row]:.6g}, "
+            f"{locate(row)}, columns 'qw' to 'qz': quaternion of norm {norm[row]:.6g}, "
             f"must be 1 (accepted and normalised: {NORM_MIN:g} to {NORM_MAX:g})"
         )
     unit = orientation / np.where(np.abs(norm - 1.0) < NORM_ROUNDING, 1.0, norm)[:, None]
@@ -204,17 +204,17 @@ def _lines(path: Path, file: IO[bytes], number: int) -> Iterator[str]:
 
 def _read_rows(path: Path, first: str, file: IO[bytes]) -> Poses:
     names = [name.strip() for name in first.split(",")]
-    wanted = RESULT_COLUMNS if set(RESULT_COLUMNS) <= set(names) else POSE_COLUMNS
-    missing = [name for name in wanted if names.count(name) != 1]
+    columns = RESULT_COLUMNS if set(RESULT_COLUMNS) <= set(names) else POSE_COLUMNS
+    missing = [name for name in columns if names.count(name) != 1]
     if missing:
         raise RecordingError(
             f"{path}, line 1: column(s) {', '.join(missing)} missing or given twice: "
             f"the header must name {','.join(POSE_COLUMNS)} (other columns are ignored)"
         )
-    index = [names.index(name) for name in wanted]
+    index = [names.index(name) for name in columns]
     numbers, values, number = array("q"), array("d"), 2
     while block := file.read(BLOCK_BYTES) + file.readline(LINE_MAX):
-        rows = _rows_at_once(block, len(names))
+        rows = _parse_block(block, len(names))
         if rows is not None:
             _check_count(path, len(numbers) + len(rows) - 1)
             numbers.extend(range(number, number + len(rows)))
@@ -225,14 +225,14 @@ def _read_rows(path: Path, first: str, file: IO[bytes]) -> Poses:
             if line.strip():
                 _check_count(path, len(numbers))
                 numbers.append(number)
-                values.extend(_row(f"{path}, line {number}", line, names, index))
+                values.extend(_parse_row(f"{path}, line {number}", line, names, index))
             number += 1
-    table = np.frombuffer(values).reshape(-1, len(wanted))
-    place = _place(path, numbers)
-    return checked(_from_first(table[:, 0], wanted is RESULT_COLUMNS), table[:, 1:4], table[:, 4:8], place)
+    table = np.frombuffer(values).reshape(-1, len(columns))
+    locate = _make_locator(path, numbers)
+    return check_poses(_relative_times(table[:, 0], columns is RESULT_COLUMNS), table[:, 1:4], table[:, 4:8], locate)
 
 
-def _rows_at_once(lines: bytes, width: int) -> Array | None:
+def _parse_block(lines: bytes, width: int) -> Array | None:
     """Return rows (n, width) of lines that form a JSON list without its brackets; else None, even for valid lines.
 
     Four times as fast as line by line.
@@ -248,17 +248,17 @@ def _rows_at_once(lines: bytes, width: int) -> Array | None:
     return rows if rows.shape[1:] == (width,) else None
 
 
-def _row(place: str, line: str, names: Sequence[str], index: Sequence[int]) -> Iterator[float]:
-    """Yield the numbers of a line in the columns `index`; RecordingError with `place` if one is not a number."""
+def _parse_row(location: str, line: str, names: Sequence[str], index: Sequence[int]) -> Iterator[float]:
+    """Yield the numbers of a line in the columns `index`; RecordingError with `location` if one is not a number."""
     cells = line.split(",")
     if len(cells) != len(names):
-        raise RecordingError(f"{place}: {len(cells)} values, the header names {len(names)}")
+        raise RecordingError(f"{location}: {len(cells)} values, the header names {len(names)}")
     for column in index:
         try:
             yield float(cells[column])
         except ValueError as error:
             raise RecordingError(
-                f"{place}, column '{names[column]}': {cells[column][:40]!r} is not a number"
+                f"{location}, column '{names[column]}': {cells[column][:40]!r} is not a number"
             ) from error
 
 
@@ -268,37 +268,41 @@ def _read_npz(path: Path) -> Poses:
         with open_input(path) as file:
             archive = open_npz(file)
             for name, shape in (("timestamp", ()), ("probe.position", (3,)), ("probe.orientation", (4,))):
-                found = archive[name]
-                if found.dtype.kind not in "fiu" or found.shape[1:] != shape or found.ndim != 1 + len(shape):
+                array_found = archive[name]
+                if (
+                    array_found.dtype.kind not in "fiu"
+                    or array_found.shape[1:] != shape
+                    or array_found.ndim != 1 + len(shape)
+                ):
                     raise RecordingError(
-                        f"{path}, array '{name}': {found.dtype} of shape {found.shape}, "
+                        f"{path}, array '{name}': {array_found.dtype} of shape {array_found.shape}, "
                         f"must be numbers of shape {('N', *shape)}"
                     )
-                _check_count(path, len(found) - 1)
-                columns.append(found.astype(np.float64))
+                _check_count(path, len(array_found) - 1)
+                columns.append(array_found.astype(np.float64))
     except (RecordingError, OSError, MemoryError):
         raise
     except Exception as error:  # the decoders of zip and npy fail in many ways on damaged bytes
         raise RecordingError(
-            f"{path}: not a readable results file: {_reason(error)}: it must be an .npz with timestamp, "
+            f"{path}: not a readable results file: {_describe_error(error)}: it must be an .npz with timestamp, "
             "probe.position and probe.orientation"
         ) from error
     t, position, orientation = columns
     if not len(t) == len(position) == len(orientation):
         raise RecordingError(f"{path}: arrays of {len(t)}, {len(position)} and {len(orientation)} rows, must be equal")
-    return checked(_from_first(t, True), position, orientation, _place(path))
+    return check_poses(_relative_times(t, True), position, orientation, _make_locator(path))
 
 
 def _read_mcap(path: Path, finger: str) -> Poses:
     values = array("d")
-    topic = f"{FINGERS}{finger}" if finger else TOPIC
-    for number, message in enumerate(decoded_messages(path, topic)):
+    topic = f"{FINGER_TOPIC_PREFIX}{finger}" if finger else TOPIC
+    for number, message in enumerate(decode_messages(path, topic)):
         _check_count(path, number)
         try:
             row = message.timestamp, message.tick, message.dt, *message.probe.position, *message.probe.orientation
         except (AttributeError, TypeError) as error:
             raise RecordingError(
-                f"{path}: topic '{topic}' is not a recording of this program: {_reason(error)}"
+                f"{path}: topic '{topic}' is not a recording of this program: {_describe_error(error)}"
             ) from error
         if len(row) != 10:
             raise RecordingError(
@@ -308,28 +312,30 @@ def _read_mcap(path: Path, finger: str) -> Poses:
         try:
             values.extend(row)
         except (TypeError, ValueError) as error:
-            raise RecordingError(f"{path}: topic '{topic}' does not hold numbers: {_reason(error)}") from error
+            raise RecordingError(f"{path}: topic '{topic}' does not hold numbers: {_describe_error(error)}") from error
     table = np.frombuffer(values).reshape(-1, 10)
-    return checked(_by_ticks(table[:, 0], table[:, 1], table[:, 2]), table[:, 3:6], table[:, 6:10], _place(path))
+    return check_poses(
+        _times_from_ticks(table[:, 0], table[:, 1], table[:, 2]), table[:, 3:6], table[:, 6:10], _make_locator(path)
+    )
 
 
-def _by_ticks(timestamp: Array, tick: Array, dt: Array) -> Array:
+def _times_from_ticks(timestamp: Array, tick: Array, dt: Array) -> Array:
     """Return times (n,) s of ticks, from the first: each step in whole periods of the loop, plus one per missing tick.
 
     Return times relative to the first timestamp if ticks or steps cannot be from a loop.
     """
     with np.errstate(invalid="ignore", over="ignore"):
-        apart = np.diff(tick)
-        usable = len(dt) > 1 and bool(np.all((dt > DT_MIN_S) & (dt < DT_MAX_S)) and np.all(apart >= 1))
-    if not usable:
-        return _from_first(timestamp, True)
+        tick_steps = np.diff(tick)
+        is_usable = len(dt) > 1 and bool(np.all((dt > DT_MIN_S) & (dt < DT_MAX_S)) and np.all(tick_steps >= 1))
+    if not is_usable:
+        return _relative_times(timestamp, True)
     period = float(dt.min())
-    periods = apart - 1.0 + np.maximum(1.0, np.rint(dt[1:] / period))
-    return np.concatenate(([0.0], np.cumsum(periods))) / rate_of(period)
+    periods = tick_steps - 1.0 + np.maximum(1.0, np.rint(dt[1:] / period))
+    return np.concatenate(([0.0], np.cumsum(periods))) / rate_from_period(period)
 
 
 @cache
-def rate_of(period_s: float) -> float:
+def rate_from_period(period_s: float) -> float:
     """Return the roundest rate (Hz) with this period to the nanosecond, as in the loop: the rate in its rig."""
     nanoseconds = round(period_s * 1e9)
     for digits in range(7):
@@ -339,7 +345,7 @@ def rate_of(period_s: float) -> float:
     return 1e9 / nanoseconds
 
 
-def decoded_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
+def decode_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
     """Yield the messages of a topic, decoded with the descriptor in the file, in file order.
 
     A truncated file ends early, with a warning in the log. Raises RecordingError if no message is readable.
@@ -360,8 +366,8 @@ def decoded_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
             raise
         except Exception as error:  # the decoders fail in many ways on damaged bytes
             if count == 0:
-                raise RecordingError(f"{path}: not a readable MCAP recording: {_reason(error)}") from error
-            log.warning("%s is cut short or damaged (%s): %d messages read", path, _reason(error), count)
+                raise RecordingError(f"{path}: not a readable MCAP recording: {_describe_error(error)}") from error
+            log.warning("%s is cut short or damaged (%s): %d messages read", path, _describe_error(error), count)
     if count == 0:
         raise RecordingError(f"{path}: holds no message of topic '{topic}'")
 
@@ -372,20 +378,20 @@ def _check_count(path: Path, before: int) -> None:
         raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the most that are read: cut it into parts")
 
 
-def _place(path: Path, line_numbers: Sequence[int] | None = None) -> Callable[[int], str]:
-    def place(row: int) -> str:
+def _make_locator(path: Path, line_numbers: Sequence[int] | None = None) -> Callable[[int], str]:
+    def locate(row: int) -> str:
         if line_numbers is None:
             return f"{path}, row {row}"
         return f"{path}, line {line_numbers[row]}" if row < len(line_numbers) else str(path)
 
-    return place
+    return locate
 
 
-def _from_first(t: Array, relative: bool) -> Array:
+def _relative_times(t: Array, relative: bool) -> Array:
     """Return times from the first row if `relative`, because results have times since the epoch."""
     with np.errstate(invalid="ignore", over="ignore"):
         return t - t[0] if relative and len(t) else t
 
 
-def _reason(error: Exception) -> str:
+def _describe_error(error: Exception) -> str:
     return f"{type(error).__name__}: {str(error)[:120]}" if str(error) else type(error).__name__

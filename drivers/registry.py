@@ -16,7 +16,7 @@ from typing import Any, Final
 from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.config.load import build
 from softfinger.config.schema import DeviceConfig
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.drivers.base import Device
 
 ENTRY_POINT_GROUP: Final = "softfinger.drivers"
@@ -24,12 +24,12 @@ BUILT_IN: Final = (
     "falcon", "forcedimension", "haply", "hid", "openhaptics", "replay", "serial", "simulated", "spacemouse",
 )  # fmt: skip
 """Names of folders here; module `device` in each is the driver."""
-_added: Final[dict[str, ModuleType]] = {}
+_registered: Final[dict[str, ModuleType]] = {}
 
 
 def names() -> list[str]:
     """Return the names of all drivers: built in, then added by this program and by installed packages."""
-    return [*BUILT_IN, *sorted({*_added, *_outside()} - set(BUILT_IN))]
+    return [*BUILT_IN, *sorted({*_registered, *_entry_points()} - set(BUILT_IN))]
 
 
 def add(name: str, module: ModuleType) -> None:
@@ -39,7 +39,7 @@ def add(name: str, module: ModuleType) -> None:
     """
     if name in BUILT_IN:
         raise DeviceError(f"driver '{name}' is built in: give yours another name")
-    _added[name] = _driver(name, module, f"module {module.__name__}")
+    _registered[name] = _check_driver(name, module, f"module {module.__name__}")
 
 
 def load(name: str) -> ModuleType:
@@ -49,11 +49,11 @@ def load(name: str) -> ModuleType:
     """
     if name in BUILT_IN:
         return importlib.import_module(f"softfinger.drivers.{name}.device")
-    if name in _added:
-        return _added[name]
-    entry = _outside().get(name)
+    if name in _registered:
+        return _registered[name]
+    entry = _entry_points().get(name)
     if entry is None:
-        raise DeviceNotFound(_unknown(name))
+        raise DeviceNotFound(_unknown_message(name))
     try:
         module = entry.load()
     except Exception as error:  # the import of another package may raise any error
@@ -61,7 +61,7 @@ def load(name: str) -> ModuleType:
             f"driver '{name}' ({entry.value}) cannot be imported: {error}: "
             "repair or reinstall the package that provides it"
         ) from error
-    return _driver(name, module, f"{entry.value}, an entry point in group '{ENTRY_POINT_GROUP}'")
+    return _check_driver(name, module, f"{entry.value}, an entry point in group '{ENTRY_POINT_GROUP}'")
 
 
 def options(config: DeviceConfig, where: str = "[device]") -> Any:
@@ -71,11 +71,11 @@ def options(config: DeviceConfig, where: str = "[device]") -> Any:
 
 def check(config: DeviceConfig, rate_hz: float, where: str = "[device]") -> Any:
     """Return the Options of a [device] table; raises ConfigError if the driver rejects them or the rate (Hz)."""
-    given = options(config, where)
-    refuse = getattr(load(config.driver), "check", None)
-    if refuse is not None:
-        refuse(given, rate_hz, where)
-    return given
+    driver_options = options(config, where)
+    check_options = getattr(load(config.driver), "check", None)
+    if check_options is not None:
+        check_options(driver_options, rate_hz, where)
+    return driver_options
 
 
 def open_device(config: DeviceConfig, rate_hz: float, where: str = "[device]") -> Device:
@@ -83,26 +83,26 @@ def open_device(config: DeviceConfig, rate_hz: float, where: str = "[device]") -
 
     A signal that stops the process zeroes the device; one that ends the process from another thread closes it.
     """
-    driver, given = load(config.driver), check(config, rate_hz, where)
-    device: Device = driver.open_device(given, rate_hz)
-    opened.devices.add(device)
+    driver, driver_options = load(config.driver), check(config, rate_hz, where)
+    device: Device = driver.open_device(driver_options, rate_hz)
+    open_devices.devices.add(device)
     return device
 
 
-def _driver(name: str, module: Any, whose: str) -> ModuleType:
+def _check_driver(name: str, module: Any, source: str) -> ModuleType:
     missing = [part for part in ("Options", "open_device") if not hasattr(module, part)]
     if missing or not isinstance(module, ModuleType):
         raise DeviceError(
-            f"driver '{name}' ({whose}) is not a driver module: it lacks {', '.join(missing) or 'a module'}"
+            f"driver '{name}' ({source}) is not a driver module: it lacks {', '.join(missing) or 'a module'}"
         )
     return module
 
 
-def _outside() -> dict[str, metadata.EntryPoint]:
+def _entry_points() -> dict[str, metadata.EntryPoint]:
     return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT_GROUP)}
 
 
-def _unknown(name: str) -> str:
+def _unknown_message(name: str) -> str:
     known = names()
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean '{close[0]}'? " if close else ""

@@ -19,7 +19,7 @@ RETURN_SPEED_M_PER_S: Final = 0.1
 RETURN_SPEED_RAD_PER_S: Final = 1.0
 RETURN_MIN_S: Final = 0.5
 MINIMUM_JERK_PEAK: Final = 1.875  # ratio of peak to mean speed of a minimum-jerk movement
-SEAM_POSE: Final = 1e-9  # m and rad: end and start closer than this are the same pose
+SEAM_TOLERANCE: Final = 1e-9  # m and rad: end and start closer than this are the same pose
 SEAM_SPEED_M_PER_S: Final = 1e-3  # a smaller velocity step at the seam needs no return
 SEAM_SPEED_RAD_PER_S: Final = 1e-2
 
@@ -47,12 +47,12 @@ def resample(poses: Poses, rate_hz: float) -> Array:
         return np.concatenate((poses.position[near], poses.orientation[near]), axis=1)
     samples, slopes = np.empty((len(at), 7)), _slopes(t, poses.position)
     for first in range(0, len(at), BLOCK):
-        some = slice(first, first + BLOCK)
-        segment = np.clip(np.searchsorted(t, at[some], side="right") - 1, 0, len(t) - 2)
+        chunk = slice(first, first + BLOCK)
+        segment = np.clip(np.searchsorted(t, at[chunk], side="right") - 1, 0, len(t) - 2)
         width = t[segment + 1] - t[segment]
-        u = np.clip((at[some] - t[segment]) / width, 0.0, 1.0)[:, None]
-        samples[some, :3] = _hermite(poses.position, slopes, segment, width[:, None], u)
-        samples[some, 3:] = slerp(poses.orientation[segment], poses.orientation[segment + 1], u)
+        u = np.clip((at[chunk] - t[segment]) / width, 0.0, 1.0)[:, None]
+        samples[chunk, :3] = _hermite(poses.position, slopes, segment, width[:, None], u)
+        samples[chunk, 3:] = slerp(poses.orientation[segment], poses.orientation[segment + 1], u)
     samples[on_sample, :3] = poses.position[near[on_sample]]
     samples[on_sample, 3:] = poses.orientation[near[on_sample]]
     return samples
@@ -120,14 +120,14 @@ def close_loop(samples: Array, rate_hz: float) -> Array:
     instead. Sample L of the motion is sample 0.
     """
     end, start = samples[-1], samples[0]
-    travel, turn = start[:3] - end[:3], _log(_relative(end[3:], start[3:]))
-    distance, angle = float(np.linalg.norm(travel)), float(np.linalg.norm(turn))
-    if distance <= SEAM_POSE and angle <= SEAM_POSE and _runs_on(samples, rate_hz):
+    travel, rotation_vector = start[:3] - end[:3], _log(_relative(end[3:], start[3:]))
+    distance, angle = float(np.linalg.norm(travel)), float(np.linalg.norm(rotation_vector))
+    if distance <= SEAM_TOLERANCE and angle <= SEAM_TOLERANCE and _is_continuous(samples, rate_hz):
         return np.ascontiguousarray(samples[:-1])
 
-    leave, arrive = (samples[-1, :3] - samples[-2, :3]) * rate_hz, (samples[1, :3] - start[:3]) * rate_hz
-    spin_leave = _log(_relative(samples[-2, 3:], end[3:])) * rate_hz
-    spin_arrive = _log(_relative(start[3:], samples[1, 3:])) * rate_hz
+    start_velocity, end_velocity = (samples[-1, :3] - samples[-2, :3]) * rate_hz, (samples[1, :3] - start[:3]) * rate_hz
+    start_spin = _log(_relative(samples[-2, 3:], end[3:])) * rate_hz
+    end_spin = _log(_relative(start[3:], samples[1, 3:])) * rate_hz
     seconds = max(
         RETURN_MIN_S,
         MINIMUM_JERK_PEAK * distance / RETURN_SPEED_M_PER_S,
@@ -136,16 +136,16 @@ def close_loop(samples: Array, rate_hz: float) -> Array:
     count = max(2, int(np.ceil(seconds * rate_hz)))
     u = (np.arange(1, count) / count)[:, None]
     seconds = count / rate_hz
-    way = np.empty((count - 1, 7))
-    way[:, :3] = end[:3] + _quintic(travel, leave, arrive, seconds, u)
+    path = np.empty((count - 1, 7))
+    path[:, :3] = end[:3] + _quintic(travel, start_velocity, end_velocity, seconds, u)
     # Turn in the body frame at the end: there the rate of the rotation vector is the angular velocity. At the start it
     # is so only through the inverse Jacobian of the rotation vector.
-    rotation = _quintic(turn, spin_leave, _inverse_jacobian(turn) @ spin_arrive, seconds, u)
-    way[:, 3:] = _product(end[3:], _exp(rotation))
-    return np.concatenate((samples, way))
+    rotation = _quintic(rotation_vector, start_spin, _inverse_jacobian(rotation_vector) @ end_spin, seconds, u)
+    path[:, 3:] = _product(end[3:], _exp(rotation))
+    return np.concatenate((samples, path))
 
 
-def _runs_on(samples: Array, rate_hz: float) -> bool:
+def _is_continuous(samples: Array, rate_hz: float) -> bool:
     """Return True if the velocity step from the end to the start is no larger than the steps within the motion."""
     velocity = np.diff(samples[:, :3], axis=0) * rate_hz
     spin = _log(_relative(samples[:-1, 3:], samples[1:, 3:])) * rate_hz
@@ -156,13 +156,13 @@ def _runs_on(samples: Array, rate_hz: float) -> bool:
     return True
 
 
-def _quintic(travel: Array, leave: Array, arrive: Array, seconds: float, u: Array) -> Array:
+def _quintic(travel: Array, start_velocity: Array, end_velocity: Array, seconds: float, u: Array) -> Array:
     """Return the minimum-jerk path from 0 to `travel` with the given velocities and zero acceleration at both ends."""
     rise = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
     out = u - u**3 * (6.0 - 8.0 * u + 3.0 * u**2)
     into = -(u**3) * (4.0 - 7.0 * u + 3.0 * u**2)
-    way: Array = rise * travel + seconds * (out * leave + into * arrive)
-    return way
+    path: Array = rise * travel + seconds * (out * start_velocity + into * end_velocity)
+    return path
 
 
 def _product(a: Array, b: Array) -> Array:

@@ -36,7 +36,7 @@ FORCE_COLUMNS: Final = ("read", "force[0]", "force[1]", "force[2]", "torque[0]",
 log: Final = logging.getLogger(__name__)
 
 
-class Written(NamedTuple):
+class LoggedWrenches(NamedTuple):
     """Logged wrenches, oldest first.
 
     read    (k,)         index of the preceding read, -1 before the first
@@ -47,7 +47,7 @@ class Written(NamedTuple):
     wrench: Array
 
 
-class Words(NamedTuple):
+class Fields(NamedTuple):
     """Fields of the log; the fields of the driver follow."""
 
     reads: Annotated[int, counter("reads so far; kept by the driver")]
@@ -59,10 +59,11 @@ class Words(NamedTuple):
     next_row: Annotated[int, word("counted up and wrapped, which is cheaper than a remainder")]
 
 
-LOG: Final = lay_out(Words)
+LOG: Final = lay_out(Fields)
 
 
-def _append(handle: int, f0: float, f1: float, f2: float, t0: float, t1: float, t2: float) -> None:
+@jit
+def _append_row(handle: int, f0: float, f1: float, f2: float, t0: float, t1: float, t2: float) -> None:
     at = int64_at(handle)
     slot = at[LOG.next_row]
     at[LOG.next_row] = 0 if slot + 1 == at[LOG.capacity] else slot + 1
@@ -78,9 +79,6 @@ def _append(handle: int, f0: float, f1: float, f2: float, t0: float, t1: float, 
     exchange_int64(handle + LOG.writes * 8, at[LOG.writes] + 1)
 
 
-_keep: Any = jit(_append)
-
-
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
     at = int64_at(handle)
@@ -89,7 +87,7 @@ def write(handle: int, wrench: Any) -> int:
         return WITHHELD
     armed = at[LOG.armed]
     if armed:
-        _keep(handle, wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5])
+        _append_row(handle, wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5])
     exchange_int64(handle + LOG.lock * 8, 0)
     if armed:
         return OK
@@ -106,7 +104,7 @@ def silence(handle: int) -> int:
     if exchange_int64(handle + LOG.lock * 8, 1) != 0:
         return 0
     if at[LOG.armed]:
-        _keep(handle, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        _append_row(handle, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         at[LOG.armed] = 0
     exchange_int64(handle + LOG.lock * 8, 0)
     return 1
@@ -123,7 +121,7 @@ class WrenchLog:
         self._block, word = block, block.word
         capacity = max(rows, math.ceil(LOG_MIN_S * rate_hz)) + LOG_MARGIN
         self._rows = np.full((capacity, 7), 0.0)  # written here, so that the loop causes no page fault on first access
-        block.point(LOG.log, self._rows)
+        block.set_address(LOG.log, self._rows)
         word[LOG.capacity] = capacity
         word[LOG.armed] = 1
 
@@ -143,7 +141,7 @@ class WrenchLog:
             self._save(path)
 
     @property
-    def lost(self) -> int:
+    def overwritten_count(self) -> int:
         """Number of wrenches overwritten because the run was longer than the log."""
         return max(0, int(self._block.word[LOG.writes]) - len(self._rows))
 
@@ -151,7 +149,7 @@ class WrenchLog:
         """Return the counters of the block: reads, wrenches, and counters of the driver."""
         return self._block.counts()
 
-    def written(self) -> Written:
+    def logged(self) -> LoggedWrenches:
         """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
         before = int(self._block.word[LOG.writes])
         rows = self._rows.copy()
@@ -160,12 +158,17 @@ class WrenchLog:
         # the row after the latest may be half overwritten during the copy
         first = max(0, (after + 1 if self._block.word[LOG.armed] else after) - capacity)
         rows = rows[np.arange(first, before) % capacity] if first < before else rows[:0]
-        return Written(rows[:, 0].astype(np.int64), rows[:, 1:].copy())
+        return LoggedWrenches(rows[:, 0].astype(np.int64), rows[:, 1:].copy())
 
     def _save(self, path: Path) -> None:
-        read, wrench = self.written()
-        if self.lost:
-            log.warning("%s holds the last %d wrenches; %d earlier ones were overwritten", path, len(read), self.lost)
+        read, wrench = self.logged()
+        if self.overwritten_count:
+            log.warning(
+                "%s holds the last %d wrenches; %d earlier ones were overwritten",
+                path,
+                len(read),
+                self.overwritten_count,
+            )
         try:
             with new_file(path) as file:
                 if path.suffix.lower() == ".csv":

@@ -23,7 +23,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Final
 
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 
 STOPPING: Final = frozenset({signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU})
 """Signals that stop the process until SIGCONT."""
@@ -177,7 +177,7 @@ def _handle_stop(number: int, _: FrameType | None) -> None:
     state = _state
     if state.deferrals:
         return
-    devices = [] if state.pause is not None else list(opened.devices)
+    devices = [] if state.pause is not None else list(open_devices.devices)
     restore_force = None if state.pause is None else state.pause()
     if devices:
         _stop_all()
@@ -204,14 +204,14 @@ def _watch_main(receiver: int, state: _SignalState) -> None:
 
 def _exit(number: int) -> None:
     """Close the devices and exit the process, from any thread."""
-    opened.close_all()
+    open_devices.close_all()
     _print(f"ended by {signal_name(number)}")
     os._exit(exit_code(number))
 
 
 def _stop_all() -> None:
     """Zero all open devices; a failure is printed and changes neither the shutdown nor the exit code."""
-    for error in opened.stop_all():
+    for error in open_devices.stop_all():
         _print(f"a device could not be stopped ({type(error).__name__}: {error}): it may still push, switch it off")
 
 

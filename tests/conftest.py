@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, settings
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.config.schema.addresses import IPC_PATH_MAX
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 
 pytest_plugins = ["helpers.pages"]
 collect_ignore = ["outside_driver"]
@@ -68,7 +68,7 @@ def tmp_path(tmp_path: Path) -> Iterator[Path]:
 def _no_device_of_another_test() -> Iterator[None]:
     """A device that a test left hanging, so that somebody still holds it, is not stopped by the next one's program."""
     yield
-    opened.devices.clear()
+    open_devices.devices.clear()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -59,8 +59,8 @@ class Transfer(ctypes.Structure):
 class Falcon(Device):
     """Open device, owner of a line to a device with running firmware. No force until `arm`."""
 
-    def __init__(self, options: Options, line: usb.Line) -> None:
-        self._options, self._line, self._zero_failure = options, line, ""
+    def __init__(self, options: Options, chip: usb.SerialChip) -> None:
+        self._options, self._chip, self._zero_failure = options, chip, ""
         self._block = Block(AT)
         self._word = self._block.word
         self.info = DeviceInfo(
@@ -83,14 +83,14 @@ class Falcon(Device):
                     "several times smaller or larger; `counts_per_nm` in the rig sets it (docs/devices/falcon.md)",
                     self.info.name, COUNTS_PER_NM,
                 )  # fmt: skip
-            self._word[AT.sensed] = 0  # the first sample must be from the time of the servo loop
+            self._word[AT.has_sample] = 0  # the first sample must be from the time of the servo loop
         except BaseException:
             self.close()
             raise
 
     def _set_up(self) -> None:
         word, options = self._word, self._options
-        self._libusb = libusb = self._line.libusb()
+        self._libusb = libusb = self._chip.libusb()
         call = libusb.library
         # pyusb has declared these already with its types: calls by address need none
         self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_address(call, "libusb_free_transfer"))
@@ -110,21 +110,21 @@ class Falcon(Device):
         numbers(AT.sample + 3, 1)[:] = 1.0  # it senses no rotation
         at = self._block.handle
         word[AT.in_done] = word[AT.out_done] = 1  # not submitted
-        for place, endpoint, flag, buffer, length in (
+        for field, endpoint, flag, buffer, length in (
             (AT.transfer_in, usb.ENDPOINT_IN, AT.in_done, AT.buffer_in, IN_BYTES),
             (AT.transfer_out, usb.ENDPOINT_OUT, AT.out_done, AT.buffer_out, packets.SIZE),
         ):
             address = allocate(0)
             if not address:
                 raise DeviceError("libusb has no memory for a transfer: close other programs")
-            word[place] = address
+            word[field] = address
             transfer = Transfer.from_address(address)
             transfer.dev_handle, transfer.endpoint, transfer.type = libusb.handle, endpoint, _TRANSFER_BULK
-            transfer.callback, transfer.user_data = exchange.done.address, at + 8 * flag
+            transfer.callback, transfer.user_data = exchange.on_complete.address, at + 8 * flag
             transfer.buffer, transfer.length = at + 8 * buffer, length
-        _under_way[at] = self._block
+        _active_blocks[at] = self._block
         word[AT.open] = 1
-        if exchange.begin.ctypes(at) < 0:
+        if exchange.start_reading.ctypes(at) < 0:
             raise DeviceLost(f"{self.info.name} takes no transfer (libusb's error {word[AT.error]}): replug it")
 
     def _home(self) -> None:
@@ -133,7 +133,7 @@ class Falcon(Device):
         word[AT.lights] = packets.RED | packets.HOMING
         pointer = read.argtypes[1]
         sample, zero = np.zeros(SAMPLE_SIZE), np.zeros(6)
-        until, told = time.monotonic() + self._options.homing_s, False
+        until, was_logged = time.monotonic() + self._options.homing_s, False
         while True:
             status = read(self._block.handle, sample.ctypes.data_as(pointer))
             if status == TIMEOUT:
@@ -142,11 +142,11 @@ class Falcon(Device):
                 raise DeviceLost(f"{self.info.name} is gone (status {status}): plug in its USB cable and its power")
             if word[AT.homed] == packets.HOMED:
                 return
-            if not told:
+            if not was_logged:
                 log.warning(
                     "%s: pull the knob out all the way, then push it in, until the light is green", self.info.name
                 )
-                told = True
+                was_logged = True
             if time.monotonic() > until:
                 raise DeviceTimeout(
                     f"{self.info.name} was not homed in {self._options.homing_s:g} s: pull the knob out all the way, "
@@ -171,7 +171,7 @@ class Falcon(Device):
         if not self._until_done(exchange.silence):
             self._zero_failure = f"it has taken no packet for {STOP_WAIT_S:g} s"
             log.error("%s: takes no packet for %g s, so no zero either: switch it off", self.info.name, STOP_WAIT_S)
-        elif self._word[AT.pushes] or Transfer.from_address(int(self._word[AT.transfer_out])).status != _COMPLETED:
+        elif self._word[AT.has_force] or Transfer.from_address(int(self._word[AT.transfer_out])).status != _COMPLETED:
             self._zero_failure = self.reason() or "its last packet did not go through"
 
     def zero_failure(self) -> str:
@@ -179,26 +179,26 @@ class Falcon(Device):
 
     def close(self) -> None:
         if not self._word[AT.transfer_in]:
-            self._line.close()
+            self._chip.close()
             return
         self._word[AT.lights] = packets.RED
-        self._word[AT.pushes] = 1  # so that the last zero and the light are sent in any case
+        self._word[AT.has_force] = 1  # so that the last zero and the light are sent in any case
         self.stop()
-        if self._until_done(exchange.withdraw):
-            for place in (AT.transfer_in, AT.transfer_out):
-                if self._word[place]:
-                    self._free(int(self._word[place]))
-            _under_way.pop(self._block.handle, None)
+        if self._until_done(exchange.cancel_transfers):
+            for field in (AT.transfer_in, AT.transfer_out):
+                if self._word[field]:
+                    self._free(int(self._word[field]))
+            _active_blocks.pop(self._block.handle, None)
         elif self._word[AT.open]:  # a thread is inside libusb and uses the transfers: free nothing
             log.error("%s: libusb does not return to the loop: the device stays open", self.info.name)
             return
         else:  # closing removes them from libusb; they and the block are not freed
             log.error("%s: libusb does not end its transfers", self.info.name)
         self._word[AT.transfer_in] = self._word[AT.transfer_out] = 0
-        self._line.close()
+        self._chip.close()
 
     def reason(self) -> str:
-        if self._word[AT.stays_homed] and self._word[AT.homed] != packets.HOMED:
+        if self._word[AT.was_homed] and self._word[AT.homed] != packets.HOMED:
             return "it has lost the zeros of its encoders (its power was off?): start again and home it"
         error = int(self._word[AT.error])
         return f"libusb's error {error}" if error else ""
@@ -220,7 +220,7 @@ class Falcon(Device):
         return True
 
 
-_under_way: Final[dict[int, Any]] = {}
+_active_blocks: Final[dict[int, Any]] = {}
 """Blocks that libusb may write to, by address: they outlive a device that is deleted without `close`."""
 
 
@@ -233,12 +233,12 @@ def identify(device: Attached, options: Options) -> dict[str, bool]:
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceLost or DeviceError.
     """
-    line = usb.open_line(None, device.node)
+    chip = usb.open_chip(None, device.node)
     try:
-        line.run_mode()
-        return {"firmware": firmware.runs(line)}
+        chip.set_run_mode()
+        return {"firmware": firmware.has_firmware(chip)}
     finally:
-        line.close()
+        chip.close()
 
 
 def open_device(options: Options, rate_hz: float) -> Falcon:
@@ -246,4 +246,4 @@ def open_device(options: Options, rate_hz: float) -> Falcon:
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceTimeout or DeviceError, each with the remedy.
     """
-    return Falcon(options, firmware.start(partial(usb.open_line, options.serial), options.firmware))
+    return Falcon(options, firmware.start_firmware(partial(usb.open_chip, options.serial), options.firmware))

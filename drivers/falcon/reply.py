@@ -18,7 +18,7 @@ from softfinger.proxy.kernels.numerics import vec3
 
 
 @jit
-def feed(handle: int, byte: int) -> bool:
+def process_byte(handle: int, byte: int) -> bool:
     """Process one byte of the device's stream; return True if it completes a reply, stored in the field `newest`."""
     word = int64_at(handle)
     fill, garbled = packets.assemble(byte, word[AT.fill], uint8_at(handle + 8 * AT.packet))
@@ -32,8 +32,8 @@ def feed(handle: int, byte: int) -> bool:
     word[AT.replies] += 1
     if uint8_at(handle + 8 * AT.newest)[packets.FILLER] != packets.BASE:
         word[AT.fillers] += 1
-    if word[AT.awaited] > 0:
-        word[AT.awaited] -= 1
+    if word[AT.unanswered] > 0:
+        word[AT.unanswered] -= 1
     return True
 
 
@@ -60,8 +60,8 @@ def pose(handle: int) -> int:
     word[AT.homed] = homed
     if word[AT.lights] & packets.HOMING == 0 and word[AT.armed] != 0:
         if homed == packets.HOMED:
-            word[AT.stays_homed] = 1
-        elif word[AT.stays_homed] != 0:
+            word[AT.was_homed] = 1
+        elif word[AT.was_homed] != 0:
             return FORCE_OFF
     for k in range(3):
         word[AT.counts + k] = counts[k]
@@ -72,34 +72,34 @@ def pose(handle: int) -> int:
         delta.THETA_ZERO + delta.RAD_PER_COUNT * counts[2],
     )
     p, found = forward(delta.FALCON, angle, (at[0], at[1], at[2]))
-    kept = float64_at(handle + 8 * AT.sample)
+    last_sample = float64_at(handle + 8 * AT.sample)
     if found:
         centre = float64_at(handle + 8 * AT.centre)
-        place = _to_world(vec3.sub(p, (centre[0], centre[1], centre[2])))
+        knob_position = _to_world(vec3.sub(p, (centre[0], centre[1], centre[2])))
     else:
         word[AT.unreached] += 1
-        p, place = delta.HOME, (nan, nan, nan)
+        p, knob_position = delta.HOME, (nan, nan, nan)
     for k in range(3):
-        at[k], kept[k] = p[k], place[k]
-    kept[SAMPLE_TIME] = (word[AT.heard_at] - word[AT.opened_at]) * 1e-9
-    kept[SAMPLE_BUTTONS] = float(state & packets.BUTTONS)
+        at[k], last_sample[k] = p[k], knob_position[k]
+    last_sample[SAMPLE_TIME] = (word[AT.sampled_at] - word[AT.opened_at]) * 1e-9
+    last_sample[SAMPLE_BUTTONS] = float(state & packets.BUTTONS)
     return OK
 
 
 @jit
-def motor_counts(gain: float, place: Vec3, force: Vec3) -> tuple[packets.Counts, bool]:
-    """Return motor counts (3,) for a force (3,) N, device's frame, knob at `place`, and True if they were limited.
+def motor_counts(gain: float, knob_position: Vec3, force: Vec3) -> tuple[packets.Counts, bool]:
+    """Return motor counts (3,) for a force (3,) N, device's frame, at `knob_position`, and True if they were limited.
 
     If a count exceeds the maximum, all three are scaled down, so that the force keeps its direction.
     """
-    torque, able = torques_for(delta.FALCON, place, force)
+    torque, exists = torques_for(delta.FALCON, knob_position, force)
     counts = vec3.scale(gain, torque)
-    most = max(abs(counts[0]), max(abs(counts[1]), abs(counts[2])))
-    cut = not able
-    if most > packets.COUNT_MAX:
-        counts = vec3.scale(packets.COUNT_MAX / most, counts)
-        cut = True
-    return (round(counts[0]), round(counts[1]), round(counts[2])), cut
+    largest = max(abs(counts[0]), max(abs(counts[1]), abs(counts[2])))
+    is_limited = not exists
+    if largest > packets.COUNT_MAX:
+        counts = vec3.scale(packets.COUNT_MAX / largest, counts)
+        is_limited = True
+    return (round(counts[0]), round(counts[1]), round(counts[2])), is_limited
 
 
 @jit

@@ -54,46 +54,46 @@ class Libusb(NamedTuple):
     handle: int
 
 
-class Line:
+class SerialChip:
     """Open Falcon: requests to its serial chip, and bytes over it. Raises DeviceLost if it does not accept them."""
 
     def __init__(self, device: Any) -> None:
         self._device = device
-        self._waiting = bytearray()
+        self._received = bytearray()
 
     def request(self, request: int, value: int) -> None:
         try:
             self._device.ctrl_transfer(_TO_CHIP, request, value, 0, None, TIMEOUT_MS)
         except usb.core.USBError as error:
-            raise _gone(error) from error
+            raise _lost_error(error) from error
 
     def purge(self) -> None:
         self.request(PURGE, PURGE_RECEIVED)
         self.request(PURGE, PURGE_SENT)
-        self._waiting.clear()
+        self._received.clear()
 
     def write(self, data: bytes) -> None:
         try:
             self._device.write(ENDPOINT_OUT, data, TIMEOUT_MS)
         except usb.core.USBError as error:
-            raise _gone(error) from error
+            raise _lost_error(error) from error
 
     def read(self, count: int, transfers: int) -> bytes:
         """Return up to `count` bytes from at most `transfers` transfers; one without data takes the chip's latency."""
         for _ in range(transfers):
-            if len(self._waiting) >= count:
+            if len(self._received) >= count:
                 break
             try:
-                self._waiting += bytes(self._device.read(ENDPOINT_IN, PACKET_BYTES, TIMEOUT_MS))[STATUS_BYTES:]
+                self._received += bytes(self._device.read(ENDPOINT_IN, PACKET_BYTES, TIMEOUT_MS))[STATUS_BYTES:]
             except usb.core.USBTimeoutError:
                 break
             except usb.core.USBError as error:
-                raise _gone(error) from error
-        data = bytes(self._waiting[:count])
-        del self._waiting[:count]
+                raise _lost_error(error) from error
+        data = bytes(self._received[:count])
+        del self._received[:count]
         return data
 
-    def run_mode(self) -> None:
+    def set_run_mode(self) -> None:
         """Set the chip to the parameters of the running firmware."""
         self.purge()
         self.request(LATENCY, LATENCY_RUN_MS)
@@ -119,20 +119,20 @@ class Line:
         usb.util.dispose_resources(self._device)
 
 
-def open_line(serial: str | None, node: str | None = None) -> Line:
+def open_chip(serial: str | None, node: str | None = None) -> SerialChip:
     """Open the only attached Falcon, or the one with this serial number or node, and claim it for this process.
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy or DeviceError.
     """
     try:
-        found = libusb.find(idVendor=VENDOR, idProduct=PRODUCT)
+        devices = libusb.find(idVendor=VENDOR, idProduct=PRODUCT)
     except usb.core.USBError as error:
         raise DeviceError(f"USB devices cannot be listed: {error}: check that /dev/bus/usb is there") from error
     if node is not None:
-        found = [device for device in found if _node(device) == node]
-    if not found:
+        devices = [device for device in devices if _node(device) == node]
+    if not devices:
         raise DeviceNotFound(f"no Falcon ({_ids()}) is attached: plug in its USB cable and its power")
-    device = _choose(found, serial)
+    device = _choose(devices, serial)
     name = f"Falcon ({_ids()}) at {_node(device)}"
     try:
         with contextlib.suppress(NotImplementedError):  # libusb on a system without drivers to detach
@@ -141,8 +141,8 @@ def open_line(serial: str | None, node: str | None = None) -> Line:
         usb.util.claim_interface(device, INTERFACE)
     except usb.core.USBError as error:
         usb.util.dispose_resources(device)
-        raise _unopened(name, error) from error
-    return Line(device)
+        raise _open_error(name, error) from error
+    return SerialChip(device)
 
 
 def _ids() -> str:
@@ -153,11 +153,11 @@ def _node(device: Any) -> str:
     return f"{NODES}/{device.bus:03d}/{device.address:03d}"
 
 
-def _choose(found: list[Any], serial: str | None) -> Any:
-    if serial is None and len(found) == 1:
-        return found[0]
+def _choose(devices: list[Any], serial: str | None) -> Any:
+    if serial is None and len(devices) == 1:
+        return devices[0]
     serials = {}
-    for device in found:
+    for device in devices:
         try:
             serials[device.serial_number or f"none, at {_node(device)}"] = device
         except (usb.core.USBError, ValueError):  # ValueError: pyusb has no permission to open the device
@@ -165,13 +165,13 @@ def _choose(found: list[Any], serial: str | None) -> Any:
         usb.util.dispose_resources(device)  # reading the serial number opened it
     listed = ", ".join(f"'{one}'" for one in sorted(serials))
     if serial is None:
-        raise DeviceNotFound(f"{len(found)} Falcons are attached: name one with serial: {listed}")
+        raise DeviceNotFound(f"{len(devices)} Falcons are attached: name one with serial: {listed}")
     if serial not in serials:
         raise DeviceNotFound(f"no Falcon has the serial number '{serial}': attached are {listed}")
     return serials[serial]
 
 
-def _unopened(name: str, error: usb.core.USBError) -> DeviceError:
+def _open_error(name: str, error: usb.core.USBError) -> DeviceError:
     if error.errno in (errno.EACCES, errno.EPERM):
         return DevicePermission(f"{name} may not be opened by this user: {how_to_permit(VENDOR, PRODUCT)}")
     if error.errno == errno.EBUSY:
@@ -181,5 +181,5 @@ def _unopened(name: str, error: usb.core.USBError) -> DeviceError:
     return DeviceError(f"{name} cannot be opened: {error}: unplug it, plug it in again")
 
 
-def _gone(error: usb.core.USBError) -> DeviceLost:
+def _lost_error(error: usb.core.USBError) -> DeviceLost:
     return DeviceLost(f"the Falcon does not take what it is sent ({error}): plug in its USB cable and its power")

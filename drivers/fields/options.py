@@ -65,43 +65,43 @@ class OutputField(Table, frozen=True, kw_only=True):
 
 
 def layout_faults(
-    bytes_: int, fields: tuple[InputField | OutputField, ...], of: str, rest: str = ""
+    bytes_: int, fields: tuple[InputField | OutputField, ...], owner: str, note: str = ""
 ) -> Iterator[Complaint]:
     """Yield complaints about fields that exceed `bytes_` or overlap."""
-    taken: dict[int, int] = {}
-    for n, one in enumerate(fields):
-        if not known(one) or not known(one.offset, one.type):
+    field_of_byte: dict[int, int] = {}
+    for index, field in enumerate(fields):
+        if not known(field) or not known(field.offset, field.type):
             continue
-        end = one.offset + TYPE_BYTES[one.type]
+        end = field.offset + TYPE_BYTES[field.type]
         if end > bytes_:
-            where = f"bytes {one.offset} to {end - 1}"
-            yield f"field[{n}].offset", one.offset, f"{where} of {of} of {bytes_}: count from 0{rest}"
-        for byte in range(one.offset, min(end, bytes_)):
-            other = taken.setdefault(byte, n)
-            if other != n:
-                yield f"field[{n}].offset", one.offset, f"byte {byte} belongs to field[{other}] already: move one"
+            where = f"bytes {field.offset} to {end - 1}"
+            yield f"field[{index}].offset", field.offset, f"{where} of {owner} of {bytes_}: count from 0{note}"
+        for byte in range(field.offset, min(end, bytes_)):
+            other = field_of_byte.setdefault(byte, index)
+            if other != index:
+                yield f"field[{index}].offset", field.offset, f"byte {byte} belongs to field[{other}] already: move one"
                 break
 
 
 def repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint]:
     """Yield complaints about repeated meanings; `buttons` may be repeated, and are added."""
-    seen = set()
-    for n, one in enumerate(fields):
-        if known(one) and known(one.meaning) and one.meaning != "buttons":
-            if one.meaning in seen:
-                yield f"field[{n}].meaning", one.meaning, "another field has this meaning: leave one out"
-            seen.add(one.meaning)
+    meanings_seen = set()
+    for index, field in enumerate(fields):
+        if known(field) and known(field.meaning) and field.meaning != "buttons":
+            if field.meaning in meanings_seen:
+                yield f"field[{index}].meaning", field.meaning, "another field has this meaning: leave one out"
+            meanings_seen.add(field.meaning)
 
 
 def meanings(fields: Iterable[InputField | OutputField]) -> set[str] | None:
     """Return the meanings of fields; None if they are unknown."""
     if not known(fields) or not known(*fields):
         return None
-    return {one.meaning for one in fields if known(one.meaning)}
+    return {field.meaning for field in fields if known(field.meaning)}
 
 
-def lacking(key: str, has: set[str], needs: set[str], kind: str) -> Iterator[Complaint]:
+def missing_meanings(key: str, present: set[str], required: set[str], kind: str) -> Iterator[Complaint]:
     """Yield a complaint if the fields at `key` lack meanings that kinematics of this `kind` need."""
-    missing = ", ".join(sorted(needs - has))
+    missing = ", ".join(sorted(required - present))
     if missing:
         yield f"{key}.field", msgspec.UNSET, f"lacks {missing}, which a {kind} needs: add a field for each"

@@ -54,13 +54,13 @@ _FLOAT32: Final = TYPES.index("float32")
 def input_table(fields: Iterable[InputField], big_endian: bool = False) -> Array:
     """Return rows (n, ROW) for fields from a device."""
 
-    def or_else(value: float | None, none: float) -> float:
+    def default_to(value: float | None, none: float) -> float:
         return none if value is None else value
 
     rows = [
         (
-            f.offset, TYPES.index(f.type), SENSED.index(f.meaning), f.scale, f.bias, or_else(f.button_above, np.inf),
-            or_else(f.least, -np.inf), or_else(f.most, np.inf), big_endian,
+            f.offset, TYPES.index(f.type), SENSED.index(f.meaning), f.scale, f.bias, default_to(f.button_above, np.inf),
+            default_to(f.least, -np.inf), default_to(f.most, np.inf), big_endian,
         )
         for f in fields
     ]  # fmt: skip
@@ -86,22 +86,22 @@ def decode(report: int, table: int, rows: int, scratch: int, values: Any) -> boo
 
     Values of several button fields are added; a pressed button of `button_above` counts as 1.
     """
-    raw_bytes, word, usable = uint8_at(report), int64_at(scratch), True
+    raw_bytes, word, is_valid = uint8_at(report), int64_at(scratch), True
     values[BUTTONS] = 0.0
     for n in range(rows):
         row = float64_at(table + n * ROW_BYTES)
-        at, kind, place = int(row[0]), int(row[1]), int(row[2])
-        raw = _number(raw_bytes, word, scratch, at, kind, row[8] != 0.0)
+        at, kind, index = int(row[0]), int(row[1]), int(row[2])
+        raw = _read_number(raw_bytes, word, scratch, at, kind, row[8] != 0.0)
         if raw > row[5]:
             raw -= 2.0 * row[5]
             values[BUTTONS] += 1.0
         value = row[3] * raw + row[4]
-        usable = usable and isfinite(value) and row[6] <= value <= row[7]
-        if place == BUTTONS:
+        is_valid = is_valid and isfinite(value) and row[6] <= value <= row[7]
+        if index == BUTTONS:
             values[BUTTONS] += value
         else:
-            values[place] = value
-    return usable
+            values[index] = value
+    return is_valid
 
 
 @jit
@@ -112,7 +112,7 @@ def encode(values: Any, table: int, rows: int, scratch: int, report: int) -> boo
     table    address of `rows` rows
     scratch  address of one int64
     """
-    raw_bytes, word, cut = uint8_at(report), int64_at(scratch), False
+    raw_bytes, word, is_clamped = uint8_at(report), int64_at(scratch), False
     for n in range(rows):
         row = float64_at(table + n * ROW_BYTES)
         at, kind = int(row[0]), int(row[1])
@@ -123,19 +123,19 @@ def encode(values: Any, table: int, rows: int, scratch: int, report: int) -> boo
             bits = word[0]
             size = 4
         else:
-            low, high, size = _span(kind)
-            whole = floor(raw + 0.5)
-            inside = min(max(whole, low), high)
-            cut = cut or inside != whole
-            bits = int(inside)
+            low, high, size = _integer_range(kind)
+            rounded = floor(raw + 0.5)
+            clamped = min(max(rounded, low), high)
+            is_clamped = is_clamped or clamped != rounded
+            bits = int(clamped)
         for k in range(size):
-            place = at + size - 1 - k if row[8] != 0.0 else at + k
-            raw_bytes[place] = types.uint8((bits >> (8 * k)) & 255)
-    return cut
+            index = at + size - 1 - k if row[8] != 0.0 else at + k
+            raw_bytes[index] = types.uint8((bits >> (8 * k)) & 255)
+    return is_clamped
 
 
 @jit
-def _span(kind: int) -> tuple[float, float, int]:
+def _integer_range(kind: int) -> tuple[float, float, int]:
     if kind == _INT8:
         return -128.0, 127.0, 1
     if kind == _UINT8:
@@ -150,7 +150,7 @@ def _span(kind: int) -> tuple[float, float, int]:
 
 
 @jit
-def _number(raw_bytes: Any, word: Any, scratch: int, at: int, kind: int, big_endian: bool) -> float:
+def _read_number(raw_bytes: Any, word: Any, scratch: int, at: int, kind: int, big_endian: bool) -> float:
     size = 1
     if kind in (_INT16, _UINT16):
         size = 2
@@ -158,8 +158,8 @@ def _number(raw_bytes: Any, word: Any, scratch: int, at: int, kind: int, big_end
         size = 4
     bits = 0
     for k in range(size):
-        place = at + size - 1 - k if big_endian else at + k
-        bits |= int(raw_bytes[place]) << (8 * k)
+        index = at + size - 1 - k if big_endian else at + k
+        bits |= int(raw_bytes[index]) << (8 * k)
     if kind == _FLOAT32:
         word[0] = bits
         return float(float32_at(scratch)[0])

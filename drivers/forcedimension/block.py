@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Final, NamedTuple
 
 from softfinger.drivers.base import SAMPLE_SIZE
-from softfinger.drivers.block import address, counter, lay_out, numbers, octets, word
+from softfinger.drivers.block import address, counter, lay_out, numbers, raw_bytes, word
 from softfinger.drivers.system.libc import TIMESPEC_WORDS
 
 STATUS_WORDS: Final = 17
 
 
-class Words(NamedTuple):
+class Fields(NamedTuple):
     """Fields of the block."""
 
     # addresses of the library's functions
@@ -28,7 +28,7 @@ class Words(NamedTuple):
         int, word("whether the library gives its frame: else its position, and `frame` stays unturned")
     ]
     has_gripper: Annotated[int, word("whether it has one")]
-    turns: Annotated[int, word("whether motors turn the handle: else no torque is sent")]
+    has_torque: Annotated[int, word("whether motors turn the handle: else no torque is sent")]
     status_every: Annotated[int, word("reads from one question for the status to the next")]
     started_at: Annotated[int, word("ns")]
     # written by several threads
@@ -49,8 +49,8 @@ class Words(NamedTuple):
     timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
     gripper: Annotated[int, numbers("rad", 1)]
     frame: Annotated[int, numbers("position, then the matrix row by row", 12)]
-    status: Annotated[int, octets("int32 each", 4 * STATUS_WORDS)]
+    status: Annotated[int, raw_bytes("int32 each", 4 * STATUS_WORDS)]
     sample: Annotated[int, numbers("the last one, as the servo got it", SAMPLE_SIZE)]
 
 
-AT: Final = lay_out(Words)
+AT: Final = lay_out(Fields)

@@ -55,7 +55,7 @@ def _device_time(handle: int) -> float:
 
 
 @jit
-def _ask_status(handle: int) -> int:
+def _read_status(handle: int) -> int:
     """Read the device's status; return FORCE_OFF and store the cause if its force is off or it reports an error."""
     word = int64_at(handle)
     status = int32_at(handle + 8 * AT.status)
@@ -69,18 +69,18 @@ def _ask_status(handle: int) -> int:
 
 
 @jit
-def _failed(handle: int) -> int:
+def _error_status(handle: int) -> int:
     """Return the status for a failed call, from the library's error of this thread."""
     word = int64_at(handle)
     word[AT.error] = call_int32(word[AT.get_error], ())
     if word[AT.error] == ERROR_TIMEOUT:
         return TIMEOUT
-    _ask_status(handle)  # a device that still answers may report the cause
+    _read_status(handle)  # a device that still answers may report the cause
     return LOST
 
 
 @jit
-def _take_frame(handle: int, sample: Any) -> None:
+def _convert_pose(handle: int, sample: Any) -> None:
     """Convert the library's pose to the world frame; the orientation is NaN if its matrix is no rotation."""
     p = float64_at(handle + 8 * AT.frame)
     sample[0] = p[1]
@@ -88,10 +88,10 @@ def _take_frame(handle: int, sample: Any) -> None:
     sample[2] = p[2]
     m = float64_at(handle + 8 * (AT.frame + 3))
     world = ((m[4], -m[3], m[5]), (-m[1], m[0], -m[2]), (m[7], -m[6], m[8]))
-    rotation = abs(vec3.dot(world[0], vec3.cross(world[1], world[2])) - 1.0) < NOT_A_ROTATION
+    is_rotation = abs(vec3.dot(world[0], vec3.cross(world[1], world[2])) - 1.0) < NOT_A_ROTATION
     for i in range(3):
-        rotation = rotation and abs(vec3.norm(world[i]) - 1.0) < NOT_A_ROTATION
-    if rotation:
+        is_rotation = is_rotation and abs(vec3.norm(world[i]) - 1.0) < NOT_A_ROTATION
+    if is_rotation:
         q = from_matrix(world)
         for k in range(4):
             sample[3 + k] = q[k]
@@ -113,25 +113,25 @@ def _read_locked(handle: int, sample: Any) -> int:
     else:
         code = call_int32(word[AT.get_position], (x, y, z, device))
     if code < 0:
-        return _failed(handle)
+        return _error_status(handle)
     buttons = call_int32(word[AT.get_buttons], (device,))
     if (
         word[AT.has_gripper] != 0
         and call_int32(word[AT.get_gripper], (float64_at(handle + 8 * AT.gripper), device)) < 0
     ):
-        return _failed(handle)
+        return _error_status(handle)
     word[AT.reads] += 1
     if word[AT.armed] != 0 and word[AT.reads] % word[AT.status_every] == 0:
-        status = _ask_status(handle)
+        status = _read_status(handle)
         if status != OK:
-            return status if status == FORCE_OFF else _failed(handle)
-    _take_frame(handle, sample)
+            return status if status == FORCE_OFF else _error_status(handle)
+    _convert_pose(handle, sample)
     sample[SAMPLE_TIME] = _device_time(handle)
     sample[SAMPLE_BUTTONS] = float(np.int64(buttons) & 0xFFFFFFFF)
     sample[SAMPLE_GRIPPER] = float64_at(handle + 8 * AT.gripper)[0]  # initially 0, and unchanged without a gripper
-    kept = float64_at(handle + 8 * AT.sample)
+    last_sample = float64_at(handle + 8 * AT.sample)
     for k in range(SAMPLE_SIZE):
-        kept[k] = sample[k]
+        last_sample[k] = sample[k]
     if code != 0:
         word[AT.reads_guarded] += 1
         return STALE
@@ -142,9 +142,9 @@ def _read_locked(handle: int, sample: Any) -> int:
 def read(handle: int, sample: Any) -> int:
     # Never wait here: the lock's owner is stopping the device.
     if exchange_int64(handle + 8 * AT.lock, 1) != 0:
-        kept = float64_at(handle + 8 * AT.sample)
+        last_sample = float64_at(handle + 8 * AT.sample)
         for k in range(SAMPLE_SIZE):
-            sample[k] = kept[k]
+            sample[k] = last_sample[k]
         return STALE
     status = _read_locked(handle, sample)
     exchange_int64(handle + 8 * AT.lock, 0)
@@ -159,24 +159,24 @@ def _write_locked(handle: int, wrench: Any) -> int:
             if wrench[k] != 0.0:
                 return WITHHELD
         return OK
-    usable = True
+    is_finite = True
     for k in range(6):
         if not isfinite(wrench[k]):
-            usable = False
+            is_finite = False
     fx, fy, fz, tx, ty, tz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    if usable:
+    if is_finite:
         fx, fy, fz = -wrench[1], wrench[0], wrench[2]
-        if word[AT.turns] != 0:
+        if word[AT.has_torque] != 0:
             tx, ty, tz = -wrench[4], wrench[3], wrench[5]
     code = call_int32(word[AT.set_wrench], (fx, fy, fz, tx, ty, tz, 0.0, np.int32(word[AT.id])))
     if code < 0:
-        return _failed(handle)
+        return _error_status(handle)
     word[AT.writes] += 1
     if code == 1:
         word[AT.writes_guarded] += 1
     elif code == 2:
         word[AT.saturated] += 1
-    if not usable:
+    if not is_finite:
         return WITHHELD
     if code == 1:  # probably not sent; if it was, this assumption errs towards less force
         return HELD

@@ -70,6 +70,6 @@ MODELS: Final = {
 """Models by `dhdGetSystemType`."""
 
 
-def model_of(kind: int) -> Model:
+def find_model(kind: int) -> Model:
     """Return the model for a number of `dhdGetSystemType`; an unnamed one with the lowest limits if it is unknown."""
     return MODELS.get(kind) or Model("", f"device of unknown type {kind}", UNKNOWN)

@@ -29,7 +29,7 @@ class Attached(NamedTuple):
 def attached() -> list[Attached]:
     """Return every device of the vendor; none without USB, or without libusb."""
     found: list[Attached] = []
-    for device in discovery.seen_by_pyusb(idVendor=VENDOR):
+    for device in discovery.find_usb(idVendor=VENDOR):
         node = NODES / f"{device.bus:03d}" / f"{device.address:03d}"
         name = PRODUCTS.get(device.idProduct, "device of Force Dimension")
         permitted = not os.path.exists(node) or os.access(node, os.R_OK | os.W_OK, effective_ids=True)

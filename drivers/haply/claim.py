@@ -9,14 +9,14 @@ import struct
 from typing import Final
 
 from softfinger.config.errors import DeviceBusy, DeviceError
-from softfinger.drivers.haply.messages import Which
+from softfinger.drivers.haply.messages import DeviceRef
 from softfinger.drivers.system import discovery
 
 _CREDENTIALS: Final = struct.Struct("3i")
 """Process, user and group of a peer."""
 
 
-def claim(port: int, device: Which) -> socket.socket:
+def claim(port: int, device: DeviceRef) -> socket.socket:
     """Lock a device of the service on `port`, until the returned socket is closed or this process ends.
 
     The lock is the name of an abstract Unix socket. Such names belong to a network namespace, like the service's port,
@@ -42,11 +42,11 @@ def claim(port: int, device: Which) -> socket.socket:
 
 def _holder(address: str) -> str:
     """Return the process that listens on a Unix socket, as text for messages."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
-        asking.setblocking(False)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
         try:
-            asking.connect(address)
-            pid, _, _ = _CREDENTIALS.unpack(asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
+            probe.connect(address)
+            pid, _, _ = _CREDENTIALS.unpack(probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
         except OSError:  # it has exited, or its connection queue is full
             pid = 0
     if pid <= 0:  # in another namespace

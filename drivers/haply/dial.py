@@ -35,41 +35,43 @@ def remaining(until: float) -> float:
     return left
 
 
-def dial(port: int, until: float) -> socket.socket:
+def connect(port: int, until: float) -> socket.socket:
     """Connect to the service. Raises DeviceNotFound, DeviceTimeout, DeviceError."""
     try:
-        end = socket.create_connection((HOST, port), timeout=remaining(until))
+        connection = socket.create_connection((HOST, port), timeout=remaining(until))
     except ConnectionRefusedError:
-        raise DeviceNotFound(f"no Inverse Service on port {port} of this machine{_old(port)}: {START}") from None
+        raise DeviceNotFound(
+            f"no Inverse Service on port {port} of this machine{_old_service_note(port)}: {START}"
+        ) from None
     except TimeoutError:
         raise DeviceTimeout(f"the Inverse Service on port {port} takes no connection: restart it ({START})") from None
     except OSError as error:
         raise DeviceError(f"the Inverse Service on port {port} cannot be reached: {error}") from error
-    end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-    return end
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+    return connection
 
 
-def ask(port: int, method: str, path: str, body: Any, until: float) -> tuple[int, bytes]:
+def request(port: int, method: str, path: str, body: Any, until: float) -> tuple[int, bytes]:
     """Send a request, with `body` as JSON unless None; return status and body. Raises DeviceError or a subclass."""
     content = b"" if body is None else msgspec.json.encode(body)
     head = (
         f"{method} {path} HTTP/1.1\r\nHost: {HOST}:{port}\r\nConnection: close\r\n"
         f"Content-Type: application/json\r\nContent-Length: {len(content)}\r\n\r\n"
     )
-    got = bytearray()
+    received = bytearray()
     try:
-        with dial(port, until) as end:
-            end.sendall(head.encode() + content)
-            while not _whole(got):
-                end.settimeout(remaining(until))
-                part = end.recv(CHUNK)
+        with connect(port, until) as connection:
+            connection.sendall(head.encode() + content)
+            while not _is_complete(received):
+                connection.settimeout(remaining(until))
+                part = connection.recv(CHUNK)
                 if not part:
                     break
-                got += part
-                if len(got) > MESSAGE_MAX:
+                received += part
+                if len(received) > MESSAGE_MAX:
                     raise DeviceError(f"{method} {path}: the service's answer has more than {MESSAGE_MAX} bytes")
-        response = HTTPResponse(cast(socket.socket, _Got(bytes(got))), method=method)
+        response = HTTPResponse(cast(socket.socket, _Response(bytes(received))), method=method)
         response.begin()
         return response.status, response.read()
     except TimeoutError:
@@ -78,7 +80,7 @@ def ask(port: int, method: str, path: str, body: Any, until: float) -> tuple[int
         raise DeviceError(f"{method} {path}: the service's answer cannot be read: {error!r}") from error
 
 
-class _Got:
+class _Response:
     """Response in memory, with the interface that `HTTPResponse` reads."""
 
     def __init__(self, data: bytes) -> None:
@@ -88,13 +90,13 @@ class _Got:
         return io.BytesIO(self._data)
 
 
-def _whole(got: bytearray) -> bool:
-    head, found, body = got.partition(b"\r\n\r\n")
+def _is_complete(received: bytearray) -> bool:
+    head, found, body = received.partition(b"\r\n\r\n")
     length = _LENGTH.search(head + b"\r\n") if found else None
     return length is not None and len(body) >= int(length[1])
 
 
-def _old(port: int) -> str:
+def _old_service_note(port: int) -> str:
     """Return an addition to the message if a service of the old format runs."""
     try:
         socket.create_connection((HOST, OLD_FORMAT_PORT), timeout=0.2).close()

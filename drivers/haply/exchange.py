@@ -1,9 +1,9 @@
 """Servo's side of the exchange, in nopython mode: read the latest pose from the block, write the wrench to it.
 
-Servo and the thread that talks to the service (`pump`) exchange data through two sequence locks, one for each
-direction, so that neither waits for the other. A write wakes the thread. WITHHELD reports zero in place of a force, so
-that the guard fades in again: no state for `quiet`, disarmed, or the thread dropped the wrench. HELD reports a force
-that was not accepted because the previous one is not sent yet.
+Servo and the service's thread (`exchange_thread`) exchange data through two sequence locks, one for each direction, so
+that neither waits for the other. A write wakes the thread. WITHHELD reports zero in place of a force, so that the guard
+fades in again: no state for `quiet`, disarmed, or the thread dropped the wrench. HELD reports a force that was not
+accepted because the previous one is not sent yet.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from softfinger.drivers.base import (
     WITHHELD,
 )
 from softfinger.drivers.block import counter, lay_out, numbers, word
-from softfinger.drivers.pause import RESUME_NS, heard_at
+from softfinger.drivers.pause import RESUME_NS, shift_sample_time
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
@@ -37,13 +37,13 @@ from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, nor
 
 COUNTERS: Final = 8
 """Size of a sequence counter in int64: one cache line."""
-POSE: Final = 9
+POSE_SIZE: Final = 9
 """Numbers of a pose: position (3,) m, orientation (4,), buttons, and time of arrival (ns, monotonic clock)."""
-CAME: Final = 8
-WRENCH: Final = 5
+ARRIVAL_TIME: Final = 8
+WRENCH_SIZE: Final = 5
 """Numbers of a wrench: force (3,) N in the service's frame, time of the write (ns, monotonic clock), its number."""
-WRITTEN: Final = 3
-NUMBER: Final = 4
+WRITE_TIME: Final = 3
+WRENCH_NUMBER: Final = 4
 
 
 class Model(NamedTuple):
@@ -63,7 +63,7 @@ MODEL_LIKE: Final = Model((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0)
 MODEL_SIZE: Final = len(flatten(MODEL_LIKE))
 
 
-class Words(NamedTuple):
+class Fields(NamedTuple):
     """Shared fields of a device at the service. Each has a single writer, except `armed`."""
 
     states: Annotated[int, counter("states received")]
@@ -80,46 +80,46 @@ class Words(NamedTuple):
     held: Annotated[int, counter("forces not taken, because the one before was not sent yet")]
     armed: Annotated[int, word("whether a force may go out")]
     failed: Annotated[int, word("status of what ended the thread, 0 while nothing did")]
-    taken: Annotated[int, word("number of the newest wrench that the thread has sent or dropped")]
+    handled: Annotated[int, word("number of the newest wrench that the thread has sent or dropped")]
     answered: Annotated[int, word("number of the newest wrench whose message has been answered")]
-    stops: Annotated[int, word("zeros asked for by `stop`")]
-    stopped: Annotated[int, word("of these, answered by the service")]
+    stops_requested: Annotated[int, word("zeros asked for by `stop`")]
+    stops_answered: Annotated[int, word("of these, answered by the service")]
     wake: Annotated[int, word("eventfd that wakes the thread, below 0 once it is closed")]
-    one: Annotated[int, word("what is written to it")]
+    increment: Annotated[int, word("what is written to it")]
     lock: Annotated[int, word("held while a wrench is written")]
     quiet: Annotated[int, word("ns without a state, after which there is no force")]
     timeout_after: Annotated[int, word("ns without a state, after which the device is given up")]
     stale: Annotated[int, word("ns after which a wrench is old")]
     opened_at: Annotated[int, word("ns")]
     read_at: Annotated[int, word("ns, when the loop last read")]
-    heard_at: Annotated[int, word("ns, when the state came that the loop has")]
-    seen: Annotated[int, word("sequence number of the newest pose that the loop has read")]
-    dropped_seen: Annotated[int, word("`dropped` at the last read")]
+    sampled_at: Annotated[int, word("ns, when the state came that the loop has")]
+    pose_sequence_read: Annotated[int, word("sequence number of the newest pose that the loop has read")]
+    dropped_reported: Annotated[int, word("`dropped` at the last read")]
     timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
     model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
     pose_sequence: Annotated[int, numbers("counter of the poses' lock", COUNTERS)]
-    pose: Annotated[int, numbers("the newest, service's frame", POSE)]
+    pose: Annotated[int, numbers("the newest, service's frame", POSE_SIZE)]
     wrench_sequence: Annotated[int, numbers("counter of the wrenches' lock", COUNTERS)]
-    wrench: Annotated[int, numbers("the newest", WRENCH)]
-    copied: Annotated[int, numbers("the loop's copy of a pose, which may be torn", POSE)]
-    made: Annotated[int, numbers("the wrench being written", WRENCH)]
+    wrench: Annotated[int, numbers("the newest", WRENCH_SIZE)]
+    copied: Annotated[int, numbers("the loop's copy of a pose, which may be torn", POSE_SIZE)]
+    outgoing: Annotated[int, numbers("the wrench being written", WRENCH_SIZE)]
     sample: Annotated[int, numbers("the last one", SAMPLE_SIZE)]
 
 
-AT: Final = lay_out(Words)
+AT: Final = lay_out(Fields)
 
 
 @jit
-def _take(handle: int, poses: Slot, copied: Any) -> bool:
+def _read_pose(handle: int, poses: Slot, copied: Any) -> bool:
     """Convert the latest pose to the sample and return True, if the loop has not read it yet.
 
     `poses` and `copied` are the fields of these names as arrays.
     """
     at, sample = int64_at(handle), float64_at(handle + 8 * AT.sample)
-    newest = refresh(poses, at[AT.seen], copied)
-    if newest == at[AT.seen]:
+    newest = refresh(poses, at[AT.pose_sequence_read], copied)
+    if newest == at[AT.pose_sequence_read]:
         return False
-    at[AT.seen] = newest
+    at[AT.pose_sequence_read] = newest
     model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     position = vec3.add(rotate(model.orientation, (copied[0], copied[1], copied[2])), model.position)
     orientation = normalize(multiply(model.orientation, (copied[3], copied[4], copied[5], copied[6])))
@@ -127,8 +127,8 @@ def _take(handle: int, poses: Slot, copied: Any) -> bool:
         sample[k] = position[k]
     for k in range(4):
         sample[3 + k] = orientation[k]
-    at[AT.heard_at] = int(copied[CAME])
-    sample[SAMPLE_TIME] = (at[AT.heard_at] - at[AT.opened_at]) * 1e-9
+    at[AT.sampled_at] = int(copied[ARRIVAL_TIME])
+    sample[SAMPLE_TIME] = (at[AT.sampled_at] - at[AT.opened_at]) * 1e-9
     sample[SAMPLE_BUTTONS] = copied[7]
     sample[SAMPLE_GRIPPER] = 0.0
     return True
@@ -141,23 +141,23 @@ def read(handle: int, sample: Any) -> int:
         return int(at[AT.failed])
     now = monotonic_ns(handle + 8 * AT.timespec)
     counters = carray(int64_at(handle + 8 * AT.pose_sequence), (COUNTERS,))
-    poses = Slot(counters, carray(float64_at(handle + 8 * AT.pose), (POSE,)))
-    status = OK if _take(handle, poses, carray(float64_at(handle + 8 * AT.copied), (POSE,))) else STALE
-    silence = now - at[AT.heard_at]
+    poses = Slot(counters, carray(float64_at(handle + 8 * AT.pose), (POSE_SIZE,)))
+    status = OK if _read_pose(handle, poses, carray(float64_at(handle + 8 * AT.copied), (POSE_SIZE,))) else STALE
+    silence = now - at[AT.sampled_at]
     if at[AT.read_at] != 0 and now - at[AT.read_at] > RESUME_NS and silence > at[AT.quiet]:
         # the thread may have been paused too: neither a silence nor a current pose
-        at[AT.heard_at] = heard_at(at[AT.heard_at], at[AT.read_at], now, at[AT.quiet])
+        at[AT.sampled_at] = shift_sample_time(at[AT.sampled_at], at[AT.read_at], now, at[AT.quiet])
         status = STALE
     elif silence > at[AT.timeout_after]:
         return TIMEOUT
     at[AT.read_at] = now
     dropped = at[AT.dropped]
-    if dropped != at[AT.dropped_seen]:
-        at[AT.dropped_seen] = dropped
+    if dropped != at[AT.dropped_reported]:
+        at[AT.dropped_reported] = dropped
         status = WITHHELD
-    kept = float64_at(handle + 8 * AT.sample)
+    last_sample = float64_at(handle + 8 * AT.sample)
     for k in range(SAMPLE_SIZE):
-        sample[k] = kept[k]
+        sample[k] = last_sample[k]
     return status
 
 
@@ -171,9 +171,9 @@ def _limit(handle: int, wrench: Any, now: int) -> tuple[Vec3, int]:
         zero = zero and wrench[k] == 0.0
     if zero:
         return (0.0, 0.0, 0.0), OK
-    if at[AT.armed] == 0 or not finite or at[AT.wake] < 0 or now - at[AT.heard_at] > at[AT.quiet]:
+    if at[AT.armed] == 0 or not finite or at[AT.wake] < 0 or now - at[AT.sampled_at] > at[AT.quiet]:
         return (0.0, 0.0, 0.0), WITHHELD
-    if at[AT.taken] != at[AT.written]:  # replacing that one would skip the force of a tick
+    if at[AT.handled] != at[AT.written]:  # replacing that one would skip the force of a tick
         at[AT.held] += 1
         return (0.0, 0.0, 0.0), HELD
     model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
@@ -197,14 +197,14 @@ def write(handle: int, wrench: Any) -> int:
     now = monotonic_ns(handle + 8 * AT.timespec)
     force, status = _limit(handle, wrench, now)
     if status != HELD:
-        made = carray(float64_at(handle + 8 * AT.made), (WRENCH,))
+        outgoing = carray(float64_at(handle + 8 * AT.outgoing), (WRENCH_SIZE,))
         for k in range(3):
-            made[k] = force[k]
+            outgoing[k] = force[k]
         at[AT.written] += 1
-        made[WRITTEN], made[NUMBER] = float(now), float(at[AT.written])
-        wrenches = carray(float64_at(handle + 8 * AT.wrench), (WRENCH,))
-        store(Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (COUNTERS,)), wrenches), made)
+        outgoing[WRITE_TIME], outgoing[WRENCH_NUMBER] = float(now), float(at[AT.written])
+        wrenches = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
+        store(Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (COUNTERS,)), wrenches), outgoing)
         if at[AT.wake] >= 0:
-            write_now(at[AT.wake], handle + 8 * AT.one, 8)
+            write_now(at[AT.wake], handle + 8 * AT.increment, 8)
     exchange_int64(handle + 8 * AT.lock, 0)
     return status

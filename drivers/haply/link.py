@@ -16,10 +16,10 @@ import time
 from typing import Any, Final
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.haply.dial import CHUNK, HOST, MESSAGE_MAX, dial, remaining
+from softfinger.drivers.haply.dial import CHUNK, HOST, MESSAGE_MAX, connect, remaining
 from softfinger.drivers.haply.messages import Malformed, excerpt
 
-LAST_S: Final = 0.2
+CLOSE_TIMEOUT_S: Final = 0.2
 """Time for the service to read the last message and close the connection."""
 
 
@@ -28,16 +28,16 @@ class Link:
 
     def __init__(self, port: int, until: float) -> None:
         client, uri, self._frames = library()
-        self._end = dial(port, until)
+        self._end = connect(port, until)
         self._end.setblocking(False)
-        self._part = bytearray()
+        self._partial = bytearray()
         self._unsent = bytearray()
         """Bytes not accepted by the system yet: the end of a frame, and what follows it."""
         self._protocol = client.ClientProtocol(uri.parse_uri(f"ws://{HOST}:{port}"), max_size=MESSAGE_MAX)
         try:
             self._protocol.send_request(self._protocol.connect())
             self._flush()
-            self._first = self._opened(until)
+            self._queued_messages = self._await_handshake(until)
         except BaseException:
             self._end.close()
             raise
@@ -60,24 +60,24 @@ class Link:
         Raises DeviceLost if the connection is closed, Malformed if the data violates the protocol or a message is too
         long.
         """
-        found, self._first = self._first, []
+        found, self._queued_messages = self._queued_messages, []
         try:
             data = self._end.recv(CHUNK)
         except BlockingIOError:
             return found
         except OSError as error:
             raise DeviceLost(f"the connection with the Inverse Service broke: {error.strerror or error}") from error
-        return found + self._taken(data)
+        return found + self._process_data(data)
 
     def next(self, until: float) -> bytes:
         """Wait for the next message and return it."""
         while not (found := self.receive()):
             select.select([self._end], [], [], remaining(until))
-        self._first = found[1:]
+        self._queued_messages = found[1:]
         return found[0]
 
     def close(self, last: bytes = b"") -> bool:
-        """Send `last` and a Close frame, wait up to `LAST_S` until the service closes the connection, close the socket.
+        """Send `last` and a Close frame, wait up to `CLOSE_TIMEOUT_S` until the service closes, close the socket.
 
         `websockets` answers a Close frame or a protocol violation with a Close frame, and accepts no message after it.
         So `last` is framed here and precedes the bytes of the library. If the service does not accept all of it, the
@@ -97,7 +97,7 @@ class Link:
             protocol.send_close(1000)
         self._unsent += b"".join(protocol.data_to_send())
         try:
-            closed = self._finish(time.monotonic() + LAST_S)
+            closed = self._finish(time.monotonic() + CLOSE_TIMEOUT_S)
         except OSError:  # reset by the service
             closed = True
         self._end.close()
@@ -121,7 +121,7 @@ class Link:
             self._end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         return not reading and not self._unsent
 
-    def _opened(self, until: float) -> list[bytes]:
+    def _await_handshake(self, until: float) -> list[bytes]:
         """Wait until the service accepts the connection; return messages received with the acceptance."""
         while True:
             found = self.receive_handshake(until)
@@ -141,11 +141,11 @@ class Link:
         except OSError as error:
             raise DeviceLost(f"the Inverse Service closed the connection: {error.strerror or error}") from error
         try:
-            return self._taken(data)
+            return self._process_data(data)
         except Malformed as error:
             raise DeviceError(str(error)) from None
 
-    def _taken(self, data: bytes) -> list[bytes]:
+    def _process_data(self, data: bytes) -> list[bytes]:
         protocol, found = self._protocol, []
         if data:
             protocol.receive_data(data)
@@ -154,12 +154,12 @@ class Link:
         for event in protocol.events_received():
             if not hasattr(event, "opcode") or event.opcode.name not in ("TEXT", "BINARY", "CONT"):
                 continue
-            self._part += event.data
-            if len(self._part) > MESSAGE_MAX:
+            self._partial += event.data
+            if len(self._partial) > MESSAGE_MAX:
                 raise Malformed(f"a message of the service has more than {MESSAGE_MAX} bytes")
             if event.fin:
-                found.append(bytes(self._part))
-                self._part.clear()
+                found.append(bytes(self._partial))
+                self._partial.clear()
         if protocol.state.name in ("CLOSING", "CLOSED") and protocol.handshake_exc is None:
             # The library's Close frame is not sent yet: `close` sends the last message before it.
             if protocol.parser_exc is not None and not isinstance(protocol.parser_exc, EOFError):

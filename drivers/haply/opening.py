@@ -13,24 +13,24 @@ from msgspec import Struct
 
 from softfinger.config.errors import DeviceError, DeviceNotFound, DeviceTimeout
 from softfinger.drivers.haply.claim import claim
-from softfinger.drivers.haply.dial import START, ask
+from softfinger.drivers.haply.dial import START, request
 from softfinger.drivers.haply.link import Link, library
 from softfinger.drivers.haply.messages import (
     GRIPS,
     GROUPS,
     VECTOR_SINCE,
     Config,
+    DeviceRef,
     Inventory,
     Listed,
     Malformed,
     Missing,
-    Seen,
-    Which,
+    PoseReading,
     command,
     excerpt,
     force_key,
     is_identity,
-    number_of,
+    parse_version,
     read_inventory,
     read_state,
 )
@@ -53,22 +53,22 @@ class Reply(Struct):
     error: str = ""
 
 
-class Found(NamedTuple):
+class Connection(NamedTuple):
     """Open connection with its lock, device, grip, key of forces and first pose."""
 
     link: Link
     lock: socket.socket
-    device: Which
-    grip: Which | None
+    device: DeviceRef
+    grip: DeviceRef | None
     key: str
-    seen: Seen
+    reading: PoseReading
 
 
-def find(options: Options) -> Found:
+def find(options: Options) -> Connection:
     """Find, lock and set up the device of a rig. Raises DeviceNotFound, DeviceBusy, DeviceTimeout, DeviceError."""
     library()  # report a missing library before a missing service
     until = time.monotonic() + OPEN_S
-    version = number_of(options.version or _version(options.port, until))
+    version = parse_version(options.version or _version(options.port, until))
     with ExitStack() as opened:
         link = Link(options.port, until)
         opened.callback(link.close)
@@ -77,58 +77,58 @@ def find(options: Options) -> Found:
             device, listed = choose_device(inventory, options.device_id)
             grip = choose_grip(inventory, options.grip)
             lock = opened.enter_context(claim(options.port, device))
-            _set(options, version, device, listed.config, inventory.session_id, until)
+            _apply_filters(options, version, device, listed.config, inventory.session_id, until)
             key = force_key(version)
             link.send(command(device, key, _ZERO, basis=True))
-            found = Found(link, lock, device, grip, key, read_state(link.next(until), device, grip))
+            connection = Connection(link, lock, device, grip, key, read_state(link.next(until), device, grip))
         except (Malformed, Missing) as error:
             raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
         opened.pop_all()
-        return found
+        return connection
 
 
 def identify(port: int, version: str | None) -> dict[str, Any]:
     """Return version, devices and grips of the service."""
     until = time.monotonic() + OPEN_S
-    said = version or _version(port, until)
-    number_of(said)
+    version_info = version or _version(port, until)
+    parse_version(version_info)
     link = Link(port, until)
     try:
         inventory = _inventory(link, until)
     finally:
         link.close()
     names = {"devices": GROUPS, "grips": GRIPS}
-    return {"service": said} | {key: [str(which) for which, _ in inventory.of(of)] for key, of in names.items()}
+    return {"service": version_info} | {key: [str(ref) for ref, _ in inventory.of(of)] for key, of in names.items()}
 
 
-def choose_device(inventory: Inventory, wanted: str | None) -> tuple[Which, Listed]:
+def choose_device(inventory: Inventory, wanted: str | None) -> tuple[DeviceRef, Listed]:
     """Return the device with the id `wanted`, or the only one; raises DeviceNotFound."""
-    there = inventory.of(GROUPS)
-    fitting = [one for one in there if wanted in (None, one[0].name)]
-    if len(fitting) == 1:
-        return fitting[0]
-    listed = ", ".join(str(which) for which, _ in there)
-    if fitting:
-        raise DeviceNotFound(f"{len(fitting)} devices are at the Inverse Service: name one with device_id: {listed}")
-    asked = f" with device_id = '{wanted}'" if wanted is not None else ""
+    entries = inventory.of(GROUPS)
+    matching = [one for one in entries if wanted in (None, one[0].name)]
+    if len(matching) == 1:
+        return matching[0]
+    listed = ", ".join(str(ref) for ref, _ in entries)
+    if matching:
+        raise DeviceNotFound(f"{len(matching)} devices are at the Inverse Service: name one with device_id: {listed}")
+    id_text = f" with device_id = '{wanted}'" if wanted is not None else ""
     raise DeviceNotFound(
-        f"no Inverse3, Inverse3x or Minverse{asked} is at the Inverse Service, which lists {listed or 'no device'}: "
+        f"no Inverse3, Inverse3x or Minverse{id_text} is at the Inverse Service, which lists {listed or 'no device'}: "
         "plug it in, switch it on and wait for its light"
     )
 
 
-def choose_grip(inventory: Inventory, wanted: str) -> Which | None:
+def choose_grip(inventory: Inventory, wanted: str) -> DeviceRef | None:
     """Return the grip with the id `wanted`; for "auto" the only one, or None without any. Raises DeviceNotFound."""
-    there = [which for which, _ in inventory.of(GRIPS)]
+    entries = [ref for ref, _ in inventory.of(GRIPS)]
     if wanted == "none":
         return None
-    fitting = [which for which in there if wanted in ("auto", which.name)]
-    if len(fitting) == 1:
-        return fitting[0]
-    listed = ", ".join(map(str, there)) or "no grip"
-    if fitting:
+    matching = [ref for ref in entries if wanted in ("auto", ref.name)]
+    if len(matching) == 1:
+        return matching[0]
+    listed = ", ".join(map(str, entries)) or "no grip"
+    if matching:
         raise DeviceNotFound(
-            f'{len(fitting)} VerseGrips are at the Inverse Service: name one with grip, or set grip = "none": {listed}'
+            f'{len(matching)} VerseGrips are at the Inverse Service: name one with grip, or set grip = "none": {listed}'
         )
     if wanted == "auto":
         return None
@@ -138,12 +138,12 @@ def choose_grip(inventory: Inventory, wanted: str) -> Which | None:
 
 
 def _version(port: int, until: float) -> str:
-    status, body = ask(port, "GET", "/version", None, until)
+    status, body = request(port, "GET", "/version", None, until)
     try:
-        said = msgspec.json.decode(body, type=Version)
+        version_info = msgspec.json.decode(body, type=Version)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        said = Version()
-    if status == 200 and (version := said.project_version or said.git_tag):
+        version_info = Version()
+    if status == 200 and (version := version_info.project_version or version_info.git_tag):
         return version
     raise DeviceError(
         f"what listens on port {port} says no version (GET /version: {status} {excerpt(body)}): "
@@ -160,14 +160,18 @@ def _inventory(link: Link, until: float) -> Inventory:
         raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
 
 
-def _set(options: Options, version: tuple[int, int], device: Which, config: Config, session: int, until: float) -> None:
+def _apply_filters(
+    options: Options, version: tuple[int, int], device: DeviceRef, config: Config, session: int, until: float
+) -> None:
     """Set the service's filters as in the rig; raises DeviceError if it rejects one."""
     if config.mount is not None and not is_identity(config.mount):
         raise DeviceError(
             f"{device}: the service moves, turns or scales its positions (mount): reset its workspace in the Haply Hub"
         )
-    for path, body in (_changes if version >= VECTOR_SINCE else _old_changes)(device, config, options.filters, session):
-        status, answer = ask(options.port, "POST", path, body, until)
+    for path, body in (_config_requests if version >= VECTOR_SINCE else _config_requests_before_3_5)(
+        device, config, options.filters, session
+    ):
+        status, answer = request(options.port, "POST", path, body, until)
         try:
             reply = msgspec.json.decode(answer, type=Reply)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
@@ -176,7 +180,7 @@ def _set(options: Options, version: tuple[int, int], device: Which, config: Conf
             raise DeviceError(f"{device}: the service refused {path} {body}: {status} {reply.error[:120]}")
 
 
-def _changes(device: Which, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:
+def _config_requests(device: DeviceRef, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:
     """Return the pages of 3.5 to post where the rig differs from the present configuration.
 
     Pages of a session are always posted, because a program that configures sessions (the Haply Hub) may have changed
@@ -198,7 +202,9 @@ def _changes(device: Which, config: Config, filters: Filters, session: int) -> l
     return pages
 
 
-def _old_changes(device: Which, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:
+def _config_requests_before_3_5(
+    device: DeviceRef, config: Config, filters: Filters, session: int
+) -> list[tuple[str, Any]]:
     """Return the pages of 3.1 to 3.4 to post; no public page describes force gate and damping there."""
     if (filters.force_gate, filters.damping) != (Filters().force_gate, Filters().damping):
         raise DeviceError(

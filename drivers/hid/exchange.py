@@ -1,6 +1,6 @@
 """One tick with a hidraw node, in nopython mode: read all reports up to the latest, write one report.
 
-The node may be the socket of `pump`, which behaves like one. `conversation` has the part that all boards share. A
+The node may be the socket of `threads`, which behaves like one. `board_exchange` has the part that all boards share. A
 device of this family answers each report, so the answer to the report of one tick is read in the next, without waiting.
 A zero report wakes it.
 """
@@ -20,7 +20,7 @@ from softfinger.drivers.base import (
     TIMEOUT,
 )
 from softfinger.drivers.block import address, counter, lay_out, numbers, word
-from softfinger.drivers.conversation import TALK, busy, c_functions, command, drain, pose, send_zero, wake
+from softfinger.drivers.board_exchange import BOARD, busy, command, compile_functions, drain, pose, send_zero, wake
 from softfinger.drivers.fields.table import (
     BUTTONS,
     COMMANDED_SIZE,
@@ -30,7 +30,16 @@ from softfinger.drivers.fields.table import (
     decode,
     encode,
 )
-from softfinger.drivers.kinematics.mechanism import LIMITED, NONE, NONSENSE, SINGULAR, WHOLE, Mechanism, drive, end_of
+from softfinger.drivers.kinematics.mechanism import (
+    FULL,
+    INVALID,
+    LIMITED,
+    NO_MECHANISM,
+    SINGULAR,
+    Mechanism,
+    force_to_command,
+    forward_kinematics,
+)
 from softfinger.drivers.system.libc import EAGAIN, ETIMEDOUT, read_now, write_now
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
@@ -41,7 +50,7 @@ from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, nor
 
 DRAIN_MAX: Final = 256
 """Maximum number of reads per tick, four times the kernel's queue: a device that floods cannot block the loop."""
-WAITING_MAX: Final = 2
+QUEUED_MAX: Final = 2
 """Maximum number of reports in the pump: one in transmission and the next.
 
 With more, a force would be late; if some were skipped, successive forces of the device would differ by more than those
@@ -68,12 +77,12 @@ class Model(NamedTuple):
     orientation: Quaternion
 
 
-_MODEL_LIKE: Final = Model(NONE, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+_MODEL_LIKE: Final = Model(NO_MECHANISM, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
 
 
-class Words(NamedTuple):
-    """Fields of this driver, after the fields of `conversation`."""
+class Fields(NamedTuple):
+    """Fields of this driver, after the fields of `board_exchange`."""
 
     reports: Annotated[int, counter("reports received")]
     drained: Annotated[int, counter("of these, older ones passed over for a newer")]
@@ -94,26 +103,26 @@ class Words(NamedTuple):
     in_table: Annotated[int, address("(in_rows, ROW) float64")]
     out_table: Annotated[int, address("(out_rows, ROW) float64")]
     in_buffer: Annotated[int, address("where the next report goes; it changes places with the newest")]
-    newest: Annotated[int, address("the newest report")]
+    latest_report: Annotated[int, address("the newest report")]
     out_buffer: Annotated[int, address("the last report sent")]
-    taken: Annotated[int, address("how many reports the pump has handed on, 0 without one")]
+    accepted_address: Annotated[int, address("how many reports the pump has handed on, 0 without one")]
     scratch: Annotated[int, word("of a field being read or written")]
     values: Annotated[int, numbers("of the newest report", SENSED_SIZE)]
     command: Annotated[int, numbers("of the report being written", COMMANDED_SIZE)]
-    turns: Annotated[int, word("whether an orientation is sensed")]
-    place: Annotated[int, numbers("m, where a delta was", 3)]
+    has_orientation: Annotated[int, word("whether an orientation is sensed")]
+    last_position: Annotated[int, numbers("m, where a delta was", 3)]
     model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
 
 
-AT: Final = lay_out(Words, after=TALK)
+AT: Final = lay_out(Fields, after=BOARD)
 
 
 @drain.of(Hid)
 def _drain(driver: Hid, handle: int) -> int:
     at = int64_at(handle)
-    came, size = 0, at[AT.in_bytes]
+    count_read, size = 0, at[AT.in_bytes]
     for _ in range(DRAIN_MAX):
-        count = read_now(at[TALK.fd], at[AT.in_buffer], size + IN_SPARE)
+        count = read_now(at[BOARD.fd], at[AT.in_buffer], size + IN_SPARE)
         if count == -EAGAIN:
             break
         if count <= 0:
@@ -123,37 +132,39 @@ def _drain(driver: Hid, handle: int) -> int:
             continue
         if count != size:
             return PROTOCOL
-        if came > 0:
+        if count_read > 0:
             at[AT.drained] += 1
-        came += 1
+        count_read += 1
         at[AT.reports] += 1
-        spare = at[AT.newest]
-        at[AT.newest] = at[AT.in_buffer]
+        spare = at[AT.latest_report]
+        at[AT.latest_report] = at[AT.in_buffer]
         at[AT.in_buffer] = spare
-    return came
+    return count_read
 
 
 @pose.of(Hid)
 def _pose(driver: Hid, handle: int) -> bool:
     at = int64_at(handle)
     model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
-    values, kept = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * TALK.sample)
-    report = at[AT.newest] + (1 if at[AT.in_id] != 0 else 0)
+    values, sample = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * BOARD.sample)
+    report = at[AT.latest_report] + (1 if at[AT.in_id] != 0 else 0)
     if not decode(report, at[AT.in_table], at[AT.in_rows], handle + 8 * AT.scratch, values):
         return False
-    place = float64_at(handle + 8 * AT.place)
-    position, turned, how = end_of(at[AT.kind], model.mechanism, values, place)
-    if how == NONSENSE:
+    last_position = float64_at(handle + 8 * AT.last_position)
+    position, rotation, outcome = forward_kinematics(at[AT.kind], model.mechanism, values, last_position)
+    if outcome == INVALID:
         return False
-    at[AT.singular] += how == SINGULAR
-    orientation = normalize(multiply(model.orientation, turned)) if at[AT.turns] != 0 else (1.0, 0.0, 0.0, 0.0)
+    at[AT.singular] += outcome == SINGULAR
+    orientation = (
+        normalize(multiply(model.orientation, rotation)) if at[AT.has_orientation] != 0 else (1.0, 0.0, 0.0, 0.0)
+    )
     position = vec3.add(rotate(model.orientation, position), model.position)
     for k in range(3):
-        kept[k] = position[k]
+        sample[k] = position[k]
     for k in range(4):
-        kept[3 + k] = orientation[k]
-    kept[SAMPLE_BUTTONS] = values[BUTTONS]
-    kept[SAMPLE_GRIPPER] = values[GRIPPER]
+        sample[3 + k] = orientation[k]
+    sample[SAMPLE_BUTTONS] = values[BUTTONS]
+    sample[SAMPLE_GRIPPER] = values[GRIPPER]
     return True
 
 
@@ -161,7 +172,7 @@ def _pose(driver: Hid, handle: int) -> bool:
 def _send(handle: int) -> int:
     """Write the report; return OK, HELD if the device accepts nothing at the moment, or a status below 0."""
     at = int64_at(handle)
-    count = write_now(at[TALK.fd], at[AT.out_buffer], at[AT.out_bytes])
+    count = write_now(at[BOARD.fd], at[AT.out_buffer], at[AT.out_bytes])
     if count == at[AT.out_bytes]:
         at[AT.written] += 1
         return OK
@@ -173,7 +184,7 @@ def _send(handle: int) -> int:
 
 
 @jit
-def _clear(handle: int) -> None:
+def _clear_command(handle: int) -> None:
     values = float64_at(handle + 8 * AT.command)
     for k in range(COMMANDED_SIZE):
         values[k] = 0.0
@@ -189,68 +200,70 @@ def _encode(handle: int) -> bool:
 
 
 @jit
-def _crowded(handle: int) -> bool:
+def _is_queue_full(handle: int) -> bool:
     """Return True if the pump has the maximum number of reports."""
     at = int64_at(handle)
-    return bool(at[AT.taken] != 0 and at[AT.written] - int64_at(at[AT.taken])[0] >= WAITING_MAX)
+    return bool(at[AT.accepted_address] != 0 and at[AT.written] - int64_at(at[AT.accepted_address])[0] >= QUEUED_MAX)
 
 
 @busy.of(Hid)
-def _busy(driver: Hid, handle: int, deaf: bool) -> bool:
-    return _crowded(handle)
+def _busy(driver: Hid, handle: int, has_no_sample: bool) -> bool:
+    return _is_queue_full(handle)
 
 
 @jit
-def _zero(handle: int) -> int:
+def _write_zero(handle: int) -> int:
     at = int64_at(handle)
-    if at[TALK.loaded] == 0 and _crowded(handle):
+    if at[BOARD.has_force] == 0 and _is_queue_full(handle):
         return OK  # the latest queued report is a zero
-    _clear(handle)
+    _clear_command(handle)
     _encode(handle)
     status = _send(handle)
     if status == OK:
-        at[TALK.loaded] = 0
+        at[BOARD.has_force] = 0
     return status
 
 
 @send_zero.of(Hid)
 def _send_zero(driver: Hid, handle: int) -> int:
-    return _zero(handle)
+    return _write_zero(handle)
 
 
 @wake.of(Hid)
 def _wake(driver: Hid, handle: int) -> int:
     int64_at(handle)[AT.kicks] += 1
-    return _zero(handle)
+    return _write_zero(handle)
 
 
 @jit
-def _fill(handle: int, wrench: Any) -> int:
-    """Encode a wrench into the report; return WHOLE, or why it was limited."""
+def _encode_wrench(handle: int, wrench: Any) -> int:
+    """Encode a wrench into the report; return FULL, or why it was limited."""
     at = int64_at(handle)
-    _clear(handle)
+    _clear_command(handle)
     model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
-    values, given = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * AT.command)
+    values, command_values = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * AT.command)
     force = rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2]))
-    how = drive(at[AT.kind], model.mechanism, values, float64_at(handle + 8 * AT.place), force, given)
-    return LIMITED if _encode(handle) and how == WHOLE else how
+    outcome = force_to_command(
+        at[AT.kind], model.mechanism, values, float64_at(handle + 8 * AT.last_position), force, command_values
+    )
+    return LIMITED if _encode(handle) and outcome == FULL else outcome
 
 
 @command.of(Hid)
 def _command(driver: Hid, handle: int, wrench: Any) -> int:
     at = int64_at(handle)
-    if _crowded(handle):
+    if _is_queue_full(handle):
         at[AT.held] += 1
         return HELD
-    how = _fill(handle, wrench)
+    outcome = _encode_wrench(handle, wrench)
     status = _send(handle)
     if status == OK:
-        at[TALK.loaded] = 1
-    if how != WHOLE:
-        at[AT.singular if how == SINGULAR else AT.cut] += 1
+        at[BOARD.has_force] = 1
+    if outcome != FULL:
+        at[AT.singular if outcome == SINGULAR else AT.cut] += 1
         if status == OK:
             status = STALE
     return status
 
 
-read, write, silence = c_functions(Hid())
+read, write, silence = compile_functions(Hid())

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.drivers.hid import exchange, node, usb
-from softfinger.drivers.hid.descriptor import fits
+from softfinger.drivers.hid.descriptor import has_reports
 from softfinger.drivers.hid.options import Options
-from softfinger.drivers.hid.pump import HidApi, Pump
+from softfinger.drivers.hid.report_threads import HidApi, ReportThreads
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.hidraw import ids
 
@@ -22,7 +22,7 @@ class Link(NamedTuple):
     """
 
     fd: int
-    pump: Pump | None = None
+    threads: ReportThreads | None = None
     node: str = ""
 
 
@@ -34,64 +34,66 @@ def open_link(options: Options) -> Link:
     """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"driver 'hid' exchanges reports through Linux's hidraw or usbfs, and this is {sys.platform}")
-    path = options.path or find(options)
+    path = options.path or find_device(options)
     if not path.startswith("/"):
         opened = usb.open_usb(path, options)
-        return pumped(opened.device, options, opened.held)
+        return link_by_threads(opened.device, options, opened.lock_fd)
     fd = node.open_node(path, options)
     if options.through != "thread":
         return Link(fd, None, path)
     try:
-        return pumped(node.open_hidapi(path), options, fd)._replace(node=path)
+        return link_by_threads(node.open_hidapi(path), options, fd)._replace(node=path)
     except BaseException:
         os.close(fd)
         raise
 
 
-def pumped(device: HidApi, options: Options, held: int | None = None) -> Link:
-    """Return a link through threads for a device that is open in hidapi; `held` is closed with it."""
+def link_by_threads(device: HidApi, options: Options, lock_fd: int | None = None) -> Link:
+    """Return a link through threads for a device that is open in hidapi; `lock_fd` is closed with it."""
     report = options.reports.input
-    pump = Pump(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, options.timeout_s, held)
-    return Link(pump.fd, pump)
+    threads = ReportThreads(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, options.timeout_s, lock_fd)
+    return Link(threads.fd, threads)
 
 
-def find(options: Options) -> str:
+def find_device(options: Options) -> str:
     """Return the path of the only device with the rig's ids and reports: its node, or else hidapi's path on the bus.
 
     Raises DeviceNotFound if there is none or more than one. If it has to read the reports of several interfaces of one
     device, it also raises the errors of `usb.open_usb`.
     """
-    every = list(discovery.hidraw_nodes())
+    nodes_found = list(discovery.hidraw_nodes())
     wanted = (options.vendor_id, options.product_id)
-    nodes = {one.node: one for one in every if (one.vendor, one.product) == wanted}
+    nodes = {one.node: one for one in nodes_found if (one.vendor, one.product) == wanted}
     # In a container, the system's table may list nodes that the container cannot access.
     if options.through != "node" and not any(map(os.path.exists, nodes)):
         interfaces = usb.attached(*wanted)
         if interfaces:
             return _choose_on_bus(options, interfaces)
     if nodes:
-        fitting = {path: one.serial for path, one in nodes.items() if fits(one.descriptor, options.reports)}
+        matching = {path: one.serial for path, one in nodes.items() if has_reports(one.descriptor, options.reports)}
         # If none has the rig's reports, opening one fails with a message about its reports.
-        return _choose(options, fitting or {path: one.serial for path, one in nodes.items()})
-    bare = [one for one in discovery.usb_devices() if (one.vendor, one.product) == wanted]
-    if bare:
+        return _choose(options, matching or {path: one.serial for path, one in nodes.items()})
+    without_node = [one for one in discovery.usb_devices() if (one.vendor, one.product) == wanted]
+    if without_node:
         raise DeviceNotFound(
-            f"{bare[0]} has no node that may be used here: `sudo modprobe usbhid` gives it one on hidraw; in a "
-            f"container, `docker run --device {bare[0].node or '/dev/bus/usb'}`"
+            f"{without_node[0]} has no node that may be used here: `sudo modprobe usbhid` gives it one on hidraw; in a "
+            f"container, `docker run --device {without_node[0].node or '/dev/bus/usb'}`"
         )
-    others = sorted({ids(one.vendor, one.product) for one in every})
-    there = f"attached are {', '.join(others)}" if others else "no HID device is attached"
-    raise DeviceNotFound(f"no HID device {ids(*wanted)} is attached: plug it in and switch it on; {there}")
+    others = sorted({ids(one.vendor, one.product) for one in nodes_found})
+    attached_text = f"attached are {', '.join(others)}" if others else "no HID device is attached"
+    raise DeviceNotFound(f"no HID device {ids(*wanted)} is attached: plug it in and switch it on; {attached_text}")
 
 
 def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
     """Return the path of the rig's device from interfaces on the bus (serial number by path)."""
-    of_device: dict[str, list[str]] = {}
+    paths_by_device: dict[str, list[str]] = {}
     for path in sorted(interfaces):
-        of_device.setdefault(path.partition(":")[0], []).append(path)
-    paths = of_device[_choose(options, {name: interfaces[mine[0]] for name, mine in of_device.items()})]
+        paths_by_device.setdefault(path.partition(":")[0], []).append(path)
+    paths = paths_by_device[
+        _choose(options, {name: interfaces[device_paths[0]] for name, device_paths in paths_by_device.items()})
+    ]
     if len(paths) > 1:
-        paths = usb.fitting(paths, options) or paths
+        paths = usb.with_reports_of(paths, options) or paths
     return paths[0]
 
 

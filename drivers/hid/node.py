@@ -10,7 +10,7 @@ from typing import Any, Final
 from softfinger.config.errors import DeviceError
 from softfinger.drivers.hid.descriptor import check_reports
 from softfinger.drivers.hid.options import Options
-from softfinger.drivers.hid.pump import HidApi
+from softfinger.drivers.hid.report_threads import HidApi
 from softfinger.drivers.system.hidraw import hidapi, open_path
 
 # Requests for ioctl, from <linux/hidraw.h>.

@@ -22,9 +22,9 @@ from softfinger.drivers.fields.options import (
     layout_faults,
     repeated_meanings,
 )
-from softfinger.drivers.kinematics.options import Chain, Kinematics, faults_of_fields
+from softfinger.drivers.kinematics.options import Chain, Kinematics, field_faults
 from softfinger.drivers.mounting import Mounting
-from softfinger.drivers.system.descriptor import Announced
+from softfinger.drivers.system.descriptor import ReportLengths
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
 REPORT_ID: Final = Range(0, 255, "one byte; 0 where the device does not number its reports")
@@ -72,10 +72,10 @@ def _library() -> Mapping[str, Mapping[str, Any]]:
     return msgspec.toml.decode(LIBRARY.read_bytes(), type=dict[str, dict[str, Any]])
 
 
-def library_lengths() -> dict[str, Announced]:
+def library_lengths() -> dict[str, ReportLengths]:
     """Return the lengths of the reports of each shipped format."""
     return {
-        name: Announced(*({one[way].get("id", 0): one[way]["bytes"]} for way in ("input", "output")))
+        name: ReportLengths(*({one[way].get("id", 0): one[way]["bytes"]} for way in ("input", "output")))
         for name, one in _library().items()
     }
 
@@ -133,6 +133,6 @@ class Options(Table, frozen=True, kw_only=True):
             return
         reports, kinematics = self.reports, self.kinematics
         if known(reports.input, reports.output, reports.preset):
-            yield from faults_of_fields("reports", reports.input.field, reports.output.field, kinematics)
+            yield from field_faults("reports", reports.input.field, reports.output.field, kinematics)
         if self.calibrate is True and not isinstance(kinematics, Chain):
             yield "calibrate", True, "only a chain has a calibration pose: leave it false"

@@ -10,9 +10,9 @@ import os
 from typing import Any, NamedTuple
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound
-from softfinger.drivers.hid.descriptor import check_reports, fits
+from softfinger.drivers.hid.descriptor import check_reports, has_reports
 from softfinger.drivers.hid.options import Options
-from softfinger.drivers.hid.pump import HidApi
+from softfinger.drivers.hid.report_threads import HidApi
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import Attached
 from softfinger.drivers.system.hidraw import hidapi, ids
@@ -20,11 +20,11 @@ from softfinger.drivers.system.nodes import open_locked
 from softfinger.drivers.system.rules import how_to_permit
 
 
-class Opened(NamedTuple):
+class OpenInterface(NamedTuple):
     """Device in hidapi, and a file descriptor that is locked against other programs."""
 
     device: HidApi
-    held: int
+    lock_fd: int
 
 
 def attached(vendor: int, product: int) -> dict[str, str]:
@@ -32,81 +32,83 @@ def attached(vendor: int, product: int) -> dict[str, str]:
 
     A path such as 1-2.3:1.0 contains bus, ports and interface.
     """
-    found: list[dict[str, Any]] = hidapi("hid").enumerate(vendor, product)
-    named = {os.fsdecode(one["path"]): one["serial_number"] or "" for one in found}
+    matching: list[dict[str, Any]] = hidapi("hid").enumerate(vendor, product)
+    named = {os.fsdecode(one["path"]): one["serial_number"] or "" for one in matching}
     # hidapi needs permission to open a device for its serial number; the system's table is readable by all users
-    return {path: seen.serial if (seen := _on_bus(path)) else serial for path, serial in named.items()}
+    return {
+        path: device_entry.serial if (device_entry := _find_device(path)) else serial for path, serial in named.items()
+    }
 
 
-def open_usb(path: str, options: Options) -> Opened:
+def open_usb(path: str, options: Options) -> OpenInterface:
     """Open the interface at hidapi's `path`, and claim it for this process.
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
     than the rig.
     """
-    opened, descriptor = _open(path, options)
+    interface, descriptor = _open(path, options)
     try:
         check_reports(descriptor, path, options.reports)
     except BaseException:
-        _close(opened)
+        _close(interface)
         raise
-    return opened
+    return interface
 
 
-def fitting(paths: list[str], options: Options) -> list[str]:
+def with_reports_of(paths: list[str], options: Options) -> list[str]:
     """Return the interfaces of a device that have the rig's reports: opens, reads and closes each.
 
     Raises the errors of `open_usb`, except for other reports.
     """
-    found = []
+    matching = []
     for path in paths:
-        opened, descriptor = _open(path, options)
-        _close(opened)
-        if fits(descriptor, options.reports):
-            found.append(path)
-    return found
+        interface, descriptor = _open(path, options)
+        _close(interface)
+        if has_reports(descriptor, options.reports):
+            matching.append(path)
+    return matching
 
 
-def _close(opened: Opened) -> None:
-    opened.device.close()
-    os.close(opened.held)
+def _close(interface: OpenInterface) -> None:
+    interface.device.close()
+    os.close(interface.lock_fd)
 
 
-def _open(path: str, options: Options) -> tuple[Opened, bytes]:
+def _open(path: str, options: Options) -> tuple[OpenInterface, bytes]:
     """Return the opened interface at `path`, and its report descriptor."""
     vendor, product = options.vendor_id, options.product_id
-    seen = _on_bus(path)
-    if seen is None:
+    device_entry = _find_device(path)
+    if device_entry is None:
         raise DeviceNotFound(f"no USB device is at {path}: plug the device in, or leave `path` out")
-    if (seen.vendor, seen.product) != (vendor, product):
+    if (device_entry.vendor, device_entry.product) != (vendor, product):
         raise DeviceError(
-            f"{path} is the device {seen.ids}, and the rig is for {ids(vendor, product)}: name the right one, or leave "
-            "`path` out"
+            f"{path} is the device {device_entry.ids}, and the rig is for {ids(vendor, product)}: "
+            "name the right one, or leave `path` out"
         )
-    held = open_locked(seen.node, how_to_permit(vendor, product))
+    lock_fd = open_locked(device_entry.node, how_to_permit(vendor, product))
     device: Any = hidapi("hid").device()
     try:
         try:
             device.open_path(os.fsencode(path))
         except OSError as error:
-            raise _unopened(path, seen.node) from error
+            raise _open_error(path, device_entry.node) from error
         try:
             descriptor = bytes(device.get_report_descriptor())
         except OSError as error:
             raise DeviceError(f"{path} does not give its report descriptor: unplug it, plug it in again") from error
     except BaseException:
         device.close()
-        os.close(held)
+        os.close(lock_fd)
         raise
-    return Opened(device, held), descriptor
+    return OpenInterface(device, lock_fd), descriptor
 
 
-def _on_bus(path: str) -> Attached | None:
+def _find_device(path: str) -> Attached | None:
     """Return the device of an interface: hidapi's path starts with the system's name for it."""
-    return discovery.described(str(discovery.USB / path.partition(":")[0]))
+    return discovery.read_device(str(discovery.USB / path.partition(":")[0]))
 
 
-def _unopened(path: str, node: str) -> DeviceError:
+def _open_error(path: str, node: str) -> DeviceError:
     """Return the error for an unopened interface: hidapi gives no cause, so find the process that has claimed it."""
     who = discovery.holder(node)
     if who is not None and who.pid != os.getpid():

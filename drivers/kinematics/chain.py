@@ -46,25 +46,27 @@ class Chain(NamedTuple):
     wrist: Vec3
 
 
-def make_chain(given: options.Chain) -> Chain:
+def make_chain(chain_options: options.Chain) -> Chain:
     """Return the arm that a rig describes."""
 
-    def each(values: list[float]) -> Vec3:
+    def to_vec3(values: list[float]) -> Vec3:
         return (float(values[0]), float(values[1]), float(values[2]))
 
     ratio = [
         (-1.0 if aligned else 1.0) * capstan / body
-        for aligned, capstan, body in zip(given.aligned, given.capstan_m, given.body_m, strict=True)
+        for aligned, capstan, body in zip(
+            chain_options.aligned, chain_options.capstan_m, chain_options.body_m, strict=True
+        )
     ]
-    wrist = 2.0 * pi / given.wrist_counts_per_turn if given.wrist_counts_per_turn else 0.0
+    wrist = 2.0 * pi / chain_options.wrist_counts_per_turn if chain_options.wrist_counts_per_turn else 0.0
     return Chain(
         offset=(0.0, 0.0, 0.0),
-        per_count=each([2.0 * pi / given.counts_per_turn * r for r in ratio]),
-        link=each(list(given.link_m)),
-        origin=each(list(given.origin_m)),
-        per_torque=each([r / k for r, k in zip(ratio, given.torque_constant_nm_per_a, strict=True)]),
-        current_max=float(given.current_max_a),
-        wrist=each([wrist if aligned else -wrist for aligned in given.wrist_aligned]),
+        per_count=to_vec3([2.0 * pi / chain_options.counts_per_turn * r for r in ratio]),
+        link=to_vec3(list(chain_options.link_m)),
+        origin=to_vec3(list(chain_options.origin_m)),
+        per_torque=to_vec3([r / k for r, k in zip(ratio, chain_options.torque_constant_nm_per_a, strict=True)]),
+        current_max=float(chain_options.current_max_a),
+        wrist=to_vec3([wrist if aligned else -wrist for aligned in chain_options.wrist_aligned]),
     )
 
 
@@ -106,9 +108,9 @@ def currents_for(chain: Chain, angles: Vec3, force: Vec3) -> tuple[Vec3, bool]:
     by_a, by_b, by_c = jacobian(chain, angles)
     k = chain.per_torque
     current = (vec3.dot(by_a, force) * k[0], vec3.dot(by_b, force) * k[1], vec3.dot(by_c, force) * k[2])
-    most = max(abs(current[0]), max(abs(current[1]), abs(current[2])))
-    if most > chain.current_max:
-        return vec3.scale(chain.current_max / most, current), True
+    largest = max(abs(current[0]), max(abs(current[1]), abs(current[2])))
+    if largest > chain.current_max:
+        return vec3.scale(chain.current_max / largest, current), True
     return current, False
 
 

@@ -57,9 +57,9 @@ class Delta(NamedTuple):
     origin: Vec3
 
 
-_STEPS_MAX: Final = 30
+_NEWTON_STEPS_MAX: Final = 30
 """Maximum number of Newton steps: 4 to 6 in a Falcon's workspace from home, more if steps have to be halved."""
-_SOLVED: Final = 1e-12
+_ANGLE_TOLERANCE: Final = 1e-12
 """rad: about 0.05 pm at the end, and a thousand times the rounding error of theta1."""
 DET_MIN: Final = 0.0432
 """Minimum of a^3 det K: 0.6 to 13 in a Falcon's workspace; below it, a leg cannot push the end in some direction."""
@@ -83,11 +83,11 @@ def _leg(d: Delta, cos_phi: float, sin_phi: float, p: Vec3) -> tuple[float, Vec3
     l0 = w * w + (u + d.end - d.arm) * (u + d.end - d.arm) - reach * reach
     l1 = -4.0 * d.arm * w
     l2 = w * w + (u + d.end + d.arm) * (u + d.end + d.arm) - reach * reach
-    inside = l1 * l1 - 4.0 * l0 * l2
-    if not (inside >= 0.0 and w > 0.0):
+    discriminant = l1 * l1 - 4.0 * l0 * l2
+    if not (discriminant >= 0.0 and w > 0.0):
         return nan, (nan, nan, nan)
     # form of the root without the difference of its two terms, which cancel for small l2; w > 0
-    theta1 = 2.0 * atan(2.0 * l0 / (-l1 + sqrt(inside)))
+    theta1 = 2.0 * atan(2.0 * l0 / (-l1 + sqrt(discriminant)))
     cos2 = (u + d.end - d.arm * cos(theta1)) / reach
     theta2 = acos(max(-1.0, min(1.0, cos2)))
     den = -d.arm * sin3 * sin(theta1 - theta2)
@@ -118,22 +118,22 @@ def _determinant(k: Rows) -> float:
 @jit
 def _newton(d: Delta, theta: Vec3, start: Vec3) -> tuple[Vec3, bool]:
     p, step = start, (0.0, 0.0, 0.0)
-    for tried in range(_STEPS_MAX):
+    for iteration in range(_NEWTON_STEPS_MAX):
         at, k = inverse(d, p)
         det = _determinant(k)
         if not abs(det) * d.arm**3 > DET_MIN:  # also NaN: the step left the reach, so halve it
-            if tried == 0:
+            if iteration == 0:
                 return p, False
             step = vec3.scale(0.5, step)
             p = vec3.sub(p, step)
             continue
-        miss = vec3.sub(theta, at)
-        if max(abs(miss[0]), max(abs(miss[1]), abs(miss[2]))) <= _SOLVED:
+        residual = vec3.sub(theta, at)
+        if max(abs(residual[0]), max(abs(residual[1]), abs(residual[2]))) <= _ANGLE_TOLERANCE:
             return p, True
         # K^-1 miss: the columns of K^-1 are the cross products of the rows of K over det K
-        step = vec3.scale(miss[0] / det, vec3.cross(k[1], k[2]))
-        step = vec3.add_scaled(step, miss[1] / det, vec3.cross(k[2], k[0]))
-        step = vec3.add_scaled(step, miss[2] / det, vec3.cross(k[0], k[1]))
+        step = vec3.scale(residual[0] / det, vec3.cross(k[1], k[2]))
+        step = vec3.add_scaled(step, residual[1] / det, vec3.cross(k[2], k[0]))
+        step = vec3.add_scaled(step, residual[2] / det, vec3.cross(k[0], k[1]))
         p = vec3.add(p, step)
     return p, False
 

@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Coordinate, Table, known, said, within
-from softfinger.drivers.fields.options import InputField, OutputField, lacking, meanings
+from softfinger.drivers.fields.options import InputField, OutputField, meanings, missing_meanings
 
 RATIO_M: Final = Range(1e-4, 1.0, "a capstan thinner than 0.1 mm is a wire, a wheel of 1 m stands on the floor")
 LINK_M: Final = Range(1e-3, 2.0, "a desktop arm")
@@ -134,7 +134,7 @@ Kinematics = Cartesian | Chain | Paddle | Pantograph | Delta
 QUATERNION: Final = frozenset({"qw", "qx", "qy", "qz"})
 
 
-def faults_of_fields(
+def field_faults(
     key: str, read: tuple[InputField, ...], written: tuple[OutputField, ...], kinematics: Kinematics
 ) -> Iterator[Complaint]:
     """Yield complaints about fields at `key` that the kinematics lacks or cannot use."""
@@ -142,10 +142,10 @@ def faults_of_fields(
     if sensed is None or commanded is None:
         return
     kind = str(kinematics.__struct_config__.tag)
-    yield from lacking(f"{key}.input", sensed, set(kinematics.sensed), kind)
-    yield from lacking(f"{key}.output", commanded, set(kinematics.commanded), kind)
+    yield from missing_meanings(f"{key}.input", sensed, set(kinematics.sensed), kind)
+    yield from missing_meanings(f"{key}.output", commanded, set(kinematics.commanded), kind)
     if isinstance(kinematics, Chain) and kinematics.wrist_counts_per_turn is not None:
-        yield from lacking(f"{key}.input", sensed, {*"def"}, "chain with a wrist")
+        yield from missing_meanings(f"{key}.input", sensed, {*"def"}, "chain with a wrist")
     turned = sorted(sensed & QUATERNION)
     if turned and (not isinstance(kinematics, Cartesian) or len(turned) < len(QUATERNION)):
         yield f"{key}.input.field", turned, "a cartesian device senses all of qw to qz or none"

@@ -51,10 +51,10 @@ def _end(p: Pantograph, a: float, b: float) -> Vec3:
     """Return the end without the origin subtracted; if the elbows are too far apart for the links, their midpoint."""
     one, two = _elbows(p, a, b)
     h = vec3.sub(two, one)
-    apart = sqrt(h[0] * h[0] + h[1] * h[1])
-    height = sqrt(max(p.outer * p.outer - 0.25 * apart * apart, 0.0))
-    away = (-h[1] / apart, h[0] / apart, 0.0) if apart > 0.0 else (0.0, 1.0, 0.0)
-    return vec3.add_scaled(vec3.scale(0.5, vec3.add(one, two)), height, away)
+    elbow_distance = sqrt(h[0] * h[0] + h[1] * h[1])
+    height = sqrt(max(p.outer * p.outer - 0.25 * elbow_distance * elbow_distance, 0.0))
+    normal = (-h[1] / elbow_distance, h[0] / elbow_distance, 0.0) if elbow_distance > 0.0 else (0.0, 1.0, 0.0)
+    return vec3.add_scaled(vec3.scale(0.5, vec3.add(one, two)), height, normal)
 
 
 @jit

@@ -17,12 +17,12 @@ SEQUENCE_WORDS: Final = 8
 # Indices of a queued wrench, after force (N) and torque (N m), world frame.
 WRITTEN: Final = 6
 """Time of the servo's write, ns since the device was opened."""
-HEEDED: Final = 7
+KNOWN_LAPSES: Final = 7
 """Number of lapses known to the servo."""
 WRENCH_SIZE: Final = 8
 
 
-class Words(NamedTuple):
+class Fields(NamedTuple):
     """Fields of the block."""
 
     # addresses of the library's functions
@@ -38,14 +38,14 @@ class Words(NamedTuple):
     is_enabled: Annotated[int, address("hdIsEnabled")]
     # settings
     device: Annotated[int, word("the library's handle of the device")]
-    turns: Annotated[int, word("whether motors turn the handle: else no torque is sent")]
+    has_torque: Annotated[int, word("whether motors turn the handle: else no torque is sent")]
     age_max: Annotated[int, word("ns, of a force; the same between two frames")]
     started_at: Annotated[int, word("ns")]
     # written by Python
     open: Annotated[int, word("whether the library may be called")]
     armed: Annotated[int, word("whether a force may go out")]
     stopped: Annotated[int, word("for good")]
-    leave: Annotated[int, word("the callback is to give zero, and not to be called again")]
+    is_leaving: Annotated[int, word("the callback is to give zero, and not to be called again")]
     # written by the library's thread
     frames: Annotated[int, counter("frames of the library's thread")]
     framed_at: Annotated[int, word("ns, the last one")]
@@ -55,9 +55,9 @@ class Words(NamedTuple):
     temperature: Annotated[int, word("of the warmest motor, 0 cold to 1000 hot")]
     output: Annotated[int, word("whether the motors are switched on; below 0: not known")]
     late: Annotated[int, word("whether the last frame came more than `age_max` after the one before")]
-    loaded: Annotated[int, word("whether the last frame gave a force")]
-    silent: Annotated[int, word("whether a frame since `stopped` has given zero")]
-    left: Annotated[int, word("whether the callback is not called any more")]
+    has_force: Annotated[int, word("whether the last frame gave a force")]
+    has_sent_zero: Annotated[int, word("whether a frame since `stopped` has given zero")]
+    has_left: Annotated[int, word("whether the callback is not called any more")]
     status: Annotated[int, word("0, or the status of the error that ended it")]
     error: Annotated[int, word("the library's code of that")]
     internal: Annotated[int, word("the device's own code of that")]
@@ -76,7 +76,7 @@ class Words(NamedTuple):
     pose_seen: Annotated[int, word("sequence of the pose that it has")]
     read_at: Annotated[int, word("ns")]
     silence: Annotated[int, word("ns without a new frame, as far as it was listened")]
-    heeded: Annotated[int, word("lapses that the guard has been told of")]
+    known_lapses: Annotated[int, word("lapses that the guard has been told of")]
     # buffers
     frame_timespec: Annotated[int, numbers("for the clock, of the library's thread", TIMESPEC_WORDS)]
     servo_timespec: Annotated[int, numbers("for the clock, of the servo", TIMESPEC_WORDS)]
@@ -88,14 +88,14 @@ class Words(NamedTuple):
     vector: Annotated[int, numbers("a force or torque for the library", 3)]
     pose_sequence: Annotated[int, numbers("of the pose", SEQUENCE_WORDS)]
     pose: Annotated[int, numbers("of the last frame", SAMPLE_SIZE)]
-    pose_made: Annotated[int, numbers("where a frame's pose is made", SAMPLE_SIZE)]
-    pose_taken: Annotated[int, numbers("where the servo takes it to", SAMPLE_SIZE)]
+    new_pose: Annotated[int, numbers("where a frame's pose is made", SAMPLE_SIZE)]
+    read_pose: Annotated[int, numbers("where the servo takes it to", SAMPLE_SIZE)]
     sample: Annotated[int, numbers("the last one, as the servo got it", SAMPLE_SIZE)]
     wrench_sequence: Annotated[int, numbers("of the wrench", SEQUENCE_WORDS)]
     wrench: Annotated[int, numbers("of the last write", WRENCH_SIZE)]
-    wrench_made: Annotated[int, numbers("where the servo makes it", WRENCH_SIZE)]
-    wrench_taken: Annotated[int, numbers("where the library's thread takes it to", WRENCH_SIZE)]
-    wrench_kept: Annotated[int, numbers("the last whole one that it took", WRENCH_SIZE)]
+    new_wrench: Annotated[int, numbers("where the servo makes it", WRENCH_SIZE)]
+    read_wrench: Annotated[int, numbers("where the library's thread takes it to", WRENCH_SIZE)]
+    last_wrench: Annotated[int, numbers("the last whole one that it took", WRENCH_SIZE)]
 
 
-AT: Final = lay_out(Words)
+AT: Final = lay_out(Fields)

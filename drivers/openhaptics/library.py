@@ -158,11 +158,11 @@ def errors(library: ctypes.CDLL) -> list[Error]:
         error = library.hdGetError()
         if error.code == 0:
             break
-        found.append(Error(error.code, error.internal, told(library, error.code, error.internal)))
+        found.append(Error(error.code, error.internal, error_text(library, error.code, error.internal)))
     return found[::-1]
 
 
-def told(library: ctypes.CDLL, code: int, internal: int) -> str:
+def error_text(library: ctypes.CDLL, code: int, internal: int) -> str:
     """Return an error as text: this program's text, the library's text, and its numbers."""
     words = (library.hdGetErrorString(code) or b"").decode(errors="replace")
     ours = ERRORS.get(code)

@@ -29,12 +29,12 @@ from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import Array, close_loop, resample
 from softfinger.drivers.system.libc import IO_SIGNATURE
-from softfinger.drivers.wrench_log import LOG, WrenchLog, Written
+from softfinger.drivers.wrench_log import LOG, LoggedWrenches, WrenchLog
 from softfinger.proxy.kernels.jit.decorators import c_function
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 
 
-class Words(NamedTuple):
+class Fields(NamedTuple):
     """Fields of a replay, after the fields of the log."""
 
     samples: Annotated[int, address("(length, 7) float64")]
@@ -44,7 +44,7 @@ class Words(NamedTuple):
     period: Annotated[int, numbers("s", 1)]
 
 
-AT: Final = lay_out(Words, after=LOG)
+AT: Final = lay_out(Fields, after=LOG)
 
 # A recording displays no force, so its limits are wide: the rig's guard limits.
 FORCE_MAX_N: Final = 1e3
@@ -86,7 +86,7 @@ def _read(handle: int, sample: Any) -> int:
 
 
 class Replay(Device):
-    """Recording at the servo's rate; `written` returns the logged wrenches.
+    """Recording at the servo's rate; `logged` returns the logged wrenches.
 
     Without `loop` the log contains the wrenches of the full pass; with it, at least the last pass and the last 10 s.
     After `stop` the device remains disarmed, and the last logged wrench is zero.
@@ -100,7 +100,7 @@ class Replay(Device):
         """Poses (M, 7) that reads return in order."""
         self._block = block = Block(LOG, AT)
         self._log = WrenchLog(block, len(self.samples), rate_hz, options.forces)
-        block.point(AT.samples, self.samples)
+        block.set_address(AT.samples, self.samples)
         block.word[AT.length], block.word[AT.loop] = len(self.samples), options.loop
         block.numbers(AT.period, 1)[:] = 1.0 / rate_hz
         low, high = self.samples[:, :3].min(axis=0), self.samples[:, :3].max(axis=0)
@@ -135,17 +135,17 @@ class Replay(Device):
         return int(self._block.word[LOG.reads])
 
     @property
-    def lost(self) -> int:
+    def overwritten_count(self) -> int:
         """Number of wrenches overwritten because a loop ran longer than the log."""
-        return self._log.lost
+        return self._log.overwritten_count
 
-    def written(self) -> Written:
+    def logged(self) -> LoggedWrenches:
         """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
-        return self._log.written()
+        return self._log.logged()
 
     def forces(self) -> Array:
         """Return the logged wrenches (k, 6), oldest first: force N, torque N m in the world frame."""
-        return self.written().wrench
+        return self.logged().wrench
 
 
 def open_device(options: Options, rate_hz: float) -> Replay:

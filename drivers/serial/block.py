@@ -1,13 +1,13 @@
-"""Memory that the exchange of a serial port shares with Python, after the fields of `conversation`."""
+"""Memory that the exchange of a serial port shares with Python, after the fields of `board_exchange`."""
 
 from __future__ import annotations
 
 from typing import Annotated, Final, NamedTuple
 
-from softfinger.drivers.block import address, counter, lay_out, numbers, octets, word
-from softfinger.drivers.conversation import TALK
+from softfinger.drivers.block import address, counter, lay_out, numbers, raw_bytes, word
+from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.fields.table import COMMANDED_SIZE, SENSED_SIZE
-from softfinger.drivers.kinematics.mechanism import NONE, Mechanism
+from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, Mechanism
 from softfinger.drivers.serial.frames import LOOKBACK, NUMBERS
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.model import Quaternion, Vec3
@@ -33,12 +33,12 @@ class Model(NamedTuple):
     mechanism: Mechanism
 
 
-MODEL_LIKE: Final = Model((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0, NONE)
+MODEL_LIKE: Final = Model((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0, NO_MECHANISM)
 MODEL_SIZE: Final = len(flatten(MODEL_LIKE))
 
 
-class Words(NamedTuple):
-    """Fields of this driver, after the fields of `conversation`."""
+class Fields(NamedTuple):
+    """Fields of this driver, after the fields of `board_exchange`."""
 
     bytes: Annotated[int, counter("bytes received")]
     frames: Annotated[int, counter("frames received")]
@@ -52,21 +52,25 @@ class Words(NamedTuple):
         int, counter("forces that were less, and samples without a place, because the mechanism is singular there")
     ]
     kind: Annotated[int, word("of the mechanism, or TEXT")]
-    turns: Annotated[int, word("whether an orientation is sensed")]
-    answer: Annotated[int, word("bytes of an answer, whether they can be understood or not; 0: nothing is answered")]
-    asked_at: Annotated[int, word("`bytes` when the last frame was sent; `answer` or more since then are its answer")]
+    has_orientation: Annotated[int, word("whether an orientation is sensed")]
+    answer_bytes: Annotated[
+        int, word("bytes of an answer, whether they can be understood or not; 0: nothing is answered")
+    ]
+    bytes_at_send: Annotated[
+        int, word("`bytes` when the last frame was sent; `answer_bytes` or more since then are its answer")
+    ]
     newline: Annotated[int, word("what wakes WoodenHaptics")]
-    waiting: Annotated[int, word("bytes that the system has for this driver")]
+    ioctl_scratch: Annotated[int, word("bytes that the system has for this driver")]
     dropped: Annotated[int, counter("times that frames were dropped that the port had not sent, at the stop or before")]
-    countable: Annotated[int, word("whether the system counts the bytes that the port has not sent")]
-    unit: Annotated[int, word("what it counts for a frame, where that is more than its bytes")]
+    counts_unsent: Annotated[int, word("whether the system counts the bytes that the port has not sent")]
+    frame_units: Annotated[int, word("what it counts for a frame, where that is more than its bytes")]
     writes: Annotated[int, word("writes since it counted none")]
-    put: Annotated[int, word("bytes of these")]
+    queued_bytes: Annotated[int, word("bytes of these")]
     blocked_since: Annotated[int, word("ns, when it last began to count too many; 0 while it does not")]
     blocked_at: Annotated[int, word("ns, when it last did")]
-    torn: Annotated[int, word("whether a frame may have been cut short, so that the next is taken for its rest")]
-    aligned: Annotated[int, word("whether an answer is known by its length alone")]
-    filled: Annotated[int, word("bytes in `stream` that may belong to a frame")]
+    maybe_torn: Annotated[int, word("whether a frame may have been cut short, so that the next is taken for its rest")]
+    by_length: Annotated[int, word("whether an answer is known by its length alone")]
+    stream_bytes: Annotated[int, word("bytes in `stream` that may belong to a frame")]
     in_shape: Annotated[int, address("a shape of `packets`")]
     out_shape: Annotated[int, address("the same")]
     in_rows: Annotated[int, word("fields of a frame")]
@@ -79,11 +83,11 @@ class Words(NamedTuple):
     out_total: Annotated[int, word("with the resync bytes in front of it")]
     scratch_word: Annotated[int, word("of a field being read or written")]
     model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
-    place: Annotated[int, numbers("m, where a delta was", 3)]
+    last_position: Annotated[int, numbers("m, where a delta was", 3)]
     scratch: Annotated[int, numbers("of a frame being read", max(NUMBERS, SENSED_SIZE))]
     values: Annotated[int, numbers("of the newest frame", max(NUMBERS, SENSED_SIZE))]
-    given: Annotated[int, numbers("of the frame being written", COMMANDED_SIZE)]
-    incoming: Annotated[int, octets("text read last, and in front of it what may belong to it", LOOKBACK + CHUNK)]
+    command_values: Annotated[int, numbers("of the frame being written", COMMANDED_SIZE)]
+    incoming: Annotated[int, raw_bytes("text read last, and in front of it what may belong to it", LOOKBACK + CHUNK)]
 
 
-AT: Final = lay_out(Words, after=TALK)
+AT: Final = lay_out(Fields, after=BOARD)

@@ -97,8 +97,8 @@ def decode(frame: int, values: Any) -> bool:
 
 
 @jit
-def take(buffer: int, count: int, scratch: Any, newest: Any) -> int:
-    """Decode the frames that `count` new bytes complete; return their number and store the last one in `newest`.
+def decode_stream(buffer: int, count: int, scratch: Any, latest: Any) -> int:
+    """Decode the frames that `count` new bytes complete; return their number and store the last one in `latest`.
 
     buffer   address of LOOKBACK earlier bytes followed by the new ones; the last LOOKBACK are moved to its front
     scratch  (NUMBERS,)
@@ -112,14 +112,14 @@ def take(buffer: int, count: int, scratch: Any, newest: Any) -> int:
         if text[k] == NEWLINE and text[k + LOOKBACK] == NEWLINE and decode(buffer + k + 1, scratch):
             frames += 1
             for n in range(NUMBERS):
-                newest[n] = scratch[n]
+                latest[n] = scratch[n]
     for k in range(LOOKBACK):
         text[k] = text[count + k]
     return frames
 
 
 @jit
-def _put(text: Any, at: int, value: int) -> int:
+def _write_integer(text: Any, at: int, value: int) -> int:
     """Write an integer of at most five digits, and return the index after it."""
     if value < 0:
         text[at] = _MINUS
@@ -140,10 +140,10 @@ def encode(force: Vec3, frame: int) -> None:
     """Encode a force (N, within options.FORCE_MAX_N) as the frame at address `frame`, rounded to mN."""
     text, at = uint8_at(frame), 0
     for k in range(3):
-        at = _put(text, at, floor(MILLI * force[k] + 0.5))
+        at = _write_integer(text, at, floor(MILLI * force[k] + 0.5))
         text[at] = _BLANK
         at += 1
-    at = _put(text, at, FORCE_COMMAND)
+    at = _write_integer(text, at, FORCE_COMMAND)
     for _ in range(3):
         text[at] = _BLANK
         text[at + 1] = _ZERO

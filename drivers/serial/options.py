@@ -19,7 +19,7 @@ from softfinger.drivers.fields.options import (
     layout_faults,
     repeated_meanings,
 )
-from softfinger.drivers.kinematics.options import Kinematics, faults_of_fields
+from softfinger.drivers.kinematics.options import Kinematics, field_faults
 from softfinger.drivers.mounting import Mounting
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
@@ -73,11 +73,11 @@ class Frame(Table, frozen=True, kw_only=True):
     end: Annotated[tuple[Byte, ...], sized(MARKS, "bytes that it ends with", [10])] = ()
     check: Checksum | None = None
 
-    def marked(self) -> bool:
+    def is_searchable(self) -> bool:
         """Return True if frames can be found in a stream of bytes."""
         return self.check is not None or bool(self.start and self.end)
 
-    def taken(self) -> Iterator[tuple[int, str]]:
+    def reserved_bytes(self) -> Iterator[tuple[int, str]]:
         """Yield bytes used by marks or checksum, with the name of the use."""
         yield from ((k, "start") for k in range(len(self.start)))
         yield from ((k, "end") for k in range(self.bytes - len(self.end), self.bytes))
@@ -95,17 +95,17 @@ def frame_faults(frame: Frame, fields: tuple[InputField | OutputField, ...]) -> 
             return
         if frame.check.first >= frame.check.offset:
             yield "check.first", frame.check.first, f"must be below offset = {frame.check.offset}: it covers nothing"
-    whose = dict[int, str]()
-    for byte, name in frame.taken():
-        if not 0 <= byte < frame.bytes or byte in whose:
-            yield name, byte, f"byte {byte} is {whose.get(byte, f'beyond a frame of {frame.bytes}')}: make room for it"
+    uses = dict[int, str]()
+    for byte, name in frame.reserved_bytes():
+        if not 0 <= byte < frame.bytes or byte in uses:
+            yield name, byte, f"byte {byte} is {uses.get(byte, f'beyond a frame of {frame.bytes}')}: make room for it"
             return
-        whose[byte] = name
-    for n, one in enumerate(fields):
-        if known(one.offset, one.type):
-            for byte in range(one.offset, one.offset + TYPE_BYTES[one.type]):
-                if byte in whose:
-                    yield f"field[{n}].offset", one.offset, f"byte {byte} belongs to {whose[byte]}: move one"
+        uses[byte] = name
+    for index, field in enumerate(fields):
+        if known(field.offset, field.type):
+            for byte in range(field.offset, field.offset + TYPE_BYTES[field.type]):
+                if byte in uses:
+                    yield f"field[{index}].offset", field.offset, f"byte {byte} belongs to {uses[byte]}: move one"
                     break
 
 
@@ -152,12 +152,12 @@ class Frames(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         if known(self.mode, self.input) and self.mode == "stream":
             marks = (self.input.start, self.input.end, self.input.check)
-            if known(*marks) and not self.input.marked():
+            if known(*marks) and not self.input.is_searchable():
                 yield "input", msgspec.UNSET, "a stream needs a check, or both start and end: its frames are not told"
         if known(self.setup) and self.setup is not None and known(self.setup.field) and known(*self.setup.field):
-            for n, one in enumerate(self.setup.field):
-                if known(one.meaning) and one.meaning != "constant":
-                    yield f"setup.field[{n}].meaning", one.meaning, "must be constant: nothing is commanded yet"
+            for index, field in enumerate(self.setup.field):
+                if known(field.meaning) and field.meaning != "constant":
+                    yield f"setup.field[{index}].meaning", field.meaning, "must be constant: nothing is commanded yet"
 
 
 class Options(Table, frozen=True, kw_only=True):
@@ -196,4 +196,4 @@ class Options(Table, frozen=True, kw_only=True):
             if (self.frames is None) != (self.kinematics is None):
                 yield "kinematics", msgspec.UNSET, "and frames belong together: describe both, or neither"
         elif known(self.frames.input, self.frames.output):
-            yield from faults_of_fields("frames", self.frames.input.field, self.frames.output.field, self.kinematics)
+            yield from field_faults("frames", self.frames.input.field, self.frames.output.field, self.kinematics)

@@ -14,7 +14,7 @@ from typing import Final
 from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.drivers.serial.options import Options
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import other_product, undecided
+from softfinger.drivers.system.claims import describe_foreign_product, explain_ambiguity
 from softfinger.drivers.system.hidraw import ids
 from softfinger.drivers.system.nodes import open_locked
 from softfinger.drivers.system.rules import how_to_permit
@@ -39,7 +39,7 @@ def open_port(options: Options) -> tuple[int, str]:
     """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"driver 'serial' opens serial ports of Linux, and this is {sys.platform}")
-    path = options.path or find(options)
+    path = options.path or find_port(options)
     _check_ids(path, options)
     fd = open_locked(path, _how_to_permit(path, options))
     try:
@@ -91,7 +91,7 @@ def count_unsent(fd: int) -> int:
     return 0 if state & TIOCSER_TEMT else 1
 
 
-def find(options: Options) -> str:
+def find_port(options: Options) -> str:
     """Return the path of the port of the only device with the rig's ids.
 
     Raises DeviceNotFound if there is none or more than one, or if ids and product string do not identify the device:
@@ -99,32 +99,32 @@ def find(options: Options) -> str:
     """
     ports = list(discovery.serial_ports())
     if options.vendor_id is None or options.product_id is None:
-        seen = ", ".join(f"{port.node} ({port.ids}, {port.name})" for port in ports) or "no serial port on USB"
-        raise DeviceNotFound(f"the rig does not say which port: name it with path under [device]; attached: {seen}")
+        attached = ", ".join(f"{port.node} ({port.ids}, {port.name})" for port in ports) or "no serial port on USB"
+        raise DeviceNotFound(f"the rig does not say which port: name it with path under [device]; attached: {attached}")
     wanted = ids(options.vendor_id, options.product_id)
-    theirs = [port for port in ports if port.ids == wanted and other_product(port) is None]
-    matching = [port for port in theirs if options.serial in (None, port.serial)]
+    with_ids = [port for port in ports if port.ids == wanted and describe_foreign_product(port) is None]
+    matching = [port for port in with_ids if options.serial in (None, port.serial)]
     if len(matching) == 1:
-        why = undecided(matching[0]) if options.serial is None else None
-        if why is None:
+        ambiguity = explain_ambiguity(matching[0]) if options.serial is None else None
+        if ambiguity is None:
             return matching[0].node
         raise DeviceNotFound(
-            f"{matching[0].node} may be the device or not: {why}: if it is the one, name its port with path = "
+            f"{matching[0].node} may be the device or not: {ambiguity}: if it is the one, name its port with path = "
             f'"{matching[0].node}" under [device] of the rig, or its serial number with serial'
         )
     if matching:
         listed = ", ".join(f"{port.node} (serial '{port.serial}')" for port in matching)
         raise DeviceNotFound(f"{len(matching)} serial ports are {wanted}: name one with serial or path: {listed}")
-    if theirs:
-        serials = ", ".join(f"'{port.serial}'" for port in theirs)
+    if with_ids:
+        serials = ", ".join(f"'{port.serial}'" for port in with_ids)
         raise DeviceNotFound(
             f"no serial port {wanted} has the serial number '{options.serial}': attached are {serials}"
         )
-    others = ", ".join(f"{other_product(port) or port.name} ({port.ids}) at {port.node}" for port in ports)
-    there = f"attached are {others}" if ports else "no serial port on USB is attached"
+    others = ", ".join(f"{describe_foreign_product(port) or port.name} ({port.ids}) at {port.node}" for port in ports)
+    attached_text = f"attached are {others}" if ports else "no serial port on USB is attached"
     raise DeviceNotFound(
         f"no serial port {wanted} is attached: plug the device in and switch it on, correct vendor_id and product_id, "
-        f"or name its port with path; {there}"
+        f"or name its port with path; {attached_text}"
     )
 
 
@@ -139,7 +139,7 @@ def _check_ids(path: str, options: Options) -> None:
             f"{path} is the device {port.ids} ({port.name}), and the rig is for {wanted}: name the right port, or "
             "leave `path` out"
         )
-    if port is not None and (other := other_product(port)) is not None:
+    if port is not None and (other := describe_foreign_product(port)) is not None:
         raise DeviceError(f"{path} is {other} ('{port.name}'), which speaks another language: name the right port")
 
 

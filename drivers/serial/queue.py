@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from softfinger.drivers.conversation import TALK
+from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.serial.block import AT
 from softfinger.drivers.system.libc import count_unsent, drop_unsent, monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -21,46 +21,46 @@ QUEUE_MAX: Final = 2
 
 
 @jit
-def count_write(handle: int, size: int) -> None:
+def record_write(handle: int, size: int) -> None:
     """Count a write of `size` bytes that the port has accepted."""
     at = int64_at(handle)
     at[AT.writes] += 1
-    at[AT.put] += size
+    at[AT.queued_bytes] += size
 
 
 @jit
 def is_blocked(handle: int) -> bool:
     """Return True if more than QUEUE_MAX frames are queued, or were, and have not all been sent since."""
     at = int64_at(handle)
-    if at[AT.countable] == 0:
+    if at[AT.counts_unsent] == 0:
         return False
-    unsent = count_unsent(at[TALK.fd], handle + 8 * AT.waiting)
+    unsent = count_unsent(at[BOARD.fd], handle + 8 * AT.ioctl_scratch)
     if unsent <= 0:  # the next read reports a disconnected port
-        at[AT.writes] = at[AT.put] = at[AT.blocked_since] = 0
+        at[AT.writes] = at[AT.queued_bytes] = at[AT.blocked_since] = 0
         return False
-    if unsent > at[AT.put]:  # it counts buffers, not bytes: one buffer per write since the last 0
-        at[AT.unit] = max(at[AT.unit], -(-unsent // max(at[AT.writes], 1)))
+    if unsent > at[AT.queued_bytes]:  # it counts buffers, not bytes: one buffer per write since the last 0
+        at[AT.frame_units] = max(at[AT.frame_units], -(-unsent // max(at[AT.writes], 1)))
     if at[AT.blocked_since] == 0:
-        if unsent <= QUEUE_MAX * at[AT.unit]:
+        if unsent <= QUEUE_MAX * at[AT.frame_units]:
             return False
-        at[AT.blocked_since] = monotonic_ns(handle + 8 * TALK.timespec)
+        at[AT.blocked_since] = monotonic_ns(handle + 8 * BOARD.timespec)
         at[AT.blocked] += 1
-    at[AT.blocked_at] = monotonic_ns(handle + 8 * TALK.timespec)
+    at[AT.blocked_at] = monotonic_ns(handle + 8 * BOARD.timespec)
     return True
 
 
 @jit
-def is_waiting(handle: int) -> bool:
+def has_unsent(handle: int) -> bool:
     """Return True if any byte is queued."""
     at = int64_at(handle)
-    return at[AT.countable] != 0 and count_unsent(at[TALK.fd], handle + 8 * AT.waiting) > 0
+    return at[AT.counts_unsent] != 0 and count_unsent(at[BOARD.fd], handle + 8 * AT.ioctl_scratch) > 0
 
 
 @jit
 def drop_frames(handle: int) -> None:
     """Drop every byte that the port has not sent, and the remainder of a frame that it has partly accepted."""
     at = int64_at(handle)
-    drop_unsent(at[TALK.fd])
+    drop_unsent(at[BOARD.fd])
     at[AT.dropped] += 1
-    at[TALK.left] = 0
-    at[AT.torn] = 1
+    at[BOARD.unsent_bytes] = 0
+    at[AT.maybe_torn] = 1

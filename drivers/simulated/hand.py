@@ -24,66 +24,66 @@ TURN_MAX_RAD_PER_S: Final = 6.0
 SMOOTHING_S: Final = 0.03
 """Time constant of the approach to the requested pose: a mouse sends about 20 positions per second."""
 
-ASKED: Final = 8
+REQUEST_SIZE: Final = 8
 """Numbers of a request: mode, position (3,) m, orientation (4,), all 0 for an unchanged orientation."""
-OWN: Final = 0.0
-LED: Final = 1.0
-HELD: Final = 2.0
+MODE_OWN: Final = 0.0
+MODE_LED: Final = 1.0
+MODE_HOLD: Final = 2.0
 """Modes: follow the configured intention, move to the requested pose, or hold the present intention."""
 COUNTERS: Final = 8
 """Size of a sequence counter in int64: one cache line."""
 
 
-class Words(NamedTuple):
+class Fields(NamedTuple):
     """Fields of a hand that a program may lead."""
 
     sequence: Annotated[int, numbers("counter of the seqlock", COUNTERS)]
-    asked: Annotated[int, numbers("what is asked", ASKED)]
-    copied: Annotated[int, numbers("the loop's copy, which may be torn", ASKED)]
-    heard: Annotated[int, numbers("the loop's last whole copy", ASKED)]
+    request: Annotated[int, numbers("of the writer", REQUEST_SIZE)]
+    copied: Annotated[int, numbers("the loop's copy, which may be torn", REQUEST_SIZE)]
+    received: Annotated[int, numbers("the loop's last whole copy", REQUEST_SIZE)]
     turn: Annotated[int, numbers("orientation that the hand intends", 4)]
-    seen: Annotated[int, word("counter of that copy, 0 before the first request")]
+    received_sequence: Annotated[int, word("counter of that copy, 0 before the first request")]
 
 
-AT: Final = lay_out(Words)
+AT: Final = lay_out(Fields)
 
 
 @jit
-def hear(handle: int, slot: Slot, copied: Any) -> None:
+def receive(handle: int, slot: Slot, copied: Any) -> None:
     """Copy a new request, if there is one. `slot` and `copied` are the fields of these names as arrays."""
-    at, heard = int64_at(handle), float64_at(handle + 8 * AT.heard)
-    newest = refresh(slot, at[AT.seen], copied)
-    if newest != at[AT.seen]:
-        at[AT.seen] = newest
-        for k in range(ASKED):
-            heard[k] = copied[k]
+    at, received = int64_at(handle), float64_at(handle + 8 * AT.received)
+    newest = refresh(slot, at[AT.received_sequence], copied)
+    if newest != at[AT.received_sequence]:
+        at[AT.received_sequence] = newest
+        for k in range(REQUEST_SIZE):
+            received[k] = copied[k]
 
 
 @jit
-def intended(handle: int, own: Vec3, own_turn: Quaternion, now: Vec3, dt: float) -> tuple[Vec3, Quaternion]:
+def next_intention(handle: int, own: Vec3, own_turn: Quaternion, now: Vec3, dt: float) -> tuple[Vec3, Quaternion]:
     """Return the intention one tick from now, position (3,) m and orientation, on the path to the requested pose.
 
     own, own_turn  (3,) m  configured intention, returned unchanged until the first request
     now            (3,) m  intention at this tick
     dt             s
     """
-    at, heard = int64_at(handle), float64_at(handle + 8 * AT.heard)
+    at, received = int64_at(handle), float64_at(handle + 8 * AT.received)
     turn = float64_at(handle + 8 * AT.turn)
     position, orientation = own, own_turn
-    if at[AT.seen] > 0:
+    if at[AT.received_sequence] > 0:
         before = (turn[0], turn[1], turn[2], turn[3])
         share = 1.0  # no smoothing on the return to the configured intention, so that the hand reaches it
-        if heard[0] == HELD:
+        if received[0] == MODE_HOLD:
             position, orientation = now, before
-        elif heard[0] == LED:
+        elif received[0] == MODE_LED:
             share = 1.0 - exp(-dt / SMOOTHING_S)
-            position = (heard[1], heard[2], heard[3])
+            position = (received[1], received[2], received[3])
             orientation = before
-            if heard[4] != 0.0 or heard[5] != 0.0 or heard[6] != 0.0 or heard[7] != 0.0:
-                orientation = (heard[4], heard[5], heard[6], heard[7])
-        position = vec3.add(now, shortened(vec3.sub(position, now), share, SPEED_MAX_M_PER_S * dt))
-        way = rotations.log(rotations.relative(orientation, before))
-        step = rotations.exp(shortened(way, share, TURN_MAX_RAD_PER_S * dt))
+            if received[4] != 0.0 or received[5] != 0.0 or received[6] != 0.0 or received[7] != 0.0:
+                orientation = (received[4], received[5], received[6], received[7])
+        position = vec3.add(now, clamp_step(vec3.sub(position, now), share, SPEED_MAX_M_PER_S * dt))
+        rotation_vector = rotations.log(rotations.relative(orientation, before))
+        step = rotations.exp(clamp_step(rotation_vector, share, TURN_MAX_RAD_PER_S * dt))
         orientation = rotations.normalize(rotations.multiply(step, before))
     for k in range(4):
         turn[k] = orientation[k]
@@ -91,12 +91,12 @@ def intended(handle: int, own: Vec3, own_turn: Quaternion, now: Vec3, dt: float)
 
 
 @jit
-def shortened(way: Vec3, share: float, most: float) -> Vec3:
-    """Return a fraction `share` of a displacement (3,), of at most the length `most`."""
-    length = vec3.norm(way)
-    if share * length <= most:
-        return vec3.scale(share, way)
-    return vec3.scale(most / length, way)
+def clamp_step(rotation_vector: Vec3, share: float, max_length: float) -> Vec3:
+    """Return a fraction `share` of a displacement (3,), of at most the length `max_length`."""
+    length = vec3.norm(rotation_vector)
+    if share * length <= max_length:
+        return vec3.scale(share, rotation_vector)
+    return vec3.scale(max_length / length, rotation_vector)
 
 
 class Hand:
@@ -108,9 +108,9 @@ class Hand:
         self._turn = self._block.numbers(AT.turn, 4)
         self._turn[:] = orientation
         self.handle: Final = self._block.handle
-        """Handle for `intended`, valid as long as this object."""
+        """Handle for `next_intention`, valid as long as this object."""
         self._sequence = self._block.word[AT.sequence : AT.sequence + COUNTERS]
-        self._values = self._block.numbers(AT.asked, ASKED)
+        self._values = self._block.numbers(AT.request, REQUEST_SIZE)
         self._request: Any = self._values.copy()
 
     def lead(self, position_m: Vec3, orientation: Quaternion | None = None) -> None:
@@ -118,21 +118,21 @@ class Hand:
 
         orientation  unit quaternion, handle to world
         """
-        self._ask(LED, position_m, orientation or (0.0, 0.0, 0.0, 0.0))
+        self._publish_request(MODE_LED, position_m, orientation or (0.0, 0.0, 0.0, 0.0))
 
     def hold(self) -> None:
         """Make the hand keep its intention at the time of this request: a grip continues."""
-        self._ask(HELD, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
+        self._publish_request(MODE_HOLD, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
 
     def release(self) -> None:
         """Return the hand to its configured intention."""
-        self._ask(OWN, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
+        self._publish_request(MODE_OWN, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
 
     def intends(self) -> tuple[Vec3, Quaternion]:
         """Return the intended position (3,) m and orientation; components may be from two consecutive ticks."""
         w, x, y, z = self._turn.tolist()
         return self._goal(), (w, x, y, z)
 
-    def _ask(self, what: float, position: Vec3, orientation: Quaternion) -> None:
-        self._request[:] = what, *position, *orientation
+    def _publish_request(self, mode: float, position: Vec3, orientation: Quaternion) -> None:
+        self._request[:] = mode, *position, *orientation
         publish(Slot(self._sequence, self._values), self._request)

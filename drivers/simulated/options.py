@@ -23,9 +23,9 @@ from softfinger.drivers.simulated.plant import (
     Intention,
     Plant,
     PlantState,
-    at_rest,
     goal_at,
     make_plant,
+    make_rest_state,
 )
 from softfinger.drivers.spacemouse.puck import Options as PuckOptions
 
@@ -94,13 +94,13 @@ class Simulation(NamedTuple):
     poses: Array
 
 
-def simulation(options: Options, rate_hz: float) -> Simulation:
+def make_simulation(options: Options, rate_hz: float) -> Simulation:
     """Return a preset changed by the options; raises RecordingError if the recording cannot be used."""
     preset = presets()[options.preset]
 
     def chosen(key: str) -> Any:
-        given = getattr(options, key)
-        return getattr(preset, key) if given is None else given
+        value = getattr(options, key)
+        return getattr(preset, key) if value is None else value
 
     handle = Handle(
         mass=chosen("mass_kg"),
@@ -114,20 +114,20 @@ def simulation(options: Options, rate_hz: float) -> Simulation:
     )
     hand = Impedance(options.hand.mass_kg, options.hand.damping_ns_per_m, options.hand.stiffness_n_per_m)
     plant = make_plant(1.0 / rate_hz, handle, hand)
-    poses = _intended(options, preset, rate_hz)
+    poses = _make_poses(options, preset, rate_hz)
     x, y, z = (float(a) for a in options.sway_m)
     turns = options.sway_phase_rad / (2.0 * pi)
     endless = options.loop or options.puck is not None
     intention = Intention(float(len(poses)), float(endless), (x, y, z), options.sway_hz / rate_hz, float(turns))
     flat = np.ascontiguousarray(poses).reshape(-1)
     position, orientation = goal_at(intention, flat, 0)
-    return Simulation(plant, at_rest(position, orientation), intention, flat)
+    return Simulation(plant, make_rest_state(position, orientation), intention, flat)
 
 
-def _intended(options: Options, preset: Preset, rate_hz: float) -> Array:
-    place = options.position_m if options.puck is None else options.puck.start_m
-    if place is not None:
-        return np.array([[*place, 1.0, 0.0, 0.0, 0.0]])
+def _make_poses(options: Options, preset: Preset, rate_hz: float) -> Array:
+    fixed_position = options.position_m if options.puck is None else options.puck.start_m
+    if fixed_position is not None:
+        return np.array([[*fixed_position, 1.0, 0.0, 0.0, 0.0]])
     samples = resample(load_poses(options.recording or RECORDING), rate_hz)
     poses = close_loop(samples, rate_hz) if options.loop else samples
     if preset.sensed_dof < 6:

@@ -34,9 +34,9 @@ Array = NDArray[np.float64]
 
 DELAY_MAX: Final = 16
 """Maximum transport delay, ticks."""
-LINE_SIZE: Final = 3 * DELAY_MAX
+DELAY_LINE_SIZE: Final = 3 * DELAY_MAX
 """Size (float64) of a transport line, which the caller of `advance` stores: delayed forces, initially 0."""
-SETTLED: Final = 1e-30
+FLUSH_MAX: Final = 1e-30
 """m, m/s, N: smaller positions, velocities and forces are set to 0. Its square is still a normal number."""
 SUBSTEP: Final = 0.5
 """Longest piece summed as a Taylor series, in time constants of the fastest mode."""
@@ -91,7 +91,7 @@ class Plant(NamedTuple):
 
     axes: tuple[Axis, Axis, Axis]
     rate: float
-    lag_rest: float
+    lag_decay: float
     force_max: float
     force_max_squared: float
     delay: float
@@ -101,7 +101,7 @@ class Plant(NamedTuple):
 
 
 class PlantState(NamedTuple):
-    """State of a plant between ticks, without the delayed forces (`LINE_SIZE`).
+    """State of a plant between ticks, without the delayed forces (`DELAY_LINE_SIZE`).
 
     position, velocity  (3,) m, m/s  of the handle
     force               (3,) N       a, of the motors at the end of the last tick
@@ -151,7 +151,7 @@ def make_plant(period: float, handle: Handle, hand: Impedance = NO_HAND) -> Plan
     return Plant(
         axes=(axes[0], axes[1], axes[2]),
         rate=1.0 / period,
-        lag_rest=exp(-period / lag) if lag else 0.0,
+        lag_decay=exp(-period / lag) if lag else 0.0,
         force_max=float(force_max),
         force_max_squared=float(force_max) * force_max,
         delay=float(delay),
@@ -161,11 +161,11 @@ def make_plant(period: float, handle: Handle, hand: Impedance = NO_HAND) -> Plan
     )
 
 
-def at_rest(position: Vec3, orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> PlantState:
+def make_rest_state(position: Vec3, orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> PlantState:
     """Return the state of a handle at rest at the position that the hand intends."""
     zero, (x, y, z), (qw, qx, qy, qz) = (0.0, 0.0, 0.0), position, orientation
-    there = (float(x), float(y), float(z))  # ints would be another type, and compile again
-    return PlantState(there, zero, zero, there, (float(qw), float(qx), float(qy), float(qz)), 0.0)
+    position_floats = (float(x), float(y), float(z))  # ints would be another type, and compile again
+    return PlantState(position_floats, zero, zero, position_floats, (float(qw), float(qx), float(qy), float(qz)), 0.0)
 
 
 def _axis(
@@ -214,7 +214,7 @@ def expm(matrix: Array) -> Array:
     return total
 
 
-class Drive(NamedTuple):
+class PlantInputs(NamedTuple):
     """Inputs of a plant from tick to tick: intention of the hand, and commanded forces.
 
     intention  of the hand
@@ -262,7 +262,7 @@ def sense(plant: Plant, state: PlantState) -> Vec3:
 
 
 @jit
-def limited(plant: Plant, command: Vec3) -> Vec3:
+def clamp_command(plant: Plant, command: Vec3) -> Vec3:
     """Return the force (3,) N of the motors for a command, limited with unchanged direction."""
     size = vec3.dot(command, command)
     if size <= plant.force_max_squared:
@@ -271,13 +271,13 @@ def limited(plant: Plant, command: Vec3) -> Vec3:
 
 
 @jit
-def settled(v: Vec3) -> Vec3:
-    """Return a vector with components below `SETTLED` set to 0: a decaying one would become denormal and slow."""
+def flush_small(v: Vec3) -> Vec3:
+    """Return a vector with components below `FLUSH_MAX` set to 0: a decaying one would become denormal and slow."""
     x, y, z = v
     return (
-        x if abs(x) >= SETTLED else 0.0,
-        y if abs(y) >= SETTLED else 0.0,
-        z if abs(z) >= SETTLED else 0.0,
+        x if abs(x) >= FLUSH_MAX else 0.0,
+        y if abs(y) >= FLUSH_MAX else 0.0,
+        z if abs(z) >= FLUSH_MAX else 0.0,
     )
 
 
@@ -292,32 +292,32 @@ def advance(
     orientation  (4,)     orientation of the hand at its end, unit quaternion
     line         (LINE_SIZE,) N  delayed forces, an array or a pointer; updated. Unused without delay
     """
-    u, slot = limited(plant, command), state.slot
+    u, slot = clamp_command(plant, command), state.slot
     if plant.delay > 0.0:
         at = 3 * int(slot)
-        come = (line[at], line[at + 1], line[at + 2])
+        delayed = (line[at], line[at + 1], line[at + 2])
         line[at], line[at + 1], line[at + 2] = u
-        u = come
+        u = delayed
         slot = slot + 1.0 if slot + 1.0 < plant.delay else 0.0
     x, v, a, p = state.position, state.velocity, state.force, state.goal
     w = vec3.scale(plant.rate, vec3.sub(goal, p))
     ax, ay, az = plant.axes
-    after = settled(vec3.add_scaled(u, plant.lag_rest, vec3.sub(a, u)))
+    after = flush_small(vec3.add_scaled(u, plant.lag_decay, vec3.sub(a, u)))
     x0, v0 = move(ax, x[0], v[0], a[0], after[0], Inputs(u[0], p[0], w[0], 0.0))
     x1, v1 = move(ay, x[1], v[1], a[1], after[1], Inputs(u[1], p[1], w[1], 0.0))
     x2, v2 = move(az, x[2], v[2], a[2], after[2], Inputs(u[2], p[2], w[2], 0.0))
     return PlantState(
-        settled((x0, x1, x2)),
-        settled((v0, v1, v2)),
+        flush_small((x0, x1, x2)),
+        flush_small((v0, v1, v2)),
         after,
         goal,
-        follow(plant, state.orientation, orientation),
+        follow_orientation(plant, state.orientation, orientation),
         slot,
     )
 
 
 @jit
-def follow(plant: Plant, orientation: Quaternion, goal: Quaternion) -> Quaternion:
+def follow_orientation(plant: Plant, orientation: Quaternion, goal: Quaternion) -> Quaternion:
     """Return the orientation after a tick: the angle to the hand's orientation decreases by a constant fraction."""
     if plant.orientation_gain == 1.0:
         return goal

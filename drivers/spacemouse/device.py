@@ -26,7 +26,7 @@ from softfinger.drivers.base import (
     DeviceInfo,
     DeviceIO,
 )
-from softfinger.drivers.block import Block, counter, lay_out, numbers, octets, word
+from softfinger.drivers.block import Block, counter, lay_out, numbers, raw_bytes, word
 from softfinger.drivers.replay.device import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNESS_MAX_N_PER_M, TORQUE_MAX_NM
 from softfinger.drivers.spacemouse.puck import BUTTONS, REPORT_MAX, Options, Setup, decode, make_setup, move
 from softfinger.drivers.system import discovery
@@ -40,7 +40,7 @@ from softfinger.drivers.system.libc import (
     monotonic_ns,
     read_now,
 )
-from softfinger.drivers.wrench_log import LOG, WrenchLog, Written
+from softfinger.drivers.wrench_log import LOG, LoggedWrenches, WrenchLog
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
@@ -69,22 +69,22 @@ LED_ON: Final = b"\x04\x01"
 LED_OFF: Final = b"\x04\x00"
 
 
-class Words(NamedTuple):
+class Fields(NamedTuple):
     """Fields of a puck, after the fields of the log."""
 
     reports: Annotated[int, counter("reports received")]
     foreign: Annotated[int, counter("of these, of other kinds (a wireless puck tells its battery)")]
     fd: Annotated[int, word("file descriptor of its node, below 0 once it is closed")]
-    heard_at: Annotated[int, word("ns, when it last reported its deflection")]
+    sampled_at: Annotated[int, word("ns, when it last reported its deflection")]
     moved_at: Annotated[int, word("ns, up to when the fingertip has been moved")]
     hold: Annotated[int, word("ns without a report after which it counts as let go")]
     timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
     setup: Annotated[int, numbers("a `Setup`", SETUP_SIZE)]
     state: Annotated[int, numbers("where the fingertip is, see POSITION and those after it", STATE_SIZE)]
-    buffer: Annotated[int, octets("a report", REPORT_MAX)]
+    buffer: Annotated[int, raw_bytes("a report", REPORT_MAX)]
 
 
-AT: Final = lay_out(Words, after=LOG)
+AT: Final = lay_out(Fields, after=LOG)
 
 
 @jit
@@ -105,15 +105,15 @@ def _drain(handle: int, now: int) -> int:
             return LOST
         at[AT.reports] += 1
         report = uint8_at(handle + 8 * AT.buffer)
-        said = decode(report, count, float64_at(state + DEFLECTION * 8), float64_at(state + MASK * 8))
-        if said == PROTOCOL:
+        report_status = decode(report, count, float64_at(state + DEFLECTION * 8), float64_at(state + MASK * 8))
+        if report_status == PROTOCOL:
             return PROTOCOL
-        if said == STALE:
+        if report_status == STALE:
             at[AT.foreign] += 1
             continue
         status = OK
         if report[0] != BUTTONS:
-            at[AT.heard_at] = now
+            at[AT.sampled_at] = now
     if at[AT.reports] - before >= QUEUE:
         deflection = float64_at(state + DEFLECTION * 8)
         for k in range(6):
@@ -122,26 +122,26 @@ def _drain(handle: int, now: int) -> int:
 
 
 @jit
-def setup_of(handle: int) -> Setup:
+def read_setup(handle: int) -> Setup:
     """Return the options of a puck, converted for kernels."""
     return unpack_at(SETUP_LIKE, handle + 8 * AT.setup)  # type: ignore[no-any-return]
 
 
 @jit
-def place(handle: int) -> tuple[Vec3, Quaternion]:
+def fingertip_pose(handle: int) -> tuple[Vec3, Quaternion]:
     """Return the fingertip's position (3,) m and orientation."""
     state = float64_at(handle + 8 * AT.state)
     return (state[0], state[1], state[2]), (state[3], state[4], state[5], state[6])
 
 
 @jit
-def mask(handle: int) -> float:
+def button_mask(handle: int) -> float:
     """Return the buttons, one bit each."""
     return float(float64_at(handle + 8 * AT.state)[MASK])
 
 
 @jit
-def follow(handle: int, setup: Setup, now: int, dt: float) -> int:
+def update_pose(handle: int, setup: Setup, now: int, dt: float) -> int:
     """Read the puck's reports and move the fingertip by `dt` (s); return the status of the puck."""
     at = int64_at(handle)
     if at[AT.fd] < 0:
@@ -151,11 +151,11 @@ def follow(handle: int, setup: Setup, now: int, dt: float) -> int:
         return status
     state = float64_at(handle + 8 * AT.state)
     deflection = float64_at(handle + 8 * (AT.state + DEFLECTION))
-    if now - at[AT.heard_at] > at[AT.hold]:
+    if now - at[AT.sampled_at] > at[AT.hold]:
         for k in range(6):
             deflection[k] = 0.0
-    before, turned = place(handle)
-    position, orientation = move(setup, before, turned, deflection, dt)
+    before, rotation = fingertip_pose(handle)
+    position, orientation = move(setup, before, rotation, deflection, dt)
     for k in range(3):
         state[POSITION + k] = position[k]
     for k in range(4):
@@ -170,7 +170,7 @@ def read(handle: int, sample: Any) -> int:
     now = monotonic_ns(handle + 8 * AT.timespec)
     dt = min((now - at[AT.moved_at]) * 1e-9, STEP_MAX_S)
     at[AT.moved_at] = now
-    status = follow(handle, setup_of(handle), now, dt)
+    status = update_pose(handle, read_setup(handle), now, dt)
     if status < 0:
         return status
     at[LOG.reads] += 1
@@ -193,7 +193,7 @@ class Puck:
         block.numbers(AT.setup, SETUP_SIZE)[:] = flatten(make_setup(options))
         word[AT.fd] = fd
         word[AT.hold] = round(options.hold_s * 1e9)
-        word[AT.moved_at] = word[AT.heard_at] = time.monotonic_ns()
+        word[AT.moved_at] = word[AT.sampled_at] = time.monotonic_ns()
         self._light(LED_ON)
 
     def close(self) -> None:
@@ -245,9 +245,9 @@ class SpaceMouse(Device):
     def counts(self) -> dict[str, int]:
         return self._block.counts()
 
-    def written(self) -> Written:
+    def logged(self) -> LoggedWrenches:
         """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
-        return self._log.written()
+        return self._log.logged()
 
 
 def open_puck(options: Options) -> tuple[int, str]:
@@ -267,15 +267,15 @@ def find(options: Options) -> Attached:
     if options.path is not None:
         # opening reports whether an unlisted node is missing or is no node
         return next(
-            (one for one in nodes if one.node == options.path), Attached("hid", *PUCKS[0], "", "", options.path)
+            (node for node in nodes if node.node == options.path), Attached("hid", *PUCKS[0], "", "", options.path)
         )
-    pucks = [one for one in nodes if (one.vendor, one.product) in PUCKS]
-    fitting = [one for one in pucks if options.serial in (None, one.serial)]
-    if len(fitting) == 1:
-        return fitting[0]
-    if fitting:
-        listed = ", ".join(f"{one.node} (serial '{one.serial}')" for one in fitting)
-        raise DeviceNotFound(f"{len(fitting)} pucks are attached: name one with serial or path: {listed}")
+    pucks = [node for node in nodes if (node.vendor, node.product) in PUCKS]
+    matching = [node for node in pucks if options.serial in (None, node.serial)]
+    if len(matching) == 1:
+        return matching[0]
+    if matching:
+        listed = ", ".join(f"{node.node} (serial '{node.serial}')" for node in matching)
+        raise DeviceNotFound(f"{len(matching)} pucks are attached: name one with serial or path: {listed}")
     others = ", ".join(map(str, pucks or nodes)) or "no HID device"
     asked = f" with serial = '{options.serial}'" if options.serial is not None else ""
     raise DeviceNotFound(f"no SpaceMouse{asked} is attached: plug it in; attached are: {others}")

@@ -123,10 +123,10 @@ def decode(report: Any, count: int, deflection: Any, buttons: Any) -> int:
         return PROTOCOL
     kind = report[0]
     if kind == BUTTONS:
-        mask, place = 0.0, 1.0
+        mask, scale = 0.0, 1.0
         for k in range(1, min(count, BUTTON_BYTES_MAX + 1)):
-            mask += place * float(report[k])
-            place *= 256.0
+            mask += scale * float(report[k])
+            scale *= 256.0
         buttons[0] = mask
         return OK
     if kind not in (TRANSLATION, ROTATION):
@@ -145,7 +145,7 @@ def decode(report: Any, count: int, deflection: Any, buttons: Any) -> int:
 
 
 @jit
-def _past(deadband: float, counts: float) -> float:
+def _beyond_deadband(deadband: float, counts: float) -> float:
     """Return the counts beyond the deadband, so that the speed is continuous at its edge."""
     if counts > deadband:
         return counts - deadband
@@ -162,14 +162,14 @@ def move(setup: Setup, position: Vec3, orientation: Quaternion, deflection: Any,
     """
     d = setup.deadband
     step = (
-        dt * setup.linear[0] * _past(d, deflection[0]),
-        dt * setup.linear[1] * _past(d, deflection[1]),
-        dt * setup.linear[2] * _past(d, deflection[2]),
+        dt * setup.linear[0] * _beyond_deadband(d, deflection[0]),
+        dt * setup.linear[1] * _beyond_deadband(d, deflection[1]),
+        dt * setup.linear[2] * _beyond_deadband(d, deflection[2]),
     )
     turn = (
-        dt * setup.angular[0] * _past(d, deflection[3]),
-        dt * setup.angular[1] * _past(d, deflection[4]),
-        dt * setup.angular[2] * _past(d, deflection[5]),
+        dt * setup.angular[0] * _beyond_deadband(d, deflection[3]),
+        dt * setup.angular[1] * _beyond_deadband(d, deflection[4]),
+        dt * setup.angular[2] * _beyond_deadband(d, deflection[5]),
     )
     moved = vec3.add(position, step)
     inside = (

@@ -11,15 +11,15 @@ from softfinger.config.errors import HapticError
 from softfinger.config.schema import DeviceConfig
 from softfinger.drivers import registry
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import Claim, claims_by_ids, other_product, undecided
+from softfinger.drivers.system.claims import Claim, claims_by_ids, describe_foreign_product, explain_ambiguity
 from softfinger.drivers.system.discovery import Attached
-from softfinger.drivers.system.rules import command
+from softfinger.drivers.system.rules import install_command
 
 MODULES: Final = {"hid": ("hidraw node", "usbhid"), "serial": ("serial port", "cdc_acm")}
 """Node that the system creates for a device of a bus, and the kernel module for it."""
 
 
-OVER_A_LIBRARY: Final = ("forcedimension", "openhaptics")
+LIBRARY_DRIVERS: Final = ("forcedimension", "openhaptics")
 """Drivers that need a maker's library, which this program does not include."""
 
 
@@ -41,8 +41,8 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
     rig  configures files that the driver needs
     """
     if claim is None:
-        if (other := other_product(device)) is not None:
-            return Diagnosis("unclaimed", f"it is {other}, which no driver knows")
+        if (foreign_product := describe_foreign_product(device)) is not None:
+            return Diagnosis("unclaimed", f"it is {foreign_product}, which no driver knows")
         if device.bus == "hid" and claims_by_ids(device):
             return Diagnosis(
                 "unclaimed", "its reports are of no rig with these ids: another channel of a board, or another firmware"
@@ -61,9 +61,9 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
     if claim.driver not in registry.names():
         return Diagnosis("driver", f"its driver '{claim.driver}' is not in this installation")
     if claim.driver == "haply":  # the service has the port open all the time
-        return needs(claim, options_for(claim, rig))
-    bare = device.bus == "usb" and claim.bus in MODULES
-    if bare and claim.driver != "hid":
+        return diagnose_requirements(claim, options_for(claim, rig))
+    has_no_node = device.bus == "usb" and claim.bus in MODULES
+    if has_no_node and claim.driver != "hid":
         node, module = MODULES[claim.bus]
         return Diagnosis("node", f"the system gives it no {node}", f"sudo modprobe {module}, and plug it in again")
     if not os.path.exists(device.node):
@@ -76,13 +76,13 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
         return Diagnosis("permission", f"this user may not write to {device.node}", how_to_permit(device))
     if (holder := discovery.holder(device.node)) is not None:
         return Diagnosis("busy", f"{device.node} is held by {holder}", f"kill {holder.pid}")
-    if bare:
+    if has_no_node:
         return Diagnosis("usable", "the system gives it no hidraw node, so threads carry its reports over libusb")
     options = options_for(claim, rig)
-    named = options.get("path") == device.node or options.get("serial") == device.serial != ""
-    if not named and (why := undecided(device)) is not None:
+    is_named = options.get("path") == device.node or options.get("serial") == device.serial != ""
+    if not is_named and (why := explain_ambiguity(device)) is not None:
         return Diagnosis("product", why, f'if it is the one: path = "{device.node}" under [device] of the rig')
-    return needs(claim, options)
+    return diagnose_requirements(claim, options)
 
 
 def makers_library(driver: str) -> Any:
@@ -95,27 +95,29 @@ def options_for(claim: Claim, rig: DeviceConfig | None) -> Mapping[str, Any]:
     return rig.options if rig is not None and rig.driver == claim.driver else {}
 
 
-def needs(claim: Claim, options: Mapping[str, Any], said: Mapping[str, Any] | None = None) -> Diagnosis:
+def diagnose_requirements(
+    claim: Claim, options: Mapping[str, Any], answers: Mapping[str, Any] | None = None
+) -> Diagnosis:
     """Return the diagnosis of a driver's other requirements, given a rig's options and the device's answers."""
-    if claim.driver in OVER_A_LIBRARY:
+    if claim.driver in LIBRARY_DRIVERS:
         library = makers_library(claim.driver)
         try:
             library.load(options.get("library_file"))
         except HapticError as error:
             return Diagnosis("library", str(error), library.REMEDY)
-    if claim.driver == "haply" and said is None:
+    if claim.driver == "haply" and answers is None:
         from softfinger.drivers.haply import dial, opening
 
         try:
             opening.identify(options.get("port", opening.PORT), options.get("version"))
         except HapticError as error:
             return Diagnosis("service", str(error), dial.START)
-    loaded = said is not None and said.get("firmware", False)
+    loaded = answers is not None and answers.get("firmware", False)
     if claim.driver == "falcon" and not loaded and not os.path.isfile(firmware := options.get("firmware", "")):
-        named = f"'{firmware}' is no file" if firmware else "no rig named one (--rig)"
+        is_named = f"'{firmware}' is no file" if firmware else "no rig named one (--rig)"
         return Diagnosis(
             "firmware",
-            f"it needs its firmware after every power-up, which does not come with this program, and {named}",
+            f"it needs its firmware after every power-up, which does not come with this program, and {is_named}",
             'firmware = "/path/to/firmware.bin" under [device] of the rig',
         )
     return Diagnosis("usable")
@@ -125,4 +127,4 @@ def how_to_permit(device: Attached) -> str:
     """Return the command that permits this user to open a node: membership of a group, else the udev rules."""
     if (group := discovery.group_with_access(device.node)) is not None:
         return f"sudo usermod -aG {group} $USER   # then log in again"
-    return f"{command(device.vendor, device.product)}   # then plug the device in again"
+    return f"{install_command(device.vendor, device.product)}   # then plug the device in again"

@@ -71,8 +71,8 @@ def attached(root: Path = ROOT) -> list[Attached]:
     root  folder that contains sys and dev
     """
     nodes = [*hidraw_nodes(root), *serial_ports(root)]
-    seen = {(one.vendor, one.product) for one in nodes}
-    return [*nodes, *(one for one in usb_devices(root) if (one.vendor, one.product) not in seen)]
+    status = {(one.vendor, one.product) for one in nodes}
+    return [*nodes, *(one for one in usb_devices(root) if (one.vendor, one.product) not in status)]
 
 
 def has_usb(root: Path = ROOT) -> bool:
@@ -85,12 +85,12 @@ def names(root: Path = ROOT) -> frozenset[str]:
     return frozenset(
         str(folder / name)
         for folder, is_one in ((USB, _is_device), (HIDRAW, bool), (TTY, _is_port))
-        for name in _listed(root / folder)
+        for name in _list_names(root / folder)
         if is_one(name)
     )
 
 
-def described(name: str, root: Path = ROOT) -> Attached | None:
+def read_device(name: str, root: Path = ROOT) -> Attached | None:
     """Return the device for one of `names`; None if it was unplugged, or is a hub."""
     path = root / name
     if path.parent == root / TTY:
@@ -101,7 +101,7 @@ def described(name: str, root: Path = ROOT) -> Attached | None:
 def hidraw_nodes(root: Path = ROOT) -> Iterator[Attached]:
     """Yield every hidraw node, in numeric order."""
     folder = root / HIDRAW
-    for name in _in_order(_listed(folder)):
+    for name in _sorted_by_number(_list_names(folder)):
         if (found := _hidraw_node(folder / name)) is not None:
             yield found
 
@@ -109,7 +109,7 @@ def hidraw_nodes(root: Path = ROOT) -> Iterator[Attached]:
 def serial_ports(root: Path = ROOT) -> Iterator[Attached]:
     """Yield every serial port on USB, in numeric order."""
     folder = root / TTY
-    for name in _in_order(filter(_is_port, _listed(folder))):
+    for name in _sorted_by_number(filter(_is_port, _list_names(folder))):
         if (found := _serial_port(folder / name)) is not None:
             yield found
 
@@ -123,9 +123,9 @@ def usb_devices(root: Path = ROOT) -> Iterator[Attached]:
     """Yield every USB device except hubs, from sysfs, or through pyusb if there is no sysfs."""
     folder = root / USB
     if not os.path.isdir(folder):
-        yield from _through_pyusb()
+        yield from _usb_devices_of_pyusb()
         return
-    for name in sorted(_listed(folder)):
+    for name in sorted(_list_names(folder)):
         if _is_device(name) and (found := _usb_device(folder / name)) is not None:
             yield found
 
@@ -145,13 +145,13 @@ def holder(node: str) -> Holder | None:
         wanted = os.stat(node)
     except OSError:
         return None
-    for pid in _lockers(wanted.st_ino):
+    for pid in _pids_with_lock(wanted.st_ino):
         return process(pid)
     for folder in Path("/proc").glob("[0-9]*/fd"):
         pid = int(folder.parent.name)
         if pid == os.getpid():
             continue
-        for entry in _listed(folder):
+        for entry in _list_names(folder):
             try:
                 if os.path.samestat(os.stat(folder / entry), wanted):
                     return process(pid)
@@ -163,18 +163,18 @@ def holder(node: str) -> Holder | None:
 def group_with_access(node: str) -> str | None:
     """Return a group other than root's that may read and write a node; None if there is none."""
     try:
-        seen = os.stat(node)
-        opens = seen.st_gid != 0 and seen.st_mode & READ_AND_WRITE_BY_GROUP == READ_AND_WRITE_BY_GROUP
-        return grp.getgrgid(seen.st_gid).gr_name if opens else None
+        status = os.stat(node)
+        has_access = status.st_gid != 0 and status.st_mode & READ_AND_WRITE_BY_GROUP == READ_AND_WRITE_BY_GROUP
+        return grp.getgrgid(status.st_gid).gr_name if has_access else None
     except (OSError, KeyError):
         return None
 
 
-def _in_order(names: Iterable[str]) -> list[str]:
+def _sorted_by_number(names: Iterable[str]) -> list[str]:
     return sorted(names, key=lambda text: (len(text), text))
 
 
-def _listed(folder: Path) -> list[str]:
+def _list_names(folder: Path) -> list[str]:
     try:
         return os.listdir(folder)
     except OSError:
@@ -190,21 +190,21 @@ def _is_port(name: str) -> bool:
     return name.startswith(USB_PORTS)
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
         return ""
 
 
-def _bytes(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError:
         return b""
 
 
-def _number(text: str, base: int) -> int | None:
+def _parse_int(text: str, base: int) -> int | None:
     try:
         return int(text, base)
     except ValueError:
@@ -213,31 +213,33 @@ def _number(text: str, base: int) -> int | None:
 
 def _hidraw_node(path: Path) -> Attached | None:
     # HID_ID=bus:vendor:product in hexadecimal digits, HID_NAME, HID_UNIQ
-    said = dict(line.split("=", 1) for line in _text(path / "device" / "uevent").splitlines() if "=" in line)
-    numbers = [_number(part, 16) for part in said.get("HID_ID", "").split(":")]
+    uevent = dict(line.split("=", 1) for line in _read_text(path / "device" / "uevent").splitlines() if "=" in line)
+    numbers = [_parse_int(part, 16) for part in uevent.get("HID_ID", "").split(":")]
     if len(numbers) != 3 or numbers[1] is None or numbers[2] is None:
         return None
-    name = said.get("HID_NAME") or "HID device"
-    descriptor = _bytes(path / "device" / "report_descriptor")
-    return Attached("hid", numbers[1], numbers[2], name, said.get("HID_UNIQ", ""), f"/dev/{path.name}", descriptor)
+    name = uevent.get("HID_NAME") or "HID device"
+    descriptor = _read_bytes(path / "device" / "report_descriptor")
+    return Attached("hid", numbers[1], numbers[2], name, uevent.get("HID_UNIQ", ""), f"/dev/{path.name}", descriptor)
 
 
 def _usb_device(path: Path) -> Attached | None:
-    vendor, product = (_number(_text(path / key), 16) for key in ("idVendor", "idProduct"))
-    if vendor is None or product is None or _text(path / "bDeviceClass") == "09":  # a hub
+    vendor, product = (_parse_int(_read_text(path / key), 16) for key in ("idVendor", "idProduct"))
+    if vendor is None or product is None or _read_text(path / "bDeviceClass") == "09":  # a hub
         return None
-    bus, number = (_number(_text(path / key), 10) for key in ("busnum", "devnum"))
+    bus, number = (_parse_int(_read_text(path / key), 10) for key in ("busnum", "devnum"))
     node = "" if bus is None or number is None else _usb_node(bus, number)
-    return Attached("usb", vendor, product, _text(path / "product") or "USB device", _text(path / "serial"), node)
+    return Attached(
+        "usb", vendor, product, _read_text(path / "product") or "USB device", _read_text(path / "serial"), node
+    )
 
 
 def _serial_port(path: Path) -> Attached | None:
     # `device` links to the port's interface, in a subfolder of its USB device
     for folder in (path / "device").resolve().parents:
-        vendor, product = (_number(_text(folder / key), 16) for key in ("idVendor", "idProduct"))
+        vendor, product = (_parse_int(_read_text(folder / key), 16) for key in ("idVendor", "idProduct"))
         if vendor is not None and product is not None:
-            name = _text(folder / "product") or NO_PRODUCT
-            return Attached("serial", vendor, product, name, _text(folder / "serial"), f"/dev/{path.name}")
+            name = _read_text(folder / "product") or NO_PRODUCT
+            return Attached("serial", vendor, product, name, _read_text(folder / "serial"), f"/dev/{path.name}")
     return None
 
 
@@ -245,7 +247,7 @@ def _usb_node(bus: int, number: int) -> str:
     return f"/dev/bus/usb/{bus:03d}/{number:03d}"
 
 
-def seen_by_pyusb(**ids: int) -> list[Any]:
+def find_usb(**ids: int) -> list[Any]:
     """Return pyusb's devices with these ids; none without USB, without permission to list it, or without libusb."""
     import usb.core
 
@@ -255,8 +257,8 @@ def seen_by_pyusb(**ids: int) -> list[Any]:
         return []
 
 
-def _through_pyusb() -> Iterator[Attached]:
-    for device in seen_by_pyusb():
+def _usb_devices_of_pyusb() -> Iterator[Attached]:
+    for device in find_usb():
         if device.bDeviceClass != 0x09:
             yield Attached(
                 "usb",
@@ -268,8 +270,8 @@ def _through_pyusb() -> Iterator[Attached]:
             )
 
 
-def _lockers(inode: int) -> Iterator[int]:
-    for line in _text(Path("/proc/locks")).splitlines():
+def _pids_with_lock(inode: int) -> Iterator[int]:
+    for line in _read_text(Path("/proc/locks")).splitlines():
         part = line.split()
         try:
             if part[1] == "FLOCK" and int(part[-3].rsplit(":", 1)[1]) == inode:
@@ -280,4 +282,4 @@ def _lockers(inode: int) -> Iterator[int]:
 
 def process(pid: int) -> Holder:
     """Return a process with its name."""
-    return Holder(pid, _text(Path(f"/proc/{pid}/comm")) or "not to be seen")
+    return Holder(pid, _read_text(Path(f"/proc/{pid}/comm")) or "not to be seen")

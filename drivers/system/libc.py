@@ -42,9 +42,9 @@ def monotonic_ns(timespec: int) -> int:
     return int(at[0] * 1_000_000_000 + at[1])
 
 
-def _unless_interrupted(call: Any) -> Any:
+def _retry_interrupted(call: Any) -> Any:
     @jit
-    def again(fd: int, address: int, size: int) -> int:
+    def retry(fd: int, address: int, size: int) -> int:
         for _ in range(INTERRUPTED_MAX):
             count: int = call(fd, address, size)
             if count >= 0:
@@ -54,13 +54,13 @@ def _unless_interrupted(call: Any) -> Any:
                 return -int(error)
         return -EAGAIN
 
-    return again
+    return retry
 
 
-read_now: Any = _unless_interrupted(read_fd)
+read_now: Any = _retry_interrupted(read_fd)
 """read_now(fd, address, size): bytes read from a non-blocking file, 0 at its end, or minus the error number."""
 
-write_now: Any = _unless_interrupted(write_fd)
+write_now: Any = _retry_interrupted(write_fd)
 """write_now(fd, address, size): bytes accepted by a non-blocking file, or minus the error number."""
 
 

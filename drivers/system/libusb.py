@@ -19,7 +19,7 @@ def backend() -> Any | None:
     """Return the backend of pyusb; None if no libusb can be loaded."""
     import usb.backend.libusb1
 
-    for find in (_by_the_loader, _of_the_package()):
+    for find in (_system_soname, _package_finder()):
         if find is not None and (found := usb.backend.libusb1.get_backend(find_library=find)) is not None:
             return found
     return None
@@ -37,18 +37,18 @@ def find(**ids: int) -> list[Any]:
     """
     import usb.core
 
-    through = backend()
-    if through is None:
+    usb_backend = backend()
+    if usb_backend is None:
         raise DeviceError(f"{MISSING}: `{REMEDY}`")
-    return list(usb.core.find(find_all=True, backend=through, **ids))
+    return list(usb.core.find(find_all=True, backend=usb_backend, **ids))
 
 
-def _by_the_loader(_: str) -> str:
+def _system_soname(_: str) -> str:
     """Return the soname: pyusb's default search runs ldconfig, a compiler and a linker if it finds no library."""
     return SONAME
 
 
-def _of_the_package() -> Callable[[str], str | None] | None:
+def _package_finder() -> Callable[[str], str | None] | None:
     try:
         import libusb_package
     except ImportError:  # a distribution with a system libusb may omit the package

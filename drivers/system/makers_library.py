@@ -43,18 +43,18 @@ def load(library: MakersLibrary, named: str | None, patterns: Sequence[Path], no
         path = expanded(named)
         if not os.path.isfile(path):  # also if this user may not read the folder
             raise DeviceNotFound(f"library_file = '{named}': there is no such file; {library.advice}")
-        return _opened(library, str(path))
+        return _open(library, str(path))
     for pattern in patterns:
         # The longest name contains the full version; the latest version sorts last.
         for path in sorted(pattern.parent.glob(pattern.name), key=lambda p: (len(p.name), p.name), reverse=True):
-            return _opened(library, str(path))
+            return _open(library, str(path))
     for name in library.sonames:
         try:
-            return _declared(library, ctypes.CDLL(name), name)
+            return _declare_prototypes(library, ctypes.CDLL(name), name)
         except OSError:
             continue
-    looked = ", ".join([*map(str, patterns), *(f"{name} by the loader" for name in library.sonames)])
-    raise DeviceNotFound(f"{library.name} is not on this machine: looked for {looked}{note}; {library.advice}")
+    searched = ", ".join([*map(str, patterns), *(f"{name} by the loader" for name in library.sonames)])
+    raise DeviceNotFound(f"{library.name} is not on this machine: looked for {searched}{note}; {library.advice}")
 
 
 def address(library: ctypes.CDLL, name: str) -> int:
@@ -62,19 +62,19 @@ def address(library: ctypes.CDLL, name: str) -> int:
     return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
 
 
-def _opened(library: MakersLibrary, path: str) -> ctypes.CDLL:
+def _open(library: MakersLibrary, path: str) -> ctypes.CDLL:
     try:
-        found = ctypes.CDLL(path)
+        loaded = ctypes.CDLL(path)
     except OSError as error:
         raise DeviceError(f"{path} cannot be loaded: {error}: {library.needs}") from error
-    return _declared(library, found, path)
+    return _declare_prototypes(library, loaded, path)
 
 
-def _declared(library: MakersLibrary, found: ctypes.CDLL, path: str) -> ctypes.CDLL:
+def _declare_prototypes(library: MakersLibrary, loaded: ctypes.CDLL, path: str) -> ctypes.CDLL:
     for name, (result, parameters) in library.prototypes.items():
         try:
-            function = getattr(found, name)
+            function = getattr(loaded, name)
         except AttributeError:
             raise DeviceError(f"{path} has no function {name}: take {library.version}") from None
         function.restype, function.argtypes = result, list(parameters)
-    return found
+    return loaded

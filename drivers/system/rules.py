@@ -14,7 +14,7 @@ from softfinger.drivers.system.claims import Claim, claims
 GROUP: Final = "softfinger"
 """Group with the same permission as the user at the machine, for ssh and services."""
 
-ALLOWED: Final = f'TAG+="uaccess", ENV{{SOFTFINGER_GROUP}}="{GROUP}"'
+PERMISSION: Final = f'TAG+="uaccess", ENV{{SOFTFINGER_GROUP}}="{GROUP}"'
 MATCHES: Final = {
     "usb": 'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", ATTR{idVendor}=="',
     "hid": 'SUBSYSTEM=="hidraw", ATTRS{idVendor}=="',
@@ -42,36 +42,36 @@ def udev_rules(devices: Iterable[DeviceConfig] = ()) -> str:
     """Return the rules file for every device that a driver claims, and for the devices of [device] tables of a rig."""
     products: dict[tuple[str, str, int], set[int]] = {}
     """Product ids by driver, bus and vendor; an empty set stands for all products of the vendor."""
-    for claim in (*claims(), *_described(devices)):
+    for claim in (*claims(), *_claims_of_devices(devices)):
         if claim.driver == "haply":  # the maker's service opens it, and installs rules for it
             continue
         for bus in (claim.bus, *(["usb"] if claim.driver == "hid" else [])):  # used if there is no hidraw node
-            of_vendor = products.setdefault((claim.driver, bus, claim.vendor), set())
-            of_vendor |= set() if claim.product is None else {claim.product}
+            vendor_products = products.setdefault((claim.driver, bus, claim.vendor), set())
+            vendor_products |= set() if claim.product is None else {claim.product}
     lines = [HEAD]
     for (driver, bus, vendor), numbers in products.items():
         lines.append(f"# {driver}\n{_rule(bus, vendor, numbers)}\n")
     return "\n".join([*lines, TAIL])
 
 
-def program() -> list[str]:
+def program_command() -> list[str]:
     """Return the command that starts this program from any folder, also as root with a different PATH."""
     script = os.path.join(os.path.dirname(sys.executable), "softfinger")
     return [script] if os.path.exists(script) else [sys.executable, "-m", "softfinger.server.cli"]
 
 
-def command(vendor: int | None = None, product: int | None = None) -> str:
+def install_command(vendor: int | None = None, product: int | None = None) -> str:
     """Return the command for root that permits opening a device of these ids (default: any), once and for all."""
     known = vendor is None or any(claim.vendor == vendor and claim.product in (None, product) for claim in claims())
-    return shlex.join(["sudo", *program(), "install", "--system"]) + ("" if known else " --rig YOUR-RIG.toml")
+    return shlex.join(["sudo", *program_command(), "install", "--system"]) + ("" if known else " --rig YOUR-RIG.toml")
 
 
 def how_to_permit(vendor: int, product: int) -> str:
     """Return the remedy for a missing permission, for a message."""
-    return f"run `{command(vendor, product)}`, and plug the device in again"
+    return f"run `{install_command(vendor, product)}`, and plug the device in again"
 
 
-def _described(devices: Iterable[DeviceConfig]) -> Iterator[Claim]:
+def _claims_of_devices(devices: Iterable[DeviceConfig]) -> Iterator[Claim]:
     """Yield a claim for each device that a rig describes by its ids."""
     for device in devices:
         vendor, product = device.options.get("vendor_id"), device.options.get("product_id")
@@ -85,4 +85,4 @@ def _rule(bus: str, vendor: int, products: set[int]) -> str:
         rule += f"{MATCHES[bus].rpartition(', ')[2].replace('Vendor', 'Product')}"
         rule += "|".join(f"{number:04x}" for number in sorted(products)) + '", '
     # otherwise ModemManager probes a serial port with its commands
-    return rule + ALLOWED + (', ENV{ID_MM_DEVICE_IGNORE}="1"' if bus == "serial" else "")
+    return rule + PERMISSION + (', ENV{ID_MM_DEVICE_IGNORE}="1"' if bus == "serial" else "")

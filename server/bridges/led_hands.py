@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, load_rig, load_scene
-from softfinger.drivers.simulated.options import Options, simulation
-from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Intention
+from softfinger.drivers.simulated.options import Options, make_simulation
+from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, Intention, PlantInputs
 from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.engine import PoseError
 from softfinger.proxy.kernels.jit.pack import packed
@@ -61,7 +61,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         if (count := len(self.config.fingers)) != len(homes_m):
             raise ConfigError(f"fingers of the scene: {count}; hands of this environment: {len(homes_m)}")
         self._guard = load_rig("simulated", {"guard.ramp_s": RAMP_S}).guard
-        self._devices = [simulation(Options(position_m=home, hand=setup.hand), setup.rate_hz) for home in homes_m]
+        self._devices = [make_simulation(Options(position_m=home, hand=setup.hand), setup.rate_hz) for home in homes_m]
         self._tuning = packed(make_tuning(self.config, self._guard))
         self._homes, self._dt = np.array(homes_m), 1.0 / setup.rate_hz
         self._times = self._dt * np.arange(setup.step_ticks + 1)[:, None]
@@ -115,7 +115,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         scene = self._tuning.like.scene
         begin_bodies(scene, self._dt)
         self._memory, self._states = packed(begin(scene)), packed(tuple(each.state for each in self._devices))
-        self._lines = [np.zeros(LINE_SIZE) for _ in self._devices]
+        self._lines = [np.zeros(DELAY_LINE_SIZE) for _ in self._devices]
         self._goals: Array = np.array([[*home, 1.0, 0.0, 0.0, 0.0] for home in self._homes])
         self._ticks = self._steps = 0
 
@@ -137,7 +137,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         """
         intention = Intention(float(len(goals)), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
         hands = tuple(
-            DrivenPlant(device.plant, Drive(intention, goals[:, index].reshape(-1), line))
+            DrivenPlant(device.plant, PlantInputs(intention, goals[:, index].reshape(-1), line))
             for index, (device, line) in enumerate(zip(self._devices, self._lines, strict=True))
         )
         records = np.zeros((len(goals) - 1, len(hands), RECORD_SIZE))

@@ -13,7 +13,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.files import home_folder
 from softfinger.config.load import find, load_rig, load_scene, shipped
 from softfinger.config.schema import Rig, Scene
-from softfinger.drivers.system.rules import GROUP, program, udev_rules
+from softfinger.drivers.system.rules import GROUP, program_command, udev_rules
 from softfinger.server.install.ledger import File
 from softfinger.server.install.manual import manual
 from softfinger.server.install.unit import RTPRIO, unit
@@ -105,7 +105,7 @@ def files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -
 
 def service(rig: str, scene: str) -> list[str]:
     """Return the command of the unit, independent of the working directory."""
-    return [*program(), "run", "--rig", resolve_name(rig, Rig), "--scene", resolve_name(scene, Scene)]
+    return [*program_command(), "run", "--rig", resolve_name(rig, Rig), "--scene", resolve_name(scene, Scene)]
 
 
 def resolve_name(name: str, kind: type[Rig] | type[Scene]) -> str:

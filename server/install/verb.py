@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from softfinger.drivers.system.rules import command
+from softfinger.drivers.system.rules import install_command
 from softfinger.server.install.ledger import Action, Ledger
 from softfinger.server.install.plan import files, first_private_folder, install_paths, service
 from softfinger.server.install.system_commands import STATE, after_removing, after_writing, before_removing, run_all
@@ -69,7 +69,7 @@ def install(args: argparse.Namespace, ledger: Ledger) -> None:
     private_folder = first_private_folder(service(args.rig, args.scene)) if args.system else None
     if private_folder is not None:
         print(f"the service cannot start: {private_folder} is its owner's alone; put the program into /opt/softfinger")
-    print(LATER if args.system else LATER_FOR_ONE.format(command=command()), end="")
+    print(LATER if args.system else LATER_FOR_ONE.format(command=install_command()), end="")
 
 
 def remove(args: argparse.Namespace, ledger: Ledger) -> None:

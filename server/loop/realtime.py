@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple
 
 from softfinger.config.errors import RealtimeError
-from softfinger.drivers.system.rules import GROUP, command
+from softfinger.drivers.system.rules import GROUP, install_command
 
 Mode = Literal["auto", "require", "off"]
 
@@ -183,7 +183,8 @@ def _fifo_advice(number: int | None) -> str:
 
 def _group_advice() -> str:
     """Return how a user obtains both limits (priority and locked memory) and access to the latency device."""
-    return f"`{command()}` gives it to the group {GROUP}: join that (sudo usermod -aG {GROUP} $USER) and log in again"
+    join = f"join that (sudo usermod -aG {GROUP} $USER) and log in again"
+    return f"`{install_command()}` gives it to the group {GROUP}: {join}"
 
 
 def _throttle_note() -> str:

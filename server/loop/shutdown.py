@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, PROTOCOL, TIMEOUT, Device
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -92,17 +92,17 @@ def close(device: Device) -> None:
 def stop_all(devices: Sequence[Device]) -> None:
     """Stop all devices in parallel: one that fails or hangs does not delay the zero force of another.
 
-    Raises the first error after all calls have returned, or after `opened.END_S`; logs further ones.
+    Raises the first error after all calls have returned, or after `open_devices.STOP_TIMEOUT_S`; logs further ones.
     """
-    failures = opened.at_once(stop, devices)
+    failures = open_devices.call_all(stop, devices)
     hung = [device for device, error in failures if isinstance(error, TimeoutError)]
-    opened.at_once(_write_zero_directly, hung)  # this write may hang as well
+    open_devices.call_all(_write_zero_directly, hung)  # this write may hang as well
     _raise_first("be stopped", failures)
 
 
 def close_all(devices: Sequence[Device]) -> None:
     """Close all devices, as `stop_all` does."""
-    _raise_first("be closed", opened.at_once(close, devices))
+    _raise_first("be closed", open_devices.call_all(close, devices))
 
 
 def confirm_zero(devices: Sequence[Device]) -> None:

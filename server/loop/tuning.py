@@ -101,7 +101,7 @@ def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard
     limits = Guard(force, torque, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 1.0)
     if device is not None and device.actuated_dof <= FORCE_DOF:
         limits = limits._replace(displays_torque=0.0)
-    if device is None or not device.holds_a_force:
+    if device is None or not device.has_persistent_force:
         return limits
     pose_checks = {"speed_max": guard.speed_max_m_per_s, "turn_max": guard.turn_max_rad_per_s, "frozen": guard.frozen_s}
     return limits._replace(**pose_checks, limits=hand_limits(guard))

@@ -16,7 +16,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from softfinger.drivers.simulated.options import Simulation
-from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Plant, PlantState, advance, goal_at, sense
+from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, Plant, PlantInputs, PlantState, advance, goal_at, sense
 from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.fingers import rows_of
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry, jit
@@ -87,7 +87,7 @@ def close_loop(
     memory: Memory,
     plant: Plant,
     state: PlantState,
-    drive: Drive,
+    drive: PlantInputs,
     run: Run,
     bound: float,
 ) -> Outcome:
@@ -127,7 +127,7 @@ class DrivenPlant(NamedTuple):
     """Simulated device in a hand: its constants and its drive."""
 
     plant: Plant
-    drive: Drive
+    drive: PlantInputs
 
 
 @by_count
@@ -205,7 +205,9 @@ def run_closed_loop(tuning: Tuning, devices: Sequence[Simulation], rate_hz: floa
     begin_bodies(tuning.scene, dt)
     scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
     states = packed(tuple(device.state for device in devices))
-    hands = tuple(DrivenPlant(each.plant, Drive(each.intention, each.poses, np.zeros(LINE_SIZE))) for each in devices)
+    hands = tuple(
+        DrivenPlant(each.plant, PlantInputs(each.intention, each.poses, np.zeros(DELAY_LINE_SIZE))) for each in devices
+    )
     with progress("simulating", ticks) as done:
         for first in range(0, ticks, CHUNK):
             records = np.zeros((min(CHUNK, ticks - first), len(devices), RECORD_SIZE))
@@ -221,7 +223,7 @@ def close_many(
     start: Memory,
     plants: Packed,
     states: Packed,
-    drive: Drive,
+    drive: PlantInputs,
     ticks: int,
     bound: float,
     figures: Array,

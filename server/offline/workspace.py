@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.schema import Object, Plane, Scene, Workspace
-from softfinger.drivers.kinematics.freedom import Freedom
+from softfinger.drivers.kinematics.subspace import MotionSubspace
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.surface_meshes import plane, surface_mesh
@@ -84,12 +84,12 @@ def rows(wall: Workspace, objects: list[PlacedObject]) -> list[tuple[str, str]]:
     return reach_rows
 
 
-def reachable_curve(wall: Workspace, freedom: Freedom) -> Array:
+def reachable_curve(wall: Workspace, freedom: MotionSubspace) -> Array:
     """Return points (n, 3) m inside the wall, on the arc of a device or on the edge of its plane."""
     angles = np.linspace(-np.pi, np.pi, DIRECTIONS)[:, None]
     normal, half = freedom.axis, float(half_sizes(wall).max())
     if freedom.degrees == 1:
-        arm = freedom.middle - freedom.origin
+        arm = freedom.centre - freedom.origin
         points = freedom.origin + np.cos(angles) * arm + np.sin(angles) * np.cross(normal, arm)
         return np.asarray(points[signed_distance(wall, points) <= 0.0])
     centre = np.array(wall.center_m)
@@ -105,7 +105,7 @@ def reachable_curve(wall: Workspace, freedom: Freedom) -> Array:
     return np.asarray(points[np.arange(DIRECTIONS), inside.sum(axis=1) - 1])
 
 
-def text(wall: Workspace, objects: list[PlacedObject], freedom: Freedom | None = None) -> list[str]:
+def text(wall: Workspace, objects: list[PlacedObject], freedom: MotionSubspace | None = None) -> list[str]:
     """Return both views side by side, as lines."""
     views = [_view(wall, objects, axis, freedom) for _, axis, _ in VIEWS]
     half = 1e3 * VIEW_SCALE * float(half_sizes(wall).max())
@@ -119,7 +119,7 @@ def text(wall: Workspace, objects: list[PlacedObject], freedom: Freedom | None =
     return lines
 
 
-def plot(wall: Workspace, objects: list[PlacedObject], path: Path, freedom: Freedom | None = None) -> None:
+def plot(wall: Workspace, objects: list[PlacedObject], path: Path, freedom: MotionSubspace | None = None) -> None:
     """Draw both views as a figure, .png or .svg, axes in mm."""
     from matplotlib.collections import PolyCollection
 
@@ -150,7 +150,7 @@ def plot(wall: Workspace, objects: list[PlacedObject], path: Path, freedom: Free
     save(drawing, path)
 
 
-def _view(wall: Workspace, objects: list[PlacedObject], axis: int, freedom: Freedom | None) -> list[str]:
+def _view(wall: Workspace, objects: list[PlacedObject], axis: int, freedom: MotionSubspace | None) -> list[str]:
     """Return a view as ROWS lines of COLUMNS characters."""
     center, half = np.array(wall.center_m), VIEW_SCALE * float(half_sizes(wall).max())
     right, up = np.meshgrid(np.linspace(-half, half, COLUMNS), np.linspace(half, -half, ROWS))

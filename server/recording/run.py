@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import RecordingError
-from softfinger.drivers.poses import POSES_MAX, rate_of
+from softfinger.drivers.poses import POSES_MAX, rate_from_period
 from softfinger.server.recording.reader import End, Event, Note, Ticks, World, read_contents
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ class Run(NamedTuple):
     def rate_hz(self) -> float:
         """Rate of the loop, as in the metadata, else from the shortest time step."""
         rate = self.notes.get("rate_hz")
-        return float(rate) if isinstance(rate, int | float) else rate_of(float(self.first["dt"].min()))
+        return float(rate) if isinstance(rate, int | float) else rate_from_period(float(self.first["dt"].min()))
 
 
 def load_run(path: Path, fields: tuple[str, ...]) -> Run:

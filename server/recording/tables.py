@@ -11,7 +11,7 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import new_file, open_input
-from softfinger.drivers.poses import LINE_MAX, POSE_COLUMNS, POSES_MAX, Poses, checked
+from softfinger.drivers.poses import LINE_MAX, POSE_COLUMNS, POSES_MAX, Poses, check_poses
 from softfinger.server.recording.results import csv_lines
 
 SKIPPED: Final = "-"
@@ -96,7 +96,7 @@ def read_table(path: Path, layout: Layout) -> Poses:
     orientation = np.tile([1.0, 0.0, 0.0, 0.0], (len(table), 1))
     if "qw" in columns_by_name:
         orientation = np.column_stack([columns_by_name[name] for name in POSE_COLUMNS[4:]])
-    return checked(
+    return check_poses(
         t, position, orientation, lambda row: f"{path}, line {numbers[row]}" if row < len(numbers) else str(path)
     )
 

@@ -24,8 +24,8 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import build, completed, describe, load_scene, numbered, overridden, shipped, value_at
 from softfinger.config.words import near, shown
-from softfinger.drivers import turns
-from softfinger.drivers.simulated.lead import Wanted, hand_of
+from softfinger.drivers import switch_interval
+from softfinger.drivers.simulated.lead import RequestedPose, hand_of
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import shutdown
@@ -111,7 +111,7 @@ class Commands:
         self.sink: Final = Sink("commands", self._store_latest)
 
     def start(self) -> None:
-        turns.shorten()
+        switch_interval.shorten()
         self._started = True
         self._scenes.start()
         self._thread.start()
@@ -122,7 +122,7 @@ class Commands:
         failed = shutdown.run_all_steps(self._scenes.stop, self._stop_queue, lambda: self._daemon.serve(None))
         if self._started:
             self._started = False
-            turns.restore()
+            switch_interval.restore()
         if failed is not None:
             raise failed
 
@@ -359,8 +359,8 @@ class Commands:
         target = None
         if params.position_m is not msgspec.UNSET:
             turn = None if params.orientation_wxyz is msgspec.UNSET else params.orientation_wxyz
-            hand_of(self._rendering.servo.devices[finger_index])  # raises NoHand even before the first tick
-            target = Wanted(params.position_m, turn, self._orientation(finger_index))
+            hand_of(self._rendering.servo.devices[finger_index])  # raises NoSimulatedHand even before the first tick
+            target = RequestedPose(params.position_m, turn, self._orientation(finger_index))
         self._rendering.lead_hand(finger_index, target)
         self._publish_led(finger_index, not params.release, request)
         return wire.Applied(self._rendering.servo.ticks)

@@ -38,9 +38,9 @@ def inject_faults(
                 f"a fault of kind '{fault.kind}' has finger = '{fault.finger}': the scene has "
                 f"{', '.join(repr(name) for name in names if name) or 'a single one, without a name'}: leave it out"
             )
-    from softfinger.drivers.injected import Injected  # imported here, because its kernels are compiled on import
+    from softfinger.drivers.injected import FaultInjector  # imported here, because its kernels are compiled on import
 
-    return tuple(Injected(device, faults, rate_hz, name) for device, name in zip(devices, names, strict=True))
+    return tuple(FaultInjector(device, faults, rate_hz, name) for device, name in zip(devices, names, strict=True))
 
 
 def tools(scene: schema.Scene, rig: schema.Rig) -> list[schema.Tool | None]:

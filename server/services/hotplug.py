@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import claim_on
+from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.discovery import Attached
 from softfinger.server.services.base import Worker
 
@@ -36,7 +36,7 @@ class Hotplug:
         detached = [("detached", self._known.pop(name)) for name in sorted(self._known.keys() - names)]
         attached = []
         for name in sorted(names - self._known.keys()):
-            device = discovery.described(name, self._root)
+            device = discovery.read_device(name, self._root)
             # A device listed before its ids can be read is examined again next time; so is a hub, which is never
             # described.
             if device is not None:
@@ -57,7 +57,7 @@ def watch(hotplug: Hotplug, event: Callable[..., None], closing: threading.Event
 
 def event_fields(device: Attached) -> dict[str, Any]:
     """Return the keys of an event that identify the device."""
-    claim = claim_on(device)
+    claim = find_claim(device)
     return {
         "device": device.name,
         "bus": device.bus,

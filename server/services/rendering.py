@@ -16,7 +16,7 @@ from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import overridden
 from softfinger.config.schema.pairing import pair
 from softfinger.drivers.base import Device
-from softfinger.drivers.simulated.lead import Wanted, hold, lead
+from softfinger.drivers.simulated.lead import RequestedPose, hold, lead
 from softfinger.proxy.kernels.model import Pose, Vec3
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import other_model
@@ -252,10 +252,10 @@ class Rendering:
             self._offset_tick = self._tune()
             return self._offset_tick
 
-    def lead_hand(self, finger: int, target: Wanted | None) -> None:
+    def lead_hand(self, finger: int, target: RequestedPose | None) -> None:
         """Move the computed hand of a finger to a pose and hold it there; None: resume its default motion.
 
-        Raises NoHand if the device computes none, ConfigError if the device cannot reach or sense the pose, or
+        Raises NoSimulatedHand if the device computes none, ConfigError if the device cannot reach or sense the pose, or
         Replacing.
         """
         with _locked(self._tuning_lock):

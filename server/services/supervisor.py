@@ -28,7 +28,7 @@ class Supervisor(Worker):
         while self._servo.is_ticking:
             time.sleep(health.STALL_POLL_S)
             ticks = self._servo.ticks
-            has_force = any(device.info.holds_a_force for device in self._servo.devices)
+            has_force = any(device.info.has_persistent_force for device in self._servo.devices)
             polls = health.STALL_POLLS if has_force else health.STALL_POLLS_WITHOUT_HAND
             idle_s = watchdog.stalled_s(ticks, self._servo.armed, polls)
             if idle_s and self._servo.is_ticking:

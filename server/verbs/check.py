@@ -115,11 +115,11 @@ def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None
         )
     if not walls or not scenes or (quiet and plot is None):
         return
-    from softfinger.drivers.kinematics.freedom import freedom_of_table
+    from softfinger.drivers.kinematics.subspace import read_subspace
     from softfinger.server.offline import workspace
 
     for name, rig, wall in walls:
-        freedom = None if rig.device is None else freedom_of_table(rig.device)
+        freedom = None if rig.device is None else read_subspace(rig.device)
         for scene in scenes:
             objects = workspace.place_objects(wall, load_scene(_locate(scene)))
             if plot is not None:

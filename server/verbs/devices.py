@@ -14,8 +14,8 @@ from softfinger.config.schema import DeviceConfig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers import registry
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import Claim, claim_on
-from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, needs, options_for
+from softfinger.drivers.system.claims import Claim, find_claim
+from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, diagnose_requirements, options_for
 from softfinger.drivers.system.discovery import Attached
 
 OPENABLE_STATES: Final = ("usable", "firmware")
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     rig = None if args.rig is None else single_device(load_rig(args.rig))
     devices: list[ListedDevice] = []
     for device in discovery.attached():
-        claim = claim_on(device)
+        claim = find_claim(device)
         diagnosis, identification = diagnose(device, claim, rig), None
         if args.ask and claim is not None and diagnosis.state in OPENABLE_STATES:
             diagnosis, identification = identify_device(device, claim, rig)
@@ -62,12 +62,12 @@ def identify_device(
     driver, options = registry.load(claim.driver), options_for(claim, rig)
     identify = getattr(driver, "identify", None)
     if identify is None:
-        return needs(claim, options), None
+        return diagnose_requirements(claim, options), None
     try:
         identification = identify(device, build(driver.Options, dict(options), "[device]"))
     except HapticError as error:
         return Diagnosis("busy" if isinstance(error, DeviceBusy) else "error", str(error)), None
-    return needs(claim, options, identification), identification
+    return diagnose_requirements(claim, options, identification), identification
 
 
 def as_map(

@@ -19,7 +19,7 @@ from typing import Final, Self
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import is_same_file
-from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, rate_of
+from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, rate_from_period
 from softfinger.server import keys, signals
 from softfinger.server.arguments import files_by_finger
 from softfinger.server.gateway.addresses import find_addresses
@@ -296,7 +296,7 @@ class PoseWriter:
         stats = self.stats
         if step:
             self._periods += step - 1 + max(1, round(sample.dt / self._period))
-        t = self._periods / rate_of(self._period)
+        t = self._periods / rate_from_period(self._period)
         if self._duration_s is not None and t > self._duration_s - self._period / 2:
             stats.end_reason = f"{self._duration_s:g} s are over"
             return

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
-from softfinger.drivers.kinematics.freedom import Freedom, freedom_of_table
+from softfinger.drivers.kinematics.subspace import MotionSubspace, read_subspace
 from softfinger.proxy.record import AT
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ DISPLAYED_ALONG: Final = {1: "along its line", 2: "in its plane"}
 class LowDofDevice(NamedTuple):
     """Device that moves on a line or in a plane, and the offset (3,) m of its fingertip from its handle."""
 
-    freedom: Freedom
+    freedom: MotionSubspace
     offset: Array
 
     def displayed_force(self, row: Array) -> Array:
@@ -60,7 +60,7 @@ def find_low_dof_devices(description: Mapping[str, Any]) -> dict[str, LowDofDevi
     devices = {}
     for finger in description.get("fingers", ({"name": ""},)):
         table = rig.tables.get("device" if rig.device is not None else f"devices.{finger['name']}")
-        freedom = None if table is None else freedom_of_table(table)
+        freedom = None if table is None else read_subspace(table)
         if freedom is not None:
             devices[finger["name"]] = LowDofDevice(freedom, np.array(finger.get("offset_m", (0.0, 0.0, 0.0))))
     return devices

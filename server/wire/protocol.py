@@ -30,7 +30,7 @@ WORLD: Final = "world"
 """Topic of a scene with moving bodies."""
 TOPICS: Final = (CONTACT, EVENT, HEALTH, STATE, SCHEMA_TOPIC)
 """Topics of a server with a single finger."""
-FINGERS: Final = poses.FINGERS
+FINGERS: Final = poses.FINGER_TOPIC_PREFIX
 """Prefix of the topics of several fingers, which replace `contact`: this and the finger's name."""
 
 WORLD_HZ: Final = 60.0

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_faults, shipped
 from softfinger.config.schema import Faults, Injection
-from softfinger.drivers.injected import BEHIND, EVERY, FIRST, table
+from softfinger.drivers.injected import END_TICK, FIRST_TICK, PERIOD_TICKS, table
 
 pytestmark = pytest.mark.plain
 
@@ -78,7 +78,7 @@ def test_an_unknown_name_is_told_with_a_near_one() -> None:
 def test_times_become_ticks_of_the_rate(given: dict[str, Any], window: tuple[int, int]) -> None:
     """By tick, or by the time that so many ticks take at 2 kHz."""
     (row,) = table(faults(**given, every_ticks=2).fault, 2000.0)
-    assert (row[FIRST], row[BEHIND], row[EVERY]) == (*window, 2)
+    assert (row[FIRST_TICK], row[END_TICK], row[PERIOD_TICKS]) == (*window, 2)
 
 
 VALUES = st.one_of(
@@ -100,5 +100,8 @@ def test_whatever_a_file_says_it_is_faults_or_a_message(tables: Any) -> None:
         assert "my-faults.toml: fault" in said
         return
     rows = table(made.fault, 1000.0)
-    assert np.isfinite(rows[:, [FIRST, BEHIND, EVERY]]).all() and (rows[:, FIRST] <= rows[:, BEHIND]).all()
-    assert (rows[:, EVERY] >= 1).all()
+    assert (
+        np.isfinite(rows[:, [FIRST_TICK, END_TICK, PERIOD_TICKS]]).all()
+        and (rows[:, FIRST_TICK] <= rows[:, END_TICK]).all()
+    )
+    assert (rows[:, PERIOD_TICKS] >= 1).all()

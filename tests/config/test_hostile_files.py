@@ -76,7 +76,7 @@ INPUTS: dict[str, tuple[Callable[[Path], object], str, type[HapticError]]] = {
     "run": (lambda path: load_run(path, FIELDS), ".mcap", RecordingError),
     **{f"grid{end}": (read_grid, end, ConfigError) for end in grids.READERS},
     "sweep": (open_sweep, ".mcap", RecordingError),
-    "firmware": (lambda path: firmware._file(str(path)), ".bin", DeviceError),
+    "firmware": (lambda path: firmware._read_firmware(str(path)), ".bin", DeviceError),
 }
 """Everything that reads a file that a user names: how, its ending, its error."""
 

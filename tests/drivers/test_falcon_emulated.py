@@ -196,7 +196,7 @@ def test_firmware_that_cannot_be_sent(size: int | None, spoil: int, message: str
     done, saw = run({"firmware": size or FIRMWARE_BYTES, "spoil": spoil}, rig_with(tmp_path, **keys), "--duration", "1")
     assert done.returncode == 4, done.stderr
     assert re.search(message, done.stderr), done.stderr
-    assert saw["loads"] == (firmware.TRIES if spoil else 0)
+    assert saw["loads"] == (firmware.ATTEMPTS_MAX if spoil else 0)
 
 
 def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:

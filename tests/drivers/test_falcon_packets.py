@@ -59,7 +59,7 @@ def _stream(handle: int, data: np.ndarray, out: np.ndarray) -> int:
     """Feed bytes; the counts of every reply that came, and how many."""
     came = 0
     for byte in data:
-        if reply.feed(handle, byte):
+        if reply.process_byte(handle, byte):
             counts, _ = packets.decode(uint8_at(handle + 8 * AT.newest))
             for k in range(3):
                 out[came, k] = counts[k]

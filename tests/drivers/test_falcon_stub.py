@@ -34,7 +34,7 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon.block import AT as WORDS
 from softfinger.drivers.falcon.device import Falcon, open_device
-from softfinger.drivers.system.claims import claim_on
+from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.diagnosis import Diagnosis
 from softfinger.drivers.system.discovery import Attached
 from softfinger.proxy.engine import Engine
@@ -144,7 +144,7 @@ def test_replies_that_are_always_late(late: int, fresh: float, stub: UsbStub, be
     with bench.open() as device:
         stub.update(late=late)
         ended, records = run(device, 400)
-        assert word(device, WORDS.awaited) <= 2
+        assert word(device, WORDS.unanswered) <= 2
     assert ended == s.LoopEnd(s.FINISHED, OK)
     assert np.mean(records[:, AT.servo_device] == OK) > fresh
 
@@ -493,7 +493,7 @@ FALCON = Attached("usb", 0x0403, 0xCB48, "FALCON HAPTIC", "SN1", "/dev/bus/usb/0
 
 def test_a_falcon_is_asked_for_its_firmware(stub: UsbStub) -> None:
     """Whether firmware runs, the device says itself; one that runs needs no file; the answer is in JSON and text."""
-    claim = claim_on(FALCON)
+    claim = find_claim(FALCON)
     assert claim is not None
     diagnosis, said = devices.identify_device(FALCON, claim)
     assert (diagnosis, said) == (Diagnosis("usable"), {"firmware": True})

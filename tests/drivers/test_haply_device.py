@@ -24,7 +24,7 @@ from helpers.haply_devices import ID, Service, fresh, opened, rig_options, settl
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound
 from softfinger.config.errors import DeviceTimeout as NoAnswer
-from softfinger.drivers import turns
+from softfinger.drivers import switch_interval
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.device import HaplyDevice, identify, open_device
@@ -591,8 +591,10 @@ def test_threads_take_short_turns_while_a_device_is_open() -> None:
     before = sys.getswitchinterval()
     with Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both:
         first, second = opened(both, device_id=ID), opened(both, device_id="0A11")
-        assert before > turns.SWITCH_S
-        assert sys.getswitchinterval() == pytest.approx(turns.SWITCH_S, rel=1e-2)  # it is kept in microseconds
+        assert before > switch_interval.SHORT_INTERVAL_S
+        assert sys.getswitchinterval() == pytest.approx(
+            switch_interval.SHORT_INTERVAL_S, rel=1e-2
+        )  # it is kept in microseconds
         first.close()
         assert sys.getswitchinterval() < before
         second.close()

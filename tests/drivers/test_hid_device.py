@@ -31,8 +31,8 @@ from softfinger.config.load import build
 from softfinger.drivers.base import LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.device import HidDevice, Options, open_device
-from softfinger.drivers.hid.link import find
-from softfinger.drivers.hid.pump import QUEUE_BYTES
+from softfinger.drivers.hid.link import find_device
+from softfinger.drivers.hid.report_threads import QUEUE_BYTES
 from softfinger.drivers.system.libc import IO_SIGNATURE, write_fd
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import entry
@@ -544,7 +544,7 @@ def test_a_node_without_permission() -> None:
 def test_a_device_that_is_not_attached() -> None:
     """A device that nobody plugged in is named by its ids; here no vendor has the ids asked for."""
     with pytest.raises(DeviceNotFound, match="no HID device fffe:fffd is attached: plug it in"):
-        find(rig_options("woodenhaptics-2019", vendor_id=0xFFFE, product_id=0xFFFD))
+        find_device(rig_options("woodenhaptics-2019", vendor_id=0xFFFE, product_id=0xFFFD))
 
 
 def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:

@@ -19,13 +19,13 @@ from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, touch
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, HapticError
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.openhaptics import device as openhaptics
 from softfinger.drivers.openhaptics import exchange, library, usb
 from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN
-from softfinger.drivers.system.claims import claim_on
-from softfinger.drivers.system.diagnosis import needs
+from softfinger.drivers.system.claims import find_claim
+from softfinger.drivers.system.diagnosis import diagnose_requirements
 from softfinger.drivers.system.rules import udev_rules
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import entry
@@ -298,10 +298,10 @@ def test_identify_asks_and_gives_no_force(hd: HdStub, bench: TouchBench) -> None
 def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
     """`devices` names driver and rig, says that the library is missing and where it comes from, and `install` writes a
     rule for the port, which ModemManager leaves alone."""
-    claim = claim_on(PORT)
+    claim = find_claim(PORT)
     assert claim is not None and (claim.driver, claim.rigs) == ("openhaptics", ("touch",))
     monkeypatch.setattr(library, "FOLDERS", ())
-    found = needs(claim, {})
+    found = diagnose_requirements(claim, {})
     assert found.state == "library" and "libHD" in found.reason and "library_file" in found.remedy
     (rule,) = [line for line in udev_rules().splitlines() if '"2988"' in line]
     assert 'SUBSYSTEM=="tty"' in rule and "ID_MM_DEVICE_IGNORE" in rule and "idProduct" not in rule
@@ -544,7 +544,7 @@ def test_two_devices_at_once(hd: HdStub, bench: TouchBench) -> None:
     both = [bench.open_unarmed(), bench.open_unarmed(name="Left Device")]
     for device in both:
         device.arm()
-    assert opened.at_once(lambda device: device.close(), both) == []  # as an end of the process closes them
+    assert open_devices.call_all(lambda device: device.close(), both) == []  # as an end of the process closes them
     assert not hd["running"] and not any(hd.wrench(0) + hd.wrench(1))
 
 

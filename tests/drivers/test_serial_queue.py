@@ -19,9 +19,9 @@ from helpers.by_call import BY_CALL, MS, by_call
 from helpers.described_boards import rig_options
 from test_serial_exchange import Board, frame
 
-from softfinger.drivers import conversation as talk
+from softfinger.drivers import board_exchange
 from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
-from softfinger.drivers.conversation import TALK
+from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.serial import device, exchange, queue
 from softfinger.drivers.serial.block import AT
 from softfinger.drivers.serial.device import BLOCKED, SerialDevice
@@ -188,7 +188,7 @@ class Run:
         patch.setattr(exchange, "write_now", self.port.write)
         patch.setattr(queue, "count_unsent", lambda fd, word: self.port.unsent())
         patch.setattr(queue, "drop_unsent", lambda fd: self.port.flush())
-        patch.setattr(talk, "poll_fd", lambda *_: self.sleep(0.001))
+        patch.setattr(board_exchange, "poll_fd", lambda *_: self.sleep(0.001))
         patch.setattr(device, "count_unsent", self._unsent)
         patch.setattr(device, "time", SimpleNamespace(
             monotonic=lambda: self.clock.now * 1e-9, monotonic_ns=lambda: self.clock.now, sleep=self.sleep,
@@ -197,7 +197,7 @@ class Run:
         self.device = SerialDevice.__new__(SerialDevice)
         self.device._block, self.device._zero_failure = self.driver.block, ""
         self.device.info = SimpleNamespace(name="serial")  # type: ignore[assignment]
-        self.word[AT.countable] = 1
+        self.word[AT.counts_unsent] = 1
         self.statuses: list[int] = []
 
     def _unsent(self, fd: int) -> int:
@@ -370,7 +370,7 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
 def test_a_port_that_counts_nothing_is_no_queue(monkeypatch: pytest.MonkeyPatch) -> None:
     """A descriptor without TIOCOUTQ never withholds a force."""
     run = Run("hapkit", "uart", 10.0, monkeypatch)
-    run.word[AT.countable] = 0
+    run.word[AT.counts_unsent] = 0
     run.port.stalled = True
     run.ticks(50)
     assert set(run.statuses) == {OK}
@@ -395,10 +395,10 @@ def test_who_writes_is_not_flushed_over(monkeypatch: pytest.MonkeyPatch) -> None
     """`discard` disarms while another thread writes, and returns 0 so that the caller tries again."""
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
-    run.word[TALK.lock] = 1
+    run.word[BOARD.lock] = 1
     assert run.driver.block.call(exchange.discard) == 0
-    assert run.word[TALK.armed] == 0
-    run.word[TALK.lock] = 0
+    assert run.word[BOARD.armed] == 0
+    run.word[BOARD.lock] = 0
     assert run.driver.block.call(exchange.discard) == 1
     assert run.driver.write(*PUSH) in (WITHHELD, HELD, STALE)
-    assert np.array(run.word)[AT.torn] == 0  # the write has sent zeros
+    assert np.array(run.word)[AT.maybe_torn] == 0  # the write has sent zeros

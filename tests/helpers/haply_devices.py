@@ -95,7 +95,7 @@ def opened(service: Service, **changes: Any) -> HaplyDevice:
 def settle(device: HaplyDevice) -> None:
     """Wait until the service has answered the newest wrench of the loop, or never will."""
     until = time.monotonic() + 5.0
-    while not device.settled() and time.monotonic() < until:
+    while not device.is_settled() and time.monotonic() < until:
         time.sleep(0.0005)
 
 

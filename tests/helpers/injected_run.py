@@ -13,7 +13,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Faults
 from softfinger.drivers.base import Device
-from softfinger.drivers.injected import Injected
+from softfinger.drivers.injected import FaultInjector
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
@@ -54,7 +54,7 @@ def run(
     each    called with the ticks done so far, whenever some are
     """
     never = [{"kind": "stale", "at_tick": ticks + 1}]
-    injected = Injected(device, build(Faults, {"fault": faults or never}, "faults"), rate_hz)
+    injected = FaultInjector(device, build(Faults, {"fault": faults or never}, "faults"), rate_hz)
     guard = load_rig("replay", {"guard.ramp_s": RAMP_S, "guard.frozen_s": FROZEN_S}).guard
     servo = s.Servo([injected], make_tuning(load_scene("paper-plane"), guard, [injected.info]), rate_hz, ticks)
     servo.compile()

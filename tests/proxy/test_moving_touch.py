@@ -19,7 +19,7 @@ from test_invariants import GRIP, HALF, SLICK, R, numbers, product, visits
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
-from softfinger.drivers.simulated.options import Options, simulation
+from softfinger.drivers.simulated.options import Options, make_simulation
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, CAUSE_NAMES
 from softfinger.proxy.scene import build_scene
@@ -273,7 +273,7 @@ def test_in_closed_loop_a_rising_table_lifts_the_hand() -> None:
     rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2.0, "phase_rad": -np.pi / 2}
     tuning = Tuning(build_scene(scene({"shape": "plane", "motion": rise})), (Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0),))
     options = Options(preset="omega.6", position_m=(0.0, 0.0, R + 0.002))
-    records = whole(run_closed_loop(tuning, [simulation(options, 1000.0)], 1000.0, 500))
+    records = whole(run_closed_loop(tuning, [make_simulation(options, 1000.0)], 1000.0, 500))
     z = column(records, "probe.position", 3)[:, 2]
     height = -0.01 * np.cos(4.0 * np.pi * np.cumsum(column(records, "dt")))
     expected = K * np.maximum(height + R - z, 0.0)

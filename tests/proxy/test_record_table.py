@@ -91,7 +91,7 @@ def run_in(tree: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 EVERYWHERE = """
 import json, sys
 import numpy as np
-from softfinger.drivers.poses import decoded_messages
+from softfinger.drivers.poses import decode_messages
 from softfinger.proxy.record import AT, FIELDS, NAMED, RECORD_SIZE, columns
 from softfinger.server.cli import main
 from softfinger.server.recording.results import read_results, write_results
@@ -112,7 +112,7 @@ for ending in ("csv", "npz", "mcap"):
     assert read_results(f"out.{ending}").tobytes() == records.tobytes(), ending
 assert open("out.csv").readline().rstrip().endswith(",fault.level[0],fault.level[1]")
 assert np.load("out.npz")["fault.level"].tolist() == [[0.25, -0.5]] * 3
-assert [list(m.fault.level) for m in decoded_messages("out.mcap")] == [[0.25, -0.5]] * 3
+assert [list(m.fault.level) for m in decode_messages("out.mcap")] == [[0.25, -0.5]] * 3
 
 sys.exit(main(["schema", "telemetry"]))
 """

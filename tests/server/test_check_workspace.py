@@ -12,7 +12,7 @@ from helpers.called import called
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Scene, Workspace
-from softfinger.drivers.kinematics.freedom import Freedom
+from softfinger.drivers.kinematics.subspace import MotionSubspace
 from softfinger.server.offline import workspace
 
 pytestmark = pytest.mark.plain
@@ -87,7 +87,7 @@ def test_the_way_of_a_handle_is_where_its_arc_or_plane_meets_the_inside() -> Non
     normal, up = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     for away, radius in ((0.0, 0.04), (0.024, 0.032), (0.05, None)):
         point = np.array([0.3, away, -0.2])  # anywhere in the plane
-        points = workspace.reachable_curve(SPHERE, Freedom(2, normal, point, point))
+        points = workspace.reachable_curve(SPHERE, MotionSubspace(2, normal, point, point))
         if radius is None:
             assert len(points) == 0
             continue
@@ -95,7 +95,7 @@ def test_the_way_of_a_handle_is_where_its_arc_or_plane_meets_the_inside() -> Non
         sizes = np.linalg.norm(points - (0.01, away, 0.02), axis=1)
         np.testing.assert_allclose(sizes, radius, atol=0.08 / (workspace.DIRECTIONS - 1))  # steps of the search
     middle = np.array([0.01, 0.0, 0.02])
-    points = workspace.reachable_curve(SPHERE, Freedom(1, normal, middle - 0.09 * up, middle))
+    points = workspace.reachable_curve(SPHERE, MotionSubspace(1, normal, middle - 0.09 * up, middle))
     np.testing.assert_allclose(np.linalg.norm(points - middle + 0.09 * up, axis=1), 0.09, atol=1e-15)
     # the end of a chord of 40 mm from the middle: 2 asin(20 / 90)
     assert points[:, 0].max() - 0.01 == pytest.approx(0.09 * np.sin(2.0 * np.arcsin(0.02 / 0.09)), abs=STEP_M)

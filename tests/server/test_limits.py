@@ -17,7 +17,7 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.drivers.simulated.options import Simulation
 from softfinger.drivers.simulated.plant import Handle, Impedance, Intention, make_plant
-from softfinger.drivers.simulated.plant import at_rest as resting
+from softfinger.drivers.simulated.plant import make_rest_state as resting
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING
 from softfinger.server.loop import guard as g

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from softfinger.config.errors import RecordingError
-from softfinger.drivers.poses import decoded_messages
+from softfinger.drivers.poses import decode_messages
 from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE, columns
 from softfinger.server.recording.results import SUFFIXES, McapResults, read_results, write_results
 
@@ -135,7 +135,7 @@ def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.L
     assert "cut short" in caplog.text
     stream.close()
     stream.close()
-    assert sum(1 for _ in decoded_messages(path)) == 3000
+    assert sum(1 for _ in decode_messages(path)) == 3000
 
 
 def test_unusable_requests_are_refused(tmp_path: Path) -> None:

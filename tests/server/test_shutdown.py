@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, LOST, PROTOCOL, TIMEOUT, Device, DeviceIO
 from softfinger.server.closing import Closeable
 from softfinger.server.loop import health, shutdown
@@ -73,7 +73,7 @@ def device(motor: Motor) -> Device:
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that hangs is given up in time for a test."""
-    monkeypatch.setattr(opened, "END_S", 0.2)
+    monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", 0.2)
 
 
 def fails(error: BaseException) -> Any:
@@ -178,7 +178,7 @@ def test_all_are_stopped_whoever_fails_or_hangs(caplog: pytest.LogCaptureFixture
 
 @pytest.mark.usefixtures("short")
 def test_those_that_hang_are_waited_for_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten that hang are all given up within END_S, which begins once for all, and keep no process from its end."""
+    """Ten that hang are all given up in STOP_TIMEOUT_S, which begins once for all, and keep no process from its end."""
     waits, daemons = list[float](), list[bool]()
     join = threading.Thread.join
 
@@ -189,8 +189,8 @@ def test_those_that_hang_are_waited_for_together(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(threading.Thread, "join", noted)
     motors = [Motor(hangs=True) for _ in range(10)]
-    failures = opened.at_once(lambda motor: motor.stop(), [*motors, Motor()])
-    assert sum(waits) <= opened.END_S and all(daemons) and len(waits) == 11
+    failures = open_devices.call_all(lambda motor: motor.stop(), [*motors, Motor()])
+    assert sum(waits) <= open_devices.STOP_TIMEOUT_S and all(daemons) and len(waits) == 11
     assert [motor for motor, _ in failures] == motors
     assert all(isinstance(error, TimeoutError) for _, error in failures)
     for motor in motors:
@@ -198,14 +198,14 @@ def test_those_that_hang_are_waited_for_together(monkeypatch: pytest.MonkeyPatch
 
 
 def test_one_that_takes_a_while_is_waited_for() -> None:
-    """Less than END_S is no failure."""
-    assert opened.at_once(lambda _: time.sleep(0.2), [Motor()]) == []
+    """Less than STOP_TIMEOUT_S is no failure."""
+    assert open_devices.call_all(lambda _: time.sleep(0.2), [Motor()]) == []
 
 
 def test_at_once_is_at_the_same_time() -> None:
     """Each of two waits for the other: one after the other neither would come back."""
     both = threading.Barrier(2, timeout=1.9)
-    assert opened.at_once(lambda _: both.wait() and None, [Motor(), Motor()]) == []
+    assert open_devices.call_all(lambda _: both.wait() and None, [Motor(), Motor()]) == []
 
 
 def test_all_are_closed_whoever_fails(caplog: pytest.LogCaptureFixture) -> None:
@@ -221,9 +221,9 @@ def test_what_a_signal_stops_and_closes() -> None:
     """Every device that is open, whoever opened it; what could not be stopped is returned."""
     error = OSError("no power")
     motors = [Motor(error), Motor()]
-    opened.devices.update(motors)
-    assert opened.stop_all() == [error]
-    opened.close_all()
+    open_devices.devices.update(motors)
+    assert open_devices.stop_all() == [error]
+    open_devices.close_all()
     assert [motor.closed for motor in motors] == [1, 1]
 
 

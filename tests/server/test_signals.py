@@ -234,7 +234,7 @@ def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) ->
 
 STUCK = """
 import ctypes, hashlib, os, signal, sys, threading, time
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.server import signals
 class Device:
     def stop(self): pass
@@ -249,7 +249,7 @@ def callback(a, b):
     return 0
 with signals.handle_signals():
     signals.mark_imported()
-    opened.devices.add(device)
+    open_devices.devices.add(device)
     threading.Thread(target=soon if sys.argv[1] != "callback" else time.time).start()
     try:
         if sys.argv[1] == "native":
@@ -281,13 +281,13 @@ def test_end_wherever_the_main_thread_is(where: str) -> None:
 
 REFUSING = """
 import os, signal, sys, threading
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.server import cli
 class Device:
     def stop(self): raise OSError("the port has gone")
     def close(self): pass
 device = Device()
-opened.devices.add(device)
+open_devices.devices.add(device)
 if sys.argv[1] == "TSTP":
     from softfinger.server import signals
     os.setsid()  # nobody there who would stop us: the system leaves an orphaned group running
@@ -359,7 +359,7 @@ def test_a_second_signal_raises_nothing() -> None:
 
 JOB = """
 import os, signal, sys, time
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.server import signals
 def say(word): os.write(1, word.encode() + b"\\n")  # print() has a lock, which whom a signal holds up may have
 class Device:
@@ -368,13 +368,13 @@ class Device:
 device = Device()
 with signals.handle_signals():
     signals.mark_imported()
-    opened.devices.add(device)
+    open_devices.devices.add(device)
     try:
         say("ready")
         time.sleep(60)
     except signals.Interrupted as error:
         device.close()
-        opened.devices.discard(device)
+        open_devices.devices.discard(device)
         sys.exit(signals.exit_code(error.number))
 """
 

@@ -58,7 +58,7 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
     ended = threading.Event()
 
     class Device:
-        info = SimpleNamespace(holds_a_force=True)
+        info = SimpleNamespace(has_persistent_force=True)
 
         def __init__(self, name: str) -> None:
             self.name = name
@@ -85,7 +85,7 @@ class Stalled:
     is_ticking, armed, looks = True, True, 0
 
     def __init__(self, *hold_a_force: bool) -> None:
-        infos = [SimpleNamespace(holds_a_force=each) for each in hold_a_force]
+        infos = [SimpleNamespace(has_persistent_force=each) for each in hold_a_force]
         self.devices = tuple(SimpleNamespace(info=info, stop=lambda: None) for info in infos)
 
     @property
@@ -144,7 +144,9 @@ def test_a_stall_ends_with_zero_within_what_the_fault_model_says(
     class Running:
         is_ticking, armed = True, True
         devices = (
-            SimpleNamespace(info=SimpleNamespace(holds_a_force=True), stop=lambda: stopped.append(clock.now + turn)),
+            SimpleNamespace(
+                info=SimpleNamespace(has_persistent_force=True), stop=lambda: stopped.append(clock.now + turn)
+            ),
         )
 
         @property
@@ -161,7 +163,7 @@ class Unarmed:
     """A servo that waits for its devices, for so many looks at it."""
 
     ticks, armed = 0, False
-    devices = (SimpleNamespace(info=SimpleNamespace(holds_a_force=True)),)
+    devices = (SimpleNamespace(info=SimpleNamespace(has_persistent_force=True)),)
 
     def __init__(self, looks: int) -> None:
         self._looks = looks

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.simulated.plant import (
-    LINE_SIZE,
-    Drive,
+    DELAY_LINE_SIZE,
     Handle,
     Impedance,
     Intention,
     Plant,
+    PlantInputs,
     PlantState,
-    at_rest,
     make_plant,
+    make_rest_state,
 )
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import Packed, packed, unpack
@@ -64,7 +64,7 @@ def time_ticks(
     start: Memory,
     plant: Plant,
     state: PlantState,
-    drive: Drive,
+    drive: PlantInputs,
     dt: float,
     watch: Stopwatch,
     cpu_ns: NDArray[np.int64],
@@ -143,10 +143,10 @@ def measure(tuning: Tuning, radius: float, handle: Handle, blocks: int) -> dict[
     """Return the median cost of a tick with this handle and the cost of the reference, for one turn."""
     goal = radius - DEPTH_M
     plant = make_plant(PERIOD_S, handle, HAND)
-    state, poses = at_rest((0.0, 0.0, goal)), np.array([0.0, 0.0, goal, 1.0, 0.0, 0.0, 0.0])
+    state, poses = make_rest_state((0.0, 0.0, goal)), np.array([0.0, 0.0, goal, 1.0, 0.0, 0.0, 0.0])
     sway = Intention(1.0, 1.0, (0.0005, 0.0, 0.0002), 0.0023, 0.0)  # 2.3 Hz back and forth, so that friction acts
     watch, cpu = stopwatch(blocks, TICKS // SHORT), np.zeros(blocks, np.int64)
-    drive = Drive(sway, poses, np.zeros(LINE_SIZE))
+    drive = PlantInputs(sway, poses, np.zeros(DELAY_LINE_SIZE))
     arguments = (packed(tuning), begin(tuning.scene), plant, state, drive, PERIOD_S)
     time_ticks(*arguments, stopwatch(1, TICKS // SHORT), cpu[:1].copy())
     unit = reference_ns()

@@ -10,8 +10,8 @@ from softfinger.config.schema import Rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system import libusb as system_libusb
-from softfinger.drivers.system.claims import Claim, claim_on, claims, may_be
-from softfinger.drivers.system.diagnosis import OVER_A_LIBRARY, diagnose, makers_library
+from softfinger.drivers.system.claims import Claim, claims, find_claim, matches
+from softfinger.drivers.system.diagnosis import LIBRARY_DRIVERS, diagnose, makers_library
 from softfinger.drivers.system.discovery import Attached
 from softfinger.tools.doctor.check import STATES, Check, State
 
@@ -21,7 +21,7 @@ OVER_HID: Final = ("hid", "spacemouse")
 
 def checks(rig: Rig) -> list[Check]:
     """Return all checks; a missing part that the rig does not need is at worst "could be better"."""
-    found = [libusb(rig), hidapi(rig), *(maker_library(rig, driver) for driver in OVER_A_LIBRARY)]
+    found = [libusb(rig), hidapi(rig), *(maker_library(rig, driver) for driver in LIBRARY_DRIVERS)]
     if single_device(rig).driver == "haply":
         found.append(inverse_service(rig))
     return [*found, *devices(rig, discovery.attached())]
@@ -91,7 +91,7 @@ def devices(rig: Rig, found: list[Attached]) -> list[Check]:
     driver, wanted = single_device(rig).driver, "usable"
     seen, own = [], False
     for device in found:
-        claim, mine = claim_on(device), is_of(rig, device)
+        claim, mine = find_claim(device), is_of(rig, device)
         if claim is None and mine:  # only the rig describes it, no shipped rig does
             claim = Claim(driver, device.bus, device.vendor, device.product)
         if claim is None:
@@ -117,9 +117,9 @@ def devices(rig: Rig, found: list[Attached]) -> list[Check]:
 
 def is_of(rig: Rig, device: Attached) -> bool:
     """Return whether a device may be the rig's: by its ids or path if the rig gives them, else by its driver."""
-    options, claim = single_device(rig).options, claim_on(device)
+    options, claim = single_device(rig).options, find_claim(device)
     if "vendor_id" in options:
-        return may_be(device, options)
+        return matches(device, options)
     if options.get("path") is not None:
         return bool(device.node == options["path"])
     return claim is not None and claim.driver == single_device(rig).driver

@@ -17,9 +17,9 @@ from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.base import Device, DeviceInfo
-from softfinger.drivers.kinematics.freedom import freedom_of_table
+from softfinger.drivers.kinematics.subspace import read_subspace
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import claim_on
+from softfinger.drivers.system.claims import find_claim
 from softfinger.server.loop.guard import Guard
 from softfinger.tools.devices import PUSH_N
 from softfinger.tools.doctor import motions
@@ -40,7 +40,7 @@ PEAK: Final = 3.0 * 3.0**0.5 / 8.0
 def run(args: argparse.Namespace) -> int:
     """Probe, write and print; returns the exit code. Raises as `report.run`."""
     rig = load_rig(args.rig if args.rig is not None else attached_rig())
-    freedom = freedom_of_table(single_device(rig))
+    freedom = read_subspace(single_device(rig))
     file = report_file(rig, args.probe, "--probe")
     if args.push:
         check_push(rig)
@@ -68,7 +68,7 @@ def check_push(rig: Rig) -> None:
 def attached_rig() -> str:
     """Return the shipped rig of the first attached device that has one. Raises DeviceNotFound if there is none."""
     for device in discovery.attached():
-        claim = claim_on(device)
+        claim = find_claim(device)
         if claim is not None and claim.rigs:
             return claim.rigs[0]
     raise DeviceNotFound(

@@ -18,7 +18,7 @@ from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.base import Device, DeviceInfo
-from softfinger.drivers.kinematics.freedom import freedom_of_table
+from softfinger.drivers.kinematics.subspace import read_subspace
 from softfinger.drivers.registry import open_device
 from softfinger.drivers.system import discovery
 from softfinger.server.loop.guard import Guard
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     check_force(args.with_force, args.seconds, rig)
     guided = sys.stdin.isatty() and not args.no_prompts
     report, serials = begun(rig, guided)
-    freedom = freedom_of_table(single_device(rig))
+    freedom = read_subspace(single_device(rig))
 
     def work() -> None:
         def guard_of(device: Device) -> Guard:
@@ -137,7 +137,7 @@ def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
 def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
     """Return a report with all data that is known before opening the device, and the serial numbers to shorten."""
     found = [one for one in discovery.attached() if attached.is_of(rig, one)]
-    freedom = freedom_of_table(single_device(rig))
+    freedom = read_subspace(single_device(rig))
     report: dict[str, Any] = {
         "report": FORMAT,
         "complete": False,
@@ -153,7 +153,7 @@ def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
         "options": privacy.options(single_device(rig).options),
         "rate_hz": rig.servo.rate_hz,
         "guided": guided,
-        "freedom": "" if freedom is None else freedom.words(),
+        "freedom": "" if freedom is None else freedom.describe(),
         "identity": [identity(one) for one in found],
         "maker_library": [],
         "device": None,

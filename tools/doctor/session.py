@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.drivers.base import DeviceInfo
-from softfinger.drivers.kinematics.freedom import Freedom
+from softfinger.drivers.kinematics.subspace import MotionSubspace
 from softfinger.server.progress import progress
 from softfinger.tools.doctor import motions
 from softfinger.tools.exchange import FORCE_CYCLES, ROW_SIZE, Exchange, Push
@@ -57,7 +57,7 @@ class Session:
         report: dict[str, Any],
         seconds: float,
         guided: bool,
-        freedom: Freedom | None,
+        freedom: MotionSubspace | None,
     ) -> None:
         self._exchange, self._info, self._report = exchange, info, report
         self._seconds, self._guided, self._freedom = seconds, guided, freedom
@@ -127,7 +127,7 @@ class Session:
     def _tell_freedom(self) -> None:
         if self._freedom is not None:
             print(
-                f"the device moves {self._freedom.words()}. Right, away and up are the world's, into which "
+                f"the device moves {self._freedom.describe()}. Right, away and up are the world's, into which "
                 "[device.mounting] turns it",
                 file=sys.stderr,
             )
@@ -135,7 +135,7 @@ class Session:
     def _part(self, axis: int) -> Array:
         """Return the part (3,) of a motion or force along an axis that the handle supports."""
         whole = np.eye(3)[axis]
-        return whole if self._freedom is None else self._freedom.displayed(self._freedom.middle, whole)
+        return whole if self._freedom is None else self._freedom.displayed(self._freedom.centre, whole)
 
     def _translations(self) -> list[Asked]:
         """Return the motions that the handle can make."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import limits
 from softfinger.drivers.simulated.plant import (
-    LINE_SIZE,
+    DELAY_LINE_SIZE,
     Handle,
     Impedance,
     Plant,
@@ -289,7 +289,7 @@ def first_stiffness(case: Case) -> float:
 def run_rows(loops: Array, plants: Array, like: Plant) -> Array:
     """Return `first_limit` (n, 3) of each row of `loops` (n, len(Loop)) with the plant of leaves `plants` (n, ...)."""
     out = np.zeros((len(loops), 3))
-    first_limits(START, loops, plants, like, np.zeros(LINE_SIZE), out)
+    first_limits(START, loops, plants, like, np.zeros(DELAY_LINE_SIZE), out)
     return out
 
 

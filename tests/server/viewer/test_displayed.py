@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.load import build, describe, load_rig, load_scene
-from softfinger.drivers.kinematics.freedom import freedom_of
 from softfinger.drivers.kinematics.options import Paddle
+from softfinger.drivers.kinematics.subspace import make_subspace
 from softfinger.drivers.mounting import Mounting
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon
@@ -49,7 +49,7 @@ def test_a_paddle_displays_what_lies_along_its_arc(
         return origin + rotate(unit, radius * np.array([np.sin(a), 0.0, np.cos(a) - 1.0]))
 
     way = (place(angle + step) - place(angle - step)) / (2.0 * step * radius)
-    freedom = freedom_of(Paddle(length_m=radius, torque_max_nm=0.2), mounting)
+    freedom = make_subspace(Paddle(length_m=radius, torque_max_nm=0.2), mounting)
     assert freedom is not None
     # rounding of positions of 1 m over steps of 90 nm
     np.testing.assert_allclose(freedom.displayed(place(angle), force), (force @ way) * way, atol=1e-7)

@@ -10,7 +10,7 @@ import pytest
 from helpers.simulated_hands import SimulatedHands
 
 from softfinger import ContactMode
-from softfinger.drivers.simulated.plant import Drive
+from softfinger.drivers.simulated.plant import PlantInputs
 from softfinger.proxy.engine import Engine, Step
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.record import AT
@@ -110,7 +110,9 @@ class MovableFinger(SimulatedHands):
         places = {"thumb": -0.04, "index": 0.04}
         self.goals = {name: np.array([x, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0]) for name, x in places.items()}
         self._hands = tuple(
-            DrivenPlant(hand.plant, Drive(hand.drive.intention._replace(length=1.0, loop=0.0), goal, hand.drive.line))
+            DrivenPlant(
+                hand.plant, PlantInputs(hand.drive.intention._replace(length=1.0, loop=0.0), goal, hand.drive.line)
+            )
             for hand, goal in zip(self._hands, self.goals.values(), strict=True)
         )
 

@@ -43,7 +43,7 @@ class HidApi(Protocol):
     def close(self) -> None: ...
 
 
-class Pump:
+class ReportThreads:
     """Threads between a device and their end of the socket.
 
     device      open; the pump owns it, and the thread that ends last closes it
@@ -54,18 +54,18 @@ class Pump:
     `fd` is the driver's end; the caller owns it.
     """
 
-    def __init__(self, device: HidApi, read_bytes: int, patience_s: float, held: int | None = None) -> None:
-        self._device, self._bytes, self._patience_s, self._held = device, read_bytes, patience_s, held
-        ours, self._end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        for end in (ours, self._end):
+    def __init__(self, device: HidApi, read_bytes: int, write_timeout_s: float, lock_fd: int | None = None) -> None:
+        self._device, self._bytes, self._write_timeout_s, self._lock_fd = device, read_bytes, write_timeout_s, lock_fd
+        driver_end, self._threads_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        for end in (driver_end, self._threads_end):
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE_BYTES)
-        ours.setblocking(False)
-        self.fd: Final = ours.detach()
+        driver_end.setblocking(False)
+        self.fd: Final = driver_end.detach()
         self.failure = ""
         """Error that ended the pump before it was closed; empty without one."""
-        self._taken = np.zeros(1, dtype=np.int64)
+        self._accepted = np.zeros(1, dtype=np.int64)
         self._zero: bytes | None = None
-        self._began: float | None = None  # s, monotonic clock: start of the write in progress
+        self._write_start: float | None = None  # s, monotonic clock: start of the write in progress
         self._ending = threading.Event()
         # A device that cannot be read may still accept a zero: the writer continues until the driver's end is closed.
         self._reader = threading.Thread(
@@ -74,26 +74,26 @@ class Pump:
         self._writer = threading.Thread(
             target=self._run, args=(self._write, socket.SHUT_RDWR), name="hid writer", daemon=True
         )
-        self._leaving = threading.Lock()
-        self._running = 2
+        self._count_lock = threading.Lock()
+        self._running_count = 2
         self._reader.start()
         self._writer.start()
 
     @property
-    def taken(self) -> int:
+    def accepted(self) -> int:
         """Number of the driver's reports that the device has accepted."""
-        return int(self._taken[0])
+        return int(self._accepted[0])
 
     @property
-    def taken_at(self) -> int:
-        """Address of `taken`, an int64, valid as long as this object."""
-        return int(self._taken.ctypes.data)
+    def accepted_address(self) -> int:
+        """Address of `accepted`, an int64, valid as long as this object."""
+        return int(self._accepted.ctypes.data)
 
-    def hangs_s(self) -> float:
-        """Return the duration (s) of the write in progress; 0 up to `patience_s`."""
-        began = self._began
-        lasted = 0.0 if began is None else time.monotonic() - began
-        return lasted if lasted > self._patience_s else 0.0
+    def hang_duration_s(self) -> float:
+        """Return the duration (s) of the write in progress; 0 up to `write_timeout_s`."""
+        start = self._write_start
+        duration = 0.0 if start is None else time.monotonic() - start
+        return duration if duration > self._write_timeout_s else 0.0
 
     def disarm(self, zero: bytes) -> None:
         """Replace every report of the driver by `zero` from now on, including queued ones."""
@@ -105,9 +105,9 @@ class Pump:
         until    s, monotonic clock
         returns  False if it has not by then, or cannot any more
         """
-        while self.taken < sent and self._writer.is_alive() and time.monotonic() < until:
+        while self.accepted < sent and self._writer.is_alive() and time.monotonic() < until:
             time.sleep(FLUSH_POLL_S)
-        return self.taken >= sent
+        return self.accepted >= sent
 
     def close(self) -> None:
         """End the threads, which closes the device. May be called repeatedly; close the driver's end before."""
@@ -118,44 +118,44 @@ class Pump:
             if thread.is_alive():
                 log.error("%s: a call of hidapi hangs; the device is closed once it returns", thread.name)
 
-    def _run(self, work: Callable[[], None], ended: int) -> None:
+    def _run(self, work: Callable[[], None], direction: int) -> None:
         try:
             work()
         except OSError as error:
             self.failure = self.failure or f"{threading.current_thread().name}: {error}"
         finally:
             with suppress(OSError):  # the driver's end is closed already
-                self._end.shutdown(ended)
-            with self._leaving:
-                self._running -= 1
-                last = self._running == 0
+                self._threads_end.shutdown(direction)
+            with self._count_lock:
+                self._running_count -= 1
+                last = self._running_count == 0
             if last:  # no call of hidapi is in progress any more
                 self._device.close()
-                self._end.close()
-                if self._held is not None:
-                    os.close(self._held)
+                self._threads_end.close()
+                if self._lock_fd is not None:
+                    os.close(self._lock_fd)
 
     def _read(self) -> None:
         while not self._ending.is_set():
             report = bytes(self._device.read(self._bytes, READ_MS))
-            if report and not self.hangs_s():
+            if report and not self.hang_duration_s():
                 # Full: the driver has not read for long, and the new report is lost, as in the system's queue. Broken:
                 # the driver has closed its end.
                 with suppress(BlockingIOError, BrokenPipeError, ConnectionResetError):
-                    self._end.send(report, socket.MSG_DONTWAIT)
+                    self._threads_end.send(report, socket.MSG_DONTWAIT)
 
     def _write(self) -> None:
         try:
             # In order and without skipping any: the driver limits the number of queued reports.
             while report := self._receive():
                 report = self._zero or report
-                self._began = time.monotonic()
+                self._write_start = time.monotonic()
                 count = self._device.write(report)
-                hung_s, self._began = self.hangs_s(), None
+                hang_s, self._write_start = self.hang_duration_s(), None
                 if count != len(report):
-                    after = f" after {hung_s:.2g} s" if hung_s else ""
+                    after = f" after {hang_s:.2g} s" if hang_s else ""
                     raise OSError(f"a write of {len(report)} bytes came back as {count}{after}")
-                self._taken[0] += 1
+                self._accepted[0] += 1
         finally:
             self._ending.set()
 
@@ -163,6 +163,6 @@ class Pump:
         """Return the next report of the driver; empty after its end is closed."""
         while True:
             try:
-                return self._end.recv(REPORT_MAX)
+                return self._threads_end.recv(REPORT_MAX)
             except ConnectionResetError:
                 pass  # raised once if the driver closed its end before reading all; what it sent remains

@@ -14,7 +14,7 @@ from softfinger.config.errors import (
     DeviceTimeout,
 )
 from softfinger.drivers.forcedimension import library, usb
-from softfinger.drivers.forcedimension.models import Model, model_of
+from softfinger.drivers.forcedimension.models import Model, find_model
 from softfinger.drivers.forcedimension.options import Options
 
 log: Final = logging.getLogger(__name__)
@@ -24,30 +24,30 @@ def find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
     """Open the device that the options select, or the first that opens; return its ID and model."""
     count = call.dhdGetDeviceCount()
     if count <= 0:
-        _nothing_found(call, count)
+        _raise_not_found(call, count)
     numbers = range(count) if options.number is None else [options.number]
-    passed: list[str] = []
+    rejected: list[str] = []
     failed: DeviceError | None = None
     for number in numbers:
         device = call.drdOpenID(number)
         if device < 0:
-            failed = failed or _not_opened(call, number)
+            failed = failed or _open_error(call, number)
             continue
         try:
-            model, serial = model_of(call.dhdGetSystemType(device)), serial_of(call, device)
+            model, serial = find_model(call.dhdGetSystemType(device)), read_serial(call, device)
             if options.serial in (None, serial) and options.model in (None, model.name):
                 return device, model
         except BaseException:
             call.drdClose(device)
             raise
-        passed.append(f"{model.full_name}, serial {serial}")
+        rejected.append(f"{model.full_name}, serial {serial}")
         call.drdClose(device)
     if failed is not None:
         raise failed
-    wishes = {"model": options.model, "serial": options.serial, "number": options.number}
-    asked = ", ".join(f"{key} = {value}" for key, value in wishes.items() if value is not None)
+    criteria = {"model": options.model, "serial": options.serial, "number": options.number}
+    criteria_text = ", ".join(f"{key} = {value}" for key, value in criteria.items() if value is not None)
     raise DeviceNotFound(
-        f"no device fits {asked or 'this driver'}: attached are {'; '.join(passed)}: "
+        f"no device fits {criteria_text or 'this driver'}: attached are {'; '.join(rejected)}: "
         "change [device] in the rig, or attach the device"
     )
 
@@ -57,8 +57,8 @@ def load(named: str | None) -> ctypes.CDLL:
     try:
         loaded = library.load(named)
     except DeviceNotFound as error:
-        seen = [str(device) if device.permitted else usb.how_to_permit(device) for device in usb.attached()]
-        attached = f". Attached over USB: {'; '.join(seen)}" if seen else ""
+        devices = [str(device) if device.permitted else usb.how_to_permit(device) for device in usb.attached()]
+        attached = f". Attached over USB: {'; '.join(devices)}" if devices else ""
         raise DeviceNotFound(f"{error}{attached}") from None
     parts = [ctypes.c_int() for _ in range(4)]
     loaded.dhdGetSDKVersion(*map(ctypes.byref, parts))
@@ -66,26 +66,26 @@ def load(named: str | None) -> ctypes.CDLL:
     return loaded
 
 
-def serial_of(call: ctypes.CDLL, device: int) -> int:
+def read_serial(call: ctypes.CDLL, device: int) -> int:
     serial = ctypes.c_ushort()
     if call.dhdGetSerialNumber(ctypes.byref(serial), device) < 0:
         raise DeviceError(f"serial number: {library.error_text(call)}: switch the device off and on, then start again")
     return serial.value
 
 
-def _nothing_found(call: ctypes.CDLL, count: int) -> NoReturn:
-    seen = usb.attached()
-    for device in seen:
+def _raise_not_found(call: ctypes.CDLL, count: int) -> NoReturn:
+    devices = usb.attached()
+    for device in devices:
         if not device.permitted:
             raise DevicePermission(usb.how_to_permit(device))
     if count < 0:
         raise DeviceError(f"the devices cannot be counted: {library.error_text(call)}: check cable and power")
-    if seen:
-        raise DeviceError(f"the library does not see {seen[0]}: switch the device on, or off and on again")
+    if devices:
+        raise DeviceError(f"the library does not see {devices[0]}: switch the device on, or off and on again")
     raise DeviceNotFound("no device of Force Dimension is attached: check cable and power (USB vendor 1451)")
 
 
-def _not_opened(call: ctypes.CDLL, number: int) -> DeviceError:
+def _open_error(call: ctypes.CDLL, number: int) -> DeviceError:
     code, text = call.dhdErrorGetLast(), library.error_text(call)
     if code in (library.ERROR_BUSY, library.ERROR_IN_USE):
         by = ", ".join(name for device in usb.attached() for name in usb.holders(device)) or "another process"

@@ -16,10 +16,10 @@ import pytest
 from numba import config
 from numpy.typing import NDArray
 
-from softfinger.drivers import conversation as talk
+from softfinger.drivers import board_exchange
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, SAMPLE_TIME, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.block import Block
-from softfinger.drivers.conversation import TALK, WAIT_MS, Times
+from softfinger.drivers.board_exchange import BOARD, WAIT_MS, Times
 from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS
 
 pytestmark = [
@@ -50,8 +50,8 @@ class Board:
     """
 
     def __init__(self) -> None:
-        self.block = Block(TALK, TALK)
-        self._functions = talk.c_functions(Scripted())
+        self.block = Block(BOARD, BOARD)
+        self._functions = board_exchange.compile_functions(Scripted())
         self.now = OPENED
         self.done: list[Any] = []
         self.comes: list[int] = []
@@ -60,7 +60,7 @@ class Board:
         self.zero, self.force, self.woken = OK, OK, OK
         self.wake_ends_a_force = False
         self.sample = np.zeros(SAMPLE_SIZE)
-        talk.begin(self.block, FD, TIMES, answer=8)
+        board_exchange.init_exchange(self.block, FD, TIMES, misread_max=8)
         self.now = START
 
     @property
@@ -88,7 +88,7 @@ class Board:
     def later(self, ns: int) -> None:
         """So much time, in which the loop reads nothing but is no pause."""
         self.now += ns
-        self.word[TALK.read_at] = self.now
+        self.word[BOARD.read_at] = self.now
 
 
 @pytest.fixture
@@ -96,12 +96,12 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Iterator[Board]:
     made: list[Board] = []
 
     def clock(timespec: int) -> int:
-        assert timespec == made[0].block.handle + 8 * TALK.timespec
+        assert timespec == made[0].block.handle + 8 * BOARD.timespec
         return made[0].now
 
     def poll(fds: Any, count: int, wait_ms: int) -> int:
         assert (fds[0], count) == (
-            made[0].word[TALK.fd] | 1 << 32,
+            made[0].word[BOARD.fd] | 1 << 32,
             1,
         )  # POLLIN is 1, in the upper half of a struct pollfd
         said(f"wait {wait_ms}")
@@ -113,15 +113,15 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Iterator[Board]:
         before, word.value = word.value, value
         return before
 
-    monkeypatch.setattr(talk.time, "monotonic_ns", lambda: OPENED)
-    monkeypatch.setattr(talk, "monotonic_ns", clock)
-    monkeypatch.setattr(talk, "poll_fd", poll)
-    monkeypatch.setattr(talk, "exchange_int64", exchange)
+    monkeypatch.setattr(board_exchange.time, "monotonic_ns", lambda: OPENED)
+    monkeypatch.setattr(board_exchange, "monotonic_ns", clock)
+    monkeypatch.setattr(board_exchange, "poll_fd", poll)
+    monkeypatch.setattr(board_exchange, "exchange_int64", exchange)
     made.append(Board())
     SCRIPT.append(made[0])
     yield made[0]
     SCRIPT.clear()
-    assert made[0].word[TALK.lock] == 0
+    assert made[0].word[BOARD.lock] == 0
 
 
 SCRIPT: list[Board] = []
@@ -133,7 +133,7 @@ def said(what: Any) -> None:
     assert len(SCRIPT[0].done) < 200, "it waits for ever"
 
 
-@talk.drain.of(Scripted)
+@board_exchange.drain.of(Scripted)
 def _drain(driver: Scripted, handle: int) -> int:
     said("drain")
     board = SCRIPT[0]
@@ -143,47 +143,47 @@ def _drain(driver: Scripted, handle: int) -> int:
     return board.comes.pop(0) if board.comes else 0
 
 
-@talk.pose.of(Scripted)
+@board_exchange.pose.of(Scripted)
 def _pose(driver: Scripted, handle: int) -> bool:
     board = SCRIPT[0]
-    board.block.numbers(TALK.sample, SAMPLE_SIZE)[0] += 1.0  # each is another place
+    board.block.numbers(BOARD.sample, SAMPLE_SIZE)[0] += 1.0  # each is another place
     return board.usable
 
 
-@talk.busy.of(Scripted)
+@board_exchange.busy.of(Scripted)
 def _busy(driver: Scripted, handle: int, deaf: bool) -> bool:
     said(f"busy? {'deaf' if deaf else 'hears'}")
     return SCRIPT[0].busy
 
 
-@talk.send_zero.of(Scripted)
+@board_exchange.send_zero.of(Scripted)
 def _send_zero(driver: Scripted, handle: int) -> int:
     said("zero")
     board = SCRIPT[0]
-    board.word[TALK.loaded] = 0
+    board.word[BOARD.has_force] = 0
     return board.zero
 
 
-@talk.command.of(Scripted)
+@board_exchange.command.of(Scripted)
 def _command(driver: Scripted, handle: int, wrench: Any) -> int:
     said(tuple(wrench))
     board = SCRIPT[0]
-    board.word[TALK.loaded] = 1
+    board.word[BOARD.has_force] = 1
     return board.force
 
 
-@talk.wake.of(Scripted)
+@board_exchange.wake.of(Scripted)
 def _wake(driver: Scripted, handle: int) -> int:
     board = SCRIPT[0]
     said(("wake", board.now))
     if board.wake_ends_a_force:
-        board.word[TALK.loaded] = 0
+        board.word[BOARD.has_force] = 0
     return board.woken
 
 
 def locked(board: Board) -> None:
     """Who stops the device is writing."""
-    board.word[TALK.lock] = 1
+    board.word[BOARD.lock] = 1
 
 
 # --- the first sample, and one after a pause ----------------------------------------------------------
@@ -192,19 +192,25 @@ def locked(board: Board) -> None:
 def test_the_words_of_a_conversation_are_what_was_given(board: Board) -> None:
     """Spans in ns, the file, and a device that may be given a force."""
     at = board.word
-    assert [at[TALK.quiet], at[TALK.kick], at[TALK.kick_awaiting], at[TALK.timeout_after]] == [
+    assert [at[BOARD.quiet], at[BOARD.kick], at[BOARD.kick_awaiting], at[BOARD.timeout_after]] == [
         QUIET, KICK, AWAITING, TIMEOUT_NS,
     ]  # fmt: skip
-    assert (at[TALK.fd], at[TALK.armed], at[TALK.answer], at[TALK.sensed], at[TALK.lock]) == (FD, 1, 8, 0, 0)
+    assert (at[BOARD.fd], at[BOARD.armed], at[BOARD.misread_max], at[BOARD.has_sample], at[BOARD.lock]) == (
+        FD,
+        1,
+        8,
+        0,
+        0,
+    )
 
 
 def test_a_device_that_is_closed_is_lost(board: Board) -> None:
     """Nothing is asked of a file that was closed; a zero is taken, a force withheld; 0 is the number of a file."""
-    board.word[TALK.fd] = -1
+    board.word[BOARD.fd] = -1
     assert board.read() == LOST and board.done == []
     assert (board.write(ZERO), board.write(FORCE)) == (OK, WITHHELD) and board.done == []
     assert board.silence() == 1 and board.done == []
-    board.word[TALK.fd] = 0
+    board.word[BOARD.fd] = 0
     assert board.write(ZERO) == OK and board.done == ["busy? deaf", "zero"]
     assert board.silence() == 1 and board.done == ["zero"]
     board.heard()
@@ -214,14 +220,17 @@ def test_what_waited_is_thrown_away_and_a_first_sample_awaited(board: Board) -> 
     """Both reads before the first wait are of before; then the board is woken at once and every AWAITING ns. A sample
     of now is told with the time of its reading since the opening."""
     board.comes, board.arrives = [3, 2], [START + 62 * MS]
-    board.word[TALK.kicked_at] = START - 1
+    board.word[BOARD.kicked_at] = START - 1
     assert board.read() == OK
     waits = ["wait 10", "drain"]
     expected: list[Any] = ["drain", "wait 0", "drain", ("wake", START)]
     expected += 3 * waits + [("wake", START + 30 * MS)] + 3 * waits + [("wake", START + 60 * MS)] + waits
     assert board.done == expected
     assert board.sample[SAMPLE_TIME] == pytest.approx((START + 70 * MS - OPENED) * 1e-9, rel=1e-15)
-    assert board.word[TALK.sensed] == 1 and board.word[TALK.heard_at] == board.word[TALK.read_at] == START + 70 * MS
+    assert (
+        board.word[BOARD.has_sample] == 1
+        and board.word[BOARD.sampled_at] == board.word[BOARD.read_at] == START + 70 * MS
+    )
 
 
 @pytest.mark.parametrize("reads", [0, 1, 2])
@@ -246,16 +255,16 @@ def test_a_board_that_says_nothing_of_use_is_given_up_once_its_time_is_over(
 ) -> None:
     """At the first look later than TIMEOUT_NS; bytes of as much as an answer, which make none, are no silence. What it
     had said before does not count."""
-    board.word[TALK.misread] = 100
-    begun = board.word[TALK.misread]
-    real = talk.drain
+    board.word[BOARD.misread_bytes] = 100
+    begun = board.word[BOARD.misread_bytes]
+    real = board_exchange.drain
 
     def reads(driver: Any, handle: int) -> int:
-        board.word[TALK.misread] = begun + (misread if board.now > START else 0)
+        board.word[BOARD.misread_bytes] = begun + (misread if board.now > START else 0)
         return int(real(driver, handle))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(talk, "drain", reads)
+        patch.setattr(board_exchange, "drain", reads)
         assert board.read() == status
     assert board.now == START + TIMEOUT_NS + WAIT_MS * MS
     assert board.done.count("drain") == 2 + 21
@@ -281,8 +290,8 @@ def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board
     assert board.read() == STALE
     assert board.now - begun == RESUME_WAIT_NS + WAIT_MS * MS
     assert board.sample.tolist() == before.tolist()
-    assert board.word[TALK.read_at] == board.now
-    assert board.word[TALK.heard_at] == begun - QUIET - 1
+    assert board.word[BOARD.read_at] == board.now
+    assert board.word[BOARD.sampled_at] == begun - QUIET - 1
     assert board.write(FORCE) == WITHHELD and "zero" in board.done
     board.later(MS)
     board.comes = [1]
@@ -329,7 +338,7 @@ def test_a_sample_without_a_pose_is_not_in_the_protocol(board: Board) -> None:
 def test_a_silence_longer_than_the_time_out_ends_it(misread: int, status: int, board: Board) -> None:
     """Not one of just as long."""
     board.heard()
-    board.word[TALK.misread] = misread
+    board.word[BOARD.misread_bytes] = misread
     board.later(TIMEOUT_NS)
     assert board.read() == STALE
     board.later(1)
@@ -339,7 +348,7 @@ def test_a_silence_longer_than_the_time_out_ends_it(misread: int, status: int, b
 def test_a_silence_is_woken_into_once_it_is_quiet_and_every_kick(board: Board) -> None:
     """Not at QUIET but behind it, and again from KICK on, at which there is one."""
     board.heard()
-    board.word[TALK.kicked_at] = START - KICK
+    board.word[BOARD.kicked_at] = START - KICK
     board.later(QUIET)
     assert board.read() == STALE and board.done == ["drain"]
     board.later(1)
@@ -357,26 +366,26 @@ def test_a_silence_is_woken_into_once_it_is_quiet_and_every_kick(board: Board) -
 def test_who_stops_the_device_is_not_written_over(board: Board) -> None:
     """While the lock is held neither a wake nor a force nor a second zero goes out, and the lock stays."""
     board.heard()
-    board.word[TALK.kicked_at] = START - KICK
+    board.word[BOARD.kicked_at] = START - KICK
     board.later(QUIET + 1)
     locked(board)
-    kicked = board.word[TALK.kicked_at]
+    kicked = board.word[BOARD.kicked_at]
     assert board.read() == STALE and board.done == ["drain"]
-    assert board.word[TALK.kicked_at] == kicked and board.word[TALK.lock] == 1
+    assert board.word[BOARD.kicked_at] == kicked and board.word[BOARD.lock] == 1
     board.comes = [1]
     assert board.read() == OK
     assert board.write(FORCE) == WITHHELD and board.write(ZERO) == WITHHELD and board.done == []
-    assert board.word[TALK.lock] == 1
-    assert board.silence() == 0 and board.done == [] and board.word[TALK.armed] == 0
-    assert board.word[TALK.lock] == 1
-    board.word[TALK.lock] = 0
+    assert board.word[BOARD.lock] == 1
+    assert board.silence() == 0 and board.done == [] and board.word[BOARD.armed] == 0
+    assert board.word[BOARD.lock] == 1
+    board.word[BOARD.lock] = 0
 
 
 def test_a_wake_that_ended_a_force_is_told(board: Board) -> None:
     """The answer to it must not bring the force back at once: WITHHELD, once, be there a sample or none."""
     board.heard()
     assert board.write(FORCE) == OK
-    board.word[TALK.kicked_at], board.wake_ends_a_force = START - KICK, True
+    board.word[BOARD.kicked_at], board.wake_ends_a_force = START - KICK, True
     board.later(QUIET + 1)
     assert board.read() == WITHHELD and board.read() == STALE
     board.later(MS)
@@ -401,11 +410,11 @@ def deaf(board: Board) -> None:
 
 
 def unarmed(board: Board) -> None:
-    board.word[TALK.armed] = 0
+    board.word[BOARD.armed] = 0
 
 
 def unsensed(board: Board) -> None:
-    board.word[TALK.sensed] = 0
+    board.word[BOARD.has_sample] = 0
 
 
 @pytest.mark.parametrize("why", [deaf, unarmed, unsensed])
@@ -447,7 +456,7 @@ def test_a_zero_waits_for_a_board_that_is_busy_and_not_if_it_ends_a_force(board:
     assert board.write(ZERO) == OK and board.done == ["busy? hears"]
     board.later(QUIET + 1)
     assert board.write(FORCE) == WITHHELD and board.done == ["busy? deaf"]
-    board.word[TALK.loaded] = 1
+    board.word[BOARD.has_force] = 1
     assert board.write(ZERO) == OK and board.done == ["zero"]
 
 
@@ -456,9 +465,9 @@ def test_silence_is_done_once_the_zero_is_gone(status: int, left: int, done: int
     """Whole; one that was not taken, or in part, is tried again, and a device that has gone needs none. No force
     follows."""
     board.heard()
-    board.zero, board.word[TALK.left] = status, left
+    board.zero, board.word[BOARD.unsent_bytes] = status, left
     assert board.silence() == done and board.done == ["zero"]
-    assert board.word[TALK.armed] == 0 and board.word[TALK.lock] == 0
+    assert board.word[BOARD.armed] == 0 and board.word[BOARD.lock] == 0
     board.zero = OK
     assert board.write(FORCE) == WITHHELD
 
@@ -469,7 +478,7 @@ def test_what_a_board_can_do_is_about_its_origin() -> None:
         mounting=SimpleNamespace(position_m=(1.0, 2.0, 3.0)), workspace_radius_m=0.25, force_max_n=5.0,
         stiffness_max_n_per_m=700.0, damping_max_ns_per_m=3.0,
     )  # fmt: skip
-    info = talk.info_of(cast(Any, rig), "board", sensed_dof=5, actuated_dof=2)
+    info = board_exchange.make_info(cast(Any, rig), "board", sensed_dof=5, actuated_dof=2)
     assert (info.workspace_min_m, info.workspace_max_m) == ((0.75, 1.75, 2.75), (1.25, 2.25, 3.25))
     assert (info.name, info.sensed_dof, info.actuated_dof, info.force_max_n) == ("board", 5, 2, 5.0)
     assert (info.stiffness_max_n_per_m, info.damping_max_ns_per_m) == (700.0, 3.0)

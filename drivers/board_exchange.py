@@ -32,7 +32,7 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.block import Block, lay_out, numbers, word
 from softfinger.drivers.mounting import Mounting
-from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, heard_at
+from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, shift_sample_time
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, poll_fd
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
@@ -46,19 +46,19 @@ WAIT_MS: Final = 10
 _POLLIN: Final = 1 << 32  # `events` of a struct pollfd, read as one little-endian word
 
 
-class Words(NamedTuple):
+class Fields(NamedTuple):
     """Fields of every exchange; the fields of the driver follow."""
 
     fd: Annotated[int, word("file descriptor, below 0 once it is closed")]
     armed: Annotated[int, word("whether a force may go out")]
     lock: Annotated[int, word("held while something is written")]
-    sensed: Annotated[int, word("whether there is a sample to repeat")]
-    loaded: Annotated[int, word("whether the last packet that was taken had a force; kept by the driver")]
-    left: Annotated[int, word("bytes of it that the device has not taken yet; kept by the driver")]
-    misread: Annotated[int, word("bytes since the newest sample that make none; kept by the driver, else 0")]
-    answer: Annotated[int, word("so many misread ones are an answer that is not in the protocol")]
+    has_sample: Annotated[int, word("whether there is a sample to repeat")]
+    has_force: Annotated[int, word("whether the last packet that was taken had a force; kept by the driver")]
+    unsent_bytes: Annotated[int, word("bytes of it that the device has not taken yet; kept by the driver")]
+    misread_bytes: Annotated[int, word("bytes since the newest sample that make none; kept by the driver, else 0")]
+    misread_max: Annotated[int, word("so many misread ones are an answer that is not in the protocol")]
     opened_at: Annotated[int, word("ns")]
-    heard_at: Annotated[int, word("ns, when the newest sample was read")]
+    sampled_at: Annotated[int, word("ns, when the newest sample was read")]
     read_at: Annotated[int, word("ns, when the loop last read")]
     kicked_at: Annotated[int, word("ns")]
     quiet: Annotated[int, word("ns of silence, after which it gets no force")]
@@ -70,11 +70,11 @@ class Words(NamedTuple):
     sample: Annotated[int, numbers("the last one", SAMPLE_SIZE)]
 
 
-TALK: Final = lay_out(Words)
+BOARD: Final = lay_out(Fields)
 
 
 class Times(NamedTuple):
-    """Time spans of an exchange, s; see `Words`."""
+    """Time spans of an exchange, s; see `Fields`."""
 
     quiet: float
     kick: float
@@ -82,17 +82,17 @@ class Times(NamedTuple):
     timeout: float
 
 
-def begin(block: Block, fd: int, times: Times, answer: int = 1) -> None:
-    """Initialize the fields of an exchange on `fd`; `answer` as in `Words`."""
+def init_exchange(block: Block, fd: int, times: Times, misread_max: int = 1) -> None:
+    """Initialize the fields of an exchange on `fd`; `misread_max` as in `Fields`."""
     at = block.word
-    at[TALK.fd], at[TALK.armed], at[TALK.answer] = fd, 1, answer
-    at[TALK.opened_at] = time.monotonic_ns()
-    spans = (TALK.quiet, TALK.kick, TALK.kick_awaiting, TALK.timeout_after)
-    for place, seconds in zip(spans, times, strict=True):
-        at[place] = round(seconds * 1e9)
+    at[BOARD.fd], at[BOARD.armed], at[BOARD.misread_max] = fd, 1, misread_max
+    at[BOARD.opened_at] = time.monotonic_ns()
+    spans = (BOARD.quiet, BOARD.kick, BOARD.kick_awaiting, BOARD.timeout_after)
+    for field, seconds in zip(spans, times, strict=True):
+        at[field] = round(seconds * 1e9)
 
 
-class Board(Protocol):
+class BoardOptions(Protocol):
     """Keys of a rig for any board."""
 
     @property
@@ -107,7 +107,7 @@ class Board(Protocol):
     def damping_max_ns_per_m(self) -> float: ...
 
 
-def info_of(board: Board, name: str, sensed_dof: int, actuated_dof: int = 3) -> DeviceInfo:
+def make_info(board: BoardOptions, name: str, sensed_dof: int, actuated_dof: int = 3) -> DeviceInfo:
     """Return the capabilities of a board: no motors for the handle's rotation, workspace a box around its origin."""
     x, y, z = (float(v) for v in board.mounting.position_m)
     r = board.workspace_radius_m
@@ -134,12 +134,12 @@ def drain(driver: Any, handle: int) -> Any:
 
 @by_type
 def pose(driver: Any, handle: int) -> Any:
-    """Convert the latest sample into TALK.sample, except its time. Return False if it contains no pose."""
+    """Convert the latest sample into BOARD.sample, except its time. Return False if it contains no pose."""
 
 
 @by_type
-def busy(driver: Any, handle: int, deaf: bool) -> Any:
-    """Return True if only a zero that ends a force may be sent now; `deaf`: there is no current sample."""
+def busy(driver: Any, handle: int, has_no_sample: bool) -> Any:
+    """Return True if only a zero that ends a force may be sent now; `has_no_sample`: there is no current sample."""
 
 
 @by_type
@@ -162,32 +162,32 @@ def wake(driver: Any, handle: int) -> Any:
 
 @jit
 def _now(handle: int) -> int:
-    return monotonic_ns(handle + 8 * TALK.timespec)
+    return monotonic_ns(handle + 8 * BOARD.timespec)
 
 
 @jit
 def _kick(driver: Any, handle: int) -> int:
     """Wake the device, unless another thread is writing to stop it: then its write wakes the device."""
-    if exchange_int64(handle + 8 * TALK.lock, 1) != 0:
+    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
         return STALE
     status: int = wake(driver, handle)
-    int64_at(handle)[TALK.kicked_at] = _now(handle)
-    exchange_int64(handle + 8 * TALK.lock, 0)
+    int64_at(handle)[BOARD.kicked_at] = _now(handle)
+    exchange_int64(handle + 8 * BOARD.lock, 0)
     return status
 
 
 @jit
-def _mute(handle: int, misread: int) -> int:
-    """Return the status of a silence in which `misread` unusable bytes arrived."""
-    return PROTOCOL if misread >= int64_at(handle)[TALK.answer] else TIMEOUT
+def _silence_status(handle: int, misread_bytes: int) -> int:
+    """Return the status of a silence in which `misread_bytes` unusable bytes arrived."""
+    return PROTOCOL if misread_bytes >= int64_at(handle)[BOARD.misread_max] else TIMEOUT
 
 
 @jit
-def _ready(handle: int, wait_ms: int) -> None:
+def _wait_ready(handle: int, wait_ms: int) -> None:
     """Wait until the device has sent something, or `wait_ms` have passed."""
     at = int64_at(handle)
-    at[TALK.poll] = at[TALK.fd] | _POLLIN
-    poll_fd(int64_at(handle + 8 * TALK.poll), 1, wait_ms)
+    at[BOARD.poll] = at[BOARD.fd] | _POLLIN
+    poll_fd(int64_at(handle + 8 * BOARD.poll), 1, wait_ms)
 
 
 @jit
@@ -197,69 +197,69 @@ def _await(driver: Any, handle: int) -> int:
     The wait is short if there is a sample to repeat.
     """
     at = int64_at(handle)
-    came: int = drain(driver, handle)
-    if came >= 0:
-        _ready(handle, 0)  # poll makes a terminal deliver bytes in transit before it reports that there are none
-        came = drain(driver, handle)
-    begun = now = _now(handle)
-    misread = at[TALK.misread]
-    running = at[TALK.sensed] != 0
-    at[TALK.kicked_at] = begun - at[TALK.kick_awaiting]
-    while came >= 0:
-        if now - at[TALK.kicked_at] >= at[TALK.kick_awaiting]:
+    count: int = drain(driver, handle)
+    if count >= 0:
+        _wait_ready(handle, 0)  # poll makes a terminal deliver bytes in transit before it reports that there are none
+        count = drain(driver, handle)
+    start = now = _now(handle)
+    misread_bytes = at[BOARD.misread_bytes]
+    is_running = at[BOARD.has_sample] != 0
+    at[BOARD.kicked_at] = start - at[BOARD.kick_awaiting]
+    while count >= 0:
+        if now - at[BOARD.kicked_at] >= at[BOARD.kick_awaiting]:
             status = _kick(driver, handle)
             if status < 0:
                 return status
-        _ready(handle, WAIT_MS)
-        came = drain(driver, handle)
-        if came != 0:
+        _wait_ready(handle, WAIT_MS)
+        count = drain(driver, handle)
+        if count != 0:
             break
         now = _now(handle)
-        if running and now - begun > RESUME_WAIT_NS:
+        if is_running and now - start > RESUME_WAIT_NS:
             break
-        if not running and now - begun > at[TALK.timeout_after]:
-            return _mute(handle, at[TALK.misread] - misread)
-    return came
+        if not is_running and now - start > at[BOARD.timeout_after]:
+            return _silence_status(handle, at[BOARD.misread_bytes] - misread_bytes)
+    return count
 
 
 @jit
 def read_once(driver: Any, handle: int, sample: Any) -> int:
     """Implement `read` of a driver."""
     at = int64_at(handle)
-    if at[TALK.fd] < 0:
+    if at[BOARD.fd] < 0:
         return LOST
     now = _now(handle)
-    loaded = at[TALK.loaded] != 0
-    paused = now - at[TALK.read_at] > RESUME_NS or at[TALK.sensed] == 0
-    if paused:
-        at[TALK.heard_at] = heard_at(at[TALK.heard_at], at[TALK.read_at], now, at[TALK.quiet])
-    at[TALK.read_at] = now
-    came = _await(driver, handle) if paused else drain(driver, handle)
-    if came < 0:
-        return int(came)
-    kept = float64_at(handle + 8 * TALK.sample)
+    had_force = at[BOARD.has_force] != 0
+    was_paused = now - at[BOARD.read_at] > RESUME_NS or at[BOARD.has_sample] == 0
+    if was_paused:
+        at[BOARD.sampled_at] = shift_sample_time(at[BOARD.sampled_at], at[BOARD.read_at], now, at[BOARD.quiet])
+    at[BOARD.read_at] = now
+    count = _await(driver, handle) if was_paused else drain(driver, handle)
+    if count < 0:
+        return int(count)
+    last_sample = float64_at(handle + 8 * BOARD.sample)
     status = STALE
-    if came > 0:
-        at[TALK.heard_at] = _now(handle)
+    if count > 0:
+        at[BOARD.sampled_at] = _now(handle)
         if not pose(driver, handle):
             return PROTOCOL
-        kept[SAMPLE_TIME] = (at[TALK.heard_at] - at[TALK.opened_at]) * 1e-9
-        at[TALK.sensed] = 1
+        last_sample[SAMPLE_TIME] = (at[BOARD.sampled_at] - at[BOARD.opened_at]) * 1e-9
+        at[BOARD.has_sample] = 1
         status = OK
     else:
-        silence = now - at[TALK.heard_at]
-        if silence > at[TALK.timeout_after]:
-            return _mute(handle, at[TALK.misread])
-        if silence > at[TALK.quiet] and now - at[TALK.kicked_at] >= at[TALK.kick]:
-            kicked = _kick(driver, handle)
-            if kicked < 0:
-                return kicked
-    if paused:
-        at[TALK.read_at] = _now(handle)  # waiting for the device is no pause of the loop
-    if loaded and at[TALK.loaded] == 0:
+        silence = now - at[BOARD.sampled_at]
+        if silence > at[BOARD.timeout_after]:
+            return _silence_status(handle, at[BOARD.misread_bytes])
+        if silence > at[BOARD.quiet] and now - at[BOARD.kicked_at] >= at[BOARD.kick]:
+            wake_status = _kick(driver, handle)
+            if wake_status < 0:
+                return wake_status
+    if was_paused:
+        at[BOARD.read_at] = _now(handle)  # waiting for the device is no pause of the loop
+    if had_force and at[BOARD.has_force] == 0:
         status = WITHHELD  # waking has removed the force, and the answer to it must not restore the force at once
     for k in range(SAMPLE_SIZE):
-        sample[k] = kept[k]
+        sample[k] = last_sample[k]
     return status
 
 
@@ -268,25 +268,25 @@ def write_once(driver: Any, handle: int, wrench: Any) -> int:
     """Implement `write` of a driver."""
     at = int64_at(handle)
     # Never wait here: the lock's owner may be stopping the device, and then refusing is right as well.
-    if exchange_int64(handle + 8 * TALK.lock, 1) != 0:
+    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
         return WITHHELD
     finite, zero = True, True
     for k in range(3):  # no motor turns the handle: torque is accepted, but not displayed
         finite = finite and isfinite(wrench[k])
         zero = zero and wrench[k] == 0.0
     status = OK
-    if at[TALK.fd] < 0:
+    if at[BOARD.fd] < 0:
         status = OK if zero else WITHHELD
     else:
-        deaf = _now(handle) - at[TALK.heard_at] > at[TALK.quiet] or at[TALK.sensed] == 0
-        if zero or not finite or not at[TALK.armed] or deaf:
-            if at[TALK.loaded] != 0 or not busy(driver, handle, deaf):
+        has_no_sample = _now(handle) - at[BOARD.sampled_at] > at[BOARD.quiet] or at[BOARD.has_sample] == 0
+        if zero or not finite or not at[BOARD.armed] or has_no_sample:
+            if at[BOARD.has_force] != 0 or not busy(driver, handle, has_no_sample):
                 status = send_zero(driver, handle)
             if status >= 0 and not zero:
                 status = WITHHELD
         else:
             status = command(driver, handle, wrench)
-    exchange_int64(handle + 8 * TALK.lock, 0)
+    exchange_int64(handle + 8 * BOARD.lock, 0)
     return status
 
 
@@ -294,14 +294,14 @@ def write_once(driver: Any, handle: int, wrench: Any) -> int:
 def silence_once(driver: Any, handle: int) -> int:
     """Disarm and send a zero. Return 1 if that is done, 0 if it was not accepted and the call must be repeated."""
     at = int64_at(handle)
-    at[TALK.armed] = 0
-    if exchange_int64(handle + 8 * TALK.lock, 1) != 0:
+    at[BOARD.armed] = 0
+    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
         return 0  # a write is in progress
     status = OK
-    if at[TALK.fd] >= 0:
+    if at[BOARD.fd] >= 0:
         status = send_zero(driver, handle)
-    exchange_int64(handle + 8 * TALK.lock, 0)
-    return 0 if status == HELD or at[TALK.left] > 0 else 1
+    exchange_int64(handle + 8 * BOARD.lock, 0)
+    return 0 if status == HELD or at[BOARD.unsent_bytes] > 0 else 1
 
 
 class Functions(NamedTuple):
@@ -312,7 +312,7 @@ class Functions(NamedTuple):
     silence: Any
 
 
-def c_functions(driver: tuple[()]) -> Functions:
+def compile_functions(driver: tuple[()]) -> Functions:
     """Compile the exchange of a driver; its kernels must be registered for the type of `driver` before."""
 
     @c_function(IO_SIGNATURE)

@@ -10,24 +10,24 @@ import sys
 import threading
 from typing import Final
 
-SWITCH_S: Final = 2e-4
+SHORT_INTERVAL_S: Final = 2e-4
 """Switch interval while at least one caller has shortened it."""
 
 _lock: Final = threading.Lock()
-_before: Final[list[float]] = []
+_previous_intervals: Final[list[float]] = []
 """Interval found by each `shorten` that is still in effect."""
 
 
 def shorten() -> None:
     """Shorten the switch interval until `restore`; calls may be nested."""
     with _lock:
-        _before.append(sys.getswitchinterval())
-        sys.setswitchinterval(min(_before[0], SWITCH_S))
+        _previous_intervals.append(sys.getswitchinterval())
+        sys.setswitchinterval(min(_previous_intervals[0], SHORT_INTERVAL_S))
 
 
 def restore() -> None:
     """Undo one `shorten`; the last call restores the interval that the first `shorten` found."""
     with _lock:
-        found = _before.pop()
-        if not _before:
+        found = _previous_intervals.pop()
+        if not _previous_intervals:
             sys.setswitchinterval(found)
