@@ -37,7 +37,7 @@ PAUSE_MAX_S: Final = 5.0
 LOG_PERIOD_S: Final = 10.0
 """Shortest interval of log messages about peers: a peer must not fill the log."""
 RECONNECT_S: Final = 1.0
-"""Time after a restart until subscribers have reconnected, and can receive an event about it."""
+"""Time after a new process is ready until subscribers have reconnected, and can receive an event about it."""
 END_S: Final = 1.0
 """Time after a request to end until the process is killed."""
 MODULE: Final = "softfinger.server.publishing"
@@ -84,6 +84,8 @@ class Link:
         """`_ready`: a process has been ready. `_restart_failed`: a restart failed, and was reported."""
         self.restarts = 0
         """Number of restarts."""
+        self._restart_reports: list[str] = []
+        """Restarts whose process is not ready yet; it would drop an event about them."""
         self._delayed_events: list[tuple[float, str]] = []
         """Events about the process, with the time at which to send them."""
         self.failed = False
@@ -194,6 +196,9 @@ class Link:
         match message.kind:
             case Kind.READY:
                 self._ready = True
+                due_s = time.monotonic() + RECONNECT_S
+                self._delayed_events += [(due_s, text) for text in self._restart_reports]
+                self._restart_reports.clear()
             case Kind.FIGURES:
                 self._present_figures = msgspec.msgpack.decode(message.body, type=Figures)
             case Kind.LOG:
@@ -236,7 +241,7 @@ class Link:
         self.restarts += 1
         text = f"the publisher has ended with code {code} and was started again: subscribers and clients connect anew"
         log.error("%s", text)
-        self._delayed_events.append((time.monotonic() + RECONNECT_S, text))
+        self._restart_reports.append(text)
         return True
 
     def _lengthen_pause(self) -> None:
