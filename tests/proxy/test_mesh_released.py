@@ -286,7 +286,7 @@ def test_contacts_make_up_the_force_or_the_proxy_is_said_to_be_on_its_way(
     file = meshes.write_ply(tmp_path / "part.ply", mesh)
     running = engine(thing("part", "mesh", file=str(file)), fingertip={"radius_m": radius})
     late = 0
-    for way in strokes(mesh, radius, np.random.default_rng(7), cases(2, 50)):
+    for way in strokes(mesh, radius, np.random.default_rng(7), cases(14, 50)):
         running.reset()
         records = running.run(posed(way[::4]))
         contacts = records["contacts0.force"] + records["contacts1.force"] + records["contacts2.force"]
