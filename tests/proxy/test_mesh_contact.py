@@ -4,13 +4,18 @@ What is compiled is one type of scene, that of `test_mesh_hostile.py` and the ot
 rolling takes half a minute. Whatever else is in a scene is tested as plain Python.
 """
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from helpers import meshes
 from helpers.touching import SLIPPERY, R, engine, field, go, saved, spun, thing, wander
 from references.triangles import distances
 
+from softfinger.config.schema.contact import RollingMethod
 from softfinger.proxy.record import AT
+
+METHODS = get_args(RollingMethod)
 
 
 def box(x, y, z):
@@ -51,6 +56,19 @@ def groove(width=0.1):
     vertices = np.array([(x, v, abs(x)) for v in y for x in (-width, 0.0, width)])
     cells = [(3 * i + j, 3 * i + j + 1, 3 * i + j + 4, 3 * i + j + 3) for i in range(3) for j in range(2)]
     return vertices, np.array([t for a, b, c, d in cells for t in ((a, b, c), (a, c, d))], np.int32)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("method", METHODS)
+def test_every_rolling_method_on_a_face_is_that_on_a_plane(tmp_path, method):
+    """Pressed and rolled by 0.3 rad over the edges between triangles of one plane."""
+    points, turned = np.tile([0.05, 0.05, 0.009], (60, 1)), spun((1.0, 0.0, 0.0), np.linspace(0.0, 0.3, 60))
+    rolling = {"rolling": {"method": method}}
+    mesh = engine(thing("a", "mesh", file=saved(tmp_path, *meshes.sheet(0.1, 0.1, 5, 5))), **rolling)
+    on_mesh, on_plane = (go(each, points, turned) for each in (mesh, engine(thing("a", "plane"), **rolling)))
+    assert on_plane[-1, AT.contact_rolled] > 0.05
+    np.testing.assert_allclose(on_mesh[:, AT.force : AT.force + 3], on_plane[:, AT.force : AT.force + 3], atol=1e-9)
+    np.testing.assert_allclose(on_mesh[:, AT.contact_rolled], on_plane[:, AT.contact_rolled], atol=1e-9)
 
 
 @pytest.mark.plain

@@ -12,7 +12,7 @@ from typing import Any
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, land, roll
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import Cylinder, Plane, Quaternion, RotationVector, Sphere, Vec3
+from softfinger.proxy.kernels.model import Cylinder, Facet, Plane, Quaternion, RotationVector, Sphere, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import unroll
 
@@ -71,8 +71,8 @@ def roll_rotation_vector(
     return unroll(shape, radius, center, normal, rotations.log(turn))
 
 
-@unroll.of(Plane)
-def unroll_on_plane(shape: Plane, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
+@unroll.of(Plane, Facet)
+def unroll_on_flat(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
     motion = vec3.scale(radius, vec3.cross(w, normal))
     center, end = land(shape, radius, vec3.add(center, motion))
     return Roll(center, end, motion, vec3.norm(motion) / radius, vec3.dot(w, normal), True)
