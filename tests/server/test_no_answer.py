@@ -18,7 +18,7 @@ import pytest
 import zmq
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.wire import asking
+from softfinger.server.wire import client_requests
 from softfinger.server.wire import control as control_module
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.client_requests import NoAnswer
@@ -63,7 +63,7 @@ def test_who_would_wait_for_a_compiler_asks_first_whether_anybody_answers(
             with pytest.raises(NoAnswer, match=rf"no answer to reset_world from .* within {WAIT_S:g} s"):
                 await control.reset_world()
 
-    monkeypatch.setattr(asking, "TIMEOUT_S", WAIT_S)
+    monkeypatch.setattr(client_requests, "TIMEOUT_S", WAIT_S)
     monkeypatch.setattr(control_module, "TIMEOUT_S", WAIT_S)
     with Control(endpoint) as control, pytest.raises(NoAnswer, match=rf"no answer to set_scene .* {WAIT_S:g} s"):
         control.set_scene("sphere")
