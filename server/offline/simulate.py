@@ -253,7 +253,7 @@ def _open_simulated(paired: Moved, rate_hz: float) -> Any:
     """Return the opened device of a finger. Raises ConfigError if it needs a clock."""
     config = paired.device
     driver = registry.load(config.driver)
-    if not hasattr(driver, "simulation"):
+    if not hasattr(driver, "make_simulation"):
         raise ConfigError(
             f"device '{config.driver}' cannot be run without a clock: take the device `simulated`, or --poses"
         )

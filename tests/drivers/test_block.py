@@ -62,7 +62,7 @@ def taken(layouts: tuple[Any, ...]) -> list[int]:
         at + k
         for layout in layouts
         for at, place in zip(layout, read_fields(type(layout)).values(), strict=True)
-        for k in range(place.words)
+        for k in range(place.word_count)
     ]
 
 

@@ -107,7 +107,7 @@ TIMELESS = ("replay", "simulated")
 
 def logged(device: Any) -> NDArray[np.float64]:
     """The log of a device without a far end of its own."""
-    forces = device.written().wrench[:, :3]
+    forces = device.logged().wrench[:, :3]
     return rows(np.full(len(forces), np.nan), forces)
 
 

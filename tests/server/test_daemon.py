@@ -484,7 +484,6 @@ LEFT_BEHIND = """
 import os, threading
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
-from softfinger.server.loop.realtime import lift
 from softfinger.server.loop.servo_thread import Servo
 rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
 scene = load_scene("paper-plane")

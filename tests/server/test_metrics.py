@@ -57,7 +57,7 @@ def test_a_histogram_counts_as_prometheus_does() -> None:
     for part in np.array_split(values, 7):
         histogram.add(part)
     family = HistogramMetricFamily("h", "h")
-    histogram.put_into(family)
+    histogram.write_to(family)
     found = samples([family])
     for end in (0.5, 1.0, 2.0):
         assert found["h_bucket", (("le", f"{end:g}"),)] == np.count_nonzero(values <= end)

@@ -75,7 +75,7 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
 
         def end_at(self, time_ns: int) -> None: ...
 
-        def kept_off(self, why: str) -> bool:
+        def is_inhibited_by(self, why: str) -> bool:
             raise OSError("no memory")
 
     rig = SimpleNamespace(commands=SimpleNamespace(heartbeat_s=-1.0))  # which is missed at once

@@ -204,7 +204,7 @@ def test_each_page_has_a_token_of_its_own() -> None:
 
 def test_a_server_that_cannot_be_guarded_is_none() -> None:
     """Where viser would start it in another way."""
-    with pytest.raises(ConfigError, match="cannot be guarded"), Access("127.0.0.1").guarding():
+    with pytest.raises(ConfigError, match="cannot be guarded"), Access("127.0.0.1").guard_server():
         pass
 
 

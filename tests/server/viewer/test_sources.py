@@ -123,7 +123,7 @@ def test_a_page_follows_its_daemon(page: Page, endpoints: tuple[str, str]) -> No
         assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
         assert fed(live, lambda: knob.value == 640.0)
         live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": -1.0})
-        assert fed(live, lambda: "Not done:" in page._message.content and "stiffness_n_per_m" in page._said.content)
+        assert fed(live, lambda: "Not done:" in page._message.content and "stiffness_n_per_m" in page._message.content)
         live._lead_hand("", None)
         assert fed(live, lambda: "no program leads the hand on replay" in page._message.content)
         live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 1000.0})
@@ -212,7 +212,7 @@ def test_a_pull_too_far_is_refused_and_taken_back(page: Page) -> None:
             handles._switch.value = True
             handles._show()
             pulls(handles, (0.0, 0.0, 1e7))
-            assert fed(live, lambda: "Not done:" in page._message.content and "position_m" in page._said.content)
+            assert fed(live, lambda: "Not done:" in page._message.content and "position_m" in page._message.content)
             assert handles._nodes[0].position.tolist() == [0.0, 0.0, 1.0]
             pulls(handles, (0.0, 0.0, 2.0))
             assert fed(live, lambda: page.bodies is not None and page.bodies.poses[0][0] == (0.0, 0.0, 0.02))
