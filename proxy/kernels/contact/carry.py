@@ -60,7 +60,7 @@ def carry_of_moving(body: Any) -> Carry:
 
 @jit
 def moving(body: Any) -> Carry:
-    """Return the motion in this tick of one of several objects; the type is the same for all of them."""
+    """Return the motion in this tick of one of several objects: a Carry even if it cannot move."""
     return Carry(can_move(body.motion), pose_values(body.was), pose_values(body.pose))
 
 
