@@ -104,7 +104,7 @@ class ContactForces(NamedTuple):
 
 @by_count
 def ground_at(objects: Any, index: float) -> Any:
-    """Return the Ground of object `index`; `objects` must have their materials, see `with_texture_friction`."""
+    """Return the Ground of object `index`; `objects` have complete materials, see `with_texture_friction`."""
 
 
 @ground_at.of(1)

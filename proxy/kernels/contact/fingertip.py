@@ -19,7 +19,7 @@ from softfinger.proxy.kernels.shapes.minkowski import support_vector
 
 @by_type
 def seen_by(form: Any, radius: float, objects: Any, orientation: Quaternion) -> Any:
-    """Return the objects that a ball of the finger's radius has to touch; `orientation` fingertip to world."""
+    """Return the objects as obstacles of a ball of the finger's radius; `orientation` fingertip to world."""
 
 
 @by_type

@@ -47,7 +47,7 @@ class Touched(NamedTuple):
 def touched_at_first(objects: Any, radius: float, position: Vec3, budget: int) -> Any:
     """Return the object that a fingertip starting at `position` (3,) m touches.
 
-    budget  for height maps, and for meshes in scenes that have one
+    budget  for height maps, and for meshes in a scene with a height map
     """
 
 

@@ -25,7 +25,7 @@ def spring(law: Any, depth: float) -> Any:
 
 @jit
 def bounded(elastic: float, damping: float, speed: float) -> float:
-    """Return elastic - B v, clamped to 0 and twice the elastic force: damping never pulls, and at most doubles it."""
+    """Return elastic - B v, at least 0 and at most 2 elastic: damping never pulls, and at most doubles the force."""
     return min(max(elastic - damping * speed, 0.0), max(2.0 * elastic, 0.0))
 
 

@@ -128,7 +128,7 @@ def shear_of(state: FingerState, last: Contacts, contacts: Contacts, motion: Pro
 def lever_of(objects: Any, contact: ContactState, radius: float, center: Vec3) -> Lever:
     """Return depth times curvature of the surface on which the proxy, at `center` (3,) m, moves.
 
-    The products are limited to 1. A probe at the centre of curvature reaches 1, and does not move.
+    Neither product exceeds 1 in size. At 1, the probe is at the centre of curvature and does not move.
     """
     k1, k2, along = curvature_of(objects, contact.body, radius, center, contact.normal)
     most = max(abs(k1), abs(k2)) * contact.push

@@ -1,6 +1,8 @@
 """Rolling resistance: a soft finger recovers less work at the rear of a rolling contact than it spends at the front.
 
-resist(patch, carried, bent, probe, last, area) -> Resistance
+    resist(patch, carried, bent, probe, last, area) -> Resistance
+
+`contact_friction` calls it for each contact.
 """
 
 from math import sqrt
@@ -39,9 +41,9 @@ class Resistance(NamedTuple):
 
 @by_type
 def resist(patch: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch) -> Any:
-    """Return the Resistance after the fingertip's rotation, since the `last` probe, relative to the object.
+    """Return the Resistance after the fingertip's rotation relative to the object since the `last` probe.
 
-    Only the rotation about axes in the tangent plane counts.
+    Only the rotation about an axis in the tangent plane counts.
     """
 
 

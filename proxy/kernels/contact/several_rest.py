@@ -111,7 +111,7 @@ def drawn_aside(contact: ContactState, way: Vec3) -> ContactState:
 def settle_after_friction(
     finger: Finger, objects: Any, shapes: Any, approach: Approach, forces: Any, position: Vec3
 ) -> Settled:
-    """Move the proxy to the permitted point nearest to the displaced probe, and the contacts to its constraints.
+    """Move the proxy to the permitted point nearest to the displaced probe, and update the contacts to its constraints.
 
     If the probe is below the centre of curvature of the surface on which the proxy moves, that point is not stable: a
     sticking contact would swing round its object. So a probe deeper than `DEEP` is raised to that depth, towards the
