@@ -1,4 +1,7 @@
-"""Contacts at the beginning of a tick, before friction: carried along by their objects, rolled, or just met."""
+"""Contacts at the start of a tick, before friction: moved with their objects, rolled, or just detected.
+
+`continuation` and `prediction` continue the contacts of the last tick, `detection` finds a first one.
+"""
 
 from typing import Any, NamedTuple
 
@@ -13,25 +16,25 @@ from softfinger.proxy.kernels.model import (
 )
 
 NO_PREDICTION = Prediction(NO_CONTACT, (0.0, 0.0, 0.0), 0.0, False)
-"""A place for a prediction, with no contact in it."""
+"""Prediction without a contact."""
 
 
 class Approach(NamedTuple):
-    """What holds the proxy at the beginning of a tick, before friction; the first constraint is of no object if nothing
-    does.
+    """Constraints of the proxy at the start of a tick, before friction; without contact, the first has no object.
 
-    start        (3,) m  where the way of the proxy in this tick begins, see `first_hit`
-    outside      (3,) m  where the proxy is known to be outside of all objects
+    start        (3,) m  start of the proxy's path in this tick, see `first_hit`
+    outside      (3,) m  position where the proxy is known to be outside of all objects
     center       (3,) m  the proxy, with the roll of the only contact
-    active               the constraints at `center`
+    active               constraints at `center`
     predicted            a Prediction for each contact
     rolled       rad     roll angle since touch
-    strays               the roll is in the deflection only, and `center` has not gone along
-    single               one contact, whose way over its object is known: friction comes before the others are asked
-    began                the contact begins in this tick
-    bounded              1 if a roll was stopped since the budget was used up
-    budget               left for the search
-    stuck                ticks in a row before this one in which the proxy found no rest
+    strays               True if the roll is only in the deflection: `center` has not followed it
+    single               True for one contact with a known path over its object: other objects are queried after
+                         friction
+    began                True if the contact starts in this tick
+    bounded              1 if a roll stopped early because the budget was exhausted
+    budget               remaining for the search
+    stuck                consecutive ticks before this one in which the proxy found no rest position
     """
 
     start: Vec3
@@ -50,11 +53,14 @@ class Approach(NamedTuple):
 
 @jit
 def has_ended(active: ActiveSet) -> bool:
-    """Whether nothing pushes: a probe that has popped through a thin body is outside of it and still active."""
+    """Return True if no constraint pushes.
+
+    The probe's position is no criterion: after passing through a thin body it is outside, with the contact active.
+    """
     return not (active[0].depth > 0.0 or active[1].depth > 0.0 or active[2].depth > 0.0)
 
 
 @jit
 def separated(state: FingerState) -> Any:
-    """The state without what was wound up in the contact that has ended."""
+    """Return the state without the released contacts and their wind-up."""
     return replace(state, "contacts", first_of(state.contacts, NO_CONTACT, NO_CONTACT), "rolled", 0.0, "stuck", 0.0)

@@ -1,4 +1,4 @@
-"""The only contact of the last tick in the next one: carried along by its object, and rolled."""
+"""Continuation of the only contact of the last tick: moved with its object, and rolled."""
 
 from typing import Any
 
@@ -44,9 +44,9 @@ def in_hollow(
     turn: Quaternion,
     rolled: Roll,
 ) -> Any:
-    """What a roll from `start` is for the coupling in a hollow; elsewhere it is as `rolled` says.
+    """Return the effect of a roll from `start` on the coupling in a hollow; elsewhere it is `rolled`.
 
-    returns  Roll, what of it (3,) m the centre has not gone along, whether that is all of it
+    returns  Roll, the part of it (3,) m that the centre has not followed, and True if the centre followed none of it
     """
 
 
@@ -80,12 +80,12 @@ def roll_in_hollow(
     beyond = (-0.0, -0.0, -0.0)
     strays = not rolled.whole or slides_round_hollow(body, radius, center, normal, rolled.theta)
     strays = strays or not follows_on(body, radius, start, rolled.center)
-    if strays:  # the roll winds the coupling in the tangent plane, and the centre goes where friction lets it
+    if strays:  # the roll winds up the coupling in the tangent plane, and friction decides where the centre moves
         theta, axis = rotations.tilt(turn, normal)
         beyond = vec3.scale(radius * theta, vec3.cross(axis, normal))
         rolled = Roll(center, normal, beyond, theta, rotations.twist(turn, normal), rolled.whole)
     elif is_hollow(body.shape):
-        # The normal that turns makes a tangent part of the depth: u (1 + depth / (R - r)) in a round hollow.
+        # Rotating the normal makes a part of the depth tangential: u (1 + depth / (R - r)) in a round hollow.
         begun = vec3.reject(vec3.sub(center, position), normal)
         ended = vec3.reject(vec3.sub(rolled.center, position), rolled.normal)
         wound = vec3.sub(ended, transport(body.shape, begun, normal, rolled.normal))
@@ -97,7 +97,7 @@ def roll_in_hollow(
 def continue_contact(
     scene: Scene, finger: Finger, body: Any, index: float, state: FingerState, probe: Probe, dt: float
 ) -> Approach:
-    """The only contact goes with its object and rolls by what the fingertip turned against it."""
+    """Move the only contact with its object, and roll it by the fingertip's rotation relative to the object."""
     radius, position, last = finger.radius, probe.position, state.contacts[0]
     carried = carry_of(body)
     old_normal, moved = carried_direction(carried, last.normal), carried_point(carried, state.center)
@@ -136,8 +136,10 @@ def continue_contact(
 def detect_or_continue(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Approach]:
-    """The contact with the only object goes on; if it has ended, what is met in the same tick is another one. The
-    state returned is without the contact that has ended."""
+    """Continue the contact with the only object; if it is released, detect a new one in the same tick.
+
+    The returned state does not include a released contact.
+    """
     if state.mode != FREE:
         approach = continue_contact(scene, finger, objects[0], 0.0, state, probe, dt)
         if not has_ended(approach.active):

@@ -1,4 +1,4 @@
-"""A first touch: what a fingertip meets on its way in free space."""
+"""Detection of a first contact on the fingertip's path in free space."""
 
 from typing import Any, NamedTuple
 
@@ -52,18 +52,18 @@ from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
 from softfinger.proxy.record import FREE, ROLLING
 
 STUCK_TICKS = 8
-"""Ticks in a row without rest in which a proxy beside a mesh stands still before it starts anew where the probe is."""
+"""Consecutive ticks without a rest position at a mesh, after which the motionless proxy restarts at the probe."""
 
 
 class Meeting(NamedTuple):
-    """A first touch.
+    """First contact.
 
-    start    (3,) m  where the way of the proxy begins
-    met      (3,) m  where the object that is met holds it
+    start    (3,) m  start of the proxy's path in this tick
+    met      (3,) m  proxy in contact with the object that was hit
     center   (3,) m  the same, or over the probe
-    active           what is met, if anything
-    over             `center` is over the probe
-    budget           what is left for the tick, below 0 if it is not known whether a first pose touches anything
+    active           constraint of the object that was hit, if any
+    over             True if `center` is over the probe
+    budget           remaining for the tick, below 0 if it is unknown whether a first pose touches anything
     """
 
     start: Vec3
@@ -76,7 +76,7 @@ class Meeting(NamedTuple):
 
 @by_count
 def first_rest(contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Any:
-    """Where the proxy (3,) m of a contact begins that was met at `met`."""
+    """Return the initial proxy (3,) m of a contact that was detected with the proxy at `met`."""
 
 
 @first_rest.of(1)
@@ -100,17 +100,17 @@ def first_rest_on_one_of_several(
 
 @jit
 def rest_over_the_probe(body: Any, radius: float, position: Vec3, met: Vec3, constraint: Constraint) -> Vec3:
-    """Over the probe, at the depth along the normal of where it was met; there, where the surface bends another way."""
+    """Return the proxy over the probe, at the depth along the normal; `met` if `follows` is False for that position."""
     over = vec3.add(position, vec3.scale(constraint.depth, constraint.normal))
     return over if follows_on(body, radius, OffsetPoint(met, constraint.normal), over) else met
 
 
 @jit
 def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget: int) -> bool:
-    """Whether the fingertip at `position` touches nothing, but for rounding, on the side where it was at `start`.
+    """Return True if the fingertip at `position` touches nothing, up to rounding, on the same side as at `start`.
 
-    Facets have no other side that a gap would tell: between two places that are outside of them, only a way below two
-    radii leads through none.
+    The gap to a facet does not show the side. Between two positions outside of all facets, only a path shorter than
+    two radii is certain to cross none.
     """
     if any_mesh(objects):
         way = vec3.sub(position, start)
@@ -122,8 +122,12 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
 
 @by_multipoint
 def exact_touch(objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int) -> Any:
-    """Where (3,) m a way meets the object with that place, as if there were no other; False if others are in the way,
-    or if it is not known. `met` is where the search of all objects has met it."""
+    """Return the position (3,) m on the path where object `index` alone would be touched, and a flag.
+
+    met  (3,) m  touch found by the search of all objects
+
+    The flag is False if other objects are in the way, or if this is unknown.
+    """
 
 
 @exact_touch.of(SINGLE_POINT)
@@ -144,7 +148,7 @@ def touch_beside_a_heightmap(
 def touch_of_a_facet(
     objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
 ) -> tuple[Vec3, bool]:
-    """A mesh is searched along the way in steps of its clearance, which may end a little before the touch."""
+    """Sweep one facet: the search of a mesh moves in steps of its clearance, and may end a little before the touch."""
     found, at = end, 0.0
     for entry in literal_unroll(objects):
         if contains(entry, at, index):
@@ -158,7 +162,7 @@ def touch_of_a_facet(
 
 @jit
 def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
-    """Whether a fingertip there touches no mesh and nothing else, on the outer side of what is closed."""
+    """Return True if the scene has a mesh, and the fingertip touches nothing and is outside of all closed objects."""
     if not any_mesh(objects):
         return False
     gap, _, left = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
@@ -167,14 +171,14 @@ def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
 
 @jit
 def detect_among_several(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Meeting:
-    """First contact on the way of the last proxy, in free space the last probe, to the probe, as each object sees it.
+    """Find the first contact on the path from the last proxy (in free space, the last probe) to the probe.
 
-    The whole way is swept, so a thin object is not jumped over, nor does it jump over a finger that rests. The first
-    pose of all has no way: it is in contact where it stands inside.
+    The complete path relative to each object is swept, so the finger cannot skip a thin object, and a moving thin
+    object cannot skip a finger at rest. The first pose has no path: it is in contact if it is inside an object.
     """
     radius = finger.radius
     start, budget = position, BUDGET // 2
-    if any_creases(objects):  # on the way over a height map a fingertip asks more often
+    if any_creases(objects):  # a path over a height map takes more queries
         budget = 3 * BUDGET // 4
     left, nothing = budget, one_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
     if state.started == 0.0:
@@ -192,14 +196,14 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
         together = any_mesh(objects)
         touch, exact = exact_touch(objects, index, start, position, radius, met, left)
         if state.started != 0.0 and together:
-            # Others may be as near, or the way was not searched to the end: on this one it might be inside.
+            # Other facets may be equally near, or the search did not finish: on this one it might be inside another.
             center = met
             if exact:
                 _, point, normal, left = closest_to_within(objects, index, touch, left)
                 center = vec3.add_scaled(point, radius, normal)
         elif (state.started == 0.0 or gap < radius * (1.0 - INSIDE)) and not is_outside(
             objects, radius, center, center, left
-        ):  # the gap is a bound, of a map that was not searched to the end; or another triangle is as near
+        ):  # the gap is a bound, because the search of a height map did not finish, or another triangle is equally near
             if state.started != 0.0:
                 center = met
             else:
@@ -210,27 +214,27 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
         active = one_constraint(index, normal, depth)
         ended = state.mode != FREE and depth <= INSIDE * radius
         if ended and is_outside(objects, radius, state.center, position, left):
-            active, center = nothing, position  # what has just ended, rounded
+            active, center = nothing, position  # the contact just released, up to rounding
     place, over = center, active[0].body >= 0.0 and exact
     if over:
         place = first_rest(state.contacts, objects, radius, position, center, active)
     if len(state.contacts) > 1 and any_creases(objects) and state.started != 0.0 and active[0].body >= 0.0:
-        center = met  # of a map that was not searched to the end the gap is a bound
+        center = met  # the gap is only a bound if the search of a height map did not finish
     if not any_moves(objects):
         start = center
-    # What a mesh was asked on the way is not counted twice: see `BUDGET`.
+    # Without a height map, the search of the path does not reduce the budget of the rest position: see `BUDGET`.
     left = BUDGET - budget + max(left, 0) if any_creases(objects) else BUDGET
     return Meeting(start, center, place, active, over, left)
 
 
 @jit
 def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Probe) -> Approach:
-    """A first touch."""
+    """Detect a first contact, and bring its proxy to rest."""
     met = detect_among_several(finger, objects, state, probe.position)
     center, active = met.center, met.active
     body = active[0].body
     if body >= 0.0 and met.over and is_inside(objects, body):
-        # The wall may be far along the normal of where it was met. Nothing is wound yet: the nearest place is right.
+        # The wall may be far away along the normal of the first touch. Nothing is wound up: use the nearest point.
         center, active, _ = settle_on_one(
             objects, body, finger.radius, probe.position, center, (0.0, 0.0, 0.0), active[0].normal
         )

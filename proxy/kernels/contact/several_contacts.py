@@ -1,8 +1,8 @@
-"""A tick of a finger that several objects may touch.
+"""Contacts of a finger in a scene of several objects: continuation, friction, and contact with a single object.
 
-Friction comes first, of each contact by itself. Then the proxy follows to where the objects let it rest, and
-deflections go over from the contacts that bear less to those that bear more. A finger that one object touches, and
-stays clear of all others, is in contact as if there were no others.
+Friction is computed first, separately for each contact. Then the proxy moves to its rest position among the objects,
+and deflections are transferred from the contacts that lose load to those that gain it (`several_rest`). A finger that
+touches one object, and is clear of all other objects, is treated as in a scene of that object only.
 """
 
 from typing import Any
@@ -66,12 +66,12 @@ NO_FORCES = ContactForces(
     area=ContactPatch(radius=0.0, torsional=0.0, lever=0.0, bending=0.0, bend_max=0.0),
     unit=1.0, load=0.0, bend=ZERO, bending=ZERO,
 )  # fmt: skip
-"""Forces where there is no contact."""
+"""Forces of an unused contact."""
 
 
 @jit
 def is_single(state: FingerState, radius: float) -> bool:
-    """Whether one object holds the proxy, at rest: displaced from the probe by its push and its deflection alone."""
+    """Return True if one object supports the proxy at rest: only its push and deflection displace it from the probe."""
     one, two, _ = state.contacts
     if two.body >= 0.0:
         return False
@@ -82,7 +82,7 @@ def is_single(state: FingerState, radius: float) -> bool:
 
 @jit
 def nothing_approached(probe: Probe) -> Approach:
-    """An Approach without a contact."""
+    """Return an Approach without a contact."""
     return Approach(
         start=probe.position, outside=probe.position, center=probe.position,
         active=one_constraint(NONE, (0.0, 0.0, 1.0), 0.0), predicted=(NO_PREDICTION, NO_PREDICTION, NO_PREDICTION),
@@ -94,7 +94,7 @@ def nothing_approached(probe: Probe) -> Approach:
 def continue_single(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
 ) -> Approach:
-    """The only contact of the last tick goes on, with the object of several that it is on."""
+    """Continue the only contact of the last tick on its object."""
     index, found, at = state.contacts[0].body, nothing_approached(probe), 0.0
     for entry in literal_unroll(objects):
         if contains(entry, at, index):
@@ -107,9 +107,9 @@ def continue_single(
 def is_clear_of_others(
     objects: Any, radius: float, start: Vec3, center: Vec3, index: float, budget: int, room: float
 ) -> bool:
-    """Whether the proxy meets nothing on its way from `start` to `center` (3,) m but the object with that place.
+    """Return True if the proxy hits no object except `index` on its path from `start` to `center` (3,) m.
 
-    room  1 if what it only touches counts too, as the next of two flush objects, else -1
+    room  1 if objects that it only touches count, too, such as the second of two flush objects, otherwise -1
     """
     held = (index, -1.0, -1.0)
     if start != center or any_moves(objects):
@@ -117,18 +117,18 @@ def is_clear_of_others(
         if hit >= 0.0:
             return False
     gap, at, budget = deepest(objects, center, radius * (1.0 + INSIDE), held, budget)
-    # The proxy may cut into its own triangles, and into a height map that was not searched to the end.
+    # The proxy may cut into the triangle it is on, and into a height map whose search did not finish.
     rests_on_it = at == index and kind_at(objects, index) == 0.0
     return budget >= 0 and (gap >= radius * (1.0 + room * INSIDE) or rests_on_it)
 
 
 @jit
 def rolls_clear_of_others(objects: Any, radius: float, approach: Approach) -> bool:
-    """Whether the only contact rolls over nothing but its own object: past a seam the next one is what it rolls on."""
+    """Return True if the only contact rolls on no other object than its own: past a seam it rolls on the next one."""
     if approach.center == approach.outside:
         return True
     index = approach.active[0].body
-    # Facets that share an edge are touched together on it, and are one surface.
+    # Facets that share an edge are both touched there, and form one surface.
     room = -1.0 if is_mesh_at(objects, index) else 1.0
     return is_clear_of_others(objects, radius, approach.center, approach.center, index, approach.budget, room)
 
@@ -137,8 +137,10 @@ def rolls_clear_of_others(objects: Any, radius: float, approach: Approach) -> bo
 def approach_among_several(
     scene: Scene, finger: Finger, objects: Any, shapes: Any, state: FingerState, motion: ProbeMotion
 ) -> tuple[FingerState, Approach]:
-    """The contacts go on; if they have ended, what is met in the same tick is another one. The state returned is
-    without contacts that have ended."""
+    """Continue the contacts; if all are released, detect a new one in the same tick.
+
+    The returned state does not include released contacts.
+    """
     if state.mode != FREE:
         single = is_single(state, finger.radius)
         approach = nothing_approached(motion.probe)
@@ -155,7 +157,7 @@ def approach_among_several(
 
 @jit
 def rub(finger: Finger, objects: Any, predicted: Prediction, motion: ProbeMotion) -> ContactForces:
-    """Friction of one of several contacts."""
+    """Compute the friction of one of several contacts."""
     contact = predicted.contact
     if contact.body < 0.0 or contact.share <= 0.0:
         return NO_FORCES
@@ -166,7 +168,7 @@ def rub(finger: Finger, objects: Any, predicted: Prediction, motion: ProbeMotion
 def rub_each(
     finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion
 ) -> tuple[ContactForces, ContactForces, ContactForces]:
-    """Friction of each contact."""
+    """Compute the friction of each contact."""
     rough = with_texture_friction(objects, approach.active, approach.center)
     one, two, three = approach.predicted
     return rub(finger, rough, one, motion), rub(finger, rough, two, motion), rub(finger, rough, three, motion)
@@ -176,7 +178,7 @@ def rub_each(
 def follow_slip(
     objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> Any:
-    """`settle_on_one`, over the edges of facets too; and whether the proxy has come to rest."""
+    """Return `settle_on_one`, also across the edges of facets, and True if the proxy is at rest."""
 
 
 @follow_slip.of(SINGLE_POINT, WITH_HEIGHTMAP)
@@ -203,7 +205,7 @@ def follow_slip_on_mesh(
 def land_in_company(
     finger: Finger, objects: Any, approach: Approach, forces: ContactForces, position: Vec3
 ) -> tuple[Landing, bool]:
-    """The only contact's proxy after friction, and whether it stays clear of all other objects."""
+    """Return the proxy of the only contact after friction, and True if it is clear of all other objects."""
     center, active, bounded, at_rest = approach.center, approach.active, 0.0, True
     held, radius, kept = active[0], finger.radius, forces.result
     if not approach.single:
@@ -214,7 +216,7 @@ def land_in_company(
         )
     if not at_rest or (is_mesh_at(objects, held.body) and not is_a_step(approach.outside, center, radius)):
         return Landing(center, active, bounded), False
-    # A first touch may be over the next of two flush objects, beyond the edge of the one that was met.
+    # A first touch may be over the second of two flush objects, beyond the edge of the one that was hit.
     room = 1.0 if approach.began else -1.0
     clear = is_clear_of_others(objects, radius, approach.start, center, active[0].body, approach.budget, room)
     return Landing(center, active, bounded), clear

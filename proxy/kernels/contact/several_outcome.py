@@ -1,6 +1,6 @@
-"""Forces of several contacts at the end of a tick, their sum, and what is reported of each.
+"""Forces of several contacts at the end of a tick, their sum, and the result reported for each.
 
-Friction moves between contacts as their shares of the load do.
+Friction is transferred between contacts along with their load shares.
 """
 
 from typing import Any, NamedTuple
@@ -74,7 +74,7 @@ def sum_of_loads(forces: Any) -> float:
 
 @jit
 def share_kept(giver: ContactState, after: Contacts) -> float:
-    """Return the part of its load share that a contact has kept in this tick."""
+    """Return the fraction of its load share that a contact still has after this tick."""
     if giver.body < 0.0 or giver.share <= 0.0:
         return 1.0
     return min(contact_on(after, giver.body).share / giver.share, 1.0)
@@ -94,7 +94,7 @@ def with_part_of(rubbing: Rubbing, giver: ContactState, forces: ContactForces, n
 
 @jit
 def rubbing_on(approach: Approach, forces: Any, after: Contacts, constraint: Constraint) -> Rubbing:
-    """Return the friction of a constraint: the part its contact keeps, and its part of the friction that others lose.
+    """Return the friction of a constraint: the remainder of its contact, and its part of what other contacts lose.
 
     The parts follow the load shares as in `hand_over`, so the sum is the force of the spring from probe to proxy.
     """

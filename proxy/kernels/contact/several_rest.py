@@ -1,4 +1,4 @@
-"""Rest of the proxy among several contacts, after friction."""
+"""Rest position of the proxy among several contacts, after friction."""
 
 from typing import Any, NamedTuple
 
@@ -33,13 +33,19 @@ from softfinger.proxy.kernels.query.kinds import (
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 DEEP = 0.5
-"""Depth, as a share of the fingertip's radius, to which a probe is raised while the proxy comes to rest: half the
-smallest radius of curvature of what it moves on, that of an edge."""
+"""Depth, as a share of the fingertip's radius, to which the probe is raised during the search for the rest position:
+half the smallest radius of curvature of the surface on which the proxy moves, that at an edge."""
 
 
 class Settled(NamedTuple):
-    """The proxy (3,) m at the end of a tick, its constraints and contacts, whether it has yet to come to rest, and
-    what is left of the budget, below 0 if it was used up."""
+    """Proxy at the end of a tick.
+
+    center    (3,) m
+    active    constraints at `center`
+    contacts  of these constraints
+    late      True if the proxy is not yet at rest
+    budget    remaining budget, below 0 if it was exhausted
+    """
 
     center: Vec3
     active: ActiveSet
@@ -57,7 +63,7 @@ def rubbed(predicted: Prediction, forces: ContactForces) -> ContactState:
 
 @jit
 def taken_along(contact: ContactState, constraint: Constraint) -> ContactState:
-    """A contact that the proxy has taken along over its object."""
+    """Return a contact at the constraint of a proxy that has moved over its object."""
     if contact.body < 0.0:
         return contact
     n = constraint.normal
@@ -67,7 +73,7 @@ def taken_along(contact: ContactState, constraint: Constraint) -> ContactState:
 
 @jit
 def pressed_again(contacts: Contacts, active: ActiveSet) -> Contacts:
-    """Contacts at the constraints of a proxy that has moved."""
+    """Return the contacts at the constraints of a proxy that has moved."""
     one, two, three = contacts
     return taken_along(one, active[0]), taken_along(two, active[1]), taken_along(three, active[2])
 
@@ -85,7 +91,7 @@ def eased(active: ActiveSet, ease: float) -> ActiveSet:
 
 @jit
 def lag_predicted(approach: Approach) -> Vec3:
-    """Mean deflection (3,) m of the contacts if all stick."""
+    """Return the mean deflection (3,) m of the contacts if all stick."""
     one, two, three = approach.predicted
     lag = vec3.scale(one.contact.share, one.deflection)
     return vec3.add_scaled(
@@ -95,7 +101,7 @@ def lag_predicted(approach: Approach) -> Vec3:
 
 @jit
 def drawn_aside(contact: ContactState, way: Vec3) -> ContactState:
-    """Add the tangential part of `way` (3,) m to the deflection of a contact."""
+    """Add the tangential part of a displacement (3,) m to the deflection of a contact."""
     if contact.body < 0.0:
         return contact
     return replace(contact, "deflection", vec3.add(contact.deflection, vec3.reject(way, contact.normal)))
@@ -105,10 +111,11 @@ def drawn_aside(contact: ContactState, way: Vec3) -> ContactState:
 def settle_after_friction(
     finger: Finger, objects: Any, shapes: Any, approach: Approach, forces: Any, position: Vec3
 ) -> Settled:
-    """The proxy follows to the place nearest to the displaced probe, and contacts change to what holds it there.
+    """Move the proxy to the permitted point nearest to the displaced probe, and update the contacts to its constraints.
 
-    Below the centre of curvature of what holds the proxy that place is not stable: a contact that sticks would swing
-    round its object. So a probe that is deeper than `DEEP` is raised to there, towards where the proxy is if all stick.
+    If the probe is below the centre of curvature of the surface on which the proxy moves, that point is not stable: a
+    sticking contact would swing round its object. So a probe deeper than `DEEP` is raised to that depth, towards the
+    position of the proxy if all contacts stick.
     """
     after = (
         rubbed(approach.predicted[0], forces[0]),
@@ -123,7 +130,7 @@ def settle_after_friction(
         ease = DEEP * radius / depth
         goal, active = vec3.add_scaled(goal, 1.0 - ease, above), eased(active, ease)
     if approach.single and has_creases_at(shapes, approach.active[0].body):
-        budget = budget // 4  # a height map has been asked as the only object
+        budget = budget // 4  # the height map was already searched as the only object
     rest = settle_among_several(shapes, radius, goal, approach.start, approach.outside, active, budget)
     active = over_edges(shapes, rest.active, rest.center)
     if active_objects(active) == (after[0].body, after[1].body, after[2].body):
