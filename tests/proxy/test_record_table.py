@@ -104,7 +104,7 @@ assert FIELDS[-1] is NAMED["fault.level"] and AT.fault_level == RECORD_SIZE - 2
 records = np.zeros((3, RECORD_SIZE))
 records[:, AT.fault_level :] = (0.25, -0.5)
 
-_, body = next(Messages(Ticks(1, 1, [CONTACT], "state", 200.0), StateInfo()).of(tuple(records[0].tolist())))
+_, body = next(Messages(Ticks(1, 1, [CONTACT], "state", 200.0), StateInfo()).encode_row(tuple(records[0].tolist())))
 assert decode(CONTACT.encode(), body).fault.level == (0.25, -0.5)
 
 for ending in ("csv", "npz", "mcap"):

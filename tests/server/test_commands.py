@@ -550,7 +550,9 @@ def test_what_is_no_request_is_no_sign_of_life():
         rig=load_rig("replay", {"commands.heartbeat_s": 10.0}),
         disarm=reasons.add,
         arm=reasons.discard,
-        force=SimpleNamespace(is_inhibited_by=lambda why: why in reasons, end_at=lambda time_ns: None, is_requested=True),
+        force=SimpleNamespace(
+            is_inhibited_by=lambda why: why in reasons, end_at=lambda time_ns: None, is_requested=True
+        ),
     )
     doing = SimpleNamespace(replace=None, event=lambda *words, **fields: None)
     good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})
