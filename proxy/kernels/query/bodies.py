@@ -47,7 +47,7 @@ TREE_ROOT: Final = 14
 MOVING: Final = 15
 """Number of bodies that can move."""
 FAULT: Final = 16
-"""Two int64 that change: the fault, NO_FAULT to SLOW, and the number of slow steps minus that of fast ones, at least 0."""
+"""Two int64 that change: the fault, NO_FAULT to SLOW, and the excess of slow steps over fast ones, at least 0."""
 RESCUE: Final = 17
 """Memory of `rescued`."""
 BUDGET_NS: Final = 18
@@ -58,8 +58,8 @@ LAST_ORIENTATION: Final = 20
 BLOCK_SIZE: Final = 21
 
 SLOW_STEPS: Final = 20
-"""Excess of slow steps over fast ones that is a fault. An interruption makes a single step slow; a model that is too large
-makes more than half of the steps slow."""
+"""Excess of slow steps over fast ones that is a fault. An interruption makes a single step slow; a model that is too
+large makes more than half of the steps slow."""
 
 MOTION_SIZE: Final = 13
 """Values of a body's motion: position (3,) m, quaternion, velocity (3,) m/s, angular velocity (3,) rad/s."""

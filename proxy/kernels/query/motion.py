@@ -2,9 +2,9 @@
 
     pose_at(motion, pose, time) -> Pose       pose of the object; `pose` is its base pose
 
-A motion is relative to the base pose: pose(t) = pose * motion(t), so a change of the base pose during a run also moves
-the path. Without a motion (None), and for an object driven from outside (Driven), the pose is the base pose: the velocity of a driven object is unknown here. The pose of a Simulated object depends on its body, not on
-time.
+A motion is relative to the base pose: pose(t) = pose * motion(t), so a change of the base pose during a run moves the
+path, too. Without a motion (None), and for an object driven from outside (Driven), the pose is the base pose; the
+velocity of a driven object is unknown here. The pose of a Simulated object depends on its body, not on time.
 """
 
 from math import cos, floor, pi, sin
@@ -28,7 +28,7 @@ def pose_at(motion: Any, pose: Pose, time: float) -> Any: ...
 
 @jit
 def angle_after(turns: float) -> float:
-    """Return the angle in [0, 2 pi) of a number of turns, without complete turns: the sine of a large angle is inexact."""
+    """Return the angle in [0, 2 pi) of a number of turns; the sine of the angle of many turns is inexact."""
     turns = min(max(turns, -TURNS_CEILING), TURNS_CEILING)
     return 2.0 * pi * (turns - floor(turns))
 
