@@ -18,7 +18,7 @@ from softfinger.proxy.kernels.shapes import transport, unroll
 ToRim = tuple[float, Vec3, Vec3, float]
 
 MAX_PIECES = 256
-"""Largest number of pieces in a tick; the remaining rotation is ignored. Half a turn over a box has at most nine pieces.
+"""Largest number of pieces in a tick; the remaining rotation is ignored. Half a turn over a box has at most nine.
 More are possible only in a hollow capsule that is hardly wider than the fingertip: the path winds round it."""
 RIM_TOLERANCE = 1e-13
 """Tolerance of the integration around the rim of a capped cylinder, as a share of the fingertip's radius."""
