@@ -36,7 +36,7 @@ STOP_SPEED_M_PER_S = 0.5e-3
 REVERSE_SHARE = 0.1
 """Share of the deflection that must be unwound before a slide counts as reversed."""
 REVERSE_STEPS = 3.0
-"""Smallest unwinding for a reversal in encoder steps: a resting hand may flicker by up to that."""
+"""Smallest unwinding for a reversal, in encoder steps: a resting hand may flicker by up to that."""
 ROUNDING = 1e-9
 """Relative size of rounding: of a slip, as a share of the deflection; of a load, as a share of the cone and of the
 radius."""
@@ -172,8 +172,8 @@ def stick_slip_by_law(
     Sliding ends when the slip has stopped or reversed. With a limit surface, the moment about the normal reduces the
     cone, and friction and torsion slip together.
 
-    Source: Salvietti et al. (2013), section 3.2, after Yin et al. (2005). Differs from its literal
-    conditions, which fail after a counter-tilt of a microradian; see docs/decisions/0003-state-machine.md.
+    Source: Salvietti et al. (2013), section 3.2, after Yin et al. (2005). Differs from its literal conditions, which
+    fail after a counter-tilt of a microradian; see docs/decisions/0003-state-machine.md.
     """
     stiffness = coupling.stiffness
     whole_limit, kinetic_limit = cone(law, given.normal_force, given.slip_speed)

@@ -3,7 +3,7 @@
 MuJoCo's C functions are called by address, on the memory of its model and data: without the interpreter lock and
 without allocation. A tick has four stages: read the current poses; compute the contacts of all fingers; apply the
 negative wrench of each contact to the touched body; and, after the output to the devices, step the simulation. So no
-pose and no wrench is a step late. With that delay, bodies of less than 100 g would be unstable.
+pose and no wrench is a step late. A delay of one step would make bodies of less than 100 g unstable.
 
 A failed step is a fault of the bodies and does not end the run: the bodies do not move, and the fingers touch nothing,
 until the simulation is reset.
@@ -54,7 +54,7 @@ BUDGET_NS: Final = 18
 """Largest duration of a step, ns; 0 for no limit."""
 LAST_POSITION: Final = 19
 LAST_ORIENTATION: Final = 20
-"""ORIENTATION, and LAST_POSITION the POSITION, before the last step, for bodies that can move."""
+"""xquat before the last step, and LAST_POSITION is xpos, of the bodies that can move."""
 BLOCK_SIZE: Final = 21
 
 SLOW_STEPS: Final = 20

@@ -27,7 +27,7 @@ def moves_by_itself(*given: Any) -> bool:
 
 
 def takes_long(*given: Any) -> bool:
-    """Return True if there is such an object, a mesh or a height map.
+    """Return True if one of the arguments contains an object on a simulated body, a mesh or a height map.
 
     Queries of them take so long that the cost of a call by address is negligible.
     """

@@ -28,7 +28,7 @@ def pose_at(motion: Any, pose: Pose, time: float) -> Any: ...
 
 @jit
 def angle_after(turns: float) -> float:
-    """Return the angle in [0, 2 pi) of a number of turns; the sine of the angle of many turns is inexact."""
+    """Return the angle in [0, 2 pi) of a number of turns; the sine of an unreduced angle would be inexact."""
     turns = min(max(turns, -TURNS_CEILING), TURNS_CEILING)
     return 2.0 * pi * (turns - floor(turns))
 

@@ -106,7 +106,7 @@ def material_of(objects: Any, index: float) -> Material:
 
 @jit
 def number_of(objects: Any, index: float) -> float:
-    """Return the index of object `index` in the scene file, -1 for none; several may form one object of the file."""
+    """Return the scene file's index of object `index`, -1 for none; several may form one object of the file."""
     found = -1.0
     at = 0.0
     for entry in literal_unroll(objects):

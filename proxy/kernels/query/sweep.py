@@ -1,7 +1,7 @@
 """First object that a fingertip hits on its path in a tick, so that neither can pass through the other.
 
-The path is straight in the frame of each object, from the fingertip's last position to its current one: a thin object
-is detected if it moves, too.
+The path is straight in the frame of each object, from the fingertip's last position to its current one. So a thin
+object that moves is detected, too.
 """
 
 from typing import Any

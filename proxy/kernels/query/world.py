@@ -1,7 +1,7 @@
 """Poses of all objects in a tick, computed once by `step` and read by every finger.
 
 An object moves by a function of time, by commands from outside, or by the forces of a simulation. Other modules only
-read the resulting poses from the World, and need no distinction.
+read the resulting poses from the World; the kind of motion makes no difference to them.
 """
 
 from typing import Any
@@ -135,7 +135,7 @@ def place_several(objects: Any, poses: Any, was: Any) -> Any:
 
 @by_type
 def bare(body: Any) -> Any:
-    """Return the object with only its shape, poses, motion and law of the normal force.
+    """Return the object without friction, torsion, effects and texture: geometry and normal force do not need them.
 
     Kernels for bare objects are compiled once for all scenes whose objects have these shapes, and cached.
     """

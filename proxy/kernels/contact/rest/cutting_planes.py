@@ -35,7 +35,7 @@ HALVINGS = 6
 """Largest number of halvings of a step that ends inside."""
 TOUCHES = 1e-3
 """Distance from a facet, as a share of the radius, up to which its plane is used from the start. Any supporting plane
-is valid, so the value is not critical."""
+is valid."""
 AT_REST = 1e-6
 """Step, as a share of the radius, below which the proxy is at rest: it rotates a normal by this value in rad."""
 EDGES = 3
