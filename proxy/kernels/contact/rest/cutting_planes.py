@@ -3,7 +3,7 @@
 A facet, enlarged by the fingertip's radius r, is convex and entirely on one side of each of its supporting planes. So
 every point on the other side, in front, is at least r away from the facet. The anchor is the last place of the proxy
 that is known to be outside. The half-spaces in front of several supporting planes, each of which contains the anchor,
-intersect in a convex region that is outside of all these facets. A step goes to the point of that region nearest to
+intersect in a convex region that is outside of all these facets. A step moves to the point of that region nearest to
 the probe. If the search of the mesh finds another facet there, the plane of that facet is added and the point is
 computed again. The step ends outside and crosses nothing; the next step starts there, with new planes.
 
