@@ -1,4 +1,7 @@
-"""One tick of contact: probe poses in, forces and torques out, in the order of the equations."""
+"""Contact step: forces and torques of one tick from the poses of the probes, in the order of the equations.
+
+`step` is called by the tick of the servo loop and of `simulate`, and by the engine of the Python interface.
+"""
 
 from typing import Any
 
@@ -43,19 +46,19 @@ from softfinger.proxy.kernels.shapes.budget import BUDGET
 
 @by_type_of("bodies")
 def step(scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    """Advance the world by one tick, and every finger over it; the reaction of each contact is put on its body.
+    """Advance the world and all fingers by one tick, and apply the reaction of each contact to the touched body.
 
-    scene     Scene   what is modelled, with its parameters
-    state     State   what the last tick left
+    scene     Scene   model and parameters
+    state     State   state after the last tick
     poses             a Pose for each finger: probe position, m, and orientation, unit quaternion, fingertip to world
     dt        s       time since the last tick; 0 freezes velocity and damping
-    returns   State, and a Contact for each finger
+    returns           State, and a tuple of a Contact for each finger
     """
 
 
 @step.of(None)
 def step_once(scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    """The contact step of all fingers, with every object where the world has it now."""
+    """Compute one contact step of all fingers, with all objects at their new poses."""
     world = advance(scene.objects, state.world, dt)
     objects = place_all(scene.objects, world.poses, world.was)
     fingers, contacts = step_fingers(scene.fingers, scene, objects, state.fingers, poses, dt)
@@ -64,9 +67,9 @@ def step_once(scene: Scene, state: State, poses: Any, dt: float) -> Any:
 
 @step.of(Bodies)
 def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    """In substeps of equal length, the fingers going straight from their last poses to these.
+    """Compute a tick in substeps of equal length; the fingers move on a straight path from their last poses to these.
 
-    While the bodies have a fault nothing is touched: where they are is not known.
+    While the bodies have a fault, nothing is touched: their poses are unknown.
     """
     bodies = scene.bodies
     if faulty(bodies):
@@ -87,14 +90,14 @@ def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
 
 @jit
 def let_go(scene: Scene, world: World, fingers: Any, poses: Any, dt: float) -> Any:
-    """The world as it is, which no finger touches: states before the tick to State and Contacts."""
+    """Return State and Contacts for an unchanged world without contact; `fingers` are the states before the tick."""
     states, contacts = release_fingers(scene.fingers, fingers, poses, dt)
     return State(world=world, fingers=states), contacts
 
 
 @by_count
 def release_fingers(fingers: Any, states: Any, poses: Any, dt: float) -> Any:
-    """FingerStates and Contacts of fingers that touch nothing and feel nothing, whatever is there; a tuple each."""
+    """Return a tuple of FingerState and one of Contact for fingers without contact and force."""
 
 
 @release_fingers.of(1)
@@ -114,7 +117,10 @@ def release_several_fingers(fingers: Any, states: Any, poses: Any, dt: float) ->
 
 @by_count
 def on_the_way(fingers: Any, poses: Any, share: float) -> Any:
-    """Poses a share of the way from those of each FingerState to the given ones; a finger without one is there."""
+    """Return the poses at the fraction `share` of the path from the last poses to the given ones.
+
+    fingers  a FingerState for each finger; before its first pose, a finger is at the given pose
+    """
 
 
 @on_the_way.of(1)
@@ -130,13 +136,13 @@ def one_on_its_way(fingers: Any, poses: Any, share: float) -> Any:
 
 @on_the_way.of(2)
 def several_on_their_way(fingers: Any, poses: Any, share: float) -> Any:
-    # numba joins tuples of known types, and does not unpack one inside another.
+    # numba can concatenate tuples of known types, but cannot unpack one inside another.
     return one_on_its_way(fingers[:1], poses[:1], share) + on_the_way(fingers[1:], poses[1:], share)
 
 
 @by_count
 def step_fingers(fingers: Any, scene: Scene, objects: Any, states: Any, poses: Any, dt: float) -> Any:
-    """`step_finger` for each finger; states and Contacts, a tuple each."""
+    """Call `step_finger` for each finger; return a tuple of FingerState and one of Contact."""
 
 
 @step_fingers.of(1)
@@ -149,7 +155,7 @@ def step_the_only_finger(fingers: Any, scene: Scene, objects: Any, states: Any, 
 def step_several_fingers(fingers: Any, scene: Scene, objects: Any, states: Any, poses: Any, dt: float) -> Any:
     state, contact = step_finger(scene, fingers[0], objects, states[0], poses[0], dt)
     others, contacts = step_fingers(fingers[1:], scene, objects, states[1:], poses[1:], dt)
-    # numba joins tuples of known types, and does not unpack one inside another.
+    # numba can concatenate tuples of known types, but cannot unpack one inside another.
     return (state,) + others, (contact,) + contacts  # noqa: RUF005
 
 
@@ -157,7 +163,7 @@ def step_several_fingers(fingers: Any, scene: Scene, objects: Any, states: Any, 
 def step_finger(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, pose: Pose, dt: float
 ) -> tuple[FingerState, Contact]:
-    """One finger's contact in a world that has been advanced: `objects` are where `place_all` has put them."""
+    """Compute the contact of one finger in the advanced world; `objects` are those of `place_all`."""
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
     seen = seen_by(finger.form, finger.radius, objects, pose.orientation)
@@ -166,7 +172,7 @@ def step_finger(
 
 @jit
 def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant: float) -> Vec3:
-    """Probe velocity (3,) m/s: backward difference through a first-order low-pass."""
+    """Return the probe velocity (3,) m/s: the backward difference, filtered by a first-order low-pass."""
     if state.started == 0.0 or dt <= 0.0:
         return state.probe.velocity
     gain = 1.0 / (time_constant + dt)
@@ -178,7 +184,10 @@ def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant
 def update_contact(
     contacts: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> Any:
-    """The finger's state and Contact: with one object there is one contact, and the proxy follows it where it slips."""
+    """Return the finger's FingerState and Contact.
+
+    A scene of one object has one contact, and its proxy follows the slip on that object.
+    """
 
 
 @update_contact.of(1)
@@ -226,7 +235,7 @@ def contact_with_several_objects(
 def out_of_contact(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float, budget: int
 ) -> tuple[FingerState, Contact]:
-    """Free space; or, with a `budget` below 0, a first pose that was not searched to the end."""
+    """Return state and Contact in free space, or at a first pose with an incomplete search (`budget` below 0)."""
     nothing = one_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
     effects = effects_of_tick(scene, finger, objects, state, nothing, probe, dt)
     unsearched = 1.0 if budget < 0 else effects.unknown

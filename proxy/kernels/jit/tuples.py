@@ -1,4 +1,7 @@
-"""Tuples as long as others, and named tuples with some of their fields changed."""
+"""Operations on tuples that numba lacks: replace fields of a named tuple, and fill a tuple of another's length.
+
+Kernels and the servo loop call them; in plain Python they are ordinary functions.
+"""
 
 from typing import Any
 
@@ -12,10 +15,13 @@ from softfinger.proxy.kernels.jit.decorators import PLAIN
 
 @intrinsic(prefer_literal=True)
 def replace(typing_context, given, *changes):  # type: ignore[no-untyped-def]
-    """The named tuple `given` with other values, of other types, too, in some fields: a field's name and its value,
-    again and again."""
+    """Return the named tuple with some fields replaced, as `_replace` does; the new values may have other types.
+
+    given    named tuple
+    changes  name and new value of each field, alternating; names are literals
+    """
     names = [getattr(each, "literal_value", None) for each in changes[::2]]
-    if not set(names) <= set(given.fields):  # numba asks once more then, without the literals
+    if not set(names) <= set(given.fields):  # numba then tries again without literals
         raise TypingError(f"{given.instance_class.__name__} has no fields of these names: {changes[::2]}")
     at, kinds = [given.fields.index(name) for name in names], dict(zip(given.fields, given.types, strict=True))
     kinds |= {given.fields[place]: types.unliteral(kind) for place, kind in zip(at, changes[1::2], strict=True)}
@@ -40,7 +46,7 @@ if PLAIN:
 
 @intrinsic
 def first_of(typing_context, each, thing, others):  # type: ignore[no-untyped-def]
-    """A tuple as long as another, of a thing and, behind it, the same other thing for each that follows."""
+    """Return a tuple of the length of `each`: `thing` first, then `others` in every other element."""
     count = len(each)
     result = types.BaseTuple.from_types((thing,) + (others,) * (count - 1))
 

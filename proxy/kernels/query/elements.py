@@ -1,13 +1,13 @@
-"""The entries of a scene's tuple of objects: one object, `Rows` of many of one type, or a mesh of many triangles.
+"""Entries of a scene's tuple of objects: an object, `Rows` of objects of one type, or a mesh of many triangles.
 
-An object's place is counted through the tuple and its rows. The loop over the tuple is unrolled, one type after the
-other; of rows a loop at run time takes one after the other, so compiling costs as much as there are types.
+The flat index of an object counts through the tuple, its rows and its triangles. The loop over the tuple is unrolled,
+once for each entry; a loop over rows runs at run time, so the compile time depends on the number of types only.
 
     at = 0.0
     for entry in literal_unroll(objects):
-        if has(entry, at, index):
-            ... member(entry, index - at) ...
-        at += places(entry)
+        if contains(entry, at, index):
+            ... element(entry, index - at) ...
+        at += count(entry)
 """
 
 from typing import Any
@@ -20,7 +20,7 @@ from softfinger.proxy.kernels.shapes.composite import count_of_shape, element_of
 
 @by_type
 def count(entry: Any) -> Any:
-    """How many objects there are in it."""
+    """Return the number of objects in an entry."""
 
 
 @count.otherwise
@@ -35,7 +35,7 @@ def count_of_rows(entry: Any) -> float:
 
 @by_type
 def contains(entry: Any, at: float, index: float) -> Any:
-    """Whether the object with the place `index` is in the entry that begins with the place `at`."""
+    """Return True if object `index` is in the entry that starts at index `at`."""
 
 
 @contains.otherwise
@@ -50,7 +50,7 @@ def rows_contain(entry: Any, at: float, index: float) -> bool:
 
 @by_type
 def element(entry: Any, number: float) -> Any:
-    """The object of an entry with that number in it, from 0 on."""
+    """Return an object of an entry; `number` is its index in the entry, from 0."""
 
 
 @element.otherwise

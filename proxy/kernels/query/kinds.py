@@ -1,4 +1,7 @@
-"""Which objects may be touched in many places: what a scene without any leaves out, known when it is compiled."""
+"""Selection of code by the kinds of objects in a scene, at compile time.
+
+Only meshes and height maps can touch a fingertip at several points. A scene without them is compiled without that code.
+"""
 
 from collections.abc import Callable
 from typing import Any, Final
@@ -15,14 +18,19 @@ from softfinger.proxy.kernels.shapes.composite import has_creases, is_mesh_shape
 
 
 def moves_by_itself(*given: Any) -> bool:
-    """Whether there is an object on a body of a simulation among arguments of those types: such a tick takes
-    microseconds, and the code of each finger, compiled into each of its callers, would take a minute."""
+    """Return True if one of the arguments contains an object attached to a body of a simulation.
+
+    A tick of a simulation takes microseconds, so a call by address costs little. Inlining the code of each finger into
+    each of its callers would take a minute to compile.
+    """
     return Simulated in kinds_in(given)
 
 
 def takes_long(*given: Any) -> bool:
-    """Whether there is one, a mesh or a height map: what is asked of them takes long enough for a call by address not
-    to count."""
+    """Return True if one of the arguments contains an object on a simulated body, a mesh or a height map.
+
+    Queries of them take so long that the cost of a call by address is negligible.
+    """
     return moves_by_itself(*given) or not {Mesh, Heightmap}.isdisjoint(kinds_in(given))
 
 
@@ -36,11 +44,11 @@ def _kind_among(kinds: Any) -> str:
 
 
 def by_multipoint(declaration: Callable[..., Any]) -> Any:
-    """Declare a kernel chosen by the objects in a tuple; of the others nothing is compiled.
+    """Declare a kernel chosen by the objects in a tuple; only the chosen implementation is compiled.
 
-    .of(WITH_HEIGHTMAP)  one is a height map
-    .of(WITH_MESH)       one is a mesh, and none a height map
-    .of(SINGLE_POINT)    none is either: each is touched in one point
+    .of(WITH_HEIGHTMAP)  at least one is a height map
+    .of(WITH_MESH)       at least one is a mesh, and none a height map
+    .of(SINGLE_POINT)    no mesh and no height map: each object touches a fingertip at one point
     """
 
     def sort(objects: Any) -> str:
@@ -51,7 +59,7 @@ def by_multipoint(declaration: Callable[..., Any]) -> Any:
 
 @by_type
 def shape_in(entry: Any) -> Any:
-    """The shape of an entry, or of the first of a row, whose others are of its kind."""
+    """Return the shape of an entry; of rows, the shape of the first, since all have the same type."""
 
 
 @shape_in.otherwise
@@ -66,7 +74,7 @@ def shape_of_first(entry: Any) -> Any:
 
 @by_multipoint
 def any_mesh(objects: Any) -> Any:
-    """Whether there is a mesh among them."""
+    """Return True if one of the objects is a mesh."""
 
 
 @any_mesh.of(SINGLE_POINT)
@@ -84,7 +92,7 @@ def some_mesh(objects: Any) -> bool:
 
 @by_multipoint
 def any_creases(objects: Any) -> Any:
-    """Whether there is a height map among them."""
+    """Return True if one of the objects is a height map."""
 
 
 @any_creases.of(WITH_HEIGHTMAP)
@@ -99,13 +107,13 @@ def no_creases(objects: Any) -> bool:
 
 @jit
 def any_multipoint(objects: Any) -> bool:
-    """Whether there is one of either."""
+    """Return True if one of the objects is a mesh or a height map."""
     return any_mesh(objects) or any_creases(objects)
 
 
 @jit
 def kind_at(objects: Any, index: float) -> float:
-    """Of the object with that place: 1 a triangle of a mesh, 2 a height map, 0 anything else, or nothing."""
+    """Return 1 if object `index` is a triangle of a mesh, 2 if it is a height map, 0 for any other object or none."""
     kind = 0.0
     at = 0.0
     for entry in literal_unroll(objects):
@@ -117,11 +125,11 @@ def kind_at(objects: Any, index: float) -> float:
 
 @jit
 def is_mesh_at(objects: Any, index: float) -> bool:
-    """Whether the object with that place is a triangle of a mesh."""
+    """Return True if object `index` is a triangle of a mesh."""
     return kind_at(objects, index) == 1.0
 
 
 @jit
 def has_creases_at(objects: Any, index: float) -> bool:
-    """Whether the object with that place is a height map."""
+    """Return True if object `index` is a height map."""
     return kind_at(objects, index) == 2.0

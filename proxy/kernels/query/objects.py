@@ -1,8 +1,7 @@
-"""All objects of a scene asked in turn, each where its pose puts it.
+"""Queries of one or all objects of a scene, in the world frame.
 
-Objects are of different types, so they stand in a tuple and are asked one after the other by an
-unrolled loop. Many of one type stand together in it as `Rows`; `index` is an object's place: see
-`entries`.
+Objects have different types, so they are in a tuple, and an unrolled loop visits them one after the other. Objects of
+one type are one entry of the tuple, `Rows`. `index` is the flat index of an object: see `elements`.
 """
 
 from typing import Any
@@ -28,28 +27,29 @@ from softfinger.proxy.kernels.shapes import (
 from softfinger.proxy.kernels.shapes.composite import Deepest, has_creases, nearest_of_shape, neighbour_of, raised_clear
 
 NOBODY: Vec3 = (-1.0, -1.0, -1.0)
-"""Places of no objects."""
+"""Three flat indices of no object."""
 SWING = 0.2
-"""Turn of the contact round a hollow in a tick, rad, past which it slides: no hand follows it thirty times a second."""
+"""Largest angle of the contact round a hollow in a tick, rad; beyond it the contact slides. At 1 kHz that is thirty
+turns per second, which no hand follows."""
 
 
 @jit
 def closest_on(body: Any, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """`closest` of one object in the world."""
+    """Return `closest` of one object in the world frame."""
     gap, point, normal = closest(body.shape, into(body.pose, x))
     return gap, out_of(body.pose, point), turn_out_of(body.pose, normal)
 
 
 @jit
 def closest_or_bound_on(body: Any, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
-    """`closest_or_bound` of one object in the world."""
+    """Return `closest_or_bound` of one object in the world frame."""
     gap, point, normal, unsearched = closest_or_bound(body.shape, into(body.pose, x))
     return gap, out_of(body.pose, point), turn_out_of(body.pose, normal), unsearched
 
 
 @jit
 def closest_to_within(objects: Any, index: float, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
-    """`closest_within` of the object with that place."""
+    """Return `closest_within` of object `index` in the world frame."""
     gap, point, normal = 0.0, x, (0.0, 0.0, 1.0)
     at = 0.0
     for entry in literal_unroll(objects):
@@ -65,7 +65,7 @@ def closest_to_within(objects: Any, index: float, x: Vec3, budget: int) -> tuple
 def constraint_of(
     objects: Any, index: float, center: Vec3, radius: float, normal: Vec3, budget: int
 ) -> tuple[Vec3, Vec3, int]:
-    """`constraint_at` of the object with that place, in the world."""
+    """Return `constraint_at` of object `index` in the world frame."""
     point, up = center, normal
     at = 0.0
     for entry in literal_unroll(objects):
@@ -80,7 +80,7 @@ def constraint_of(
 
 @jit
 def normal_law_of(objects: Any, index: float) -> Any:
-    """Law of the normal force of the object with that place; bare objects have no more of a material (`all_bare`)."""
+    """Return the law of the normal force of object `index`; the only part of a material that bare objects have."""
     found = element(objects[0], 0.0).material.normal
     at = 0.0
     for entry in literal_unroll(objects):
@@ -93,7 +93,7 @@ def normal_law_of(objects: Any, index: float) -> Any:
 
 @jit
 def material_of(objects: Any, index: float) -> Material:
-    """Material of the object with that place, of whole objects: all of a scene have the same parts."""
+    """Return the material of object `index`. All materials of a scene have the same types; not for bare objects."""
     found = element(objects[0], 0.0).material
     at = 0.0
     for entry in literal_unroll(objects):
@@ -106,7 +106,7 @@ def material_of(objects: Any, index: float) -> Material:
 
 @jit
 def number_of(objects: Any, index: float) -> float:
-    """Number in the scene file of the object with that place, -1 for none; several may make one object."""
+    """Return the scene file's index of object `index`, -1 for none; several may form one object of the file."""
     found = -1.0
     at = 0.0
     for entry in literal_unroll(objects):
@@ -119,7 +119,7 @@ def number_of(objects: Any, index: float) -> float:
 
 @jit
 def is_inside(objects: Any, index: float) -> bool:
-    """Whether the object with that place is touched from inside."""
+    """Return True if object `index` is touched from inside."""
     inside = False
     at = 0.0
     for entry in literal_unroll(objects):
@@ -132,10 +132,10 @@ def is_inside(objects: Any, index: float) -> bool:
 
 @jit
 def slides_round_hollow(body: Any, radius: float, center: Vec3, normal: Vec3, theta: float) -> bool:
-    """Whether a roll by `theta` rad takes the contact round a hollow so far that its way cannot be followed.
+    """Return True if a roll by `theta` rad moves the contact too far round a hollow to roll there.
 
-    The contact turns by k r theta, k the curvature of the surface that the centre moves on: any number of times the
-    roll in a hollow that the fingertip nearly fills.
+    The contact turns by k r theta, with k the curvature of the offset surface. In a hollow that the fingertip nearly
+    fills, that is many times theta.
     """
     point = into(body.pose, vec3.add_scaled(center, -radius, normal))
     return bend(body.shape, radius, point, turn_into(body.pose, normal)) * radius * theta > SWING
@@ -143,8 +143,10 @@ def slides_round_hollow(body: Any, radius: float, center: Vec3, normal: Vec3, th
 
 @jit
 def curvature_of(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    """`curvature` of the object with that place, in the world; 0 of a height map, which may be touched on both sides of
-    a valley at once."""
+    """Return `curvature` of object `index` in the world frame.
+
+    0 for a height map, which may be touched on both sides of a valley at once.
+    """
     k1, k2, first = 0.0, 0.0, normal
     at = 0.0
     for entry in literal_unroll(objects):
@@ -160,7 +162,7 @@ def curvature_of(objects: Any, index: float, radius: float, center: Vec3, normal
 
 @jit
 def pose_of(objects: Any, index: float) -> Pose:
-    """Pose of the object with that place."""
+    """Return the pose of object `index`."""
     found = Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     at = 0.0
     for entry in literal_unroll(objects):
@@ -173,7 +175,7 @@ def pose_of(objects: Any, index: float) -> Pose:
 
 @jit
 def neighbour_on(objects: Any, index: float, x: Vec3) -> float:
-    """Place of the object that is nearer to `x` (3,) m than the one with that place, whose edge it is beyond."""
+    """Return the index of the neighbouring facet if it is closer to `x` (3,) m than object `index`, else `index`."""
     beyond = index
     at = 0.0
     for entry in literal_unroll(objects):
@@ -186,7 +188,7 @@ def neighbour_on(objects: Any, index: float, x: Vec3) -> float:
 
 @by_type
 def nearest_in(entry: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Any:
-    """`deepest` among the objects of an entry that begins with the place `at`, as numbers in it."""
+    """Return `deepest` of the entry that starts at index `at`; the returned index is relative to `at`."""
 
 
 @nearest_in.otherwise
@@ -207,12 +209,11 @@ def smallest_gap_in_rows(entry: Any, x: Vec3, within: float, at: float, known: V
 
 @jit
 def deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
-    """Smallest gap of `x` (3,) m over all objects.
+    """Return the object nearest to `x` (3,) m, with its gap.
 
-    within        m  gaps beyond it may be left out; of no object, then, is the gap 1e300
-    known   (3,)     places of up to three objects, -1 for none, to which no equally near triangle of their mesh is
-                     preferred
-    budget           nodes and triangles of meshes, and tiles of height maps, that may be asked
+    within        m  search distance: objects beyond it may be omitted; the gap is 1e300 if none is found
+    known   (3,)     indices of up to three objects, -1 for none, preferred to equally near triangles of their mesh
+    budget           nodes and triangles of meshes, and tiles of height maps, that may be visited
     """
     smallest, index = 1e300, -1.0
     at = 0.0
@@ -226,7 +227,7 @@ def deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int) -> D
 
 @jit
 def raised_clear_of(objects: Any, index: float, center: Vec3, radius: float) -> Vec3:
-    """`raised_clear` of the object with that place, in the world."""
+    """Return `raised_clear` of object `index` in the world frame."""
     found = center
     at = 0.0
     for entry in literal_unroll(objects):

@@ -1,6 +1,7 @@
-"""Which object a fingertip meets first on its way: nothing thin is jumped over in a tick, whoever moves.
+"""First object that a fingertip hits on its path in a tick, so that neither can pass through the other.
 
-The way is the one that the object sees: straight, in its own frame, from where the fingertip was to where it is.
+The path is straight in the frame of each object, from the fingertip's last position to its current one. So a thin
+object that moves is detected, too.
 """
 
 from typing import Any
@@ -21,9 +22,9 @@ from softfinger.proxy.kernels.shapes.protocol import meets
 
 @by_type
 def first_in(entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int) -> Any:
-    """What of an entry that begins with the place `at` is met first: see `first_hit`.
+    """Find the first hit in the entry that starts at index `at`: see `first_hit`.
 
-    returns  the share of the way at which it is met, its place, where (3,) m its way begins, what is left of the budget
+    returns  share of the path at the hit, flat index of the object, start (3,) m of the path, and remaining budget
     """
 
 
@@ -54,14 +55,15 @@ def first_in_rows(
 def first_hit(
     objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
 ) -> tuple[float, Vec3, int]:
-    """Place of the first object met, -1 for none, where (3,) m its surface and the fingertip meet, and what is left of
-    the budget; where that is used up on a mesh or a height map it counts as met.
+    """Find the first object that a fingertip hits on its path.
 
-    start   (3,) m  where the way begins, at the last tick: an object that has moved since has taken it along
-    end     (3,) m  where the way ends now
+    start   (3,) m  start of the path, at the last tick; for an object that has moved since, it moves with the object
+    end     (3,) m  end of the path, now
     leaves          see `travel`
-    skip            places of up to three objects that are not asked
-    budget          nodes and triangles of meshes, and tiles of height maps, that may be asked
+    skip            flat indices of up to three objects to ignore
+    budget          nodes and triangles of meshes, and tiles of height maps, that may be visited
+    returns         flat index of the object, -1 for none; the fingertip's centre (3,) m at the hit; and the remaining
+                    budget. A mesh or height map whose query exhausts the budget counts as hit
     """
     share, index, where = NO_HIT, -1.0, end
     at = 0.0

@@ -1,7 +1,7 @@
-"""The world in a tick: advanced once, whatever the number of fingers, and then read by each of them.
+"""Poses of all objects in a tick, computed once by `step` and read by every finger.
 
-An object is where the World says. How it got there, by a law of the time, driven from outside or by
-forces, is known here only.
+An object moves by a function of time, by commands from outside, or by the forces of a simulation. Other modules only
+read the resulting poses from the World; the kind of motion makes no difference to them.
 """
 
 from typing import Any
@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.query.motion import moving_pose, pose_at
 
 @jit
 def advance(objects: Any, world: World, dt: float) -> World:
-    """The world a tick later, dt in s: every object that can move where its motion has brought it."""
+    """Return the world after a tick of `dt` s, with the new pose of every object that can move."""
     time = world.time + dt
     poses = poses_at(objects, time)
     return World(started=1.0, time=time, poses=poses, was=before(poses, world.poses, world.started))
@@ -25,7 +25,7 @@ def advance(objects: Any, world: World, dt: float) -> World:
 
 @by_count
 def poses_at(objects: Any, time: float) -> Any:
-    """Poses of all objects at `time` (s), None for one that cannot move."""
+    """Return the poses of all objects at `time` (s), None for one that cannot move."""
 
 
 @poses_at.of(1)
@@ -35,13 +35,13 @@ def pose_of_one_at(objects: Any, time: float) -> Any:
 
 @poses_at.of(2)
 def poses_of_several_at(objects: Any, time: float) -> Any:
-    # numba joins tuples of known types, and does not unpack one inside another.
+    # numba can concatenate tuples of known types, but cannot unpack one inside another.
     return (entry_at(objects[0], time),) + poses_at(objects[1:], time)  # noqa: RUF005
 
 
 @by_type
 def entry_at(entry: Any, time: float) -> Any:
-    """Pose of an entry at `time` (s), None of one that cannot move, and of rows, which read it where bodies have it."""
+    """Return the pose of an entry at `time` (s); None if it cannot move, and for rows, which read it from bodies."""
 
 
 @entry_at.of(Rows)
@@ -57,7 +57,10 @@ def object_at(entry: Any, time: float) -> Any:
 
 @by_type
 def since(was: Any, started: float, pose: Any) -> Any:
-    """Pose that an object had at the last tick; before the first it has stood where it is. None if it cannot move."""
+    """Return the pose of an object at the last tick, None if it cannot move.
+
+    In the first tick this is the current pose: the object counts as not having moved.
+    """
 
 
 @since.of(None)
@@ -72,7 +75,7 @@ def since_last_tick(was: Pose, started: float, pose: Pose) -> Pose:
 
 @by_count
 def before(poses: Any, was: Any, started: float) -> Any:
-    """Poses that all objects had at the last tick."""
+    """Return the poses of all objects at the last tick, see `since`."""
 
 
 @before.of(1)
@@ -87,7 +90,7 @@ def several_before(poses: Any, was: Any, started: float) -> Any:
 
 @by_type
 def standing(pose: Any, rest: Any) -> Any:
-    """Pose in the world; of an object that cannot move (None) the one at rest."""
+    """Return the pose in the world: `pose`, or the base pose `rest` if the object cannot move (None)."""
 
 
 @standing.of(None)
@@ -102,12 +105,12 @@ def standing_where_it_moved(pose: Pose, rest: Any) -> Pose:
 
 @by_type
 def place(body: Any, pose: Any, was: Any) -> Any:
-    """The object where the world has it."""
+    """Return the object with its poses of this tick and the last, from the World."""
 
 
 @place.of(Rows)
 def place_of_rows(body: Any, pose: Any, was: Any) -> Any:
-    return body  # each is asked where it is when it is read: `in_row`
+    return body  # the pose is computed when an element is read: `in_row`
 
 
 @place.of(Object)
@@ -117,7 +120,7 @@ def place_of_object(body: Object, pose: Any, was: Any) -> Any:
 
 @by_count
 def place_all(objects: Any, poses: Any, was: Any) -> Any:
-    """All objects where the world has them; `poses` and `was` are the World's."""
+    """Return all objects with their poses of this tick and the last: `poses` and `was` of the World."""
 
 
 @place_all.of(1)
@@ -132,15 +135,15 @@ def place_several(objects: Any, poses: Any, was: Any) -> Any:
 
 @by_type
 def bare(body: Any) -> Any:
-    """The object without what its geometry and its normal force do not depend on.
+    """Return the object without friction, torsion, effects and texture: geometry and normal force do not need them.
 
-    Kernels that are given no more are compiled once for all scenes whose objects have these shapes, and are kept.
+    Kernels for bare objects are compiled once for all scenes whose objects have these shapes, and cached.
     """
 
 
 @bare.of(Rows)
 def bare_rows(body: Any) -> Any:
-    return body  # in memory as they are
+    return body  # in memory, cannot be changed
 
 
 @bare.of(Object)
@@ -151,7 +154,7 @@ def bare_object(body: Object) -> Any:
 
 @by_count
 def all_bare(objects: Any) -> Any:
-    """All of them bare."""
+    """Return all objects bare, see `bare`."""
 
 
 @all_bare.of(1)
