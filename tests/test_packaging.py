@@ -38,7 +38,7 @@ KERNEL_STANDARD_LIBRARY = {
     "cache.py": {"contextlib", "functools", "hashlib", "logging", "os", "pathlib", "secrets", "stat", "sys"},
     "dispatch.py": {"functools"},
     "numba_internals.py": {"functools", "hashlib", "logging", "pathlib", "pickle", "secrets", "types"},
-    "doing.py": {"contextlib"},
+    "progress.py": {"contextlib"},
     "arrays.py": {"operator"},
     "rows.py": {"operator"},
     "outlined.py": {"functools"},
