@@ -47,8 +47,11 @@ Byte = Annotated[int, Meta(ge=0, le=255)]
 
 
 class Checksum(Table, frozen=True, kw_only=True):
-    """Checksum. One byte: sum8, xor8 (exclusive or), crc8 (polynomial 0x07, from 0). Two, from 0xFFFF: crc16-ccitt
-    (polynomial 0x1021), crc16-modbus (0x8005 reflected)."""
+    """Checksum of a frame.
+
+    One byte: sum8, xor8 (exclusive or), crc8 (polynomial 0x07, initial value 0). Two bytes, initial value 0xFFFF:
+    crc16-ccitt (polynomial 0x1021), crc16-modbus (0x8005 reflected).
+    """
 
     kind: Annotated[
         Check,
@@ -121,8 +124,10 @@ class InputFrame(Frame, frozen=True, kw_only=True):
 
 
 class OutputFrame(Frame, frozen=True, kw_only=True):
-    """Frame to the board: `output` each tick, `setup` at opening until it answers, and at closing. Bytes of no field
-    are 0."""
+    """Frame to the board.
+
+    `output` is sent on each tick, `setup` at opening until the board answers, and at closing. Bytes of no field are 0.
+    """
 
     field: Annotated[tuple[OutputField, ...], sized(FIELDS, "its numbers")]
 

@@ -64,8 +64,10 @@ class Allowed:
         self._revoked.add(key)
 
     def _changes(self) -> bool:
-        """Return whether the folder has changed since the last read, or so shortly before that a file may be
-        incomplete."""
+        """Return whether the folder has changed since the last read.
+
+        A change shortly before the read counts, too: a file may have been incomplete.
+        """
         try:
             return os.stat(self.folder).st_mtime_ns > self._read_ns - SETTLED_NS
         except OSError:
