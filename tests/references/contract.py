@@ -13,6 +13,8 @@ from softfinger.drivers import registry
 from softfinger.server.cli import make_parser
 from softfinger.server.verbs.schema import KINDS, json_schema
 
+_FIELD = ("name", "size", "kind", "unit")
+
 
 def names() -> dict[str, list[str]]:
     """Return all names by kind, sorted."""
@@ -25,7 +27,7 @@ def names() -> dict[str, list[str]]:
         "exports": sorted(softfinger.__all__),
         "command line": sorted(set(_options(make_parser(), "softfinger"))),
         "keys": sorted({path for name, schema in schemas.items() for path in _paths(schema, schema, name, ())}),
-        "telemetry": sorted(f"{each['name']} {each['size']} {each['kind']} {each['unit']}" for each in telemetry["record"]),
+        "telemetry": sorted(" ".join(f"{each[key]}" for key in _FIELD) for each in telemetry["record"]),
         "messages": sorted({*methods, *commands["errors"], *commands["request"], *commands["answer"]}),
     }  # fmt: skip
 
