@@ -31,9 +31,7 @@ REPORT_ID: Final = Range(0, 255, "one byte; 0 where the device does not number i
 SILENCE_S: Final = Range(
     0.01, 0.2, "below, one kick has no time to work; above, force acts where the device was long ago"
 )
-GIVE_UP_S: Final = Range(
-    0.01, 2.0, "below, one kick has no time to work; above, a device that is gone would go unnoticed"
-)
+GIVE_UP_S: Final = Range(0.01, 2.0, "below this one restart has no time to work; above it a lost device goes unnoticed")
 
 Through = Literal["auto", "node", "thread"]
 """Carrier of the reports: the loop at a hidraw node, or threads at hidapi; auto: the loop if there is a node."""

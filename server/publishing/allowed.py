@@ -89,8 +89,8 @@ class Allowed:
                 return
             text = str(error) if isinstance(error, ConfigError) else f"{self.folder}: {error.strerror}"
             if strictly:
-                raise ConfigError(f"no keys of those who may: {text}") from error
-            self._warn(f"nobody is let in: {text}")
+                raise ConfigError(f"no keys of allowed clients: {text}") from error
+            self._warn(f"no client is allowed: {text}")
             names = {}
         self._names = {key: name for key, name in names.items() if key not in self._revoked}
 

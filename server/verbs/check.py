@@ -57,7 +57,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = "Check scenes, rigs and experiments. Exit code 0: all are usable; 2: at least one is not."
     parser.add_argument("files", nargs="+", metavar="FILE", help="one of these, as a file or a shipped name")
     parser.add_argument(
-        "--explain", action="store_true", help="compile each scene and measure what a tick and each part of it cost"
+        "--explain",
+        action="store_true",
+        help="compile each scene and measure the cost of a tick and of each part of it",
     )
     parser.add_argument(
         "--plot",

@@ -26,7 +26,7 @@ ERRORS: Final[dict[ErrorName, str]] = {
     "refused": "the daemon cannot do this in its present state",
     "busy": "too many requests, or a scene is being replaced: ask again later",
     "superseded": "a later set_scene arrived before this one was compiled",
-    "expired": "the client had given up waiting before the daemon came to it: nothing was done",
+    "expired": "the client had stopped waiting before the daemon handled it: nothing was done",
     "failed": "a defect of the daemon; its log has details",
 }
 """Names with which an error may start."""
@@ -288,11 +288,11 @@ class Method(NamedTuple):
 
 
 METHODS: Final = {
-    "get_state": Method(Empty, State, "Return the newest tick of the first finger."),
+    "get_state": Method(Empty, State, "Return the latest tick of the first finger."),
     "heartbeat": Method(Empty, Alive, "Send a sign of life; restores the force that a missed heartbeat removed."),
     "set_params": Method(Values, Changed, "Change parameters of the scene, all between the same two ticks or none."),
     "set_scene": Method(SetScene, SceneSet, "Compile another scene, then switch to it at zero force."),
-    "reset_world": Method(Empty, Applied, "Put the bodies of [world] back where they began, at zero force."),
+    "reset_world": Method(Empty, Applied, "Return the bodies of [world] to their initial poses, at zero force."),
     "drive": Method(Drive, Applied, "Set the pose of a driven object."),
     "hand": Method(Hand, Applied, "Set the goal of the hand on a simulated device."),
     "hold": Method(Hold, Held, "Keep the present goal of the hand on a simulated device, and return it."),

@@ -195,7 +195,7 @@ def test_stop_while_a_transfer_hangs(
         time.sleep(0.05)
         device.stop()
         assert stub.busy() and servo.ticks == 100  # it hangs still
-        assert ("lets nothing past" in caplog.text) == bool(exclusive)
+        assert ("blocks all calls" in caplog.text) == bool(exclusive)
         assert bool(device.zero_failure()) == bool(exclusive)
         assert exclusive or (stub.norm() == 0.0 and stub["force_on"] == 0)
         servo.stop()
