@@ -175,5 +175,5 @@ def _workers(scheduler: str | None, threads: int | None) -> Iterator[_Workers]:
             reason = str(error).partition("\n")[0]
             raise ConfigError(
                 f"--scheduler {scheduler}: lost during a computation ({reason}): see its log; the same command with "
-                "--results FILE goes on where it ended"
+                "--results FILE continues from there"
             ) from error

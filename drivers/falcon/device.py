@@ -144,7 +144,7 @@ class Falcon(Device):
                 return
             if not was_logged:
                 log.warning(
-                    "%s: pull the knob out all the way, then push it in, until the light is green", self.info.name
+                    "%s: pull the knob out completely, then push it in, until the light is green", self.info.name
                 )
                 was_logged = True
             if time.monotonic() > until:

@@ -110,7 +110,7 @@ class ForceDimension(Device):
         reads, repeated, writes, held, cut = self.counts().values()
         if repeated or held or cut:
             log.info(
-                "%s: of %d reads %d repeated the last reading; of %d forces %d were held back, %d at the motors' limit",
+                "%s: of %d reads %d repeated the last reading; of %d forces %d were withheld, %d at the motors' limit",
                 self._model.full_name, reads, repeated, writes, held, cut,
             )  # fmt: skip
 
@@ -124,7 +124,7 @@ class ForceDimension(Device):
         if cause >= 0:
             messages.append(library.FORCE_OFF_CAUSES.get(cause, f"the device gives no cause ({cause})"))
         if self._word[AT.faulty]:
-            messages.append(f"its error word is {self._word[AT.faulty]}")
+            messages.append(f"its error code is {self._word[AT.faulty]}")
         return "; ".join(messages)
 
     def counts(self) -> dict[str, int]:

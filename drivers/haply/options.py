@@ -41,7 +41,8 @@ class Options(Table, frozen=True, kw_only=True):
 
     port: Annotated[int, within(PORT, "of the Inverse Service on this machine", 10001)] = 10001
     version: (
-        Annotated[str, Meta(pattern=r"^\d+\.\d+(\.\d+)?$"), said("of the service, where it does not say", "3.4")] | None
+        Annotated[str, Meta(pattern=r"^\d+\.\d+(\.\d+)?$"), said("of the service, if it does not send it", "3.4")]
+        | None
     ) = None
     device_id: (
         Annotated[str, Meta(max_length=64), said("the service's name of it, where several are attached", "049D")] | None

@@ -108,7 +108,7 @@ class Options(Table, frozen=True, kw_only=True):
     product_id: Annotated[int, within(USB_ID, "USB product", 0x0006)]
     serial: Annotated[str, said("serial number, where several are attached", "SN42")] | None = None
     path: Annotated[str, said("node, or hidapi's name on USB, in place of looking", "/dev/hidraw0")] | None = None
-    through: Annotated[Through, said("the loop at the node, threads at hidapi, or what there is", "auto")] = "auto"
+    through: Annotated[Through, said("the loop at the node, threads at hidapi, or the available one", "auto")] = "auto"
     reports: Reports
     kinematics: Kinematics
     mounting: Mounting = Mounting()

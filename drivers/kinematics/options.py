@@ -59,7 +59,8 @@ class Chain(Table, frozen=True, kw_only=True, tag_field="kind", tag="chain"):
         tuple[TorqueConstant, TorqueConstant, TorqueConstant], said("motors a, b, c", [0.321, 0.0603, 0.0603])
     ]
     aligned: Annotated[
-        tuple[bool, bool, bool], said("motor and body turn the same way, so that counts fall", [False, False, False])
+        tuple[bool, bool, bool],
+        said("motor and body turn in the same direction, so that counts decrease", [False, False, False]),
     ] = (False, False, False)
     calibration_counts: Annotated[
         tuple[Preset, Preset, Preset], said("counts a, b, c in the calibration pose", [0, 0, 6000])

@@ -34,7 +34,7 @@ class Options(Table, frozen=True, kw_only=True):
     inkwell: Annotated[bool, said("no force while the stylus is in the inkwell; false: ignore the switch")] = True
     reset_encoders: Annotated[
         bool,
-        said("a device without its zeros takes the place where it is HELD WHILE IT IS OPENED for its reset position"),
+        said("a device without its zeros uses its position DURING OPENING as its reset position"),
     ] = False
     calibration_wait_s: Annotated[
         float, within(CALIBRATION_S, "how long opening waits for the stylus to be put into the inkwell", 20.0)

@@ -155,7 +155,7 @@ class SceneChanges(Worker):
 
 
 def _superseded() -> Superseded:
-    return Superseded("another scene was asked for, or the daemon ends, before this one was compiled")
+    return Superseded("another scene was requested, or the daemon ends, before this one was compiled")
 
 
 def compile_loop(scene: schema.Scene) -> Tuning:

@@ -250,8 +250,8 @@ def _locate(file: str) -> Path:
     names = [*shipped(Scene), *shipped(Rig), *names_in(EXPERIMENTS)]
     if file not in names and "." not in file and "/" not in file and not _exists(file):
         raise ConfigError(
-            f"no scene, rig or experiment is called {shown(file)}{near(file, names)}; shipped are {', '.join(names)}; "
-            "a file of your own is named with its ending .toml"
+            f"no scene, rig or experiment is named {shown(file)}{near(file, names)}; shipped are {', '.join(names)}; "
+            "give the path of another file with its suffix .toml"
         )
     if file in names_in(EXPERIMENTS):
         return find_in(EXPERIMENTS, "experiment", file)

@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "Nothing is opened, so a device in use is not disturbed, unless --ask is given."
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--ask", action="store_true", help="open each free device, and read its own data")
+    parser.add_argument("--ask", action="store_true", help="open each free device, and read its data")
     parser.add_argument("--rig", help="rig with the library or firmware file for the devices of its driver")
 
 

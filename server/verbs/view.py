@@ -25,24 +25,24 @@ NICE: Final = 5
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = "A page in the browser: what a running daemon renders, and a mouse for a hand; or a recording."
+    parser.description = "Open a page in the browser that shows a running daemon, with a mouse as hand; or a recording."
     parser.add_argument(
         "recording", nargs="?", metavar="RECORDING", help="an .mcap, results, poses, or the name of a shipped recording"
     )
-    parser.add_argument("--scene", help="of a recording that does not say its own, or in place of that")
+    parser.add_argument("--scene", help="scene of a recording without one, or instead of it")
     parser.add_argument("--tick", type=int, default=0, metavar="N", help="where in a recording to begin")
     parser.add_argument(
         "--endpoint",
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
-    parser.add_argument("--commands", help="commands endpoint (default: beside that)")
+    parser.add_argument("--commands", help="commands endpoint (default: next to that of telemetry)")
     keys.add_options(parser)
     parser.add_argument(
         "--role",
         choices=[each.value for each in Role],
         default=Role.OPERATOR.value,
-        help="who sits before it: a watcher changes nothing, a participant sees only prompts (%(default)s)",
+        help="role of the user: a watcher changes nothing, a participant sees only prompts (%(default)s)",
     )
     parser.add_argument("--host", default=HOST, help="address that the page is served on (%(default)s)")
     parser.add_argument(

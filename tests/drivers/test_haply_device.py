@@ -224,7 +224,7 @@ def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None
     [
         ('{"project_version":"3.0.7.0"}', "version 3.0.7.0; this driver speaks 3.1 to 3.x"),
         ('{"project_version":"4.0.0.0"}', "version 4.0.0.0; this driver speaks 3.1 to 3.x"),
-        ('{"project_version":"new"}', "its version is 'new', which is no number"),
+        ('{"project_version":"new"}', "the version 'new', which is no number"),
         ("[1, 2]", "says no version"), ("{}", "says no version"),
         ('{"project_version":' + 9000 * "[", "says no version"),
     ],
@@ -278,7 +278,7 @@ def test_a_service_that_says_nothing_is_given_up(service: Service) -> None:
     """Without an inventory, opening ends after two seconds, and leaves no connection."""
     service.set(mute=True)
     begun = time.monotonic()
-    with pytest.raises(NoAnswer, match=r"says nothing within 2 s: restart it"):
+    with pytest.raises(NoAnswer, match=r"does not answer within 2 s: restart it"):
         opened(service)
     assert 1.0 < time.monotonic() - begun < 8.0
 

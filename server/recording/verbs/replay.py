@@ -50,7 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--tolerance", type=float, default=TOLERANCE, metavar="N", help="largest difference, N, N m, m (%(default)s)"
     )
     parser.add_argument("--scene", help="scene in place of the recording's")
-    parser.add_argument("--rig", help="rig whose guard limits the force, in place of the recording's")
+    parser.add_argument("--rig", help="rig with the guard that limits the force, instead of the recording's")
     parser.add_argument("--rate", type=float, metavar="HZ", help="of poses that are no recording (1000)")
     parser.add_argument("--plot", type=plot_file, metavar="FILE.png", help="draw both forces and their difference")
     parser.add_argument("--json", action="store_true", help="print the outcome as JSON")
