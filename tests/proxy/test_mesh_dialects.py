@@ -19,6 +19,7 @@ import trimesh
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
+from softfinger.proxy.meshes.formats import glb
 from softfinger.proxy.meshes.prepared import about
 from softfinger.proxy.meshes.reading import Arrays, arrays_of
 from softfinger.proxy.meshes.report import Report
@@ -254,7 +255,7 @@ def test_what_a_ply_lacks_is_said(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     assert "promises 12 entries of face, and has 11" in refusal(path, PLYS["little endian"][:-1])
     assert "has other rows than its head names" in refusal(path, ply(LITTLE, [INDICES], ROWS, 11))
-    assert "has other rows than its head names" in refusal(path, ply("ascii", [INDICES], LINES.encode(), 11))
+    assert "has other rows than its head names: 4 numbers" in refusal(path, ply("ascii", [INDICES], LINES.encode(), 11))
     # The first quad as a triangle: the lists no longer fit.
     wrong = ply(LITTLE, [INDICES], b"".join(struct.pack("<B4i", 3, *quad) for quad in QUADS), 6)
     assert "has other rows than its head names" in refusal(path, wrong)
@@ -328,6 +329,20 @@ def test_glb_strips_and_fans_are_read(tmp_path: Path) -> None:
     ]
     check_box(tmp_path / "a.glb", made.data(parts), 14)
     assert report(tmp_path / "a.glb").turned_triangles == 0
+
+
+@pytest.mark.parametrize(("mode", "corners", "count"), [(4, 12, 4), (5, 12, 10), (6, 12, 10), (5, 2, 0), (6, 1, 0)])
+def test_glb_promises_as_many_triangles_as_its_accessors_count(mode: int, corners: int, count: int) -> None:
+    """For each node that has the mesh; the number does not come from what was read."""
+    made = Glb()
+    at = made.add(np.random.default_rng(0).random((12, 3)).astype(np.float32))
+    part = {"attributes": {"POSITION": at}, "indices": made.add(np.arange(corners).astype(np.uint8)), "mode": mode}
+    twice = {"nodes": [{"mesh": 0}, {"mesh": 0}], "scenes": [{"nodes": [0, 1]}]}
+    faces = glb.read(made.data([part, part], **twice))
+    assert faces.promised == len(faces.counts) == 4 * count
+    made.accessors[1]["count"] += 1
+    with pytest.raises(ValueError, match="is damaged"):
+        glb.read(made.data([part], **twice))
 
 
 def test_glb_positions_of_every_kind_are_the_same_box(tmp_path: Path) -> None:
