@@ -171,7 +171,8 @@ def main() -> None:
         "The triangles of a mesh are counted by trimesh, or in an OBJ file by its lines; the geoms of a model that\n"
         "collide by MuJoCo, or in a URDF file by its elements. Each model is a `[world]` with `root` at its package\n"
         "and a material for all geoms.\n\n"
-        "    python tests/corpus_of_files.py > docs/measured/files.md\n\n"
+        "    python tests/corpus_of_files.py [FOLDER...] > docs/measured/files.md\n\n"
+        "The packages come from the registry. The models of trimesh are only in its repository: a FOLDER.\n\n"
         f"{table({name: each for name, each in every.items() if each})}"
     )
 

@@ -50,10 +50,13 @@ def read(data: bytes) -> Faces:
             if promised > limits.MESH_TRIANGLES.high:
                 raise ValueError(f"has more than {limits.MESH_TRIANGLES.high:,} triangles, the most: decimate it")
             points, triangles = file.triangles(primitive)
-            mirrored = np.linalg.det(place[:3, :3]) < 0.0
-            parts.append((points @ place[:3, :3].T + place[:3, 3], triangles[:, ::-1] if mirrored else triangles))
-    if not parts:
-        return triangles_only(np.empty((0, 3)), np.empty((0, 3), np.int64), 0)
+            if (place != np.eye(4)).any():  # a copy costs as much as the reading
+                points = points @ place[:3, :3].T + place[:3, 3]
+                triangles = triangles[:, ::-1] if np.linalg.det(place[:3, :3]) < 0.0 else triangles
+            parts.append((points, triangles))
+    if len(parts) < 2:
+        points, triangles = parts[0] if parts else (np.empty((0, 3)), np.empty((0, 3), np.int64))
+        return triangles_only(points, triangles, promised)
     starts = np.cumsum([0, *(len(points) for points, _ in parts)])
     triangles = np.concatenate([part + start for (_, part), start in zip(parts, starts[:-1], strict=True)])
     return triangles_only(np.concatenate([points for points, _ in parts]), triangles, promised)
@@ -142,11 +145,11 @@ class _File:
     def triangles(self, primitive: dict[str, Any]) -> tuple[Points, Indices]:
         """Return vertices and triangles of a part of a mesh."""
         points = self._accessor(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
-        corners = np.arange(len(points))
-        if "indices" in primitive:
-            corners = self._accessor(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
+        numbers = primitive.get("indices")
+        corners = np.arange(len(points)) if numbers is None else self._accessor(numbers, "SCALAR")[:, 0]
         if len(corners) and not (corners.min() >= 0 and corners.max() < len(points)):
             raise ValueError(f"is damaged: a triangle has a corner beyond the vertices 0 to {len(points) - 1}")
+        corners = corners.astype(np.int64)
         mode = primitive.get("mode", TRIANGLES)
         if mode == TRIANGLES:
             return points, corners.reshape(-1, 3)
