@@ -37,7 +37,7 @@ class DeviceBusy(DeviceError):
 
 
 class DevicePermission(DeviceError):
-    """This user may not open the device."""
+    """The user has no permission to open the device."""
 
 
 class DeviceTimeout(DeviceError):

@@ -206,7 +206,7 @@ def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
     own = f"my-{kind.split()[-1]}.toml"
     raise ConfigError(
         f"no {kind} is called {shown(path_or_name)}{near(path_or_name, names)}; "
-        f"shipped are {', '.join(names)}; a file of your own is named with its ending, such as {own}"
+        f"shipped are {', '.join(names)}; give the path of another file with its suffix, such as {own}"
     )
 
 
@@ -336,10 +336,10 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
         if isinstance(at, list):
             if not (re.fullmatch("[0-9]{1,9}", name) and int(name) < len(at)):
                 there = f"entries go from 0 to {len(at) - 1}{_names(at)}" if at else "the list is empty"
-                raise LookupError(f"there is no {key}: {there}; to add one give {way[depth - 2]} as a whole")
+                raise LookupError(f"there is no {key}: {there}; to add one give all of {way[depth - 2]}")
             place = int(name)
         elif not isinstance(at, dict):
-            raise LookupError(f"what {key} would be in is {shown(at)} and no table: give it as a whole")
+            raise LookupError(f"{key} would be in {shown(at)}, which is no table: give the complete table")
         elif depth < len(way) and name not in at:
             at[name], origins[key] = {}, source
         if depth == len(way):

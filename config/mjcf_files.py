@@ -26,7 +26,7 @@ def check_place(file: str | Path, home: Path, what: str) -> None:
     if not Path(real).is_relative_to(home):
         above = os.path.relpath(os.path.commonpath([home, real]), home)
         raise ConfigError(
-            f"world.model {what} is outside of its folder: put the file beside the model, or name a folder above both: "
+            f"world.model {what} is outside of its folder: move the file next to the model, or name a common folder: "
             f'[world] root = "{above}"'
         )
 

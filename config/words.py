@@ -22,7 +22,7 @@ def expected(info: inspect.Type, key: str) -> str:
     kind, _ = unwrapped(info)
     match kind:
         case inspect.FloatType() | inspect.IntType():
-            noun = "a whole number" if isinstance(kind, inspect.IntType) else "a number"
+            noun = "an integer" if isinstance(kind, inspect.IntType) else "a number"
             return f"{noun}{_span(kind)}{_unit(key)}"
         case inspect.StrType():
             return "text" + _length(kind, "characters") + (f" like {kind.pattern}" if kind.pattern else "")
@@ -90,7 +90,7 @@ def shown(value: object) -> str:
     if isinstance(value, str):
         return repr(value if len(value) <= _SHOWN else value[:_SHOWN] + "...")
     if isinstance(value, int):
-        return str(value) if value.bit_length() <= 64 else f"a whole number of {value.bit_length()} bits"
+        return str(value) if value.bit_length() <= 64 else f"an integer of {value.bit_length()} bits"
     if isinstance(value, float):
         return repr(float(value))
     if isinstance(value, Mapping):

@@ -115,8 +115,8 @@ class Fields(NamedTuple):
     handle: Annotated[int, word("the driver's")]
     faults: Annotated[int, address("(count, ROW) float64")]
     length: Annotated[int, word("how many faults there are")]
-    sample: Annotated[int, numbers("the newest sample, as the loop was given it", SAMPLE_SIZE)]
-    wrench: Annotated[int, numbers("what the driver is given", WRENCH_SIZE)]
+    sample: Annotated[int, numbers("the latest sample that the loop read", SAMPLE_SIZE)]
+    wrench: Annotated[int, numbers("wrench sent to the driver", WRENCH_SIZE)]
 
 
 AT: Final = lay_out(Fields)

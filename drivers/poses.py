@@ -104,9 +104,7 @@ def load_poses(recording: str | Path, finger: str = "") -> Poses:
     }
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise RecordingError(
-            f"{path}: cannot tell what kind of recording this is: give it one of the endings {', '.join(ENDINGS)}"
-        )
+        raise RecordingError(f"{path}: unknown kind of recording: give it one of the suffixes {', '.join(ENDINGS)}")
     try:
         return reader(path)
     except OSError as error:
@@ -369,7 +367,7 @@ def decode_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
                 raise RecordingError(f"{path}: not a readable MCAP recording: {_describe_error(error)}") from error
             log.warning("%s is cut short or damaged (%s): %d messages read", path, _describe_error(error), count)
     if count == 0:
-        raise RecordingError(f"{path}: holds no message of topic '{topic}'")
+        raise RecordingError(f"{path}: has no message of topic '{topic}'")
 
 
 def _check_count(path: Path, before: int) -> None:

@@ -50,12 +50,12 @@ class LoggedWrenches(NamedTuple):
 class Fields(NamedTuple):
     """Fields of the log; the fields of the driver follow."""
 
-    reads: Annotated[int, counter("reads so far; kept by the driver")]
-    writes: Annotated[int, counter("wrenches kept so far, overwritten ones included")]
+    reads: Annotated[int, counter("number of reads; written by the driver")]
+    writes: Annotated[int, counter("number of stored wrenches, including overwritten ones")]
     log: Annotated[int, address("(capacity, 7) float64: read index, force, torque")]
     capacity: Annotated[int, word("rows of the log")]
-    armed: Annotated[int, word("whether wrenches are kept")]
-    lock: Annotated[int, word("held for the few instructions that add to the log")]
+    armed: Annotated[int, word("whether wrenches are stored")]
+    lock: Annotated[int, word("lock: set while a wrench is appended")]
     next_row: Annotated[int, word("counted up and wrapped, which is cheaper than a remainder")]
 
 
@@ -164,7 +164,7 @@ class WrenchLog:
         read, wrench = self.logged()
         if self.overwritten_count:
             log.warning(
-                "%s holds the last %d wrenches; %d earlier ones were overwritten",
+                "%s has the last %d wrenches; %d earlier ones were overwritten",
                 path,
                 len(read),
                 self.overwritten_count,

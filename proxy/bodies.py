@@ -134,7 +134,7 @@ class RigidBodies:
         fault = int(self._fault[0])
         if fault == at.NO_FAULT:
             return None
-        what = f"[world] {self.world.model}: the bodies were let go and stand still"
+        what = f"[world] {self.world.model}: the bodies were released and no longer move"
         if fault == at.SLOW:
             return SafetyStop(
                 f"{what}: most steps took longer than world.budget_us = {self.world.budget_us:g}; take fewer bodies or "
@@ -198,7 +198,9 @@ class RigidBodies:
             raise ConfigError(f"{self.world.model}: {' '.join(str(error).split())}") from error
         warned = {name: int(count) for name, count in zip(_WARNINGS, self.data.warning.number, strict=False) if count}
         if warned or not np.isfinite(self.data.qacc).all():
-            raise ConfigError(f"{self.world.model}: cannot be simulated as it begins: {warned or 'no acceleration'}")
+            raise ConfigError(
+                f"{self.world.model}: cannot be simulated from its initial state: {warned or 'no acceleration'}"
+            )
         package.mj_step1(self.model, self.data)
         self._last[0][:], self._last[1][:] = self.data.xpos, self.data.xquat
 
@@ -220,7 +222,7 @@ def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> Rigid
         now, given = getattr(owner.world, key), getattr(scene.world, key)
         if now != given:
             raise ConfigError(
-                f"world.{key} cannot change while the scene runs (now {now!r}, given {given!r}): load it anew"
+                f"world.{key} cannot change while the scene runs (now {now!r}, given {given!r}): load the scene again"
             )
     return owner
 

@@ -77,7 +77,7 @@ class Offsets(NamedTuple):
     contact_cause: Annotated[int, 1, "int", "1", "", "cause of the mode change in this tick, 0 none"]
     contact_normal_force: Annotated[int, 1, "float", "N", "", "normal force before the guard"]
     contact_tangential_force: Annotated[int, 1, "float", "N", "", "magnitude of the tangential force before the guard"]
-    servo_guard: Annotated[int, 1, "int", "bits", "", "what the guard changed in this tick"]
+    servo_guard: Annotated[int, 1, "int", "bits", "", "changes by the guard in this tick"]
     servo_busy: Annotated[int, 1, "float", "s", "", "duration of the previous tick, from wake-up to sleep"]
     passivity_energy: Annotated[
         int, 1, "float", "J", "", "work of the hand in this contact; below 0: energy that the rendering generated"

@@ -38,7 +38,7 @@ from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.events import event_map
 from softfinger.server.wire.native.switch import SharedSwitch
 from softfinger.server.wire.publisher import Publisher
-from softfinger.server.wire.rig_endpoints import bind_rig
+from softfinger.server.wire.rig_endpoints import Endpoints, bind_rig
 
 if TYPE_CHECKING:  # an HTTP server takes time to import, and is off by default
     from softfinger.server.metrics.service import Metrics
@@ -102,19 +102,10 @@ class Daemon:
         cleanups: list[Callable[[], None]] = [endpoints.close]
         try:
             switch = SharedSwitch()
-            self.publisher: Final = Publisher(
-                endpoints,
-                rig.telemetry.every,
-                guard_names=GUARD_NAMES,
-                fingers=fingers,
-                priority=0 if rig.servo.realtime == "off" else PUBLISHER_PRIORITY,
-                bodies=scene.world is not None,
-                switch=switch,
-            )
+            self.publisher: Final = self._open_publisher(endpoints, scene, switch)
             cleanups.append(self.publisher.close)
-            metrics = None
-            if rig.metrics.endpoint is not None:
-                metrics = self._metrics(rig.metrics.endpoint)
+            metrics = self._open_metrics()
+            if metrics is not None:
                 cleanups.append(metrics.stop)
             self.rendering: Final = Rendering(rig, scene, ticks, self._prepare, faults, self.states, switch.words)
         except BaseException as error:
@@ -244,7 +235,7 @@ class Daemon:
         first
             Exception that is already propagating: all errors are logged and none is raised.
         """
-        failed = shutdown.run_all_steps(lambda: self.states.fire(Trigger.END, "asked to, or done"), first=first)
+        failed = shutdown.run_all_steps(lambda: self.states.fire(Trigger.END, "by request, or complete"), first=first)
         failed = stop_all(self.services, failed)
         if failed is not None and failed is not first:
             raise failed
@@ -288,6 +279,31 @@ class Daemon:
         self.publisher.world(tick, bodies)
         self.recordings.world(tick, bodies)
 
+    def _open_publisher(self, endpoints: Endpoints, scene: schema.Scene, switch: SharedSwitch) -> Publisher:
+        return Publisher(
+            endpoints,
+            self._rig.telemetry.every,
+            guard_names=GUARD_NAMES,
+            fingers=self._fingers,
+            priority=0 if self._rig.servo.realtime == "off" else PUBLISHER_PRIORITY,
+            bodies=scene.world is not None,
+            switch=switch,
+        )
+
+    def _open_metrics(self) -> Metrics | None:
+        endpoint = self._rig.metrics.endpoint
+        if endpoint is None:
+            return None
+        from softfinger.server.metrics.counts import MetricsCollector, PublisherCounts
+        from softfinger.server.metrics.service import KEY, Metrics
+
+        def wire() -> PublisherCounts:
+            figures = self.publisher.figures
+            return PublisherCounts(figures.subscribers, figures.lost, figures.refused, self.publisher.restarts)
+
+        counts = MetricsCollector(self._fingers, wire, lambda: self.recordings.written(), lambda: self.states.now)
+        return Metrics(listen(f"tcp://{endpoint}", KEY), counts, self._event)
+
     def _services(
         self, scene_name: str, hotplug: Hotplug, metrics: Metrics | None, sinks: Sequence[Sink]
     ) -> list[Service]:
@@ -324,17 +340,6 @@ class Daemon:
             *([Notify(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
             self.rendering,
         ]
-
-    def _metrics(self, endpoint: str) -> Metrics:
-        from softfinger.server.metrics.counts import MetricsCollector, PublisherCounts
-        from softfinger.server.metrics.service import KEY, Metrics
-
-        def wire() -> PublisherCounts:
-            figures = self.publisher.figures
-            return PublisherCounts(figures.subscribers, figures.lost, figures.refused, self.publisher.restarts)
-
-        counts = MetricsCollector(self._fingers, wire, lambda: self.recordings.written(), lambda: self.states.now)
-        return Metrics(listen(f"tcp://{endpoint}", KEY), counts, self._event)
 
     def _prepare(self) -> Callable[[], None]:
         servo_config = self._rig.servo

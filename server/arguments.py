@@ -22,7 +22,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*args, **options)
         # SUPPRESS: a default of the verb's parser would overwrite the value parsed before the verb.
         verbosity = self.add_mutually_exclusive_group()
-        for flags, help in ((("-v", "--verbose"), "log more"), (("-q", "--quiet"), "log warnings and errors alone")):
+        for flags, help in ((("-v", "--verbose"), "log more"), (("-q", "--quiet"), "log only warnings and errors")):
             verbosity.add_argument(*flags, action="store_true", default=argparse.SUPPRESS, help=help)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:

@@ -42,7 +42,7 @@ VERBS: Final = {
     "monitor": Verb("softfinger.server.verbs.monitor", "live dashboard of a running daemon"),
     "view": Verb("softfinger.server.verbs.view", "a page in the browser: the picture, and a mouse for a hand"),
     "record": Verb("softfinger.server.verbs.record", "a running daemon into a file: everything, or the poses"),
-    "info": Verb("softfinger.server.recording.verbs.info", "what is in a recording"),
+    "info": Verb("softfinger.server.recording.verbs.info", "content of a recording"),
     "export": Verb("softfinger.server.recording.verbs.export", "a recording as CSV, Parquet or npz"),
     "import": Verb("softfinger.server.recording.verbs.tables", "poses of another program, from any table of numbers"),
     "replay": Verb("softfinger.server.recording.verbs.replay", "a recording as a test: its poses through today's code"),
@@ -52,11 +52,9 @@ VERBS: Final = {
     ),
     "bridge": Verb("softfinger.server.bridges.verb", "a daemon or a recording in Foxglove or Rerun"),
     "keys": Verb("softfinger.server.gateway.verbs.keys", "CURVE keys, by which daemon and clients know each other"),
-    "devices": Verb("softfinger.tools.devices", "what is attached, and why it cannot be opened"),
+    "devices": Verb("softfinger.tools.devices", "attached devices, and why one cannot be opened"),
     "doctor": Verb("softfinger.tools.doctor.verb", "is this machine good enough; a report of an attached device"),
-    "report": Verb(
-        "softfinger.tools.report", "what an issue needs, in an archive: black boxes, log, doctor, rig, scene"
-    ),
+    "report": Verb("softfinger.tools.report", "archive for an issue: black boxes, log, doctor, rig, scene"),
     "scenes": Verb("softfinger.server.verbs.shipped", "the scenes that are shipped, a line each"),
     "rigs": Verb("softfinger.server.verbs.shipped", "the rigs that are shipped, a line each"),
     "recordings": Verb("softfinger.server.verbs.shipped", "the recordings that are shipped, a line each"),

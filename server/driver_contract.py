@@ -275,7 +275,7 @@ class DriverContract:
             bench.make(case)
             with pytest.raises(bench.refusals[case]) as caught:
                 bench.open()
-            assert len(str(caught.value)) > 20, "says what is wrong and what to do"
+            assert len(str(caught.value)) > 20, "names the fault and the remedy"
             assert type(caught.value) is bench.refusals[case], case
             bench.mend()
             bench.open().close()

@@ -94,11 +94,11 @@ def read_pair(path: str | Path) -> KeyPair:
     keys, mode = _read(path)
     if mode & _OTHERS_ACCESS:
         raise ConfigError(
-            f"{path}: a secret key that others may read (mode {stat.S_IMODE(mode):o}): chmod 600 it, and make new "
+            f"{path}: a secret key that other users may read (mode {stat.S_IMODE(mode):o}): chmod 600 it, and make new "
             "keys if somebody has"
         )
     if "secret" not in keys:
-        raise ConfigError(f"{path}: a public key: the secret one is beside it in a file .key_secret")
+        raise ConfigError(f"{path}: a public key: the secret one is in the same folder, in a file .key_secret")
     if zmq.curve_public(keys["secret"]) != keys["public"]:
         raise ConfigError(f"{path}: the public key in it is not that of the secret one: make new ones")
     return KeyPair(keys["public"], keys["secret"])
@@ -111,7 +111,7 @@ def client_keys(client: str | Path, server: str | Path) -> ClientKeys:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for the keys of a client and of its server."""
-    parser.add_argument("--keys", metavar="FILE", help="your secret key, where the server wants one")
+    parser.add_argument("--keys", metavar="FILE", help="your secret key, if the server requires one")
     parser.add_argument("--server-key", metavar="FILE", help="the server's public key")
 
 
@@ -120,9 +120,9 @@ def keys_from_options(args: argparse.Namespace) -> ClientKeys | None:
     if args.server_key is None and args.keys is None:
         return None
     if args.keys is None:
-        raise ConfigError("--server-key goes with --keys FILE, your own secret key: softfinger keys makes one")
+        raise ConfigError("--server-key requires --keys FILE, your secret key: softfinger keys makes one")
     if args.server_key is None:
-        raise ConfigError(f"--keys {args.keys} goes with --server-key FILE, by which the server is known")
+        raise ConfigError(f"--keys {args.keys} requires --server-key FILE, the public key of the server")
     return client_keys(args.keys, args.server_key)
 
 

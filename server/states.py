@@ -43,7 +43,7 @@ class Trigger(StrEnum):
 
 CAUSES: Final = {
     Trigger.TICK: "the first tick",
-    Trigger.ARM: "nothing keeps the force off: the rig arms by itself, `arm`, or a button where the rig has that",
+    Trigger.ARM: "the force may be switched on: automatically, by `arm`, or by a button, as in the rig",
     Trigger.DISARM: "`disarm`",
     Trigger.FAULT: "a handle too fast, a missed heartbeat, or an error that ends the run",
     Trigger.CLEAR: "the handle is slow again, the next heartbeat, `arm`, or a button",
@@ -122,4 +122,4 @@ class States:
                 self.fire(Trigger.FAULT, cause)
                 return
             self.fire(Trigger.CLEAR, cause)
-            self.fire(*((Trigger.DISARM, cause) if reasons else (Trigger.ARM, "nothing keeps the force off")))
+            self.fire(*((Trigger.DISARM, cause) if reasons else (Trigger.ARM, "the force may be switched on")))

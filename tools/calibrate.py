@@ -110,7 +110,7 @@ class Hold:
     def _exchange(self, function: Any, values: Array, what: str) -> None:
         status = function(self._handle, values.ctypes.data)
         if status < 0:
-            raise DeviceLost(f"the Falcon has gone during calibration (status {status} on {what}): start again")
+            raise DeviceLost(f"the Falcon was lost during calibration (status {status} on {what}): start again")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -133,11 +133,11 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"--rig {args.rig}: its driver is '{config.driver}': name a rig with driver 'falcon'")
         device.arm()
         hold = Hold(device)
-        print("hold the knob where you want it, and let it go: it is held there", file=sys.stderr)
+        print("hold the knob at a position, and release it: it stays there", file=sys.stderr)
         hold.run(SETTLE_S)
         bare = hold.rest(args.hang, lambda _: True)
         if bare is None:
-            raise DeviceError(f"the knob does not come to rest in {args.hang:g} s: let it hang free")
+            raise DeviceError(f"the knob does not stop within {args.hang:g} s: let it hang free")
         print(f"hang {args.mass:g} kg on the knob, within {args.hang:g} s", file=sys.stderr)
         weight = args.mass * GRAVITY
         loaded = hold.rest(args.hang, lambda force: abs(force - bare) > HUNG * weight)
@@ -158,7 +158,7 @@ def run(args: argparse.Namespace) -> int:
         [
             f"holding took {bare:.3f} N, with the weight {loaded:.3f} N, at {used:g} counts per N m",
             f"put this into the rig's [device] table: counts_per_nm = {result['counts_per_nm']:.0f}",
-            "repeat, and take the mean: friction of the legs holds some of the weight",
+            "repeat, and take the mean: friction of the legs carries a part of the weight",
         ],
     )
     return 0

@@ -66,7 +66,7 @@ and than the time that other programs tolerate on a machine with one processor.
 """
 FORCE_CYCLES: Final = 3.0
 """Sine cycles in a push, under an envelope that starts and ends at zero."""
-SECONDS: Final = Range(0.1, 60.0, "a row of every tick is kept in memory")
+SECONDS: Final = Range(0.1, 60.0, "a row of every tick is stored in memory")
 JOIN_S: Final = 2.0
 """An exchange that takes longer than this to end hangs; the device is then stopped by the caller's thread."""
 

@@ -98,7 +98,7 @@ def table(rows: Sequence[Recovery]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="How well the shipped experiments recover a simulated observer.")
-    parser.add_argument("page", nargs="?", type=Path, help="page whose table is replaced (default: print it)")
+    parser.add_argument("page", nargs="?", type=Path, help="page with the table to replace (default: print the table)")
     parser.add_argument("--seeds", type=int, default=50, help="how many (default: %(default)s)")
     args = parser.parse_args()
     seeds = range(args.seeds)

@@ -55,7 +55,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=BOXES,
         metavar="N",
-        help="how many black boxes, newest first (default: %(default)s)",
+        help="number of black boxes, latest first (default: %(default)s)",
     )
     parser.add_argument("--seconds", type=float, default=1.0, help="of each loop of doctor (default: %(default)s)")
 

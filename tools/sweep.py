@@ -45,9 +45,11 @@ Compute = Callable[[Sequence[Any]], Sequence[Any]]
 
 def add_sweep_options(parser: argparse.ArgumentParser) -> None:
     """Add `--scheduler` and `--results`, which every command of many cases has."""
-    group = parser.add_argument_group("where it is computed and kept")
+    group = parser.add_argument_group("computation and storage")
     group.add_argument("--scheduler", metavar="ADDRESS", help="dask scheduler, or 'local' for processes here")
-    group.add_argument("--results", type=Path, metavar="FILE.mcap", help="keeps finished cases; run again, it goes on")
+    group.add_argument(
+        "--results", type=Path, metavar="FILE.mcap", help="stores finished cases; a second run continues"
+    )
 
 
 def run_cases(
@@ -172,6 +174,6 @@ def _workers(scheduler: str | None, threads: int | None) -> Iterator[_Workers]:
         except (CancelledError, distributed.KilledWorker, distributed.comm.CommClosedError) as error:
             reason = str(error).partition("\n")[0]
             raise ConfigError(
-                f"--scheduler {scheduler}: lost while it computed ({reason}): see its log; the same command with "
-                "--results FILE goes on where it ended"
+                f"--scheduler {scheduler}: lost during a computation ({reason}): see its log; the same command with "
+                "--results FILE continues from there"
             ) from error

@@ -114,9 +114,11 @@ def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:
         file.seek(0)
         if file.read(5) != b"\x89MCAP":
             raise RecordingError(f"{path}: not a file of sweep results ({reason}): name another") from error
-        log.warning("%s is cut short or damaged (%s): %d finished cases read, the rest is dropped", path, reason, count)
+        log.warning(
+            "%s is cut short or damaged (%s): %d finished cases read, the remainder is ignored", path, reason, count
+        )
     if whole and not count:
-        log.info("%s holds no finished case", path)
+        log.info("%s has no finished case", path)
 
 
 class _File:

@@ -84,7 +84,7 @@ def _check(grid: Grid, even: bool) -> None:
         row, column = np.argwhere(bad)[0]
         raise ValueError(f"row {row}, column {column}: {grid[row, column]}: numbers are finite, at most 1e100")
     if grid.size < limits.GRID_VALUES.low:
-        raise ValueError("has one value alone: must have two at the least")
+        raise ValueError("has a single value: must have at least two")
     if not even and grid.min() == grid.max():
         raise ValueError(f"every value is {grid.flat[0]:g}: a texture has at least two")
 
@@ -98,7 +98,9 @@ def _npz(path: str | Path) -> NDArray[Any]:
     with open_input(path, BYTES_MAX) as file:
         archive = open_npz(file)
         if len(archive.files) != 1:
-            raise ValueError(f"has the arrays {', '.join(archive.files) or '(none)'}: must have one; save it alone")
+            raise ValueError(
+                f"has the arrays {', '.join(archive.files) or '(none)'}: must have one; save only that one"
+            )
         return np.asarray(archive[archive.files[0]])
 
 
@@ -127,7 +129,7 @@ def _pgm(path: str | Path) -> NDArray[Any]:
         raise ValueError("is no binary grey picture (P5): export it as raw PGM")
     columns, rows, white = (int(group) for group in head.groups())
     if not 0 < white < 65536:
-        raise ValueError(f"says that white is {white}: must be 1 to 65535")
+        raise ValueError(f"gives {white}: must be 1 to 65535")
     kind = np.dtype(np.uint8 if white < 256 else ">u2")
     there, needed = len(data) - head.end(), rows * columns * kind.itemsize
     if there != needed:

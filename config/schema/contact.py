@@ -38,7 +38,11 @@ class Form(Table, frozen=True, kw_only=True):
     pad: (
         Annotated[
             str,
-            sized(limits.NAME_LENGTH, "fingertip of the library; keys beside it override its values", "human-index"),
+            sized(
+                limits.NAME_LENGTH,
+                "fingertip of the library; other keys of the table override its values",
+                "human-index",
+            ),
         ]
         | None
     ) = None
@@ -120,8 +124,8 @@ class Rolling(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.STIFFNESS_N_PER_M,
-                "stiffness against a roll that the hand does not follow (k_tau); default and largest: that of the "
-                "coupling, which alone conserves energy",
+                "stiffness against a roll that the hand does not follow (k_tau); default and maximum: that of the "
+                "coupling, the only value that conserves energy",
                 1000.0,
             ),
         ]

@@ -83,7 +83,7 @@ class Spring(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="sprin
     kind: ClassVar[str] = "spring"
     position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("anchor in the world", [0.0, 0.0, 0.05])]
     stiffness_n_per_m: EffectStiffness
-    rest_length_m: Annotated[float, within(limits.EDGE_M, "rest length; a shorter spring pushes", 0.0)] = 0.0
+    rest_length_m: Annotated[float, within(limits.EDGE_M, "free length; a shorter spring pushes", 0.0)] = 0.0
     force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "largest force", 3.0)]
     region: Region | None = None
 

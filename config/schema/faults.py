@@ -31,17 +31,17 @@ class FaultBase(Table, frozen=True, kw_only=True, tag_field="kind"):
         None
     ) = None
     for_s: Annotated[float, within(limits.FAULT_TIME_S, "the same as a time of ticks", 0.1)] | None = None
-    every_ticks: Annotated[int, within(limits.FAULT_EVERY, "of those it acts in one of so many", 1)] = 1
-    finger: Annotated[str, said("finger of whose device it is; empty: of each", "thumb")] = ""
+    every_ticks: Annotated[int, within(limits.FAULT_EVERY, "it acts in one of this many ticks", 1)] = 1
+    finger: Annotated[str, said("finger whose device has the fault; empty: all fingers", "thumb")] = ""
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.at_tick, self.at_s) and (self.at_tick is None) == (self.at_s is None):
             if self.at_tick is None:
                 yield "at_tick", UNSET, "is missing, and at_s is too: give one of them"
             else:
-                yield "at_s", self.at_s, "at_tick says when already: leave one of the two out"
+                yield "at_s", self.at_s, "at_tick already sets the start: remove one of the two"
         if known(self.ticks, self.for_s) and self.ticks is not None and self.for_s is not None:
-            yield "for_s", self.for_s, "ticks says how long already: leave one of the two out"
+            yield "for_s", self.for_s, "ticks already sets the duration: remove one of the two"
 
     def window(self, rate_hz: float) -> tuple[int, int]:
         """Return the first tick with the fault, and the first tick after it."""
@@ -109,7 +109,7 @@ class Bounce(FaultBase, frozen=True, kw_only=True, tag="bounce"):
     """Buttons bounce: they are inverted in every other tick."""
 
     kind: ClassVar[str] = "bounce"
-    every_ticks: Annotated[int, within(limits.FAULT_EVERY, "of those it acts in one of so many", 2)] = 2
+    every_ticks: Annotated[int, within(limits.FAULT_EVERY, "it acts in one of this many ticks", 2)] = 2
     buttons: Annotated[int, within(limits.FAULT_BUTTONS, "which, a bit each", 1)] = 1
 
 

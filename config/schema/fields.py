@@ -95,7 +95,7 @@ Component = Annotated[float, Meta(ge=limits.QUATERNION.low, le=limits.QUATERNION
 
 Resolved = Annotated[
     bool | None,
-    said("true, as in recordings and telemetry: all values stand here, the library is not asked"),
+    said("true, as in recordings and telemetry: all values are given here, and the library is not used"),
 ]
 """Field of a table that may name an entry of a library; without it, a recording would change with the library."""
 

@@ -202,7 +202,7 @@ class Material(Table, frozen=True, kw_only=True):
     name: (
         Annotated[
             str,
-            sized(limits.NAME_LENGTH, "material of the library; keys beside it override its values", "rubber"),
+            sized(limits.NAME_LENGTH, "material of the library; other keys of the table override its values", "rubber"),
         ]
         | None
     ) = None
@@ -212,7 +212,7 @@ class Material(Table, frozen=True, kw_only=True):
         float,
         within(
             limits.DAMPING_NS_PER_M,
-            "normal damping (B_n), Kelvin-Voigt; the total normal force stays between 0 and twice the spring force",
+            "normal damping (B_n), Kelvin-Voigt; the total normal force is limited to 0 to twice the spring force",
             0.0,
         ),
     ] = 0.0
@@ -249,7 +249,7 @@ class Material(Table, frozen=True, kw_only=True):
                 yield (
                     "normal.damping_s_per_m",
                     ours,
-                    f"stands in place of damping_ns_per_m, which is {plain:g} N s/m: set that to 0, or leave this out",
+                    f"replaces damping_ns_per_m, which is {plain:g} N s/m: set that to 0, or leave this out",
                 )
         if not known(self.friction, self.torsion) or self.torsion is None:
             return

@@ -49,7 +49,8 @@ class Servo(Table, frozen=True, kw_only=True):
     realtime: Annotated[
         RealtimeMode,
         said(
-            "real-time settings; auto: use what the system grants; require: refuse to start without; off: request none",
+            "real-time settings; auto: use those that the system grants; require: refuse to start without them; "
+            "off: request none",
             "auto",
         ),
     ] = "auto"
@@ -87,8 +88,8 @@ class Commands(Table, frozen=True, kw_only=True):
             str,
             sized(
                 limits.ENDPOINT_LENGTH,
-                "ZeroMQ address to bind, or off; default: a socket for this user alone, or the port after that of "
-                "telemetry which is open to the network",
+                "ZeroMQ address to bind, or off; default: a socket of this user only, or, if telemetry is open to "
+                "the network, the next port",
                 "tcp://127.0.0.1:5556",
             ),
         ]
@@ -116,7 +117,7 @@ class Commands(Table, frozen=True, kw_only=True):
             if complaint is not None:
                 yield "endpoint", self.endpoint, f"{complaint}; or off"
         if known(self.endpoint, self.heartbeat_s) and self.endpoint == OFF and self.heartbeat_s is not None:
-            yield "heartbeat_s", self.heartbeat_s, "nobody can send a heartbeat where commands are off: leave it out"
+            yield "heartbeat_s", self.heartbeat_s, "no client can send a heartbeat while commands are off: remove it"
 
 
 class Recording(Table, frozen=True, kw_only=True):
@@ -225,7 +226,7 @@ class Rig(Table, frozen=True, kw_only=True):
             yield (
                 "device",
                 msgspec.UNSET,
-                "stands beside [devices]: it is for a single finger; leave it out, or the tables [devices.NAME]",
+                "cannot be combined with [devices]: it is for a single finger; remove it, or the tables [devices.NAME]",
             )
 
     def _endpoint_faults(self) -> Iterator[Complaint]:
@@ -255,7 +256,7 @@ class Rig(Table, frozen=True, kw_only=True):
                 yield (
                     key,
                     endpoint,
-                    f"is open to the network, and there are no keys of those who may {use}: add [security] with key "
+                    f"is open to the network, and it has no keys of clients that may {use}: add [security] with key "
                     f"and {folder} (softfinger keys makes them), or take tcp://127.0.0.1:PORT or ipc://PATH",
                 )
                 if self.commands.endpoint is None:  # it is derived, and its fault would be a repetition

@@ -95,7 +95,8 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
         yield (
             "fingertip",
             msgspec.UNSET,
-            "stands beside [[finger]]: it is the short form for one finger; leave it out, or the tables [[finger]]",
+            "cannot be combined with [[finger]]: it is the short form for one finger; remove it, or the tables "
+            "[[finger]]",
         )
     for key in ("name", "device"):
         first: dict[str, int] = {}
@@ -135,7 +136,7 @@ def _world_faults(scene: Scene) -> Iterator[Complaint]:
             yield (
                 f"object[{index}].effect",
                 item.effect[0].kind,
-                "would push the hand and not the body: leave it out, or let the object stand still",
+                "would push the hand and not the body: remove it, or the motion of the object",
             )
 
 
@@ -305,7 +306,7 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
         if not known(item) or not known(item.name):
             continue
         if item.name.partition(".")[0].isdecimal():
-            why = "begins with a number, and object.1 is the second object: put a letter before it"
+            why = "starts with a digit, and object.1 is the second object: start it with a letter"
             yield f"object[{index}].name", item.name, why
         if item.name in first:
             earlier = f"object[{first[item.name]}]"

@@ -33,7 +33,11 @@ Shading = Literal["none", "normals"]
 ModelRoot = (
     Annotated[
         str,
-        sized(limits.FILE_NAME_LENGTH, "folder below which the files of a MuJoCo model lie; default: its own", ".."),
+        sized(
+            limits.FILE_NAME_LENGTH,
+            "folder that contains all files of a MuJoCo model; default: the folder of the model",
+            "..",
+        ),
     ]
     | None
 )
@@ -59,7 +63,7 @@ class ObjectBase(Table, frozen=True, kw_only=True):
     ] = (1.0, 0.0, 0.0, 0.0)
     material: Material
     effect: Annotated[tuple[ObjectEffect, ...], sized(limits.EFFECTS, "further forces on the hand")] = ()
-    motion: Annotated[Motion | None, said("motion of the object; without this table it stands still")] = None
+    motion: Annotated[Motion | None, said("motion of the object; without this table it is fixed")] = None
 
     def __post_init__(self) -> None:
         normalise_orientation(self)
@@ -67,9 +71,9 @@ class ObjectBase(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         if known(self.orientation_wxyz) and not any(self.orientation_wxyz):
             zero = self.orientation_wxyz
-            yield "orientation_wxyz", zero, "all zero is no orientation: [1, 0, 0, 0] leaves the object unturned"
+            yield "orientation_wxyz", zero, "all zero is no orientation: [1, 0, 0, 0] is the identity"
         if known(self.name) and not (self.name.isprintable() and self.name.strip()):
-            yield "name", self.name, "must have printable characters only, and not blanks alone"
+            yield "name", self.name, "must have printable characters only, and not only blanks"
 
     @property
     def bears_ellipsoid(self) -> bool:
@@ -145,7 +149,7 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
             yield (
                 "texture.size_m",
                 self.texture.size_m,
-                f"goes {around / wide:g} times round the cylinder, must be a whole number of times to meet itself: "
+                f"goes {around / wide:g} times round the cylinder, must be an integer of times to meet itself: "
                 f"make it {nearest:.6g} m wide",
             )
 

@@ -31,7 +31,7 @@ class Texture(Table, frozen=True, kw_only=True):
     ] = "period"
     height_m: (
         Annotated[
-            float, within(limits.TEXTURE_HEIGHT_M, "height from value 0 to value 1; value 1 lies on the surface", 1e-4)
+            float, within(limits.TEXTURE_HEIGHT_M, "height from value 0 to value 1; value 1 is on the surface", 1e-4)
         ]
         | None
     ) = None

@@ -71,7 +71,7 @@ class World(Table, frozen=True, kw_only=True):
     ] = msgspec.field(default_factory=dict)
     material: Annotated[
         Material | None,
-        said("material of every geom that [[world.geom]] gives none; without it those geoms are not touched"),
+        said("material of every geom without a material in [[world.geom]]; without it these geoms are not touched"),
     ] = None
     geom: Annotated[
         tuple[GeomMaterial, ...],

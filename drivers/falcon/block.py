@@ -15,7 +15,7 @@ IN_BYTES: Final = 64
 class Fields(NamedTuple):
     """Fields of the block."""
 
-    replies: Annotated[int, counter("whole packets received")]
+    replies: Annotated[int, counter("complete packets received")]
     passed: Annotated[int, counter("of these, older ones passed over for a newer")]
     written: Annotated[int, counter("packets sent")]
     held: Annotated[int, counter("forces not sent, because an answer or the bus was late")]
@@ -23,7 +23,7 @@ class Fields(NamedTuple):
     cut: Annotated[int, counter("forces that the motors could not give")]
     garbled: Annotated[int, counter("pieces of the stream that were no packet")]
     unreached: Annotated[int, counter("encoder counts to which no place of the knob belongs")]
-    fillers: Annotated[int, counter("replies whose byte before the last, which carries nothing, is not 'A'")]
+    fillers: Annotated[int, counter("replies with another byte than 'A' before the last (it has no meaning)")]
     # settings
     context: Annotated[int, address("libusb's")]
     submit: Annotated[int, address("libusb's function")]
@@ -33,12 +33,12 @@ class Fields(NamedTuple):
     transfer_out: Annotated[int, address("the transfer out")]
     kick: Annotated[int, word("ns of silence")]
     timeout_after: Annotated[int, word("ns of silence")]
-    lights: Annotated[int, word("bits of the state byte, the homing request among them")]
+    lights: Annotated[int, word("bits of the state byte, including the homing request")]
     # written by several threads
     open: Annotated[int, word("whether libusb may be called")]
     armed: Annotated[int, word("whether a force may go out")]
-    stopped: Annotated[int, word("for good: an `arm` after it, or under way beside it, does nothing")]
-    lock: Annotated[int, word("held in every exchange")]
+    stopped: Annotated[int, word("permanent: a later or a concurrent `arm` has no effect")]
+    lock: Annotated[int, word("lock: set during each exchange")]
     # state of the exchange
     in_done: Annotated[int, word("set by libusb's call back; together with the next, each transfer's user data")]
     out_done: Annotated[int, word("the same")]
@@ -46,8 +46,8 @@ class Fields(NamedTuple):
     has_force: Annotated[int, word("whether the last packet sent was a force")]
     has_sample: Annotated[int, word("whether there is a sample to repeat")]
     homed: Annotated[int, word("bits of the last reply")]
-    was_homed: Annotated[int, word("the bits were seen without the homing request, so losing them means something")]
-    sampled_at: Annotated[int, word("ns, when the newest reply was taken")]
+    was_homed: Annotated[int, word("the bits were set without the homing request, so their loss is an error")]
+    sampled_at: Annotated[int, word("time of the latest reply, ns")]
     read_at: Annotated[int, word("ns, when the loop last read")]
     sent_at: Annotated[int, word("ns")]
     opened_at: Annotated[int, word("ns")]
@@ -57,9 +57,9 @@ class Fields(NamedTuple):
     sent_own_zero: Annotated[int, word("a zero went out that the loop did not command, since the last read")]
     # buffers and values
     packet: Annotated[int, raw_bytes("being put together", packets.SIZE)]
-    newest: Annotated[int, raw_bytes("the newest reply", packets.SIZE)]
+    newest: Annotated[int, raw_bytes("the latest reply", packets.SIZE)]
     timespec: Annotated[int, numbers("for the clock, also a struct timeval", TIMESPEC_WORDS)]
-    counts: Annotated[int, numbers("of the newest reply", 3)]
+    counts: Annotated[int, numbers("of the latest reply", 3)]
     position: Annotated[int, numbers("m, device's frame", 3)]
     centre: Annotated[int, numbers("m, device's frame", 3)]
     gain: Annotated[int, numbers("motor counts per N m", 1)]

@@ -144,7 +144,7 @@ class Falcon(Device):
                 return
             if not was_logged:
                 log.warning(
-                    "%s: pull the knob out all the way, then push it in, until the light is green", self.info.name
+                    "%s: pull the knob out completely, then push it in, until the light is green", self.info.name
                 )
                 was_logged = True
             if time.monotonic() > until:
@@ -190,7 +190,7 @@ class Falcon(Device):
                     self._free(int(self._word[field]))
             _active_blocks.pop(self._block.handle, None)
         elif self._word[AT.open]:  # a thread is inside libusb and uses the transfers: free nothing
-            log.error("%s: libusb does not return to the loop: the device stays open", self.info.name)
+            log.error("%s: libusb does not return: the device remains open", self.info.name)
             return
         else:  # closing removes them from libusb; they and the block are not freed
             log.error("%s: libusb does not end its transfers", self.info.name)

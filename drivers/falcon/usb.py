@@ -108,7 +108,7 @@ class SerialChip:
             return Libusb(backend.lib, int(backend.ctx.value), int(handle.value))
         except (AttributeError, TypeError) as error:
             raise DeviceError(
-                f"pyusb {usb.__version__} keeps libusb's handle elsewhere than 1.3.1 ({error}): "
+                f"pyusb {usb.__version__} stores libusb's handle elsewhere than 1.3.1 ({error}): "
                 "`pip install pyusb==1.3.1`"
             ) from error
 
@@ -175,11 +175,11 @@ def _open_error(name: str, error: usb.core.USBError) -> DeviceError:
     if error.errno in (errno.EACCES, errno.EPERM):
         return DevicePermission(f"{name} may not be opened by this user: {how_to_permit(VENDOR, PRODUCT)}")
     if error.errno == errno.EBUSY:
-        return DeviceBusy(f"{name} is held by another program: close that one first")
+        return DeviceBusy(f"{name} is used by another program: close that one first")
     if error.errno in (errno.ENODEV, errno.ENOENT):
         return DeviceNotFound(f"{name} is not there any more: plug in its USB cable and its power")
     return DeviceError(f"{name} cannot be opened: {error}: unplug it, plug it in again")
 
 
 def _lost_error(error: usb.core.USBError) -> DeviceLost:
-    return DeviceLost(f"the Falcon does not take what it is sent ({error}): plug in its USB cable and its power")
+    return DeviceLost(f"the Falcon does not accept data ({error}): plug in its USB cable and its power")

@@ -39,7 +39,7 @@ COMMANDED: Final[tuple[str, ...]] = (
 class InputField(Table, frozen=True, kw_only=True):
     """A number from the device: meaning = scale * raw + bias."""
 
-    meaning: Annotated[Sensed, said("what it is; several buttons are added", "a")]
+    meaning: Annotated[Sensed, said("quantity; several buttons are combined", "a")]
     offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), said("first byte, from 0; a report id does not count", 0)]
     type: Annotated[Type, said("of the number", "int16")]
     scale: Annotated[float, within(SCALE, "per count, to m, rad or encoder counts", 1.0)] = 1.0
@@ -58,7 +58,7 @@ class InputField(Table, frozen=True, kw_only=True):
 class OutputField(Table, frozen=True, kw_only=True):
     """A number to the device: raw = scale * meaning, rounded to the nearest."""
 
-    meaning: Annotated[Commanded, said("what it is", "current_a")]
+    meaning: Annotated[Commanded, said("quantity", "current_a")]
     offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), said("first byte, from 0; a report id does not count", 0)]
     type: Annotated[Type, said("of the number", "int16")]
     scale: Annotated[float, within(SCALE, "counts per A, N or N m; of a constant its value", 1000.0)] = 1.0

@@ -25,7 +25,7 @@ class Fields(NamedTuple):
     # settings
     id: Annotated[int, word("the library's number of the device")]
     has_frame: Annotated[
-        int, word("whether the library gives its frame: else its position, and `frame` stays unturned")
+        int, word("whether the library returns its frame; otherwise its position, and `frame` is the identity")
     ]
     has_gripper: Annotated[int, word("whether it has one")]
     has_torque: Annotated[int, word("whether motors turn the handle: else no torque is sent")]
@@ -34,17 +34,17 @@ class Fields(NamedTuple):
     # written by several threads
     open: Annotated[int, word("whether the library may be called")]
     armed: Annotated[int, word("whether a force may go out")]
-    stopped: Annotated[int, word("for good; set before `armed` is cleared: an `arm` under way switches nothing on")]
-    lock: Annotated[int, word("held while the library is called: it is not said to bear two threads")]
+    stopped: Annotated[int, word("permanent; set before `armed` is cleared, so that a concurrent `arm` has no effect")]
+    lock: Annotated[int, word("lock: set during a call, since the library is not documented as thread-safe")]
     # counters and last errors
     reads: Annotated[int, counter("readings")]
     reads_guarded: Annotated[int, counter("reads that the library answered with the last reading, TIMEGUARD")]
     writes: Annotated[int, counter("forces given")]
-    writes_guarded: Annotated[int, counter("of these, held back by the library, TIMEGUARD")]
+    writes_guarded: Annotated[int, counter("of these, withheld by the library, TIMEGUARD")]
     saturated: Annotated[int, counter("forces that the motors could not give in full")]
     error: Annotated[int, word("of the library, at the failure")]
     cause: Annotated[int, word("why the device turned its force off; -1: it did not")]
-    faulty: Annotated[int, word("its error word, where that was not 0")]
+    faulty: Annotated[int, word("its error code, if not 0")]
     # buffers of the calls
     timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
     gripper: Annotated[int, numbers("rad", 1)]

@@ -110,7 +110,7 @@ class ForceDimension(Device):
         reads, repeated, writes, held, cut = self.counts().values()
         if repeated or held or cut:
             log.info(
-                "%s: of %d reads %d repeated the last reading; of %d forces %d were held back, %d at the motors' limit",
+                "%s: of %d reads %d repeated the last reading; of %d forces %d were withheld, %d at the motors' limit",
                 self._model.full_name, reads, repeated, writes, held, cut,
             )  # fmt: skip
 
@@ -124,7 +124,7 @@ class ForceDimension(Device):
         if cause >= 0:
             messages.append(library.FORCE_OFF_CAUSES.get(cause, f"the device gives no cause ({cause})"))
         if self._word[AT.faulty]:
-            messages.append(f"its error word is {self._word[AT.faulty]}")
+            messages.append(f"its error code is {self._word[AT.faulty]}")
         return "; ".join(messages)
 
     def counts(self) -> dict[str, int]:
@@ -141,7 +141,9 @@ class ForceDimension(Device):
             time.sleep(0.001)
         is_off = call.dhdEnableForce(0, self._id) in library.SUCCESS
         is_braked = call.dhdStop(self._id) in library.SUCCESS  # switches to brake mode
-        self._zero_failure = "" if is_sent or is_off or is_braked else f"the library says: {library.error_text(call)}"
+        self._zero_failure = (
+            "" if is_sent or is_off or is_braked else f"the library reports: {library.error_text(call)}"
+        )
         if not self._options.brakes:
             call.dhdSetBrakes(0, self._id)
 
@@ -181,7 +183,7 @@ class ForceDimension(Device):
         stop_thread.join(HANG_WAIT_S)
         if stop_thread.is_alive():
             log.error(
-                "%s: the library hangs and lets nothing past; what is left is the device's own watchdog: switch it off",
+                "%s: the library hangs and blocks all calls; only the device's watchdog remains: switch the device off",
                 self._model.full_name,
             )
 
@@ -207,7 +209,7 @@ class ForceDimension(Device):
         )  # ends the library's regulation, so that this program sets the force
         self._call_checked("dhdEnableForce", call.dhdEnableForce, 0)  # a killed program may have left it on
         if call.dhdSetBrakes(int(options.brakes), self._id) not in library.SUCCESS and not options.brakes:
-            log.warning("%s: refuses to take its brakes off, so brakes = false is not kept", self._model.full_name)
+            log.warning("%s: does not release its brakes, so brakes = false has no effect", self._model.full_name)
         self._call_checked(
             "dhdSetGravityCompensation", call.dhdSetGravityCompensation, int(options.gravity_compensation)
         )

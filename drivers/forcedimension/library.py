@@ -31,8 +31,8 @@ ERROR_COM, ERROR_BUSY, ERROR_NO_DRIVER, ERROR_NO_DEVICE, ERROR_TIMEOUT, ERROR_IN
 FORCE_OFF_CAUSES: Final = {
     1: "the force button was pressed",
     2: "the handle was faster than the velocity threshold",
-    3: "no force came within the watchdog's time",
-    4: "the library was told to",
+    3: "no force arrived within the watchdog's time",
+    4: "by a call of the library",
     5: "USB was disconnected",
     6: "the dead-man switch was let go",
 }

@@ -89,7 +89,7 @@ def _open_error(call: ctypes.CDLL, number: int) -> DeviceError:
     code, text = call.dhdErrorGetLast(), library.error_text(call)
     if code in (library.ERROR_BUSY, library.ERROR_IN_USE):
         by = ", ".join(name for device in usb.attached() for name in usb.holders(device)) or "another process"
-        return DeviceBusy(f"device {number} is held by {by} ({text}): end that, then start again")
+        return DeviceBusy(f"device {number} is used by {by} ({text}): end that process, then start again")
     if code == library.ERROR_NO_DEVICE:
         return DeviceNotFound(f"device {number} is not there any more ({text}): check cable and power")
     if code in (library.ERROR_COM, library.ERROR_NO_DRIVER):

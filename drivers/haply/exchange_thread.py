@@ -176,7 +176,7 @@ class ExchangeThread:
         if not self._pending:
             self._word[AT.unasked] += 1
             if self._word[AT.unasked] > SURPLUS_MAX:
-                raise Malformed(f"the service sent {SURPLUS_MAX} states that nobody asked for")
+                raise Malformed(f"the service sent {SURPLUS_MAX} unexpected states")
             return
         answered_message = self._pending.popleft()
         self._word[AT.answered], self._word[AT.stops_answered] = answered_message.number, answered_message.stops

@@ -206,7 +206,7 @@ def parse_version(version: str) -> tuple[int, int]:
         parsed = int(parts[0]), int(parts[1])
     except (ValueError, IndexError):
         raise DeviceError(
-            f"the Inverse Service says its version is '{version[:EXCERPT_CHARS]}', which is no number: "
+            f"the Inverse Service has the version '{version[:EXCERPT_CHARS]}', which is no number: "
             "name it with version under [device]"
         ) from None
     if not FIRST_SUPPORTED <= parsed < FIRST_UNSUPPORTED:
@@ -237,7 +237,7 @@ def _decode(decoder: Any, message: bytes) -> Any:
     try:
         return decoder.decode(message)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise Malformed(f"the service said {excerpt(message)}: {error}") from None
+        raise Malformed(f"the service answered {excerpt(message)}: {error}") from None
 
 
 def _find_entry(state: State, ref: DeviceRef) -> Any:
@@ -255,7 +255,7 @@ def _warning(status: Status) -> str:
         "" if status.calibrated else "it is not calibrated, so its position may be off: calibrate it in the Haply Hub",
         "" if status.ready else "it is not ready",
     )
-    return "the Inverse Service says: " + "; ".join(filter(None, problems))
+    return "the Inverse Service reports: " + "; ".join(filter(None, problems))
 
 
 def _position(vector: Vector) -> Vec3:

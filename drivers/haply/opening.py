@@ -155,7 +155,7 @@ def _inventory(link: Link, until: float) -> Inventory:
     try:
         return read_inventory(link.next(until))
     except DeviceTimeout:
-        raise DeviceTimeout(f"the Inverse Service says nothing within {OPEN_S:g} s: restart it ({START})") from None
+        raise DeviceTimeout(f"the Inverse Service does not answer within {OPEN_S:g} s: restart it ({START})") from None
     except Malformed as error:
         raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
 

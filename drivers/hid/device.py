@@ -109,7 +109,7 @@ class HidDevice(Device):
 
     def _log_missing_zero(self, was_logged: bool) -> None:
         """Log that no zero was sent, once: the loop, the daemon and `close` each stop the device."""
-        self._zero_failure = self.reason() or f"writes have not gone out for {STOP_WAIT_S:g} s"
+        self._zero_failure = self.reason() or f"writes have been pending for {STOP_WAIT_S:g} s"
         if not was_logged:
             log.error("%s: no zero has reached it: %s", self.info.name, self._zero_failure)
 

@@ -31,9 +31,7 @@ REPORT_ID: Final = Range(0, 255, "one byte; 0 where the device does not number i
 SILENCE_S: Final = Range(
     0.01, 0.2, "below, one kick has no time to work; above, force acts where the device was long ago"
 )
-GIVE_UP_S: Final = Range(
-    0.01, 2.0, "below, one kick has no time to work; above, a device that is gone would go unnoticed"
-)
+GIVE_UP_S: Final = Range(0.01, 2.0, "below this one restart has no time to work; above it a lost device goes unnoticed")
 
 Through = Literal["auto", "node", "thread"]
 """Carrier of the reports: the loop at a hidraw node, or threads at hidapi; auto: the loop if there is a node."""
@@ -110,7 +108,7 @@ class Options(Table, frozen=True, kw_only=True):
     product_id: Annotated[int, within(USB_ID, "USB product", 0x0006)]
     serial: Annotated[str, said("serial number, where several are attached", "SN42")] | None = None
     path: Annotated[str, said("node, or hidapi's name on USB, in place of looking", "/dev/hidraw0")] | None = None
-    through: Annotated[Through, said("the loop at the node, threads at hidapi, or what there is", "auto")] = "auto"
+    through: Annotated[Through, said("the loop at the node, threads at hidapi, or the available one", "auto")] = "auto"
     reports: Reports
     kinematics: Kinematics
     mounting: Mounting = Mounting()

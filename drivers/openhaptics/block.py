@@ -49,24 +49,22 @@ class Fields(NamedTuple):
     # written by the library's thread
     frames: Annotated[int, counter("frames of the library's thread")]
     framed_at: Annotated[int, word("ns, the last one")]
-    has_inkwell: Annotated[int, word("whether it is asked for; cleared where the device refuses")]
+    has_inkwell: Annotated[int, word("whether it is requested; cleared if the device refuses")]
     has_temperature: Annotated[int, word("the same of the motors' temperature")]
     docked: Annotated[int, word("whether the stylus is in the inkwell")]
     temperature: Annotated[int, word("of the warmest motor, 0 cold to 1000 hot")]
     output: Annotated[int, word("whether the motors are switched on; below 0: not known")]
-    late: Annotated[int, word("whether the last frame came more than `age_max` after the one before")]
+    late: Annotated[int, word("whether the last frame was more than `age_max` after the previous one")]
     has_force: Annotated[int, word("whether the last frame gave a force")]
     has_sent_zero: Annotated[int, word("whether a frame since `stopped` has given zero")]
     has_left: Annotated[int, word("whether the callback is not called any more")]
-    status: Annotated[int, word("0, or the status of the error that ended it")]
+    status: Annotated[int, word("0, or the status of the error that stopped it")]
     error: Annotated[int, word("the library's code of that")]
     internal: Annotated[int, word("the device's own code of that")]
-    errors: Annotated[int, counter("errors that the library told in frames")]
+    errors: Annotated[int, counter("errors that the library reported in frames")]
     lapses: Annotated[
         int,
-        counter(
-            "forces that the library's thread ended or did not give: old, late frame, not armed, stylus docked, fault"
-        ),
+        counter("forces that the library's thread withheld: old, late frame, not armed, stylus docked, fault"),
     ]
     wrench_seen: Annotated[int, word("sequence of the wrench that it has")]
     # written by the servo
@@ -76,7 +74,7 @@ class Fields(NamedTuple):
     pose_seen: Annotated[int, word("sequence of the pose that it has")]
     read_at: Annotated[int, word("ns")]
     silence: Annotated[int, word("ns without a new frame, as far as it was listened")]
-    known_lapses: Annotated[int, word("lapses that the guard has been told of")]
+    known_lapses: Annotated[int, word("lapses reported to the guard")]
     # buffers
     frame_timespec: Annotated[int, numbers("for the clock, of the library's thread", TIMESPEC_WORDS)]
     servo_timespec: Annotated[int, numbers("for the clock, of the servo", TIMESPEC_WORDS)]
@@ -95,7 +93,7 @@ class Fields(NamedTuple):
     wrench: Annotated[int, numbers("of the last write", WRENCH_SIZE)]
     new_wrench: Annotated[int, numbers("where the servo makes it", WRENCH_SIZE)]
     read_wrench: Annotated[int, numbers("where the library's thread takes it to", WRENCH_SIZE)]
-    last_wrench: Annotated[int, numbers("the last whole one that it took", WRENCH_SIZE)]
+    last_wrench: Annotated[int, numbers("the last complete one that it read", WRENCH_SIZE)]
 
 
 AT: Final = lay_out(Fields)

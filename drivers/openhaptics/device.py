@@ -150,7 +150,7 @@ class OpenHaptics(Device):
         self._warm = int(self._word[AT.temperature]) >= (COOL if self._warm else WARM)
         messages = []
         if self._warm:
-            messages.append("the motors are hot: give them a rest, or the device takes the force off")
+            messages.append("the motors are hot: pause, or the device switches the force off")
         if self._word[AT.docked]:
             messages.append(
                 "the stylus is in the inkwell, so there is no force (inkwell = false does not ask for that)"
@@ -315,8 +315,8 @@ class OpenHaptics(Device):
 
 _RETRY_REMEDY: Final = "check cable and power, run the maker's Touch_Diagnostic, then start again"
 _CALIBRATION_REMEDIES: Final = {
-    0: "it names no way to do that: calibrate it with the maker's Touch_Setup or Touch_Diagnostic",
-    library.AUTO: "move the handle through its whole range",
+    0: "it supports no calibration by programs: calibrate it with the maker's Touch_Setup or Touch_Diagnostic",
+    library.AUTO: "move the handle through its full range",
     library.INKWELL: "put the stylus into the inkwell",
     library.ENCODER_RESET: (
         "hold the handle in its reset position, the arms at right angles, while it is opened, and set "
@@ -354,12 +354,12 @@ def _open_library_device(call: ctypes.CDLL, name: str | None) -> int:
 
 
 def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
-    messages = "; ".join(map(str, found)) or "the library does not say why"
+    messages = "; ".join(map(str, found)) or "the library gives no reason"
     which = "the default device" if name is None else f"the device '{name}'"
     seen = usb.attached()
     if any(error.code == library.ALREADY_INITIATED for error in found):
         raise DeviceBusy(
-            f"{which} is in use by another program, or twice in this rig: {messages}: end that, then start again"
+            f"{which} is in use by another program, or twice in this rig: {messages}: end the other, then start again"
         )
     if any(error.code == library.INVALID_LICENSE for error in found):
         raise DeviceError(f"{which} cannot be opened: {messages}: install the developer edition's licence")
@@ -367,7 +367,7 @@ def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
         if device.node and not discovery.permitted(device.node):
             raise DevicePermission(usb.how_to_permit(device))
         if device.node and (holder := discovery.holder(device.node)) is not None:
-            raise DeviceBusy(f"{device} is held by {holder}: end that, then start again ({messages})")
+            raise DeviceBusy(f"{device} is used by {holder}: end that process, then start again ({messages})")
     if not seen:
         raise DeviceNotFound(
             f"{which} does not answer: {messages}: check cable and power (USB vendor {usb.VENDOR:04x}), and that "

@@ -39,7 +39,7 @@ class Fields(NamedTuple):
 
     samples: Annotated[int, address("(length, 7) float64")]
     length: Annotated[int, word("of the recording")]
-    loop: Annotated[int, word("whether it begins again at its end")]
+    loop: Annotated[int, word("restart the recording at its end")]
     next_sample: Annotated[int, word("counted up and wrapped, which is cheaper than a remainder")]
     period: Annotated[int, numbers("s", 1)]
 
@@ -57,7 +57,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Keys of a rig's [device] with `driver = "replay"`."""
 
     recording: Annotated[str, said("file (.csv, .npz, .mcap) or name of a shipped recording", "press-roll-spin-drag")]
-    finger: Annotated[str, said("whose poses of a recording of several fingers; empty: of a single one", "thumb")] = ""
+    finger: Annotated[str, said("finger of a recording of several fingers; empty: a single one", "thumb")] = ""
     loop: Annotated[bool, said("start again at the end, over a smooth return; false: stop after one pass")] = True
     forces: Annotated[str | None, said("file (.csv or .npz) for the wrenches written, saved on close")] = None
 

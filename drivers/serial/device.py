@@ -183,7 +183,7 @@ class SerialDevice(Device):
         try:
             while unsent := count_unsent(int(self._block.word[BOARD.fd])):
                 if time.monotonic() > until:
-                    return f"{unsent} bytes have not gone out for {wait_s:g} s"
+                    return f"{unsent} bytes have been pending for {wait_s:g} s"
                 time.sleep(0.0005)
         except OSError as error:
             return f"the port is gone: {error.strerror}"

@@ -28,9 +28,9 @@ SILENCE_S: Final = Range(
     0.005, 0.2, "below, a late answer is a silence; above, force acts where the device was long ago"
 )
 GIVE_UP_S: Final = Range(
-    0.005, 2.0, "below, a late answer is a silence; above, a device that is gone would go unnoticed"
+    0.005, 2.0, "below this a late answer counts as silence; above it a lost device goes unnoticed"
 )
-WAKE_S: Final = Range(0.2, 60.0, "below, one kick has no time to work; nobody waits longer than a minute")
+WAKE_S: Final = Range(0.2, 60.0, "below this one restart has no time to work; above a minute the wait has no use")
 
 FRAME_BYTES: Final = Range(1, 256, "at 115200 Bd a frame of 256 bytes takes 22 ms")
 MARKS: Final = Range(0, 8, "more than anybody sends to mark a frame")
@@ -47,8 +47,11 @@ Byte = Annotated[int, Meta(ge=0, le=255)]
 
 
 class Checksum(Table, frozen=True, kw_only=True):
-    """Checksum. One byte: sum8, xor8 (exclusive or), crc8 (polynomial 0x07, from 0). Two, from 0xFFFF: crc16-ccitt
-    (polynomial 0x1021), crc16-modbus (0x8005 reflected)."""
+    """Checksum of a frame.
+
+    One byte: sum8, xor8 (exclusive or), crc8 (polynomial 0x07, initial value 0). Two bytes, initial value 0xFFFF:
+    crc16-ccitt (polynomial 0x1021), crc16-modbus (0x8005 reflected).
+    """
 
     kind: Annotated[
         Check,
@@ -69,8 +72,8 @@ class Frame(Table, frozen=True, kw_only=True):
     """Common properties of frames in both directions."""
 
     bytes: Annotated[int, within(FRAME_BYTES, "length, marks and checksum included", 8)]
-    start: Annotated[tuple[Byte, ...], sized(MARKS, "bytes that it begins with", [165])] = ()
-    end: Annotated[tuple[Byte, ...], sized(MARKS, "bytes that it ends with", [10])] = ()
+    start: Annotated[tuple[Byte, ...], sized(MARKS, "first bytes of the frame", [165])] = ()
+    end: Annotated[tuple[Byte, ...], sized(MARKS, "last bytes of the frame", [10])] = ()
     check: Checksum | None = None
 
     def is_searchable(self) -> bool:
@@ -121,8 +124,10 @@ class InputFrame(Frame, frozen=True, kw_only=True):
 
 
 class OutputFrame(Frame, frozen=True, kw_only=True):
-    """Frame to the board: `output` each tick, `setup` at opening until it answers, and at closing. Bytes of no field
-    are 0."""
+    """Frame to the board.
+
+    `output` is sent on each tick, `setup` at opening until the board answers, and at closing. Bytes of no field are 0.
+    """
 
     field: Annotated[tuple[OutputField, ...], sized(FIELDS, "its numbers")]
 
@@ -153,7 +158,11 @@ class Frames(Table, frozen=True, kw_only=True):
         if known(self.mode, self.input) and self.mode == "stream":
             marks = (self.input.start, self.input.end, self.input.check)
             if known(*marks) and not self.input.is_searchable():
-                yield "input", msgspec.UNSET, "a stream needs a check, or both start and end: its frames are not told"
+                yield (
+                    "input",
+                    msgspec.UNSET,
+                    "a stream needs a check, or both start and end: its frames cannot be found",
+                )
         if known(self.setup) and self.setup is not None and known(self.setup.field) and known(*self.setup.field):
             for index, field in enumerate(self.setup.field):
                 if known(field.meaning) and field.meaning != "constant":
@@ -170,7 +179,7 @@ class Options(Table, frozen=True, kw_only=True):
         Annotated[str, said("the port; default: the one with the ids; one on USB must have them", "/dev/ttyACM0")]
         | None
     ) = None
-    baud: Annotated[Baud, said("speed in Bd; without effect on a port of USB's own", 115200)] = 115200
+    baud: Annotated[Baud, said("speed in Bd; without effect on a native USB port", 115200)] = 115200
     frames: Annotated[Frames | None, said("language of the board; absent: WoodenHaptics' text")] = None
     kinematics: Annotated[Kinematics | None, said("mechanism, with frames")] = None
     mounting: Mounting = Mounting()
@@ -189,7 +198,7 @@ class Options(Table, frozen=True, kw_only=True):
         if known(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
             yield "timeout_s", self.timeout_s, f"must be at least quiet_s = {self.quiet_s:g}, so that a kick can help"
         if known(self.vendor_id, self.product_id) and (self.vendor_id is None) != (self.product_id is None):
-            yield "product_id", self.product_id, "needs vendor_id, and the other way round: give both or neither"
+            yield "product_id", self.product_id, "needs vendor_id, and vendor_id needs product_id: give both or neither"
         if not known(self.frames, self.kinematics):
             return
         if self.frames is None or self.kinematics is None:

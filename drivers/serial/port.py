@@ -100,7 +100,7 @@ def find_port(options: Options) -> str:
     ports = list(discovery.serial_ports())
     if options.vendor_id is None or options.product_id is None:
         attached = ", ".join(f"{port.node} ({port.ids}, {port.name})" for port in ports) or "no serial port on USB"
-        raise DeviceNotFound(f"the rig does not say which port: name it with path under [device]; attached: {attached}")
+        raise DeviceNotFound(f"the rig does not set a port: set path under [device]; attached: {attached}")
     wanted = ids(options.vendor_id, options.product_id)
     with_ids = [port for port in ports if port.ids == wanted and describe_foreign_product(port) is None]
     matching = [port for port in with_ids if options.serial in (None, port.serial)]

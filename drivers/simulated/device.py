@@ -67,7 +67,7 @@ class Fields(NamedTuple):
     plant: Annotated[int, numbers("a `Plant`", _PLANT_SIZE)]
     state: Annotated[int, numbers("a `PlantState`", _STATE_SIZE)]
     intention: Annotated[int, numbers("an `Intention`", _INTENTION_SIZE)]
-    delay_line: Annotated[int, numbers("forces under way", DELAY_LINE_SIZE)]
+    delay_line: Annotated[int, numbers("queued forces", DELAY_LINE_SIZE)]
     poses: Annotated[int, address("(n, 7) float64 of the recording")]
     puck: Annotated[int, word("handle of the puck that leads the hand, 0 without one")]
     hand: Annotated[int, word("handle of the hand that a program may lead")]

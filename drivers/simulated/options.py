@@ -43,28 +43,32 @@ class Hand(Table, frozen=True, kw_only=True):
     mass_kg: Annotated[float, within(limits.HAND_MASS_KG, "mass that moves with the handle", 0.1)] = 0.1
     damping_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "damping against the intended speed", 8.0)] = 8.0
     stiffness_n_per_m: Annotated[
-        float, Meta(ge=0.0, le=limits.STIFFNESS_N_PER_M.high, description="pull per way to the intended place")
+        float, Meta(ge=0.0, le=limits.STIFFNESS_N_PER_M.high, description="spring to the intended position")
     ] = 1000.0
 
 
 class Options(Table, frozen=True, kw_only=True):
     """Keys of a rig's [device] with `driver = "simulated"`; what is left out is the preset's."""
 
-    preset: Annotated[Literal["omega.3", "omega.6", "falcon"], said("device whose numbers are taken", "omega.6")] = (
+    preset: Annotated[Literal["omega.3", "omega.6", "falcon"], said("device whose data are used", "omega.6")] = (
         "omega.6"
     )
     mass_kg: Annotated[tuple[Mass, Mass, Mass], said("apparent mass along x, y, z")] | None = None
     damping_ns_per_m: Annotated[tuple[Damping, Damping, Damping], said("viscous damping")] | None = None
     friction_n: Annotated[tuple[Friction, Friction, Friction], said("Coulomb friction of the mechanism")] | None = None
     lag_s: Annotated[float, within(limits.LAG_S, "time constant of the amplifiers")] | None = None
-    force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "most that the motors give; direction kept")] | None = None
+    force_max_n: (
+        Annotated[float, within(limits.FORCE_MAX_N, "largest force of the motors; the direction is preserved")] | None
+    ) = None
     delay_ticks: Annotated[int, within(limits.DELAY_TICKS, "ticks until a force written acts")] | None = None
     resolution_m: Annotated[float, within(limits.RESOLUTION_M, "step of the encoders; 0: none")] | None = None
     orientation_lag_s: Annotated[float, within(limits.LAG_S, "time constant of the sensed orientation")] = 0.0
     hand: Hand = Hand()
     recording: Annotated[str, said("poses the hand intends: file or shipped recording", RECORDING)] | None = None
     loop: Annotated[bool, said("start again at the end, over a smooth return; false: stop after one pass")] = True
-    position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("where the hand stays instead")] | None = None
+    position_m: (
+        Annotated[tuple[Coordinate, Coordinate, Coordinate], said("fixed position of the hand instead")] | None
+    ) = None
     sway_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("amplitude of a sinusoid about it")] = (
         0.0,
         0.0,
@@ -72,7 +76,7 @@ class Options(Table, frozen=True, kw_only=True):
     )
     sway_hz: Annotated[float, within(limits.MOTION_FREQUENCY_HZ, "cycles per second of the sinusoid")] = 0.0
     sway_phase_rad: Annotated[float, within(limits.ANGLE_RAD, "where in its cycle it starts")] = 0.0
-    puck: Annotated[PuckOptions, said("a SpaceMouse moves what the hand intends, instead")] | None = None
+    puck: Annotated[PuckOptions, said("a SpaceMouse moves the intended position instead")] | None = None
     forces: Annotated[str, said("file (.csv or .npz) for the wrenches written, saved on close")] | None = None
 
     def faults(self) -> Iterator[Complaint]:

@@ -73,14 +73,14 @@ class Fields(NamedTuple):
     """Fields of a puck, after the fields of the log."""
 
     reports: Annotated[int, counter("reports received")]
-    foreign: Annotated[int, counter("of these, of other kinds (a wireless puck tells its battery)")]
+    foreign: Annotated[int, counter("of these, of other kinds (such as the battery of a wireless puck)")]
     fd: Annotated[int, word("file descriptor of its node, below 0 once it is closed")]
     sampled_at: Annotated[int, word("ns, when it last reported its deflection")]
     moved_at: Annotated[int, word("ns, up to when the fingertip has been moved")]
     hold: Annotated[int, word("ns without a report after which it counts as let go")]
     timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
     setup: Annotated[int, numbers("a `Setup`", SETUP_SIZE)]
-    state: Annotated[int, numbers("where the fingertip is, see POSITION and those after it", STATE_SIZE)]
+    state: Annotated[int, numbers("pose of the fingertip, see POSITION and the next indices", STATE_SIZE)]
     buffer: Annotated[int, raw_bytes("a report", REPORT_MAX)]
 
 

@@ -20,7 +20,7 @@ FULL_SCALE: Final = 350.0
 """Counts of an axis at full deflection."""
 
 DEADBAND: Final = Range(0.0, 300.0, "an axis ends at 350 counts")
-GAIN_M_PER_S: Final = Range(0.0, 3e-3, "1 m/s at full deflection; a fingertip goes through every wall at that")
+GAIN_M_PER_S: Final = Range(0.0, 3e-3, "1 m/s at full deflection; at this speed a fingertip passes through every wall")
 GAIN_RAD_PER_S: Final = Range(0.0, 3e-2, "10 rad/s at full deflection")
 HOLD_S: Final = Range(0.05, 3600.0, "reports come every few hundredths of a second while the puck is moved")
 
@@ -45,10 +45,10 @@ class Options(Table, frozen=True, kw_only=True):
         tuple[bool, bool, bool, bool, bool, bool], said("axes to turn round: x, y, z, about x, about y, about z")
     ] = (False, False, False, False, False, False)
     start_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("where the fingertip begins", [0.0, 0.0, 0.03])
+        tuple[Coordinate, Coordinate, Coordinate], said("initial position of the fingertip", [0.0, 0.0, 0.03])
     ] = (0.0, 0.0, 0.03)
     workspace_min_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("lower corner of the box it stays in", [-0.1, -0.1, -0.1])
+        tuple[Coordinate, Coordinate, Coordinate], said("lower corner of its box", [-0.1, -0.1, -0.1])
     ] = (-0.1, -0.1, -0.1)
     workspace_max_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("upper corner", [0.1, 0.1, 0.1])] = (
         0.1,

@@ -94,7 +94,7 @@ def explain_ambiguity(device: Attached) -> str | None:
     if (device.vendor, device.product) != TEENSY_SERIAL or describe_foreign_product(device) is not None:
         return None
     said = "it names no product" if device.name == NO_PRODUCT else f"its product is '{device.name}'"
-    return f"{said}, and {device.ids} is any Teensy with a serial port, whatever program it runs"
+    return f"{said}, and {device.ids} is any Teensy with a serial port, with any firmware"
 
 
 def _has_reports(device: Attached, claim: Claim) -> bool:

@@ -55,7 +55,7 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
             return Diagnosis(
                 "unclaimed",
                 "no driver knows it by its ids",
-                "if it is a Hapkit, a Haply 2DIY or a board of your own, name this port: docs/devices/serial.md",
+                "if it is a Hapkit, a Haply 2DIY or another board, set this port: docs/devices/serial.md",
             )
         return Diagnosis("unclaimed", "no driver knows it")
     if claim.driver not in registry.names():
@@ -75,7 +75,7 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
     if not discovery.permitted(device.node):
         return Diagnosis("permission", f"this user may not write to {device.node}", how_to_permit(device))
     if (holder := discovery.holder(device.node)) is not None:
-        return Diagnosis("busy", f"{device.node} is held by {holder}", f"kill {holder.pid}")
+        return Diagnosis("busy", f"{device.node} is used by {holder}", f"kill {holder.pid}")
     if has_no_node:
         return Diagnosis("usable", "the system gives it no hidraw node, so threads carry its reports over libusb")
     options = options_for(claim, rig)

@@ -282,4 +282,4 @@ def _pids_with_lock(inode: int) -> Iterator[int]:
 
 def process(pid: int) -> Holder:
     """Return a process with its name."""
-    return Holder(pid, _read_text(Path(f"/proc/{pid}/comm")) or "not to be seen")
+    return Holder(pid, _read_text(Path(f"/proc/{pid}/comm")) or "not visible")

@@ -54,7 +54,7 @@ def load(library: MakersLibrary, named: str | None, patterns: Sequence[Path], no
         except OSError:
             continue
     searched = ", ".join([*map(str, patterns), *(f"{name} by the loader" for name in library.sonames)])
-    raise DeviceNotFound(f"{library.name} is not on this machine: looked for {searched}{note}; {library.advice}")
+    raise DeviceNotFound(f"{library.name} is not on this machine: searched for {searched}{note}; {library.advice}")
 
 
 def address(library: ctypes.CDLL, name: str) -> int:

@@ -51,4 +51,4 @@ def _lock(fd: int, path: str) -> None:
 
 
 def _busy_error(path: str) -> DeviceBusy:
-    return DeviceBusy(f"{path} is held by {discovery.holder(path) or 'another process'}: end that one first")
+    return DeviceBusy(f"{path} is used by {discovery.holder(path) or 'another process'}: end that process first")

@@ -23,14 +23,14 @@ MATCHES: Final = {
 """Match of the nodes of a bus, up to the vendor."""
 
 HEAD: Final = f"""\
-# Devices that softfinger drives: for whoever sits at this machine, and for the group {GROUP}.
+# Devices that softfinger drives: for the user at this machine, and for the group {GROUP}.
 # Below 73, where systemd acts on the tag uaccess.
 ACTION=="remove", GOTO="softfinger_end"
 """
 # The rules set the group through a variable: udev resolves a literal name when it reads the file, and drops a line with
 # a group that does not exist yet.
 TAIL: Final = f"""\
-# keeps processors out of deep sleep while the servo runs
+# prevents deep sleep of processors while the servo runs
 SUBSYSTEM=="misc", KERNEL=="cpu_dma_latency", ENV{{SOFTFINGER_GROUP}}="{GROUP}"
 
 ENV{{SOFTFINGER_GROUP}}=="?*", GROUP="$env{{SOFTFINGER_GROUP}}", MODE="0660"

@@ -32,7 +32,7 @@ BYTES_MAX: Final = 4 << 30
 ENDING: Final = ".mesh"
 
 KEPT: Final = Folder(
-    None if CACHE_DIR is None else CACHE_DIR.parent / "meshes", "meshes are not kept, so every start builds them"
+    None if CACHE_DIR is None else CACHE_DIR.parent / "meshes", "meshes are not cached, so every start builds them"
 )
 
 _DTYPE: Final = re.compile("<[fiu][1248]|[|][iu]1")
@@ -64,7 +64,7 @@ def load(key: str, folder: Folder = KEPT) -> Kept | None:
         return None
     except (Unsound, OSError, ValueError, TypeError, KeyError) as error:
         if folder.problem() is None:
-            log.warning("kept mesh %s is not used but built anew: %s", name, error)
+            log.warning("cached mesh %s is not used and is built again: %s", name, error)
         return None
 
 

@@ -52,17 +52,19 @@ class Report:
         return found
 
     def _no_inside(self) -> str:
-        why, what = "it is not watertight", "mend what is noted"
+        why, what = "it is not watertight", "correct the faults in the notes"
         if self.open_edges:
             why, what = f"it has {self.open_edges:,} open edges", "close its holes"
-        return f"inside = true does nothing here: {why}, so it is felt from the side where the hand begins; or {what}"
+        return (
+            f"inside = true does nothing here: {why}, so it is felt from the side on which the hand starts; or {what}"
+        )
 
     def _surface(self) -> str:
         if self.watertight:
             return f"watertight, {self.volume_m3:.4g} m^3"
         if self.open_edges:
             return f"open, {self.open_edges:,} edges of one triangle: felt from both sides, as a sheet"
-        return "closed, but not watertight: see what is noted"
+        return "closed, but not watertight: see the notes"
 
 
 def unit_note(size: float, scale: float | None) -> tuple[str, ...]:
@@ -87,8 +89,8 @@ def report_of(mended: Mended, loose: bool, scale: float | None) -> Report:
         (mended.unused, "vertices dropped that no triangle has"),
         (mended.degenerate, "triangles dropped that have no area"),
         (mended.duplicate, "triangles dropped that were there already"),
-        (wound.alike, "triangles turned that were wound against those beside them"),
-        (wound.outward, "triangles turned whose body was wound inward"),
+        (wound.alike, "triangles flipped because they were wound opposite to their neighbours"),
+        (wound.outward, "triangles flipped because their body was wound inward"),
     ]
     left = [
         (mended.open_edges, "edges of one triangle, at holes or the border of a sheet"),
@@ -114,6 +116,6 @@ def report_of(mended: Mended, loose: bool, scale: float | None) -> Report:
         noted=(
             *unit_note(max(x, y, z), scale),
             *(f"{text}: {count:,}" for count, text in left if count),
-            "not looked for: triangles that go through each other",
+            "not checked: triangles that intersect each other",
         ),
     )

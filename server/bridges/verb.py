@@ -40,7 +40,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
-    parser.add_argument("--commands", metavar="URL", help="where the daemon describes itself (default: beside that)")
+    parser.add_argument(
+        "--commands", metavar="URL", help="endpoint of the daemon's description (default: next to that of telemetry)"
+    )
     keys.add_options(parser)
     parser.add_argument(
         "--port", type=int, default=foxglove.PORT, help="of the server for Foxglove, on this machine only (%(default)s)"

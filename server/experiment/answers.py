@@ -45,7 +45,9 @@ class Participant:
     def instruct(self) -> None:
         """Show the instructions until the participant starts."""
         if text := self._experiment.instructions:
-            self._ask(Prompt(self._experiment.title, text, choices=(BEGIN,)), f"{text} Enter or a button begins.")
+            self._ask(
+                Prompt(self._experiment.title, text, choices=(BEGIN,)), f"{text} Press Enter or a button to start."
+            )
 
     def prepare(self, progress: Progress) -> None:
         self._progress = progress
@@ -73,12 +75,12 @@ class Participant:
     def _show_feedback(self, is_right: bool) -> None:
         """Show whether the answer to a practice trial was right, so that the participant learns the question."""
         text = "That was right." if is_right else "That was wrong."
-        self._ask(self._prompt(text, choices=(CONTINUE,)), f"{text} Enter or a button goes on.")
+        self._ask(self._prompt(text, choices=(CONTINUE,)), f"{text} Press Enter or a button to continue.")
 
     def pause(self, done: int, of: int) -> None:
         done_text = f"{done} of {of} trials are done."
         prompt = Prompt("A break", f"{done_text} Go on when you are ready.", done, of, (CONTINUE,))
-        self._ask(prompt, f"{done_text} A break: Enter or a button goes on.")
+        self._ask(prompt, f"{done_text} A break: Press Enter or a button to continue.")
 
     def end(self) -> None:
         """Show that the session is over."""

@@ -277,10 +277,10 @@ def _poll(ended: Callable[[float], bool], polls: Iterable[Callable[[], None]]) -
     for poll in polls:
         poll()
     if ended(EXIT_WAIT_S):
-        raise Stopped("stopped; the same command goes on at this trial")
+        raise Stopped("stopped; the same command continues at this trial")
 
 
 def _check_participant(participant: int) -> int:
     if type(participant) is not int or not 1 <= participant <= PARTICIPANT_MAX:
-        raise ConfigError(f"participant = {shown(participant)}: must be a whole number from 1 to {PARTICIPANT_MAX}")
+        raise ConfigError(f"participant = {shown(participant)}: must be an integer from 1 to {PARTICIPANT_MAX}")
     return participant

@@ -19,7 +19,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "Fit the answers of an experiment's folder and draw them as PNG and SVG, the numbers beside as CSV and JSON. "
         "Made anew each time."
     )
-    parser.add_argument("folder", metavar="FOLDER", help="what `softfinger experiment` wrote")
+    parser.add_argument("folder", metavar="FOLDER", help="folder written by `softfinger experiment`")
     parser.add_argument("--out", metavar="FOLDER", help="where figures go (default: FOLDER/figures)")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 

@@ -13,7 +13,7 @@ from softfinger.config import limits
 from softfinger.config.limits import NAME_LENGTH, Range
 from softfinger.config.schema.fields import Complaint, Coordinate, Table, known, said, sized, within
 
-LEVELS: Final = Range(1, 200, "nobody feels more")
+LEVELS: Final = Range(1, 200, "more levels cannot be told apart")
 TRIALS: Final = Range(1, 2000, "longer than any session")
 SECONDS: Final = Range(0.0, 600.0, "ten minutes are longer than any touch")
 SHARE: Final = Range(0.0, 0.5, "half of the answers at random is no observer")
@@ -62,12 +62,12 @@ class Task(Table, frozen=True, kw_only=True):
             "compare: whether more is a larger value, reference (1 + level), or a smaller one, reference / (1 + level)"
         ),
     ] = "up"
-    question: Annotated[str, sized(TEXT, "what the participant is asked", "Which was stiffer?")]
+    question: Annotated[str, sized(TEXT, "question to the participant", "Which was stiffer?")]
     scale: Annotated[
         tuple[int, int] | None, said("rate: first and last mark of a rating scale; default: any number above 0", [1, 7])
     ] = None
     scale_ends: Annotated[
-        tuple[Label, ...], said("rate: what its first and last mark mean", ["not at all", "very"])
+        tuple[Label, ...], said("rate: labels of the first and the last mark", ["not at all", "very"])
     ] = ()
     target_m: Annotated[Point | None, said("trace: where it ends", [0.0, 0.0, 0.0])] = None
     target_radius_m: Annotated[float, within(Range(1e-4, 1.0, "a target"), "trace: how near", 0.005)] = 0.005
@@ -90,7 +90,7 @@ class Task(Table, frozen=True, kw_only=True):
             if self.scale is not None and not 1 <= self.scale[0] < self.scale[1] < self.scale[0] + MARKS_MAX:
                 yield "scale", self.scale, f"must be the first mark, from 1, and the last of at most {MARKS_MAX}"
             if len(self.scale_ends) not in ((0,) if self.scale is None else (0, 2)):
-                yield "scale_ends", self.scale_ends, "goes with scale, and has two words"
+                yield "scale_ends", self.scale_ends, "requires scale, and has two labels"
         if known(self.kind, self.reference) and (self.kind == "compare") != (self.reference is not None):
             yield "reference", self.reference, "compare needs a reference, and nothing else has one"
         if known(self.kind, self.target_m) and (self.kind == "trace") != (self.target_m is not None):
@@ -103,7 +103,7 @@ class Procedure(Table, frozen=True, kw_only=True):
     kind: Annotated[
         Literal["constant", "staircase", "questplus"],
         said(
-            "constant: every level as often, in random order; staircase: `down` right answers in a row make it "
+            "constant: every level equally often, in random order; staircase: `down` right answers in a row make it "
             "smaller, a wrong one larger (Levitt 1971); questplus: the level whose answer is expected to tell most "
             "(Watson 2017)"
         ),
@@ -219,11 +219,13 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
     """What all trials share."""
 
     title: Annotated[str, sized(Range(1, 200, ""), "title of the page and of the figures", "Stiffness discrimination")]
-    scene: Annotated[str, sized(Range(1, 4096, ""), "scene: a shipped name, or a file beside this one", "paper-plane")]
-    rig: Annotated[str, sized(Range(1, 4096, ""), "rig: a shipped name, or a file beside this one", "omega-6")] = (
-        "simulated-hand"
-    )
-    instructions: Annotated[str, sized(TEXT, "what the participant reads first")] = ""
+    scene: Annotated[
+        str, sized(Range(1, 4096, ""), "scene: a shipped name, or a file in the folder of this one", "paper-plane")
+    ]
+    rig: Annotated[
+        str, sized(Range(1, 4096, ""), "rig: a shipped name, or a file in the folder of this one", "omega-6")
+    ] = "simulated-hand"
+    instructions: Annotated[str, sized(TEXT, "first text that the participant reads")] = ""
     overrides: Annotated[dict[str, Any], said("parameters of the scene, or rig.guard.KEY, that hold throughout")] = (
         msgspec.field(default_factory=dict)
     )

@@ -51,7 +51,7 @@ class Ledger:
             raise self._permission_error(record, error) from error
         except (ValueError, TypeError, KeyError) as error:
             raise ConfigError(
-                f"{self._at(record)} is damaged ({error}): see what is in it, and move it away"
+                f"{self._at(record)} is damaged ({error}): look at its content, and move it away"
             ) from error
 
     @property
@@ -96,7 +96,7 @@ class Ledger:
             yield from self._remove([path for path in self._files if path not in named])
             for file, state in zip(files, states, strict=True):
                 if state == "edited":
-                    yield Action("kept, for it was edited; move it away to have the new one:", self._at(file.path))
+                    yield Action("edited, so not replaced; move it away to get the new one:", self._at(file.path))
                     continue
                 if state != "unchanged":
                     self._write_file(file.path, file.text)
@@ -120,7 +120,7 @@ class Ledger:
         for path in paths:
             digest = self._digest_at(Path(path))
             if digest is not None and digest != self._files[path]:
-                yield Action("kept, for it was edited; remove it yourself:", self._at(Path(path)))
+                yield Action("edited, so not removed; remove it yourself:", self._at(Path(path)))
                 continue
             if digest is not None:
                 self._at(Path(path)).unlink()

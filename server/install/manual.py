@@ -11,7 +11,7 @@ ENDING: Final = r"""
 .SH FILES
 .TP
 .I ~/.cache/softfinger
-compiled kernels; SOFTFINGER_CACHE_DIR names another folder
+compiled kernels; SOFTFINGER_CACHE_DIR sets another folder
 .TP
 .I /etc/softfinger/installed.json
 what `softfinger install \-\-system` has written; without \-\-system: ~/.local/state/softfinger/installed.json

@@ -23,7 +23,7 @@ ACCOUNT: Final = f"""\
 u {GROUP} - "softfinger, a haptic rendering server" /var/lib/softfinger
 """
 LIMITS: Final = f"""\
-# What a servo at 1 kHz asks for: a thread that nothing delays, and memory that stays.
+# Needs of a servo at 1 kHz: real-time priority and locked memory.
 @{GROUP} - rtprio {RTPRIO}
 @{GROUP} - memlock unlimited
 """

@@ -80,7 +80,7 @@ WantedBy=multi-user.target
 """
 
 USER: Final = """\
-# Limits are those of your login: `softfinger install --system` raises them for the group softfinger.
+# Limits are those of the login: `softfinger install --system` raises them for the group softfinger.
 
 [Install]
 WantedBy=default.target

@@ -16,15 +16,15 @@ from softfinger.server.install.system_commands import STATE, after_removing, aft
 ROOT: Final = Path("/")
 
 LATER: Final = """\
-A device may be opened by whoever sits at this machine once it is plugged in again; over ssh, and for the limits, join
+The user at this machine may open a device once it is plugged in again; over ssh, and for the limits, join
 the group and log in again:
   sudo usermod -aG softfinger $USER
-The daemon as a service, and what it says:
+The daemon as a service, and its log:
   sudo systemctl start softfinger
   journalctl -u softfinger -f
 """
 LATER_FOR_ONE: Final = """\
-The daemon as a service, and what it says:
+The daemon as a service, and its log:
   systemctl --user start softfinger
   journalctl --user -u softfinger -f
 Rules for devices and limits for real time are the machine's: {command}
@@ -37,9 +37,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "machine, with udev rules for every supported device and limits for real time. What was written is recorded, "
         "and --remove takes it away; a file of somebody else is never overwritten, one that was edited never removed."
     )
-    parser.add_argument("--system", action="store_true", help="for the whole machine, as root; with rules and limits")
-    parser.add_argument("--remove", action="store_true", help="take away what was written")
-    parser.add_argument("--dry-run", action="store_true", help="print what would be done, each file with its content")
+    parser.add_argument("--system", action="store_true", help="for all users, as root; with rules and limits")
+    parser.add_argument("--remove", action="store_true", help="remove the written files")
+    parser.add_argument("--dry-run", action="store_true", help="print the planned changes, each file with its content")
     parser.add_argument("--rig", default="replay", help="rig of the service, and its devices (default: %(default)s)")
     parser.add_argument("--scene", default="paper-plane", help="scene of the service (default: %(default)s)")
     parser.add_argument("--root", type=Path, metavar="DIR", help="write below DIR, and run no command: for packagers")
@@ -68,7 +68,10 @@ def install(args: argparse.Namespace, ledger: Ledger) -> None:
         run_all(commands)
     private_folder = first_private_folder(service(args.rig, args.scene)) if args.system else None
     if private_folder is not None:
-        print(f"the service cannot start: {private_folder} is its owner's alone; put the program into /opt/softfinger")
+        print(
+            f"the service cannot start: {private_folder} is readable by its owner only; "
+            "move the program to /opt/softfinger"
+        )
     print(LATER if args.system else LATER_FOR_ONE.format(command=install_command()), end="")
 
 
@@ -85,7 +88,7 @@ def remove(args: argparse.Namespace, ledger: Ledger) -> None:
         if args.root is None:
             run_all(after_removing(args.system))
             if args.system and STATE.exists():
-                print(f"what the service has kept stays in {STATE}, and so does its account")
+                print(f"data of the service remain in {STATE}, and so does its account")
 
 
 def show(actions: Iterable[Action]) -> None:

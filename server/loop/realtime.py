@@ -91,7 +91,7 @@ def apply(mode: Mode, priority: int, cpu: int | None) -> AppliedSettings:
     """
     applied = AppliedSettings([])
     if mode == "off":
-        applied.settings.append(Setting("off", True, "as asked: the servo is a thread like any other", ""))
+        applied.settings.append(Setting("off", True, "as requested: the servo has normal priority", ""))
         return applied
     if sys.platform != "linux":
         applied.settings.extend(refused_elsewhere(sys.platform, cpu))
@@ -116,7 +116,7 @@ def raise_priority(name: str, thread: int | None, priority: int) -> Setting:
     """
     setting = f"sched_fifo_{name}"
     if sys.platform != "linux" or thread is None:
-        return Setting(setting, False, "made with Linux calls", "run on Linux, or say --realtime off to stop asking")
+        return Setting(setting, False, "made with Linux calls", "run on Linux, or set --realtime off")
     lowest, highest = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
     clamped = max(lowest, min(priority, highest))
     try:
@@ -129,7 +129,7 @@ def raise_priority(name: str, thread: int | None, priority: int) -> Setting:
 def refused_elsewhere(platform: str, cpu: int | None) -> list[Setting]:
     """Return the refused settings for a system other than Linux."""
     names = ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency"] + ["affinity"] * (cpu is not None)
-    advice = "run on Linux, or say --realtime off to stop asking"
+    advice = "run on Linux, or set --realtime off"
     return [Setting(name, False, f"made with Linux calls, and this is {platform}", advice) for name in names]
 
 
@@ -209,7 +209,7 @@ def _lock_memory(applied: AppliedSettings) -> Setting:
     applied._undo_process.append(lambda: _libc("munlockall"))
     _load_small_mappings()
     locked = f"{_status('VmLck')} locked, {_status('VmRSS')} of them in memory"
-    rest = "later ones as they come" if later else "what is mapped later is not, under a limit"
+    rest = "later ones as they come" if later else "memory mapped later is not locked, because of a limit"
     return Setting("mlockall", True, f"{locked}; {rest}", "")
 
 

@@ -242,7 +242,7 @@ class Servo:
             if self._ended is not None and self._ended.error is not None:
                 raise self._ended.error
             if self._done.is_set() or time.monotonic() > until:
-                raise SafetyStop("the servo ended, or hangs in its device, before it was replaced")
+                raise SafetyStop("the servo stopped, or hangs in its device, before it was replaced")
 
     def check_running(self) -> None:
         """Raise SafetyStop unless the loop is ticking."""

@@ -154,7 +154,7 @@ def device_failure(device: Device, ended: LoopEnd, finger: str = "") -> HapticEr
         )
     if ended.ending == health.JUMPING:
         return DeviceError(
-            f"{name}: its pose jumps again and again, farther than a hand comes in the time{because}: zero force was "
+            f"{name}: its pose jumps repeatedly, farther than a hand moves in that time{because}: zero force was "
             "commanded; see to its sensors and its cable, then start again; where it was a hand, raise "
             "guard.speed_max_m_per_s or guard.turn_max_rad_per_s"
         )
@@ -166,7 +166,7 @@ def device_failure(device: Device, ended: LoopEnd, finger: str = "") -> HapticEr
         return DeviceTimeout(
             f"{name}: no answer to a {action} in time{because}: check cable and power, then start again"
         )
-    what = "answered what is not in its protocol" if ended.status == PROTOCOL else "is gone"
+    what = "sent an answer that is not in its protocol" if ended.status == PROTOCOL else "is gone"
     return DeviceLost(f"{name} {what} (status {ended.status} on {action}){because}: plug it in again, then start again")
 
 

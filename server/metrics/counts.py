@@ -161,7 +161,9 @@ class MetricsCollector(Collector):
         yield from metrics
         yield GaugeMetricFamily("softfinger_subscribers", "Connections that subscribe to something", subscribers)
         yield _counter("softfinger_messages_lost", "Messages that subscribers were too slow to take", lost)
-        yield _counter("softfinger_connections_refused", "Connections refused or cut off for what they did", refused)
+        yield _counter(
+            "softfinger_connections_refused", "Connections refused or closed because of their messages", refused
+        )
         yield _counter("softfinger_publisher_restarts", "Times the publisher was started again", restarts)
         yield from _recording_metrics(self._written())
         state, now = GaugeMetricFamily("softfinger_state", "1 for the daemon's state", labels=["state"]), self._state()
@@ -187,7 +189,7 @@ class MetricsCollector(Collector):
         modes = CounterMetricFamily("softfinger_mode_seconds", "Time in a contact mode", labels=["finger", "mode"])
         guard = CounterMetricFamily("softfinger_guarded_ticks", "Ticks the guard changed", labels=["finger", "cause"])
         errors = CounterMetricFamily(
-            "softfinger_device_errors", "Ticks that a device did not do as asked", labels=["finger", "status"]
+            "softfinger_device_errors", "Ticks in which a device did not execute a request", labels=["finger", "status"]
         )
         for name, finger in zip(self._names, self._fingers, strict=True):
             finger.force.write_to(force, [name])

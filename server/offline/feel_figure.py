@@ -52,7 +52,7 @@ def friction(axes: Any, entry: Entry, material: Material) -> None:
     free_loads = np.geomspace(0.3, 8.0, len(points) + 2)[1:-1]
     for index, each in enumerate(points):
         load = free_loads[index] if each.load_n is None else float(np.sqrt(each.load_n[0] * each.load_n[1]))
-        load_note = "" if each.load_n else ", load not said"
+        load_note = "" if each.load_n else ", load unknown"
         point(axes, load, each, f"C{index + 1}", f"{each.of}{load_note} ({each.paper})")
     axes.set(xscale="log", xlabel="load [N]", ylabel="coefficient of friction")
     axes.set_ylim(0.0, 1.1 * axes.get_ylim()[1])

@@ -133,7 +133,7 @@ def _heightmap_rows(item: Heightmap) -> list[tuple[str, str]]:
     ]
     if (over := overshoot(heights)) > OVERSHOOT * (high - low):
         found.append(
-            ("    steps", f"the smooth surface is up to {over:.3g} m higher or lower than the pixels beside them")
+            ("    steps", f"the smooth surface is up to {over:.3g} m higher or lower than the neighbouring pixels")
         )
     return found
 

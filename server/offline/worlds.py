@@ -32,7 +32,7 @@ def world_rows(world: World) -> list[tuple[str, str]]:
         rows.append(("  keyframe", world.keyframe))
     compiling = COMPILE_BASE_AND_PER_GEOM_S[0] + COMPILE_BASE_AND_PER_GEOM_S[1] * _compiled(geoms)
     if compiling >= LONG_S:
-        few = "to touch fewer meshes give a material to these alone, by [[world.geom]]"
+        few = "to touch fewer meshes give only these a material, by [[world.geom]]"
         rows.append(("  compiling", f"some {round(compiling, -1):g} s at the first start; {few}"))
     return rows + [(f"  geom '{geom.name}'", geom.note) for geom in geoms if geom.note]
 

@@ -64,8 +64,10 @@ class Allowed:
         self._revoked.add(key)
 
     def _changes(self) -> bool:
-        """Return whether the folder has changed since the last read, or so shortly before that a file may be
-        incomplete."""
+        """Return whether the folder has changed since the last read.
+
+        A change shortly before the read counts, too: a file may have been incomplete.
+        """
         try:
             return os.stat(self.folder).st_mtime_ns > self._read_ns - SETTLED_NS
         except OSError:
@@ -87,8 +89,8 @@ class Allowed:
                 return
             text = str(error) if isinstance(error, ConfigError) else f"{self.folder}: {error.strerror}"
             if strictly:
-                raise ConfigError(f"no keys of those who may: {text}") from error
-            self._warn(f"nobody is let in: {text}")
+                raise ConfigError(f"no keys of allowed clients: {text}") from error
+            self._warn(f"no client is allowed: {text}")
             names = {}
         self._names = {key: name for key, name in names.items() if key not in self._revoked}
 

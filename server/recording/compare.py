@@ -167,7 +167,7 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
     comparable[withheld] = False
     if withheld.any():
         left_out.append(
-            Span(int(ticks[withheld][0]), int(ticks[withheld][-1]), "the force was withheld or disarmed meanwhile")
+            Span(int(ticks[withheld][0]), int(ticks[withheld][-1]), "the force was withheld or disarmed in between")
         )
     return Replayed(
         columns,
@@ -342,14 +342,14 @@ class _Part(NamedTuple):
 
 def _split_run(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> Iterator[_Part]:
     """Split the run where its state is unknown."""
-    breaks = {0: "the recording begins in the middle of a run"}
+    breaks = {0: "the recording starts in the middle of a run"}
     for row in (np.flatnonzero(np.diff(ticks) != 1) + 1).tolist():
         breaks[row] = f"{ticks[row] - ticks[row - 1] - 1} ticks before it are missing"
     for row in _rows_after(_withheld(run)):
         breaks[row] = "the force was withheld or disarmed"
     armed = set(_rows_after(np.any(_has_bit(run, DISARMED), axis=1)))
     changes = _command_changes(run, scene, ticks, ramp)
-    breaks |= dict.fromkeys(changes, "a command came before")
+    breaks |= dict.fromkeys(changes, "a command precedes it")
     end = _find_known_end(run, scene, ticks)
     starts = sorted(row for row in breaks if row < end)
     for start, stop in pairwise([*starts, end]):

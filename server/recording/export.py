@@ -66,7 +66,7 @@ def _read_finger(recording: Path, finger: str) -> Iterator[Ticks]:
             other_fingers.add(part.finger)
     if not has_ticks:
         available = (
-            f"it has those of {', '.join(sorted(other_fingers))}: --finger NAME" if other_fingers else "it has none"
+            f"it has fingers {', '.join(sorted(other_fingers))}: --finger NAME" if other_fingers else "it has none"
         )
         raise RecordingError(
             f"{recording}: no ticks of {f'finger {finger!r}' if finger else 'a single finger'}: {available}"

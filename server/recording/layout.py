@@ -86,7 +86,7 @@ class Layout:
         if not np.array_equal(integers, counts):
             row, column = (int(i) for i in np.argwhere(integers != counts)[0])
             name = columns()[int(np.flatnonzero(self._integer_columns)[column])]
-            raise ValueError(f"record {row}: {name} = {counts[row, column]}, must be a whole number")
+            raise ValueError(f"record {row}: {name} = {counts[row, column]}, must be an integer")
         values[:, self._integer_columns] = integers.view("<f8")  # the bit pattern of the integer
         out[:] = self._template
         out.view(self._message)[:] = values.view(self._row)

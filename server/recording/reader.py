@@ -142,7 +142,7 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | World | N
     schemas: dict[int, Any] = {}
     channels: dict[int, _Channel] = {}
     notes = 0
-    cut = "it ends without an index: its writer was ended, or the disk was full"
+    cut = "it has no index at its end: its writer was killed, or the disk was full"
     try:
         for outer in mcap_records(file):
             messages_by_channel: dict[int, list[bytes]] = {}

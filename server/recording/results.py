@@ -302,7 +302,7 @@ def _read_mcap(path: Path, finger: str) -> Array:
         elif isinstance(part, End) and part.cut and count:
             log.warning("%s is cut short or damaged (%s): %d messages read", path, part.cut, count)
     if not count:
-        raise RecordingError(f"{path}: holds no message of topic '{contact_topic(finger)}'")
+        raise RecordingError(f"{path}: has no message of topic '{contact_topic(finger)}'")
     return np.concatenate(blocks)
 
 

@@ -91,7 +91,7 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
             case End():
                 cut = part.cut
     if not blocks:
-        raise RecordingError(f"{path}: holds no tick")
+        raise RecordingError(f"{path}: has no tick")
     fingers = {}
     for finger, each in blocks.items():
         if missing := [name for name in (*_REQUIRED, *fields) if name not in each[0]]:

@@ -91,7 +91,7 @@ def summary(path: Path) -> dict[str, Any]:
             case End():
                 end = part
     if not fingers:
-        raise RecordingError(f"{path}: holds no tick")
+        raise RecordingError(f"{path}: has no tick")
     first_finger = next(iter(fingers.values()))
     every = notes.get("every") if isinstance(notes.get("every"), int) else 1
     end_table = (notes.get(END) if isinstance(notes.get(END), dict) else None) or {}

@@ -113,7 +113,7 @@ def _parse_row(location: str, line: bytes, layout: Layout, commas: set[bool]) ->
             row.append(0.0 if name == SKIPPED else float(cell.replace(",", ".")))
         except ValueError as error:
             what = f"{cell[:40]!r} is not a number" if cell else "the cell is empty"
-            raise RecordingError(f"{location}, column '{name}': {what}; --skip leaves a heading out") from error
+            raise RecordingError(f"{location}, column '{name}': {what}; --skip N skips a heading") from error
         commas |= {mark == "," for mark in ",." if name != SKIPPED and mark in cell}
     if len(commas) > 1:
         raise RecordingError(f"{location}: has decimal commas and decimal points: write all numbers with points")
@@ -133,7 +133,7 @@ def _cells(location: str, text: str, columns: int) -> list[str]:
     found = next((count for count in counts if count > 1), 1)
     raise RecordingError(
         f"{location}: {found} values where --columns has {columns}: give a name or {SKIPPED} for each; "
-        "--skip leaves lines out at the beginning"
+        "--skip N skips lines at the start"
     )
 
 

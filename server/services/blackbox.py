@@ -76,7 +76,7 @@ class BlackBoxes(Worker):
 
     def failed(self, error: Exception) -> None:
         """Log the error; the run continues, because the black box only serves later analysis."""
-        log.error("the black box has ended: %s", error)
+        log.error("the black box has stopped: %s", error)
 
     def _write_due(self, last: bool = False) -> None:
         due, now = self._due, time.monotonic()

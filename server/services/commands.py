@@ -233,7 +233,7 @@ class Commands:
             log.exception("commands failed")
             self._daemon.serve(None)
             self._daemon.event("fault", "commands", message=str(error))
-            self._daemon.fail(SafetyStop(f"commands cannot be taken: {error}; nobody would see the heartbeat end"))
+            self._daemon.fail(SafetyStop(f"commands cannot be taken: {error}; the heartbeat cannot be checked"))
 
     def _check_heartbeat(self) -> None:
         """Record a missed heartbeat, if it is missed.
@@ -287,7 +287,7 @@ class Commands:
             raise Declined(
                 "bad_params",
                 f"no scene is called {shown(params.scene)}{near(params.scene, shipped(schema.Scene))}; shipped are "
-                f"{', '.join(shipped(schema.Scene))}; one of your own is given whole",
+                f"{', '.join(shipped(schema.Scene))}; send another one as a complete map",
             )
 
         def read() -> schema.Scene:
@@ -334,7 +334,7 @@ class Commands:
         params: wire.Drive = request.params
         object_index, obj = self._object(params.object)
         if not isinstance(obj.motion, schema.Driven):
-            raise Declined("refused", f'object {obj.name} is not driven: its scene says motion = {{ kind = "driven" }}')
+            raise Declined("refused", f'object {obj.name} is not driven: it needs motion = {{ kind = "driven" }}')
         pose: dict[str, Any] = {"position_m": list(params.position_m)}
         if params.orientation_wxyz is not msgspec.UNSET:
             pose["orientation_wxyz"] = list(params.orientation_wxyz)
@@ -355,7 +355,7 @@ class Commands:
         params: wire.Hand = request.params
         finger_index = self._finger(params.finger)
         if params.release == (params.position_m is not msgspec.UNSET):  # both, or neither
-            raise Declined("bad_params", "say either position_m, where the hand is to be, or release")
+            raise Declined("bad_params", "give either position_m, the goal of the hand, or release")
         target = None
         if params.position_m is not msgspec.UNSET:
             turn = None if params.orientation_wxyz is msgspec.UNSET else params.orientation_wxyz
@@ -390,7 +390,7 @@ class Commands:
         """Return the index of a finger given by name or index; a single finger need not be given. Raises Declined."""
         names = [finger.name for finger in self._rendering.scene.fingers]
         if key is msgspec.UNSET and len(names) > 1:
-            raise Declined("bad_params", f"there are several fingers: say finger, one of {', '.join(names)}")
+            raise Declined("bad_params", f"there are several fingers: give finger, one of {', '.join(names)}")
         selected = 0 if key is msgspec.UNSET else key
         finger_index = (
             selected if isinstance(selected, int) else names.index(selected) if selected in names else len(names)
@@ -437,7 +437,9 @@ class Commands:
     def _mark(self, request: Request) -> wire.Applied:
         params: wire.Mark = request.params
         if len(encode(params.data)) > EVENT_BYTES_MAX:
-            raise Declined("bad_params", f"data has more than {EVENT_BYTES_MAX} bytes: mark what is kept elsewhere")
+            raise Declined(
+                "bad_params", f"data has more than {EVENT_BYTES_MAX} bytes: store the data elsewhere, and mark its name"
+            )
         tick = self._rendering.servo.ticks
         self._daemon.event("mark", "mark", command_id=request.command_id, label=params.label, data=params.data)
         return wire.Applied(tick)
@@ -452,7 +454,9 @@ class Commands:
     def _mesh(self, request: Request) -> wire.Triangles:
         _, obj = self._object(request.params.object)
         if not isinstance(obj, Filed):
-            raise Declined("refused", f"object {obj.name} is a {obj.shape} and no mesh: its table says all")
+            raise Declined(
+                "refused", f"object {obj.name} is a {obj.shape} and no mesh: its table describes it completely"
+            )
         (vertices, triangles), of = picture_of(obj)
         return wire.Triangles(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes(), of)
 

@@ -114,7 +114,7 @@ class SceneChanges(Worker):
             if code:
                 errors.seek(0)
                 log.error("the compiler of a scene ended with %d: %s", code, errors.read().strip())
-                raise NotCompiled("the scene could not be compiled: the daemon's log says why")
+                raise NotCompiled("the scene could not be compiled: see the daemon's log")
 
     def _run_compiler(self, scene: schema.Scene, name: str, errors: IO[str]) -> int:
         """Run a process that fills the cache and return its exit code; its errors are in `errors`."""
@@ -155,7 +155,7 @@ class SceneChanges(Worker):
 
 
 def _superseded() -> Superseded:
-    return Superseded("another scene was asked for, or the daemon ends, before this one was compiled")
+    return Superseded("another scene was requested, or the daemon ends, before this one was compiled")
 
 
 def compile_loop(scene: schema.Scene) -> Tuning:
@@ -178,7 +178,7 @@ def main() -> None:
     Prints a line to standard output if anything has to be compiled; functions in the cache are only loaded.
     """
     os.nice(NICE)
-    COMPILE_PROGRESS.on_first = lambda: print("compiling what is not kept of it, in a process of its own", flush=True)
+    COMPILE_PROGRESS.on_first = lambda: print("compiling kernels that are not cached, in another process", flush=True)
     scene = build(schema.Scene, json.loads(sys.stdin.readline()), "the scene")
     threading.Thread(target=_exit_with_daemon, daemon=True).start()
     compile_loop(scene)

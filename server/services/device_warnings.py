@@ -41,4 +41,4 @@ class DeviceWarnings(Worker):
 
     def failed(self, error: Exception) -> None:
         """Publish an event; the run continues, because rendering does not depend on this service."""
-        self._event("fault", NAME, message=f"warnings of devices are not told any more: {error}")
+        self._event("fault", NAME, message=f"warnings of devices are no longer published: {error}")

@@ -57,7 +57,7 @@ class Notify(Worker):
             try:
                 to.sendto("\n".join(state).encode(), self._address)
             except OSError as error:  # a service manager that has exited or is restarting
-                log.debug("systemd was not told %s: %s", state, error)
+                log.debug("systemd was not notified of %s: %s", state, error)
 
 
 def _address(name: str) -> str:

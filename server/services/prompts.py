@@ -33,7 +33,7 @@ class Prompts:
         """Replace the current prompt."""
         prompt: wire.Prompt = request.params
         if prompt.choices and prompt.number is not None:
-            raise Declined("bad_params", "say either choices or number: there is one answer")
+            raise Declined("bad_params", "give either choices or number: a prompt has one answer")
         if prompt.number is not None and not prompt.number[0] < prompt.number[1]:
             raise Declined("bad_params", f"number is {list(prompt.number)}: give the smallest, then the largest")
         is_open = bool(prompt.choices) or prompt.number is not None

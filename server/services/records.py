@@ -74,7 +74,7 @@ class Records(Worker):
             while (count := self._tap.take(batch)) > 0:
                 self._distribute(batch[:count], self._servo.records.drops + self._tap.lost)
         if self._tap.failed:
-            raise RuntimeError("the thread that hands ticks on has ended")
+            raise RuntimeError("the thread that forwards ticks has ended")
 
     def _distribute(self, records: NDArray[np.float64], drops: int) -> None:
         for sink in list(self._sinks):
@@ -94,7 +94,7 @@ class Records(Worker):
 
     def failed(self, error: Exception) -> None:
         """End the run: without records, rendering cannot be monitored."""
-        self._fail(SafetyStop(f"records cannot be taken: {error}; nobody can see what is rendered"))
+        self._fail(SafetyStop(f"records cannot be taken: {error}; the rendered state would be invisible"))
 
     def stop(self) -> None:
         # A servo that was never started, or that hangs, produces no last record.

@@ -211,10 +211,10 @@ class Rendering:
         with _locked(self._parameters_lock):
             before, after = self._scene, overridden(self._scene, changes, where)
             if pair(after, self._rig) != pair(before, self._rig):
-                raise ConfigError(f"{where}: a finger's name and device are no parameters: set the whole scene")
+                raise ConfigError(f"{where}: the name and the device of a finger are no parameters: use set_scene")
             tuning = with_scene(self._tuning, after)
             if not self.servo.is_compiled_for(tuning):
-                raise ConfigError(f"{where}: {other_model(before, changes)}: set the whole scene")
+                raise ConfigError(f"{where}: {other_model(before, changes)}: use set_scene")
             with _locked(self._tuning_lock):
                 # An offset may have been set in the meantime.
                 self._tuning = self._tuning._replace(scene=tuning.scene, passivity=tuning.passivity)
@@ -240,7 +240,7 @@ class Rendering:
         """
         with _locked(self._tuning_lock):
             if not self.force.is_off:
-                raise Replacing("the force is on its way off: nothing was changed; try again")
+                raise Replacing("the force is being switched off: nothing was changed; try again")
             if position is not None and record[AT.tick] < self._offset_tick + 2:
                 raise Replacing("where the probe is now is not known yet: nothing was changed; try again")
             offsets = list(self._tuning.offsets)

@@ -37,7 +37,7 @@ class Supervisor(Worker):
 
     def failed(self, error: Exception) -> None:
         """End the run: an unmonitored servo may stall with a force."""
-        self._fail(SafetyStop(f"the supervisor failed: {error}; nobody would see the servo stall"))
+        self._fail(SafetyStop(f"the supervisor failed: {error}; a stall of the servo would go unnoticed"))
 
     def _stop_stalled(self, idle_s: float, ticks: int) -> None:
         stalled = SafetyStop(

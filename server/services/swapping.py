@@ -16,7 +16,7 @@ PERIOD_S: Final = 1.0
 NAME: Final = "swapped"
 STATUS: Final = Path("/proc/self/status")
 ADVICE: Final = (
-    "a tick that needs it waits for the disk: end what fills the memory, or let the daemon lock its own "
+    "a tick that needs it waits for the disk: end the programs that fill the memory, or let the daemon lock its memory "
     "(softfinger doctor says how)"
 )
 
@@ -48,7 +48,7 @@ class Swapping(Worker):
 
     def failed(self, error: Exception) -> None:
         """Publish an event; the run continues, because rendering does not depend on this service."""
-        self._event("fault", NAME, message=f"memory in swap is not told any more: {error}")
+        self._event("fault", NAME, message=f"memory in swap is no longer reported: {error}")
 
 
 def swapped_kb(status: str) -> int:

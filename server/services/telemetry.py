@@ -34,4 +34,4 @@ class Telemetry:
 
 
 def _telemetry_error(error: Exception) -> HapticError:
-    return SafetyStop(f"telemetry cannot be published: {error}; nobody can see what is rendered")
+    return SafetyStop(f"telemetry cannot be published: {error}; the rendered state would be invisible")

@@ -57,7 +57,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = "Check scenes, rigs and experiments. Exit code 0: all are usable; 2: at least one is not."
     parser.add_argument("files", nargs="+", metavar="FILE", help="one of these, as a file or a shipped name")
     parser.add_argument(
-        "--explain", action="store_true", help="compile each scene and measure what a tick and each part of it cost"
+        "--explain",
+        action="store_true",
+        help="compile each scene and measure the cost of a tick and of each part of it",
     )
     parser.add_argument(
         "--plot",
@@ -248,8 +250,8 @@ def _locate(file: str) -> Path:
     names = [*shipped(Scene), *shipped(Rig), *names_in(EXPERIMENTS)]
     if file not in names and "." not in file and "/" not in file and not _exists(file):
         raise ConfigError(
-            f"no scene, rig or experiment is called {shown(file)}{near(file, names)}; shipped are {', '.join(names)}; "
-            "a file of your own is named with its ending .toml"
+            f"no scene, rig or experiment is named {shown(file)}{near(file, names)}; shipped are {', '.join(names)}; "
+            "give the path of another file with its suffix .toml"
         )
     if file in names_in(EXPERIMENTS):
         return find_in(EXPERIMENTS, "experiment", file)

@@ -35,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  softfinger ctl set_scene scene=sphere          # or a file: scene=mine.toml\n"
         "  softfinger ctl drive object=lid 'position_m=[0, 0, 0.01]'"
     )
-    parser.add_argument("method", metavar="METHOD", help="what to do, one of the methods below")
+    parser.add_argument("method", metavar="METHOD", help="method: one of those below")
     parser.add_argument(
         "params", nargs="*", metavar="key=value", help="its parameters: values of TOML or JSON, else texts"
     )
@@ -43,7 +43,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--endpoint", default=DEFAULT_ENDPOINT, help="of the daemon: its telemetry or its commands (%(default)s)"
     )
     keys.add_options(parser)
-    parser.add_argument("--timeout", type=duration, metavar="S", help="wait so long (default: what the method needs)")
+    parser.add_argument(
+        "--timeout", type=duration, metavar="S", help="longest wait for the answer (default: by method)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 

@@ -28,12 +28,12 @@ ListedDevice = tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "List what is attached, which driver claims it, why it cannot be opened, and the command that mends it. "
+        "List attached devices, the driver of each, why one cannot be opened, and the command that corrects it. "
         "Nothing is opened, so a device in use is not disturbed, unless --ask is given."
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--ask", action="store_true", help="open each device that is free, and ask what only it knows")
-    parser.add_argument("--rig", help="rig whose library or firmware file counts for the devices of its driver")
+    parser.add_argument("--ask", action="store_true", help="open each free device, and read its data")
+    parser.add_argument("--rig", help="rig with the library or firmware file for the devices of its driver")
 
 
 def run(args: argparse.Namespace) -> int:

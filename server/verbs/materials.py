@@ -27,7 +27,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         'The materials that a scene may name (material = "rubber") and the fingertips (fingertip = "human-index").'
     )
     parser.add_argument("name", nargs="?", metavar="NAME", help="one of them, with its values, its range and sources")
-    parser.add_argument("--plot", type=plot_file, metavar="FILE", help="draw it beside what was published (.png, .svg)")
+    parser.add_argument(
+        "--plot", type=plot_file, metavar="FILE", help="draw it with published measurements (.png, .svg)"
+    )
     parser.add_argument("--json", action="store_true", help="print as JSON")
 
 

@@ -41,7 +41,7 @@ _MODE_STYLES: Final = {0: "green", 1: "bold blue", 2: "bold red"}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Show what a running server renders: contact mode, forces, lateness, events."
+    parser.description = "Show contact mode, forces, lateness and events of a running server."
     parser.add_argument(
         "--endpoint",
         default=DEFAULT_ENDPOINT,

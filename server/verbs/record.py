@@ -46,21 +46,23 @@ SHOW_PERIOD_S: Final = 0.5
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Record a running server: everything as .mcap, or the poses alone as .csv, by the file's ending."
+        "Record a running server: all values as .mcap, or only the poses as .csv, by the file's suffix."
     )
     parser.add_argument("file", nargs="?", metavar="FILE", help="a new .mcap with ticks, events and scene; .csv: poses")
     parser.add_argument(
         "--poses",
         action="append",
         metavar="FILE",
-        help=".csv: poses alone; .mcap: every value of every tick; NAME=FILE for each of several fingers",
+        help=".csv: only poses; .mcap: every value of every tick; NAME=FILE for each of several fingers",
     )
     parser.add_argument(
         "--endpoint",
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
-    parser.add_argument("--commands", metavar="URL", help="where the server describes itself (default: beside that)")
+    parser.add_argument(
+        "--commands", metavar="URL", help="endpoint of the server's description (default: next to that of telemetry)"
+    )
     keys.add_options(parser)
     parser.add_argument(
         "--duration", type=float, metavar="S", help="stop after S seconds (default: at the server's end)"
@@ -91,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     files = {name: Path(file) for name, file in files_by_finger(args.poses or [args.file], "--poses").items()}
     for (name, file), (other, another) in combinations(files.items(), 2):
         if is_same_file(file, another):
-            raise ConfigError(f"--poses {name}={file} and --poses {other}={another} are one file: give each its own")
+            raise ConfigError(f"--poses {name}={file} and --poses {other}={another} are one file: give two names")
     topics = CONTACT, FINGERS, EVENT
     with subscribe(addresses.telemetry, topics, keys=lock) as samples, signals.stop_on_signal(stop.request):
         recorded = record(samples, files, args.duration, args.timeout, stop)
@@ -147,7 +149,7 @@ class RecordingStats:
         """Return a message to the user about the gaps."""
         return (
             f"{self.lost} ticks in {self.gap_count} gaps did not arrive, the longest {self.worst[1]} after tick "
-            f"{self.worst[0]}: a replay goes smoothly over each; record on a machine with less to do, or with "
+            f"{self.worst[0]}: a replay interpolates each; record on a machine with less load, or with "
             "[telemetry] every above 1"
         )
 

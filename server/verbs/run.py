@@ -36,7 +36,7 @@ PLAIN_PERIOD_S: Final = 10.0
 OVERRIDES: Final[tuple[tuple[str, str, Any, str, str], ...]] = (
     ("--device", "device.driver", str, "D", "driver, in place of the rig's"),
     ("--recording", "device.recording", str, "P", "poses to replay: file or name of a shipped recording"),
-    ("--forces", "device.forces", str, "FILE", "where a replay keeps the force written: .csv or .npz"),
+    ("--forces", "device.forces", str, "FILE", "file for the forces that a replay writes: .csv or .npz"),
     ("--rate", "servo.rate_hz", float, "HZ", "ticks per second, 100 to 8000"),
     ("--realtime", "servo.realtime", str, "MODE", "auto, require or off"),
     ("--endpoint", "telemetry.endpoint", str, "URL", "where telemetry is published"),
@@ -59,9 +59,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--watcher", action="store_true", help="a small process that takes the force off if this one is killed"
     )
     parser.add_argument("--record", metavar="FILE", help="record every tick and event into a new .mcap file")
-    parser.add_argument(
-        "--inject", metavar="FILE", help="faults between device and loop, to try what becomes of them: file or name"
-    )
+    parser.add_argument("--inject", metavar="FILE", help="faults injected between device and loop: file or name")
     parser.add_argument("--view", action="store_true", help="open a page in the browser, with a mouse for a hand")
     parser.add_argument("--duration", type=duration, metavar="S", help="stop after so many seconds of ticks")
 
@@ -83,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     ticks = None if args.duration is None else max(1, round(args.duration * rate))
 
     if args.forces is not None and len(rig.tables) > 1:
-        raise ConfigError("--forces: one file cannot keep the force of several fingers: give each its own in the rig")
+        raise ConfigError("--forces: one file cannot hold the forces of several fingers: set one for each in the rig")
 
     faults = None if args.inject is None else load_faults(args.inject)
     daemon = Daemon(rig, scene, ticks, report_settings, scene_name=args.scene, faults=faults)
@@ -135,7 +133,7 @@ def announce(daemon: Daemon, scene_name: str, is_page_open: bool) -> None:
     log.info("device %s at %g Hz; telemetry on %s", base.names(daemon.devices), rendering.rig.servo.rate_hz, telemetry)
     log.info("commands on %s", daemon.commands_endpoint or "no endpoint: off")
     if (daemon.commands_endpoint or "").startswith("tcp:"):
-        log.warning("commands by tcp: every user of this machine may command; ipc:///PATH keeps others out")
+        log.warning("commands by tcp: every user of this machine may command; ipc:///PATH excludes them")
     for name, endpoint in daemon.public.items():
         log.info("%s for other machines on %s, by key", name, endpoint)
     if daemon.metrics_endpoint is not None:
@@ -167,8 +165,8 @@ def start_watchers(daemon: Daemon) -> list[Watcher]:
         zero_command = device.last_word()
         if zero_command is None:
             raise ConfigError(
-                f"--watcher: no other process can take a force off {device.info.name} "
-                "(docs/devices/overview.md says what is left there): leave it out"
+                f"--watcher: no other process can switch off the force of {device.info.name} "
+                "(see docs/devices/overview.md): leave it out"
             )
         zero_commands.append(zero_command)
     return [Watcher(*zero_command) for zero_command in zero_commands]

@@ -179,7 +179,7 @@ def _format_variants(variants: list[TableRows]) -> str:
     }
     return "\n\n".join([
         *([_keys(shared)] if shared else []),
-        grid([f"`{tag}`", "what it is", "its own keys"], lines),
+        grid([f"`{tag}`", "meaning", "further keys"], lines),
         _keys(variant_rows, suffixes),
     ])  # fmt: skip
 
@@ -241,7 +241,9 @@ def _row(field: inspect.Field) -> Row:
     kind, extra = _bare(field.type)
     allowed = re.sub(r"'([^']*)'", r'`"\1"`', expected(kind, "").removeprefix("one of "))
     allowed = re.sub(r"^a list of (\d+) numbers from", r"\1 numbers,", allowed)
-    allowed = re.sub(r"^a (whole )?number from", lambda found: "integer," if found[1] else "", allowed).strip()
+    allowed = re.sub(
+        r"^(a number|an integer) from", lambda found: "" if "number" in found[1] else "integer,", allowed
+    ).strip()
     allowed = re.sub(r"^text of (.*) characters( like .*)?", r"text, \1", allowed)  # characters: see its meaning
     allowed = f"{allowed} {unit(field.encode_name)}".strip()
     if field.required or field.default in (None, msgspec.NODEFAULT):  # no default: an empty table

@@ -25,24 +25,24 @@ NICE: Final = 5
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = "A page in the browser: what a running daemon renders, and a mouse for a hand; or a recording."
+    parser.description = "Open a page in the browser that shows a running daemon, with a mouse as hand; or a recording."
     parser.add_argument(
         "recording", nargs="?", metavar="RECORDING", help="an .mcap, results, poses, or the name of a shipped recording"
     )
-    parser.add_argument("--scene", help="of a recording that does not say its own, or in place of that")
+    parser.add_argument("--scene", help="scene of a recording without one, or instead of it")
     parser.add_argument("--tick", type=int, default=0, metavar="N", help="where in a recording to begin")
     parser.add_argument(
         "--endpoint",
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
-    parser.add_argument("--commands", help="commands endpoint (default: beside that)")
+    parser.add_argument("--commands", help="commands endpoint (default: next to that of telemetry)")
     keys.add_options(parser)
     parser.add_argument(
         "--role",
         choices=[each.value for each in Role],
         default=Role.OPERATOR.value,
-        help="who sits before it: a watcher changes nothing, a participant sees prompts alone (%(default)s)",
+        help="role of the user: a watcher changes nothing, a participant sees only prompts (%(default)s)",
     )
     parser.add_argument("--host", default=HOST, help="address that the page is served on (%(default)s)")
     parser.add_argument(
@@ -54,7 +54,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--port", type=int, default=PORT, help="of the page, or the next free one (%(default)s)")
     parser.add_argument(
-        "--print-address", action="store_true", help="the address alone on standard output, for programs"
+        "--print-address", action="store_true", help="only the address on standard output, for programs"
     )
     # For `run --view`. The first line of standard input is the token, or empty for a new one; end of input ends the
     # page.
@@ -104,7 +104,9 @@ def run(args: argparse.Namespace) -> int:
             else:
                 log.info("the page is %s; to stop it: Ctrl-C", page.address)
             if args.host != HOST:
-                log.warning("whoever has this address may command the daemon, and it crosses the network in plain text")
+                log.warning(
+                    "everyone with this address may command the daemon, and it crosses the network in plain text"
+                )
             opening = nullcontext() if args.no_open or not _can_open() else open_browser(page.address)
             with signals.stop_on_signal(lambda: stop_requests.append(True)), opening:
                 run_frames(source.step, stop_requests, args.duration)

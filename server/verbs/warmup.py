@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"{name}: ready after {time.monotonic() - start_s:.1f} s")
     Relay(1).close()
     if (problem := KEPT.problem()) is not None:
-        raise ConfigError(f"compiled kernels are not kept: {problem}")
+        raise ConfigError(f"compiled kernels are not cached: {problem}")
     print(f"kernels are in {CACHE_DIR}")
     return 0
 

@@ -168,7 +168,7 @@ def _touch(stage: Stage, finger: str) -> Gesture:
     """Approach the object below from above until the finger presses it."""
     position = stage.target(finger).position
     height = stage.height(position)
-    assert height is not None, "it was looked for before"
+    assert height is not None, "it was checked before"
     above = np.array([position[0], position[1], height + stage.radius(finger) + HOVER_M])
     yield from carry(stage, {finger: above})
     yield from approach(stage, {finger: -UP}, PRESS_N)

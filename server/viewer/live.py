@@ -33,7 +33,7 @@ from softfinger.server.viewer.wire import CommandQueue, Request, TelemetryReceiv
 from softfinger.server.wire.commands import Held, Triangles
 
 WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"
-COMPILING: Final = "the scene is compiled, which takes up to half a minute; the old one goes on meanwhile"
+COMPILING: Final = "the scene is compiled, which takes up to half a minute; the old one is rendered until then"
 REQUEST_PERIOD_S: Final = 1.0
 SCENE_COMMANDS: Final = ("set_params", "set_scene")
 POSE_KEYS: Final = ("position_m", "orientation_wxyz")

@@ -132,7 +132,7 @@ def _mcap(
         elif isinstance(part, World):
             worlds.append(part.world)
     if not blocks:
-        raise RecordingError(f"{path}: holds no tick")
+        raise RecordingError(f"{path}: has no tick")
     fingers = {name: np.concatenate(each) for name, each in blocks.items()}
     count = min(len(rows) for rows in fingers.values())
     return {name: rows[:count] for name, rows in fingers.items()}, notes, tuple(events), tuple(worlds)

@@ -45,7 +45,7 @@ def check_endpoint(endpoint: str, key: str, public: bool = False) -> None:
         return
     if scheme == "ipc" and address:
         raise ConfigError(
-            f"{key} = {endpoint!r} has no file, whose mode would say who may connect: use ipc:///path/to/socket"
+            f"{key} = {endpoint!r} has no file, so no file mode can limit who connects: use ipc:///path/to/socket"
         )
     host, _, port = address.rpartition(":")
     if scheme != "tcp" or not host or not (port == "*" or (port.isdecimal() and int(port) < 65536)):
@@ -82,8 +82,8 @@ def make_runtime_folder() -> None:
         pass  # its owner and type are checked in both cases
     except OSError as error:
         raise ConfigError(
-            f"{folder}: cannot be made for the socket of commands: {error.strerror}; set XDG_RUNTIME_DIR to a folder "
-            "of your own, or give [commands] endpoint"
+            f"{folder}: cannot be created for the socket of commands: {error.strerror}; set XDG_RUNTIME_DIR "
+            "to a folder that belongs to you, or give [commands] endpoint"
         ) from error
     check_runtime_folder()
 
@@ -99,9 +99,11 @@ def check_runtime_folder() -> None:
     except FileNotFoundError:
         return
     except OSError as error:
-        raise ConfigError(f"{folder}: {error.strerror}; set XDG_RUNTIME_DIR to a folder of your own") from error
+        raise ConfigError(f"{folder}: {error.strerror}; set XDG_RUNTIME_DIR to a folder that belongs to you") from error
     if not stat.S_ISDIR(status.st_mode):
-        raise ConfigError(f"{folder}: is no folder: move it away, or set XDG_RUNTIME_DIR to a folder of your own")
+        raise ConfigError(
+            f"{folder}: is no folder: move it away, or set XDG_RUNTIME_DIR to a folder that belongs to you"
+        )
     check_owner(folder, status, "could take commands in the place of the daemon")
 
 

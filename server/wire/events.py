@@ -23,7 +23,7 @@ event.
 ADVICE: Final = {
     "not_finite": "the scene gave no finite force: softfinger check names values that do not go together",
     "pose_refused": "the device gave no usable pose: see to its sensors and its cable",
-    "pose_jumped": "the pose jumped, farther than a hand comes: see to sensors and cable; if it was a hand, raise "
+    "pose_jumped": "the pose jumped farther than a hand moves: check sensors and cable; if it was a hand, raise "
     "guard.speed_max_m_per_s",
     "pose_frozen": "the pose repeats bit for bit under a force: move the handle; if it rests, disarm",
     "too_fast": "the handle was faster than guard.handle_speed_max_m_per_s: hold it, and arm if the rig asks for that; "

@@ -239,7 +239,7 @@ class Link:
         if self._ending():
             return False
         self.restarts += 1
-        text = f"the publisher has ended with code {code} and was started again: subscribers and clients connect anew"
+        text = f"the publisher has ended with code {code} and was started again: subscribers and clients connect again"
         log.error("%s", text)
         self._restart_reports.append(text)
         return True

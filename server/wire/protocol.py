@@ -111,7 +111,7 @@ EVENT_EXTRA_KEYS: Final = {
     "guard": (
         Key("count", "int", "1", "", "interventions since the last event of this name"),
         _FINGER_KEY,
-        Key("message", "str", "", "", "what to do, empty where nothing is"),
+        Key("message", "str", "", "", "remedy; empty if there is none"),
     ),
     "servo": (
         Key("count", "int", "1", "", "deadlines missed since the last event of this name"),
@@ -127,7 +127,7 @@ EVENT_EXTRA_KEYS: Final = {
     ),
     "command": (
         Key("command_id", "str", "", "", "id of the request, empty if there was none"),
-        Key("what", "map", "", "", "what changed; for set_params `from` and `to` of each key"),
+        Key("what", "map", "", "", "changes; for set_params `from` and `to` of each key"),
     ),
     "mark": (
         Key("command_id", "str", "", "", "id of the request"),
@@ -136,7 +136,7 @@ EVENT_EXTRA_KEYS: Final = {
     ),
     "state": (
         Key("before", "str", "", "", "state before; the name of the event is the new one"),
-        Key("cause", "str", "", "", "what led to it"),
+        Key("cause", "str", "", "", "cause"),
     ),
 }
 """Additional keys by kind of event; events of other kinds have the keys they need."""
@@ -171,7 +171,7 @@ HEALTH_KEYS: Final = (
         "",
         "messages that subscribers were too slow to take, at least, since the server started",
     ),
-    Key("refused", "int", "1", "", "connections refused or cut off for what they did, since the server started"),
+    Key("refused", "int", "1", "", "connections refused or closed because of their messages, since the server started"),
     Key("restarts", "int", "1", "", "times the publisher ended and was started again, since the server started"),
     Key("state", "str", "", "", "state of the daemon: starting, ready, armed, faulted or stopping"),
 )

@@ -227,7 +227,7 @@ class Publisher(Closeable):
                 health["state"] = self._state
                 self._send(HEALTH, health)
             if self._link.failed or self.tap.failed:
-                raise RuntimeError("the process that sends, or the thread that hands on, has ended")
+                raise RuntimeError("the process that sends, or the thread that forwards, has ended")
 
     def event(self, kind: str, name: str, **fields: Any) -> None:
         """Send an event with the present time; `fields` are further keys, of types that msgpack can encode."""

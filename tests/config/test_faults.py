@@ -42,9 +42,9 @@ def test_the_page_lists_every_kind() -> None:
     ("given", "words"),
     [
         ({}, r"fault\[0\]\.at_tick: is missing, and at_s is too: give one of them"),
-        ({"at_tick": 5, "at_s": 1.0}, r"fault\[0\]\.at_s = 1\.0: at_tick says when already"),
-        ({"at_tick": 5, "ticks": 3, "for_s": 1.0}, r"fault\[0\]\.for_s = 1\.0: ticks says how long already"),
-        ({"at_tick": -1}, r"fault\[0\]\.at_tick = -1: must be a whole number from 0"),
+        ({"at_tick": 5, "at_s": 1.0}, r"fault\[0\]\.at_s = 1\.0: at_tick already sets the start"),
+        ({"at_tick": 5, "ticks": 3, "for_s": 1.0}, r"fault\[0\]\.for_s = 1\.0: ticks already sets the duration"),
+        ({"at_tick": -1}, r"fault\[0\]\.at_tick = -1: must be an integer from 0"),
         ({"at_s": 1.0, "kind": "stael"}, r"fault\[0\]\.kind = 'stael'.*did you mean 'stale'"),
         ({"at_s": 1.0, "offset_m": [0, 0, 1]}, r"fault\[0\]\.offset_m"),
         ({"at_s": 1.0, "kind": "teleport"}, r"fault\[0\]\.offset_m.* is missing"),

@@ -70,7 +70,7 @@ def test_check_says_size_and_heights(tmp_path: Path) -> None:
     [
         (np.zeros(()), "an array of shape (): must have rows and columns"),
         (np.zeros((4, 4, 3)), "an array of shape (4, 4, 3): must have rows and columns; of a colour picture take one"),
-        (np.zeros((1, 1)), "has one value alone: must have two at the least"),
+        (np.zeros((1, 1)), "has a single value: must have at least two"),
         (np.array([[0.0, 1.0], [np.nan, 0.0]]), "row 1, column 0: nan: numbers are finite"),
         (np.array([[0.0, np.inf]]), "row 0, column 1: inf: numbers are finite"),
         (np.zeros((1025, 1024), np.int8), "has 1,049,600 values, 1,048,576 are the most"),

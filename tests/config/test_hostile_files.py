@@ -317,7 +317,7 @@ def test_a_lock_file_is_not_made_through_a_link(tmp_path: Path) -> None:
 
 def test_an_address_without_a_file_is_refused() -> None:
     """A socket without a file has no owner and no mode, so anybody on this machine could connect."""
-    with pytest.raises(ConfigError, match="has no file, whose mode would say who may connect"):
+    with pytest.raises(ConfigError, match="has no file, so no file mode can limit who connects"):
         check_endpoint("ipc://@softfinger", "endpoint")
 
 

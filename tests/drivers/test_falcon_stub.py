@@ -372,7 +372,7 @@ def test_closing_under_a_loop_that_hangs_in_libusb(
     while not stub.busy():
         time.sleep(0.001)
     device.close()
-    assert "the device stays open" in caplog.text
+    assert "the device remains open" in caplog.text
     assert stub["closes"] == stub["opens"] - 1
     loop.join()
     assert statuses[0] >= 0

@@ -158,7 +158,7 @@ def test_brakes_that_cannot_be_taken_off_are_said(
     bench.open().close()
     assert "brakes" not in caplog.text
     bench.open(brakes=False).close()
-    assert "brakes = false is not kept" in caplog.text
+    assert "brakes = false has no effect" in caplog.text
 
 
 # --- arming --------------------------------------------------------------------------------------
@@ -449,7 +449,7 @@ def test_permission_is_diagnosed_over_usb(stub: Stub, bench: StubBench) -> None:
 def test_who_holds_the_device_is_named(stub: Stub, bench: StubBench) -> None:
     """A process that has the device's node open is named with its number; without one it is another process."""
     stub["held"] = 1
-    with pytest.raises(DeviceBusy, match="held by another process"):
+    with pytest.raises(DeviceBusy, match="used by another process"):
         bench.open()
     nodes = stub.path.parent
     with (
@@ -457,7 +457,7 @@ def test_who_holds_the_device_is_named(stub: Stub, bench: StubBench) -> None:
         (nodes / "001" / "005").open() as node,
         Program(["sleep", "60"], stdin=node) as holder,
     ):
-        with pytest.raises(DeviceBusy, match=rf"held by \w+ \({holder.pid}\)"):
+        with pytest.raises(DeviceBusy, match=rf"used by \w+ \({holder.pid}\)"):
             bench.open()
         holder.kill()
 

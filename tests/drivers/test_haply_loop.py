@@ -89,7 +89,7 @@ def garble(service: Service) -> None:
         (vanish, DeviceLost, "inverse3 049D is no longer in the service's list"),
         (Service.kill, DeviceLost, "closed the connection|broke"),
         (mute, DeviceTimeout, "no answer to a read in time"),
-        (garble, DeviceLost, r"not in its protocol .*the service said '<html>'"),
+        (garble, DeviceLost, r"not in its protocol .*the service answered '<html>'"),
     ],
 )
 def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], words: str) -> None:

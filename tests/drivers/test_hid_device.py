@@ -515,7 +515,7 @@ def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:
         open_device(rig_options("woodenhaptics-2019", path="/dev/null"), 1000.0)
     with node.open("rb") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        with pytest.raises(DeviceBusy, match=rf"hidraw9 is held by process {os.getpid()} \("):
+        with pytest.raises(DeviceBusy, match=rf"hidraw9 is used by process {os.getpid()} \("):
             open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
 
 

@@ -168,7 +168,9 @@ def test_a_signal_in_contact_leaves_no_force(number: signal.Signals, code: int, 
             with command("haply-2diy", port.path, elsewhere) as second:
                 said = second.communicate(timeout=120)[1]
             assert second.returncode == 4
-            assert re.search(rf"{port.path} is held by process {process.pid} \(python.*\): end that one", said), said
+            assert re.search(rf"{port.path} is used by process {process.pid} \(python.*\): end that process", said), (
+                said
+            )
             assert any(board.torques)
         sent = time.monotonic()
         process.send_signal(number)

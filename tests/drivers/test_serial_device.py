@@ -471,7 +471,7 @@ def test_a_sleeping_board_is_woken_at_opening() -> None:
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("product_id", 70000, "product_id = 70000: must be a whole number from 0 to 65535"),
+        ("product_id", 70000, "product_id = 70000: must be an integer from 0 to 65535"),
         ("force_max_n", 33.0, "force_max_n = 33.0: must be a number from 0 to 32"),
         ("kick_s", 1.0, "kick_s = 1.0: must be a number from 0.005 to 0.2"),
         ("timeout_s", 0.01, "timeout_s = 0.01: must be at least quiet_s = 0.02"),

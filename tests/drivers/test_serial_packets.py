@@ -195,7 +195,7 @@ CHANGES: list[tuple[str, Any, str]] = [
     ("frames.setup", {"bytes": 1, "field": [{"meaning": "torque_a", "offset": 0, "type": "int8"}]}, "must be constant"),
     ("kinematics", None, "and frames belong together: describe both, or neither"),
     ("baud", 12345, "baud = 12345: must be one of"),
-    ("product_id", 0x0483, "product_id = 1155: needs vendor_id, and the other way round"),
+    ("product_id", 0x0483, "product_id = 1155: needs vendor_id, and vendor_id needs product_id"),
     ("kinematics.length_m", 0.0, "kinematics.length_m = 0.0"),
 ]
 

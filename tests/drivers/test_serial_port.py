@@ -28,11 +28,11 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
         with pytest.raises(DeviceError, match=f"{path} is no serial port: name a /dev/ttyACMN"):
             open_device(rig_options(path=path), 1000.0)
     with board() as (_, _, cable):
-        with pytest.raises(DeviceBusy, match=rf"{cable.path} is held by process {os.getpid()} \("):
+        with pytest.raises(DeviceBusy, match=rf"{cable.path} is used by process {os.getpid()} \("):
             opened(cable)
         command = [sys.executable, "-c", OPEN, cable.path]
         other = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-        assert other.stdout == f"DeviceBusy {cable.path} is held by process {os.getpid()}\n"
+        assert other.stdout == f"DeviceBusy {cable.path} is used by process {os.getpid()}\n"
         # A program that asks for no lock is kept out by the port itself, unless it runs as root.
         user, mine = os.geteuid(), rig_options(path=cable.path)
         if user == 0:
@@ -41,7 +41,7 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
         try:
             with pytest.raises(OSError, match="Device or resource busy"):
                 os.open(cable.path, os.O_RDWR | os.O_NOCTTY)
-            with pytest.raises(DeviceBusy, match=rf"{cable.path} is held by process {os.getpid()} \("):
+            with pytest.raises(DeviceBusy, match=rf"{cable.path} is used by process {os.getpid()} \("):
                 port.open_port(mine)
         finally:
             os.seteuid(user)

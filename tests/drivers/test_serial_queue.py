@@ -308,12 +308,12 @@ def test_a_stop_says_why_its_zero_is_not_confirmed(
     run.port.stalled = True
     begun = run.clock.now
     run.end()
-    assert run.device.zero_failure() == "8 bytes have not gone out for 1 s"
+    assert run.device.zero_failure() == "8 bytes have been pending for 1 s"
     assert 1000 * MS < run.clock.now - begun < 1100 * MS
     again = run.clock.now
     run.device.stop()
     assert run.clock.now - again < 200 * MS
-    assert caplog.text.count("no zero has reached it: 8 bytes have not gone out") == 1
+    assert caplog.text.count("no zero has reached it: 8 bytes have been pending") == 1
     run.port.stalled = False
     run.device.stop()
     assert run.device.zero_failure() == ""

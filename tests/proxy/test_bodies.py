@@ -443,7 +443,7 @@ HOSTILE = {
         f'<mujoco><size memory="30K"/>{OPTION}<worldbody>'
         + '<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>' * 4
         + "</worldbody></mujoco>",
-        "cannot be simulated as it begins: {'constraints full'",
+        "cannot be simulated from its initial state: {'constraints full'",
     ),
     "an inertia of which a part is none": (
         f'<mujoco>{OPTION}<worldbody><body><freejoint/><inertial pos="0 0 0" mass="1" diaginertia="nan 1 1"/>'
@@ -569,7 +569,7 @@ def test_an_engine_says_that_its_bodies_failed(substeps: int, tmp_path: Path) ->
         for _ in range(2):
             with pytest.raises(SafetyStop, match=r"huge value in Q|solver") as failed:
                 engine.run(way)
-        assert "let go and stand still" in str(failed.value) and "damping_ns_per_m" in str(failed.value)
+        assert "released and no longer move" in str(failed.value) and "damping_ns_per_m" in str(failed.value)
         engine.model.opt.solver = solver
         engine.reset()
         np.testing.assert_array_equal(engine.run(way)["thumb"], good)

@@ -165,7 +165,8 @@ def test_a_step_that_is_felt_higher_than_it_is_is_said(tmp_path: Path, capsys: p
         'pitch_m = 0.004\nlevel_m = 1.0\nmaterial = "wood"\n'
     )
     assert cli.main(["check", str(tmp_path / "step.toml")]) == 0
-    assert "the smooth surface is up to 0.000646 m higher or lower than the pixels" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "the smooth surface is up to 0.000646 m higher or lower than the neighbouring pixels" in said
 
 
 def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> None:

@@ -224,7 +224,7 @@ def test_check_prints_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize(
     ("name", "data", "text"),
     [
-        ("a.ply", b"", "is no PLY file: it begins with b''"),
+        ("a.ply", b"", "is no PLY file: it starts with b''"),
         ("a.ply", FILES["stl"][1], "is no PLY file"),
         ("a.stl", FILES["ply"][1], "it was cut off, or is no STL file"),
         ("a.glb", FILES["obj"][1], "no GLB file"),

@@ -267,4 +267,4 @@ def test_check_refuses_bodies_that_cannot_begin(tmp_path: Path, capsys: pytest.C
     boxes = '<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>' * 4
     path = written(tmp_path / "full.xml", f"<worldbody>{boxes}</worldbody>", '<size memory="30K"/>')
     assert main(["check", str(path)]) == 2
-    assert "cannot be simulated as it begins" in capsys.readouterr().err
+    assert "cannot be simulated from its initial state" in capsys.readouterr().err

@@ -337,7 +337,7 @@ def test_stability_goes_by_the_slope_at_the_force(share: float, grows: bool) -> 
         ({"normal": {"exponent": 0.5}}, "from 1 to 3"),
         (
             {"normal": {"damping_s_per_m": 1.0}, "damping_ns_per_m": 2.0},
-            "stands in place of damping_ns_per_m, which is 2",
+            "replaces damping_ns_per_m, which is 2",
         ),
         ({"normal": {"depth_m": 0.0}}, "from 1e-05 to 1 m"),
         ({"normal": {"exponnent": 2.0}}, "did you mean 'exponent'"),

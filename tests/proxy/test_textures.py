@@ -506,7 +506,7 @@ def test_array_is_reached_by_its_address_and_may_be_exchanged(scene: Make) -> No
         ({"texture": {"height_m": 1.0}}, "object[0].texture.height_m = 1.0: must be a number from 1e-07 to 0.01 m"),
         ({"texture": {"border": "mirror"}}, "object[0].texture.border = 'mirror': must be"),
         ({"shape": "sphere", "radius_m": 0.05}, "object[0].texture is not a key here"),
-        ({"shape": "cylinder", "radius_m": 0.05}, "goes 15.708 times round the cylinder, must be a whole number"),
+        ({"shape": "cylinder", "radius_m": 0.05}, "goes 15.708 times round the cylinder, must be an integer"),
         ({"shape": "cylinder", "radius_m": 0.05}, "make it 0.0196350 m wide".replace("0.0196350", "0.019635")),
         ({"texture": {"file": "/no/such.npy"}}, "object 'table': texture.file: /no/such.npy: cannot be read: No such"),
     ],

@@ -124,7 +124,7 @@ def test_the_folder_is_bounded(tmp_path: Path) -> None:
     assert [path.name for path in files(place)] == ["21.mcap", "22.mcap"]
     assert (place / "notes.txt").read_text() == "mine"
     place.chmod(0o777)
-    with pytest.raises(ConfigError, match="others may write to it"):
+    with pytest.raises(ConfigError, match="other users may write to it"):
         prepare_folder(place)
 
 

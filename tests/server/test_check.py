@@ -72,7 +72,7 @@ def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
         "driver.toml: device.driver = 'replya'",
         "both.toml: both scene (fingertip) and rig (device)",
         "neither.toml: neither scene nor rig",
-        "no scene, rig or experiment is called 'repaly' (did you mean 'replay'?)",
+        "no scene, rig or experiment is named 'repaly' (did you mean 'replay'?)",
     ]:
         assert part in err
 
@@ -118,7 +118,7 @@ def test_check_as_json() -> None:
     assert good["kind"] == "scene"
     assert good["errors"] == []
     assert good["content"]["object"][0]["position_m"] == [0.0, 0.0, 0.06]
-    assert bad["errors"][0].startswith("no scene, rig or experiment is called 'nothing-like-it'")
+    assert bad["errors"][0].startswith("no scene, rig or experiment is named 'nothing-like-it'")
 
 
 def test_a_scene_is_explained_by_measured_costs() -> None:

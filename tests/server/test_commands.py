@@ -311,7 +311,11 @@ def test_several_fingers_are_commanded_together(rig):
     swapped["finger"].reverse()
     refused = [
         ("set_params", {"finger.0.device": "ring"}, "add [devices.ring]"),
-        ("set_params", {"finger.0.name": "ring", "finger.0.device": "thumb"}, "name and device are no parameters"),
+        (
+            "set_params",
+            {"finger.0.name": "ring", "finger.0.device": "thumb"},
+            "the name and the device of a finger are no parameters",
+        ),
         ("set_params", {"finger.thumb.radius_m": 0.01, "finger.0.radius_m": 0.01}, "given twice"),
         ("set_scene", {"scene": "sphere"}, "take a rig with [device]"),
         ("set_scene", {"scene": swapped}, "(index, thumb) are not those of the running one (thumb, index)"),
@@ -417,8 +421,8 @@ def test_the_law_of_the_normal_force_and_the_patch_are_parameters(rig):
         for changes, words in (
             ({f"{normal}.exponent": 0.5}, "from 1 to 3"),
             ({"fingertip.patch.exponent": 0.5}, "from 0 to 0.333333"),
-            ({f"{normal}.exponent": 1.0}, "another model, to be compiled: set the whole scene"),
-            ({"fingertip.patch.rolling_loss": 0.3}, "another model, to be compiled: set the whole scene"),
+            ({f"{normal}.exponent": 1.0}, "another model, to be compiled: use set_scene"),
+            ({"fingertip.patch.rolling_loss": 0.3}, "another model, to be compiled: use set_scene"),
         ):
             with pytest.raises(CommandRefused, match=r"^bad_params: ") as refused:
                 control.ask("set_params", changes)

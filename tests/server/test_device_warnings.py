@@ -32,4 +32,4 @@ def test_a_failing_look_ends_no_run() -> None:
     """What fails in it is an event; nobody is asked any more."""
     told = []
     DeviceWarnings(list, lambda *_, message: told.append(message)).failed(ValueError("broken"))
-    assert told == ["warnings of devices are not told any more: broken"]
+    assert told == ["warnings of devices are no longer published: broken"]

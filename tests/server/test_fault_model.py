@@ -100,7 +100,7 @@ SET_BY = {
     "a handle that runs away": [(limits, "SPEED_S"), (limits, "SLOW_S")],
     "a device that warns": [(device_warnings, "PERIOD_S")],
     "a device that is lost or breaks its protocol": [(DeviceError, "exit_code")],
-    "a device that is silent, or sends what cannot be read": [(openhaptics, "TIMEOUT_NS"), (DeviceError, "exit_code")],
+    "a device that is silent, or sends invalid data": [(openhaptics, "TIMEOUT_NS"), (DeviceError, "exit_code")],
     "a device that takes no force": [(health, "IGNORED_WRENCH_MAX_S")],
     "a device that removes its force": [(SafetyStop, "exit_code")],
     "a loop that stalls": [(health, name) for name in ("STALL_POLLS", "STALL_POLL_S", "STALL_MAX_S")],
@@ -157,7 +157,7 @@ def test_no_number_of_a_row_is_written_by_hand():
 
 def test_what_tests_may_take_is_what_their_rig_says():
     """The rig of the injected faults waits FROZEN_S for a pose that stands still; a fifth more is the tests'."""
-    (frozen,) = [hazard for hazard in HAZARDS if hazard.name == "a pose that stands still under a force"]
+    (frozen,) = [hazard for hazard in HAZARDS if hazard.name == "a pose that does not change under a force"]
     assert frozen.within == round(1.2 * FROZEN_S / hazards.TICK_S)
 
 

@@ -177,7 +177,7 @@ EVERYWHERE = {
     "nan": "a pose that is not finite, out of range or short",
     "infinite": "a pose that is not finite, out of range or short",
     "teleport": "a pose that jumps",
-    "stale for long": "a pose that stands still under a force",
+    "stale for long": "a pose that does not change under a force",
     "slow read": "ticks that are missed",
     "hang": "a loop that stalls",
     "held for long": "a device that takes no force",

@@ -135,7 +135,7 @@ def test_a_large_one_is_sent_in_part(control: Control) -> None:
         (4, "bad_params: no object is 4: there are ball, hills, large, table"),
         ("cube", "bad_params: no object is 'cube': there are ball, hills, large, table"),
         (-1, "bad_params: mesh: Expected `int` >= 0 - at `$.object`"),
-        ("table", "refused: object table is a plane and no mesh: its table says all"),
+        ("table", "refused: object table is a plane and no mesh: its table describes it completely"),
     ],
 )
 def test_what_has_no_triangles_is_refused_by_a_line(control: Control, asked: int | str, said: str) -> None:

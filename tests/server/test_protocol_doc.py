@@ -152,7 +152,7 @@ def real_messages():
         publisher.world(5, body_maps(["box"], np.arange(14.0)))
         publisher.event("command", "arm", command_id="a1", what={"armed": True})
         publisher.event("mark", "mark", command_id="a2", label="x", data={"a": {"b": 1}})
-        publisher.event("state", "armed", before="ready", cause="nothing keeps the force off")
+        publisher.event("state", "armed", before="ready", cause="the force may be switched on")
         publisher.event("lifecycle", "stopped")
         while not {"schema", "event lifecycle"} <= {title for title, _ in found}:
             assert socket.poll(5000)

@@ -343,7 +343,7 @@ def test_a_publisher_that_cannot_start_ends_the_run(monkeypatch):
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
         daemon.start()
-        with pytest.raises(SafetyStop, match="nobody can see what is rendered"):
+        with pytest.raises(SafetyStop, match="the rendered state would be invisible"):
             daemon.wait(60.0)
 
 

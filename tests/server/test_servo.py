@@ -200,7 +200,7 @@ def test_poses_that_jump_again_and_again_end_the_loop():
     assert (ended.ending, len(records)) == (JUMPING, 705)
     assert not device.wrenches[700:].any()
     error = device_failure(device, ended)
-    assert isinstance(error, DeviceError) and "faulty: its pose jumps again and again" in str(error)
+    assert isinstance(error, DeviceError) and "faulty: its pose jumps repeatedly" in str(error)
     assert "guard.speed_max_m_per_s" in str(error)
 
 

@@ -137,8 +137,8 @@ def test_a_zero_that_is_not_confirmed_is_an_error() -> None:
 
     sound, dead = Quiet(), Quiet()
     shutdown.confirm_zero([device(sound), device(dead)])
-    dead.why = "8 bytes have not gone out"
-    with pytest.raises(DeviceError, match=r"^Motor: .* not confirmed \(8 bytes have not gone out\): .*switch it off"):
+    dead.why = "8 bytes have been pending"
+    with pytest.raises(DeviceError, match=r"^Motor: .* not confirmed \(8 bytes have been pending\): .*switch it off"):
         shutdown.confirm_zero([device(sound), device(dead)])
 
 
@@ -247,7 +247,7 @@ SAID = "its driver said why"
     ("ending", "status", "kind", "words"),
     [
         (health.NO_POSE, 0, DeviceError, ["no usable pose for", "see to its sensors"]),
-        (health.JUMPING, 0, DeviceError, ["jumps again and again", "guard.speed_max_m_per_s"]),
+        (health.JUMPING, 0, DeviceError, ["jumps repeatedly", "guard.speed_max_m_per_s"]),
         (READ_FAILED, FORCE_OFF, SafetyStop, ["turned its force off"]),
         (READ_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a read in time"]),
         (WRITE_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a write in time"]),

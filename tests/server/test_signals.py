@@ -190,7 +190,7 @@ def test_watcher_goes_with_a_daemon_that_ends_in_order(tmp_path: Path) -> None:
         assert board.force == ZERO
     words = [*COMMAND, "run", "--watcher", "--endpoint", f"ipc://{tmp_path}/t"]
     refused = subprocess.run(words, capture_output=True, text=True, timeout=START_S, check=False)
-    assert refused.returncode == 2 and "no other process can take a force off replay" in refused.stderr
+    assert refused.returncode == 2 and "no other process can switch off the force of replay" in refused.stderr
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def test_a_device_that_falls_silent_is_given_zero_and_then_given_up(
     record_property(
         SEEN,
         {
-            "hazard": "a device that is silent, or sends what cannot be read", "driver": name, "fault": "silence",
+            "hazard": "a device that is silent, or sends invalid data", "driver": name, "fault": "silence",
             "ticks": left, "event": "state faulted", "state": "faulted", "recovery": "start again", "back": None,
             "handover": far.handover,
         },

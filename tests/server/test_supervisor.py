@@ -49,7 +49,11 @@ def test_a_supervisor_that_fails_ends_the_run() -> None:
     assert told.wait(WAIT_S)
     supervisor.stop()
     (error,) = errors
-    assert isinstance(error, SafetyStop) and "gone" in str(error) and "nobody would see the servo stall" in str(error)
+    assert (
+        isinstance(error, SafetyStop)
+        and "gone" in str(error)
+        and "a stall of the servo would go unnoticed" in str(error)
+    )
 
 
 def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:

@@ -238,7 +238,7 @@ def _of_another(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("plant", "said"),
     [
-        (_writable, "others may write to it"),
+        (_writable, "other users may write to it"),
         (_link, "is no folder"),
         (Path.touch, "is no folder"),
         pytest.param(_of_another, "belongs to another user", marks=needs_root),
@@ -256,5 +256,5 @@ def test_a_folder_that_another_user_may_have_planted_is_refused(folder: Path, pl
 def test_a_runtime_folder_that_is_not_there_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With what to do."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "gone"))
-    with pytest.raises(ConfigError, match="cannot be made for the socket of commands: No such file"):
+    with pytest.raises(ConfigError, match="cannot be created for the socket of commands: No such file"):
         listen(commands_beside(TELEMETRY), KEY, own=True)

@@ -52,7 +52,7 @@ MEASURES: Final = {
     "force_n": "force",
     "point_m": "contact point off the surface",
     "rolled_m": "angle rolled x radius",
-    "wound_m": "way rolled beside that led",
+    "wound_m": "rolled distance, and the distance that was led",
     "direction_rad": "direction",
     "shaded_rad": "direction, shaded",
 }

@@ -69,7 +69,7 @@ def speed_table(result: dict[str, Any]) -> Any:
     named = [(name.removesuffix("_ns_per_step"), times[name]) for name in times if name.endswith("_ns_per_step")]
     named += [
         ("classical, steps of any length", classical["without_step_bound"]["ns_per_step"]),
-        ("classical, the whole path known ahead", classical["known_ahead"]["ns_per_step"]),
+        ("classical, with the complete path known in advance", classical["known_ahead"]["ns_per_step"]),
     ]
     zxz, unit = times["euler_zxz_ns_per_step"], times["reference_ns"]
     rows = [(name, f"{ns:.1f}", f"{ns / zxz:.2f}", f"{ns / unit:.3f}") for name, ns in named]

@@ -61,15 +61,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", nargs="+", type=float, metavar="HZ", help="servo rates (4 to 8000)")
     parser.add_argument(
         "--turn-rate", nargs="+", type=float, metavar="RAD_S", default=TURN_RATES,
-        help="rotation rates; the first with every servo rate, the others at 1 kHz (%(default)s)",
+        help="rotation rates; the first with every servo rate, the rest at 1 kHz (%(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--curvature-ratio", nargs="*", type=float, metavar="R", default=CURVATURE_RATIOS,
-        help="radius of the fingertip over that of the surface, beside the surfaces' own, at 1 kHz (%(default)s)",
+        help="radius of the fingertip over that of the surface, in addition to those of the surfaces, at 1 kHz "
+        "(%(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--spin-ratio", nargs="+", type=float, metavar="R", default=SPIN_RATIOS,
-        help="spin over roll; the first with every servo rate, the others at 1 kHz (%(default)s)",
+        help="spin over roll; the first with every servo rate, the rest at 1 kHz (%(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--error-below", nargs="+", type=float, metavar="M", default=TARGETS_M, help="errors to recommend for, m"

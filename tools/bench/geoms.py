@@ -41,7 +41,7 @@ def scene_of_geoms(count: int, rate_hz: float, folder: Path) -> dict[str, Any]:
     ConfigError for a count out of range.
     """
     if not 1 <= count <= GEOMS_MAX:
-        raise ConfigError(f"command line --geoms: {count}: must be a whole number from 1 to {GEOMS_MAX}")
+        raise ConfigError(f"command line --geoms: {count}: must be an integer from 1 to {GEOMS_MAX}")
     places = sorted(product(range(-2, 3), repeat=2), key=lambda at: at[0] ** 2 + at[1] ** 2)
     bodies = []
     for number, (x, y) in enumerate(islice(places, count)):

@@ -41,11 +41,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     ticks, rounds = args.ticks, max(args.rounds, 1)
     if ticks < TICKS_MIN:
-        raise ConfigError(f"--ticks {ticks}: too few to tell: {TICKS_MIN} or more")
+        raise ConfigError(f"--ticks {ticks}: too few to measure: {TICKS_MIN} or more")
     taken: dict[str, list[tuple[float, float]]] = {ending: [] for ending in SUFFIXES}
     with tempfile.TemporaryDirectory(dir=args.folder) as made:
         poses = Path(made, "poses.csv")
-        with progress("a run before, which compiles what is not kept"):
+        with progress("first run, which compiles kernels that are not cached"):
             poses.write_bytes(",".join(POSE_COLUMNS).encode() + b"\n" + csv_lines(motion(args.poses, ticks)))
             simulate(args.scene, poses, Path(made, "warm.npz"))
         with progress("simulating", rounds * len(SUFFIXES)) as done:

@@ -286,7 +286,7 @@ def growth(hours: Array, values: Array) -> tuple[float, float]:
 
 
 def table(result: dict[str, Any]) -> list[str]:
-    beside = "no C compiler" if result["missed_c"] is None else f"the loop in C beside it {result['missed_c']}"
+    beside = "no C compiler" if result["missed_c"] is None else f"reference loop in C {result['missed_c']}"
     lines = [
         f"{result['minutes']:.0f} minutes, {result['ticks']} ticks: {result['missed']} deadlines missed ({beside}), "
         f"{result['lost']} ticks lost by {SUBSCRIBERS} subscribers",

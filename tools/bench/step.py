@@ -176,7 +176,7 @@ def table(result: dict[str, Any]) -> list[str]:
                 f"thread {row['cpu_ns_per_step']:.1f} ns{marginal}"
             )
     if "features" in result:
-        lines.append("what a feature adds, and to what")
+        lines.append("cost of a feature, and the scene it is added to")
         for row in result["features"]:
             cost, unit = row["ns_per_step"], row["reference_ns"]
             lines.append(

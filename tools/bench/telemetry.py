@@ -92,11 +92,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure each (default: %(default)s)")
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="ticks per second (%(default)s)")
     parser.add_argument("--transport", choices=["tcp", "ipc"], default="tcp", help="default: %(default)s")
-    parser.add_argument("--busy", action="store_true", help="also with Python that spins, in the daemon and beside C")
+    parser.add_argument(
+        "--busy", action="store_true", help="also with a busy Python thread, in the daemon and next to the C loop"
+    )
     parser.add_argument("--forward", action="store_true", help="also through `softfinger forward`")
     parser.add_argument("--keys", action="store_true", help="with --forward: by CURVE keys")
     parser.add_argument("--rig", default="replay", help="rig file or name (default: %(default)s)")
-    parser.add_argument("--beside", metavar="PYTHON", help="interpreter of another version, whose daemon takes turns")
+    parser.add_argument("--beside", metavar="PYTHON", help="interpreter of another version; the daemons run in turn")
     add_output_options(parser)
 
 
@@ -241,7 +243,7 @@ def await_messages(endpoint: str) -> None:
         socket.linger = 0
         socket.subscribe(b"contact")
         socket.connect(endpoint)
-        with progress("the daemon starts, and compiles what is not kept"):
+        with progress("the daemon starts, and compiles kernels that are not cached"):
             if not socket.poll(int(START_S * 1000)):
                 raise NoTelemetry(f"nothing arrived from {endpoint} within {START_S:g} s: does `softfinger run` start?")
 

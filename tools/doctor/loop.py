@@ -107,21 +107,21 @@ def judged(result: dict[str, Any]) -> list[Check]:
     if "c" in result:
         theirs = result["c"]["late"]["p99"]
         beside = f"the same loop in C {theirs * 1e6:.0f} us, {theirs / period:.1%}"
-    quiet = "end other programs, set servo.cpu to a processor of its own, isolcpus= on the kernel's command line"
+    quiet = "stop other programs, reserve a processor for servo.cpu with isolcpus= on the kernel's command line"
     return [
         Check(
             "ticks in time",
             graded(share, MISSED_FAIR, MISSED_BAD),
             f"{servo['missed']} of {servo['ticks']} missed ({share:.3%}) at {result['rate_hz']:g} Hz",
             f"at most {MISSED_FAIR:.2%}; above {MISSED_BAD:.0%} it is felt",
-            f"mend what is named above; {quiet}; or a lower servo.rate_hz",
+            f"correct the faults listed above; {quiet}; or a lower servo.rate_hz",
         ),
         Check(
             "wake-up lateness",
             graded(late / period, LATE_FAIR, LATE_BAD),
             f"p99 {late * 1e6:.0f} us, {late / period:.1%} of the period; {beside}",
             f"at most {LATE_FAIR:.0%} of the period; above {LATE_BAD:.0%} a tick does not fit",
-            f"mend what is named above; {quiet}",
+            f"correct the faults listed above; {quiet}",
         ),
     ]
 
@@ -146,6 +146,6 @@ def endpoint(rig: Rig) -> Check:
     try:
         Publisher(where).close()
     except HapticError as error:
-        holder = "end the program that holds it" if isinstance(error, AddressInUse) else "choose another"
+        holder = "end the program that uses it" if isinstance(error, AddressInUse) else "choose another"
         return Check("telemetry endpoint", "bad", str(error), wanted, f"{holder}, or run with --endpoint ANOTHER")
     return Check("telemetry endpoint", "good", f"{where} is free", wanted)

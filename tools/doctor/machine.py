@@ -105,7 +105,7 @@ def virtual(root: Path = ROOT) -> Check:
     if any(one.startswith("virtual") for one in seen):
         advice.append("run on the machine itself: a host stalls its guests for milliseconds")
     if "container" in seen:
-        advice.append("give a container what docs/operate/docker.md lists")
+        advice.append("give the container the options in docs/operate/docker.md")
     return Check(
         "bare machine",
         "could be better" if seen else "good",
@@ -144,7 +144,7 @@ def frequency(root: Path = ROOT) -> Check:
     found = {text(path) for path in (root / CPUS).glob("cpu[0-9]*/cpufreq/scaling_governor")} - {""}
     wanted = "governor performance, or no scaling"
     if not found:
-        return Check("processor frequency", "good", "no scaling to be seen", wanted)
+        return Check("processor frequency", "good", "no frequency scaling found", wanted)
     good = found == {"performance"}
     seen = f"governor {', '.join(sorted(found))}"
     return Check(
@@ -163,6 +163,6 @@ def clock(root: Path = ROOT) -> Check:
     if resolution > RESOLUTION_S:
         return Check("clock", "bad", seen, wanted, "boot a kernel with CONFIG_HIGH_RES_TIMERS, without highres=off")
     if source and source not in FAST_CLOCKS:
-        remedy = f"echo tsc | sudo tee /{CLOCK}   # where available_clocksource beside it lists tsc"
+        remedy = f"echo tsc | sudo tee /{CLOCK}   # if available_clocksource in the same folder lists tsc"
         return Check("clock", "could be better", seen, wanted, remedy)
     return Check("clock", "good", seen, wanted)

@@ -190,7 +190,7 @@ def _verdict(axis: str, size_m: float, lag_deg: float, share: float, own_m: floa
     if size_m < PUSHED_M:
         return "no motion"
     if size_m < own_m:
-        return f"not clear: at rest the handle moved along {axis} by as much"
+        return f"unclear: at rest the handle moved along {axis} by as much"
     if share < SHARE_MIN:
         return f"not clear: the push accounts for {share:.0%} of the motion"
     if abs(lag_deg) > 180.0 - SPRINGY_DEG:

@@ -89,7 +89,7 @@ class Probe(Session):
         self._rest_of(parts[0])
         wanted = self._translations()
         for one in TRANSLATIONS:
-            rows = self._cued(one.words) if one in wanted else self._record("what else it does", self._seconds)
+            rows = self._cued(one.words) if one in wanted else self._record("further options", self._seconds)
             parts.append(rows)
             asked = self._guided and one in wanted
             found = motions.move(one.words, one.kind, one.expected, rows) if asked else None

@@ -38,7 +38,7 @@ TRANSLATIONS: Final = (
     Asked("move the handle away from you", "translation", "+y"),
     Asked("move the handle up", "translation", "+z"),
 )
-TURN: Final = Asked("turn the handle counter-clockwise, seen from above", "rotation", "+z")
+TURN: Final = Asked("turn the handle counter-clockwise as seen from above", "rotation", "+z")
 
 
 class Session:

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     tail = "  " + ", ".join(f"{result['states'][state]} {state}" for state in STATES)
     show(result, args.json, [head, *lines(checks), tail])
     if bad := [check.name for check in checks if check.state == "bad"]:
-        raise Unfit(f"{len(bad)} of {len(checks)} checks are bad: {', '.join(bad)}: see what mends each")
+        raise Unfit(f"{len(bad)} of {len(checks)} checks failed: {', '.join(bad)}: see the remedy of each")
     return 0
 
 

@@ -162,7 +162,7 @@ HAZARDS: Final = (
         f"the ramp; {_JUMPS} in a row end the run", ("guard pose_jumped", FAILED), (_INJECTED, _EVERYWHERE), within=0,
     ),
     Hazard(
-        "a pose that stands still under a force", "`frozen_s`", _STILL, "zero", "once it moves, the ramp",
+        "a pose that does not change under a force", "`frozen_s`", _STILL, "zero", "once it moves, the ramp",
         ("guard pose_frozen",), (_INJECTED, _EVERYWHERE), within=_FROZEN,
     ),
     Hazard(
@@ -194,7 +194,7 @@ HAZARDS: Final = (
         within=1,
     ),
     Hazard(
-        "a device that is silent, or sends what cannot be read",
+        "a device that is silent, or sends invalid data",
         "the driver: `quiet_s`, `kick_s` of falcon and hid, then `timeout_s`", by_driver(QUIET_S),
         f"{_LOST}, after {by_driver(GIVEN_UP_S)}; until then the force of before",
         "the ramp; start again after the end", ("guard ramping", FAILED),
@@ -248,7 +248,7 @@ HAZARDS: Final = (
     Hazard(
         "a machine that slept, a process that was stopped", "the time since the last tick, and that of CLOCK_BOOTTIME",
         "0 ticks",
-        "the force begins at zero", "the ramp", ("guard ramping",),
+        "the force starts at zero", "the ramp", ("guard ramping",),
         ("tests/server/test_servo.py::test_after_a_long_pause_the_force_fades_in",
          "tests/server/test_signals.py::test_no_force_while_the_process_is_stopped",
          f"{_PROCESS}::test_processes_that_sleep_wake_with_zero_force",
@@ -256,7 +256,7 @@ HAZARDS: Final = (
         within=1,
     ),
     Hazard(
-        "a commanding program that is gone", "`heartbeat_s`", f"`heartbeat_s` and {1e3 * MAX_OFF_S:g} ms", "zero",
+        "a commanding program that has ended", "`heartbeat_s`", f"`heartbeat_s` and {1e3 * MAX_OFF_S:g} ms", "zero",
         "the next heartbeat, or `arm`", ("command heartbeat_missed", FAILED),
         ("tests/server/test_commands.py::test_without_a_heartbeat_there_is_no_force_until_the_next",
          "tests/server/test_commands_at_once.py::test_the_force_ends_while_python_does_nothing"),
@@ -269,7 +269,7 @@ HAZARDS: Final = (
     ),
     Hazard(
         "bodies that diverge, take too long, or an error of MuJoCo", "the step of bodies", "the next tick",
-        "zero, along the slew limit; the run goes on", "`ctl reset_world`", ("fault bodies",),
+        "zero, along the slew limit; the run continues", "`ctl reset_world`", ("fault bodies",),
         ("tests/server/test_world.py::test_bodies_that_fail_are_let_go_and_put_back",
          "tests/server/test_world.py::test_bodies_that_take_too_long_are_let_go"),
     ),
@@ -301,14 +301,14 @@ HAZARDS: Final = (
          "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_started_again", _NO_FILES),
     ),
     Hazard(
-        "a publisher that stands still, a network that is lost", "none needed: nobody waits for it", "none",
+        "a publisher that hangs, a lost network", "none needed: no other thread waits for it", "none",
         "as before; subscribers miss ticks", _NONE, (),
         (f"{_PROCESS}::test_a_publisher_that_stands_still_holds_up_nothing",
          f"{_PROCESS}::test_a_network_that_is_lost_costs_subscribers_alone"),
     ),
     Hazard(
         "a disk that is full or stalls", "the recorder", "none",
-        "as before; the recording ends, or counts what it lost", "another recording", ("fault recording",),
+        "as before; the recording ends, or counts the lost records", "another recording", ("fault recording",),
         ("tests/server/recording/test_recorder.py::test_a_full_disk_is_one_event_and_the_run_goes_on",
          "tests/server/recording/test_recorder.py::test_a_disk_that_stalls_costs_ticks_and_no_time"),
     ),
@@ -320,7 +320,7 @@ HAZARDS: Final = (
     ),
     Hazard(
         "two daemons on one device or endpoint", "the device's lock; the bind", "before the start",
-        "the second ends, and says who holds it", "end the first", (),
+        "the second ends with the process that uses the device in its message", "end the first", (),
         ("tests/drivers/test_serial_loop.py::test_the_command_line_on_a_port",
          "tests/drivers/test_haply_loop.py::test_a_second_daemon_and_a_zero_that_nobody_confirms",
          "tests/server/test_cli.py::test_endpoint_in_use_has_its_own_exit_code"),
@@ -328,7 +328,7 @@ HAZARDS: Final = (
     Hazard(
         "memory of the daemon in swap", f"VmSwap, at the start and every {swapping.PERIOD_S:g} s",
         f"{swapping.PERIOD_S:g} s", "as before",
-        "end what fills the memory, or let the daemon lock its own", ("fault swapped",),
+        "end the programs that fill the memory, or let the daemon lock its memory", ("fault swapped",),
         ("tests/server/test_swapping.py::test_memory_in_swap_is_told_once",),
     ),
     Hazard(

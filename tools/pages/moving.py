@@ -31,7 +31,10 @@ FLOOR: Final = 235
 """Size of a half, and height of the floor, px."""
 HALF_M: Final = 0.02
 RADIUS_M: Final = 0.01
-TITLES: Final = ("soft fingertips: the contacts' torsion holds it", "without torsion it turns about the fingers")
+TITLES: Final = (
+    "soft fingertips: the torsion of the contacts carries it",
+    "without torsion it turns about the fingers",
+)
 
 
 def lifted(torsion: bool) -> tuple[Array, Array, Array]:

@@ -87,8 +87,8 @@ An experiment file (TOML) describes trials and answers: [run an experiment](../r
 
 _KEPT: Final = {
     "experiment.json": "the experiment; the folder refuses another one",
-    "files.json": "hashes of the scenes and the rig beside the experiment; the folder refuses other ones",
-    "dataset_description.json": "title and version of BIDS, whose names the files follow",
+    "files.json": "hashes of the scene files and the rig file of the experiment; the folder refuses others",
+    "dataset_description.json": "title and version of BIDS, which defines the file names",
     "trials.csv, participants.tsv": "a row per trial of all participants, made from the journals",
     "sub-01/sub-01_journal.jsonl": "every event, a line each: the source of all tables",
     "sub-01/sub-01_design.json, sub-01_order.csv": "seed, conditions, the order of trials",

@@ -31,7 +31,7 @@ def mass_text(row: Found) -> str:
 def lines(found: Sequence[Found]) -> list[str]:
     """Format one cell per line, for a terminal."""
     heads = ("left", "ripple, mN", "slips", "given, mJ", "unbalanced, N")
-    text = ["knocked, and what is left of the knock after a second; energy given to the hands in a closed cycle"]
+    text = ["knocked, and the remaining motion after a second; energy given to the hands in a closed cycle"]
     text.append(f"  {'case':<9}{'mass':<17}{'K, N/m':>7}" + "".join(f"{head:>15}" for head in heads) + "  verdict")
     for row in found:
         numbers = (

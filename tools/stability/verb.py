@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     for flag, low in (("cases", 1), ("ticks", 1), ("points", 2), ("seed", 0), ("garbage", 1)):
         value = getattr(args, flag)
         if value is not None and value < low:
-            raise ConfigError(f"command line --{flag}: {value}: must be a whole number of at least {low}")
+            raise ConfigError(f"command line --{flag}: {value}: must be an integer of at least {low}")
     if args.cases is not None:
         if args.plot:
             raise ConfigError("command line --plot: random runs have no plot: leave out --plot or --cases")

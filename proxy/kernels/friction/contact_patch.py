@@ -90,7 +90,7 @@ def hertz_contact_patch(patch: HertzPatch, radius: float, compliance: float, nor
 
 @contact_patch.of(PowerPatch)
 def power_contact_patch(patch: PowerPatch, radius: float, compliance: float, normal_force: float) -> ContactPatch:
-    """a = c (f_N / 1 N)^gamma (Xydas and Kao, 1999)."""
+    """Return the patch with a = c (f_N / 1 N)^gamma (Xydas and Kao, 1999)."""
     a = patch.at_newton * normal_force**patch.exponent if normal_force > 0.0 else 0.0
     return contact_patch_of(a, patch.lever, radius, patch.compliance + compliance, normal_force)
 

@@ -26,7 +26,7 @@ from numba import types
 
 MAGIC: Final = b"softfinger kernel 1\n"
 LINKS_MAX: Final = 40
-OWN_FOLDER: Final = "set SOFTFINGER_CACHE_DIR to a folder of your own"
+OWN_FOLDER: Final = "set SOFTFINGER_CACHE_DIR to a folder that belongs to you"
 
 _PROGRAM: Final = f"{Path(__file__).parents[3]}{os.sep}"
 
@@ -48,7 +48,7 @@ class Folder:
     """
 
     def __init__(
-        self, path: Path | None, unkept: str = "compiled kernels are not kept, so every start compiles them"
+        self, path: Path | None, unkept: str = "compiled kernels are not cached, so every start compiles them"
     ) -> None:
         self.path, self._unkept = path, unkept
         self._problem: str | None = None
@@ -99,12 +99,12 @@ class Folder:
         found = os.fstat(fd)
         if not stat.S_ISREG(found.st_mode) or _complaint(found, path) is not None:
             os.close(fd)
-            raise Unsound("not a file of this user alone")
+            raise Unsound("not a file that only this user may write")
         return open(fd, "rb")
 
     def reject(self, name: str, why: Exception) -> None:
         """Log that a cached file is not used."""
-        log.warning("kept kernel %s is not used but compiled anew: %s", name, _reason(why))
+        log.warning("cached kernel %s is not used and is compiled again: %s", name, _reason(why))
 
     def write(self, name: str, body: bytes) -> None:
         """Store `body` under a name, for `read`."""
@@ -171,7 +171,7 @@ def _check(found: os.stat_result, path: Path) -> None:
 
 def _complaint(found: os.stat_result, path: Path, forbidden: int = stat.S_IWGRP | stat.S_IWOTH) -> str | None:
     if found.st_uid not in (0, os.geteuid()):
-        return f"{path} belongs to user {found.st_uid}, who could put any program there: {OWN_FOLDER}"
+        return f"{path} belongs to user {found.st_uid}, who could replace the kernels: {OWN_FOLDER}"
     if found.st_mode & forbidden:
         return f"{path} can be written by other users: chmod go-w it, or {OWN_FOLDER}"
     return None

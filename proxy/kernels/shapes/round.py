@@ -74,7 +74,7 @@ def closest_on_capsule(shape: Capsule, x: Vec3) -> tuple[float, Vec3, Vec3]:
 
 @curvature.of(Capsule)
 def curvature_of_capsule(shape: Capsule, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    """A cylinder if the normal is perpendicular to the axis, otherwise a sphere."""
+    """Return the curvature of a cylinder if the normal is perpendicular to the axis, otherwise of a sphere."""
     k = bent(shape.radius, shape.side, radius)
     if abs(normal[2]) <= FAN:
         return k, 0.0, around_z(normal)

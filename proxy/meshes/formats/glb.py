@@ -66,7 +66,7 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
     """Return the JSON and the binary chunk."""
     magic, version, size = struct.unpack_from("<4sII", data.ljust(12, b"\0"))
     if magic != b"glTF" or version != 2:
-        raise ValueError(f"is no GLB file of glTF 2.0: it begins with {data[:8]!r}")
+        raise ValueError(f"is no GLB file of glTF 2.0: it starts with {data[:8]!r}")
     if size > len(data):
         raise ValueError(f"is damaged, or no GLB file: {size:,} bytes, and has {len(data):,}: it was cut off")
     length, kind = struct.unpack_from("<II", data, 12)
@@ -93,7 +93,7 @@ def _placed(head: dict[str, Any]) -> Iterator[tuple[int, NDArray[np.float64]]]:
         number, above = waiting.pop()
         node = nodes[number]
         if number in seen:
-            raise ValueError(f"is damaged: the node {number} is below two others, or below itself")
+            raise ValueError(f"is damaged: the node {number} has two parents, or is its own ancestor")
         seen.add(number)
         place = above @ _matrix(node)
         waiting += [(int(child), place) for child in node.get("children", [])]

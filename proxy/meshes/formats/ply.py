@@ -77,7 +77,7 @@ def read(data: bytes) -> Faces:
         corners, counts = _corners(tables["face"]) if rows.get("face") else empty
         return Faces(points, corners, counts, rows.get("face", 0))
     if rows.get("face"):
-        raise ValueError("has faces and triangle strips: export it with faces alone")
+        raise ValueError("has faces and triangle strips: export it with faces only")
     strips, counts = _corners(tables["tristrips"])
     parts = [strip(part) for row in np.split(strips, np.cumsum(counts)[:-1]) for part in _cut(row)]
     triangles = np.concatenate(parts)
@@ -87,7 +87,7 @@ def read(data: bytes) -> Faces:
 def _head(data: bytes) -> tuple[str, list[Element], bytes]:
     """Return the byte order, empty for text, the elements, and what follows the head."""
     if not data.startswith(b"ply"):
-        raise ValueError(f"is no PLY file: it begins with {data[:8]!r}")
+        raise ValueError(f"is no PLY file: it starts with {data[:8]!r}")
     end = _END.search(data, 0, HEAD_MAX)
     if end is None:
         raise ValueError(f"has no end_header within {HEAD_MAX:,} bytes: it was cut off, or is no PLY file")
@@ -188,7 +188,7 @@ def _corners(table: Table) -> Column:
     if found is None:
         raise ValueError(f"has faces without {_LISTS[0]}; they have {', '.join(table) or 'nothing'}")
     if not (found.values == np.trunc(found.values)).all():
-        raise ValueError("is damaged: a face names a vertex by a number that is not whole")
+        raise ValueError("is damaged: a face has a vertex index that is not an integer")
     with np.errstate(invalid="ignore"):  # a number too large is out of range afterwards, too
         return found._replace(values=found.values.astype(np.int64))
 

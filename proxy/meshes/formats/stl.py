@@ -29,7 +29,7 @@ def read(data: bytes) -> Faces:
     if len(data) >= HEAD and len(body) == _TRIANGLE.itemsize * count:  # a text has a count beyond its length there
         if behind := data[HEAD + len(body) :].strip(b"\0 \t\r\n\x1a"):
             raise ValueError(
-                f"says that it has {count:,} triangles, and {len(behind):,} bytes follow them: it is damaged, or has "
+                f"states {count:,} triangles, but {len(behind):,} bytes follow them: it is damaged, or has "
                 "several solids; export it as one"
             )
         return _faces(np.frombuffer(body, _TRIANGLE)["corners"].astype(np.float64), count)
@@ -37,7 +37,7 @@ def read(data: bytes) -> Faces:
     if text[:5].lower() != b"solid" or b"\0" in text:
         if not data.strip():
             raise ValueError("is empty")
-        there = f"says that it has {count:,} triangles, and has {max(0, len(data) - HEAD):,} bytes of 50 each for them"
+        there = f"states {count:,} triangles, but has {max(0, len(data) - HEAD):,} bytes of 50 each for them"
         raise ValueError(f"{there}: it was cut off, or is no STL file")
     if b"endsolid" not in text[text.rfind(b"\n") + 1 :].lower() and b"endsolid" not in text[-4096:].lower():
         raise ValueError("has no endsolid at its end: it was cut off")

@@ -12,7 +12,7 @@ from softfinger.proxy.meshes.formats.polygons import Indices
 
 
 def clean(data: bytes) -> bytes:
-    """Return the text of a file with `\\n` at the end of lines, without a byte order mark.
+    """Return the text of a file with line feeds at the end of lines, without a byte order mark.
 
     Raises ValueError for UTF-16, which some editors write.
     """

@@ -28,7 +28,7 @@ log: Final = logging.getLogger(__name__)
 def configure(parser: argparse.ArgumentParser) -> None:
     """Define the arguments of the verb."""
     parser.description = (
-        "Hand the telemetry of a daemon on to any number of subscribers, by key to other machines, and their commands "
+        "Forward the telemetry of a daemon to any number of subscribers, by key to other machines, and their commands "
         "back; ends with Ctrl-C, and says then what was handed on."
     )
     parser.add_argument(
@@ -45,15 +45,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="as a stream of Lab Streaming Layer, which everybody on the network can read (extra lsl)",
     )
     parser.add_argument(
-        "--commands-from", metavar="URL", help="where the daemon takes commands (default: beside its telemetry)"
+        "--commands-from", metavar="URL", help="commands endpoint of the daemon (default: next to its telemetry)"
     )
     parser.add_argument("--commands-to", metavar="URL", help="where commands are taken for it")
     parser.add_argument("--keys", metavar="FILE", help="secret key of this end; needed for a URL open to the network")
-    parser.add_argument("--readers", metavar="DIR", help="public keys of those who may subscribe")
-    parser.add_argument("--commanders", metavar="DIR", help="public keys of those who may command")
-    parser.add_argument("--server-key", metavar="FILE", help="public key of the daemon's end, where that wants keys")
-    parser.add_argument("--until-eof", action="store_true", help="end with standard input, so with who started this")
-    parser.add_argument("--json", action="store_true", help="print what was handed on as JSON")
+    parser.add_argument("--readers", metavar="DIR", help="public keys of allowed subscribers")
+    parser.add_argument("--commanders", metavar="DIR", help="public keys of allowed commanders")
+    parser.add_argument("--server-key", metavar="FILE", help="public key of the daemon, if its endpoints require keys")
+    parser.add_argument(
+        "--until-eof",
+        action="store_true",
+        help="end when standard input is closed, so with the program that started this",
+    )
+    parser.add_argument("--json", action="store_true", help="print counts of forwarded messages as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -77,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         stack.callback(forward.close)
         for name, part in (("telemetry", forward.readers), ("commands", forward.commanders)):
             if part is not None:
-                who = "who has a key" if part.peers.lock else "everybody who reaches it"
+                who = "clients with a key" if part.peers.lock else "every client that reaches it"
                 log.info("%s forwarded on %s, to %s", name, part.peers.endpoint, who)
         if args.until_eof:
             threading.Thread(target=_end_with_input, args=(stop,), daemon=True).start()
@@ -98,11 +102,13 @@ def make_lock(endpoint: str, flag: str, own: str | None, folder: str | None) -> 
     folder_flag = "--readers" if flag == "--to" else "--commanders"
     if folder is not None:
         if own is None:
-            raise ConfigError(f"{folder_flag} {folder}: whoever shows a key meets one: add --keys FILE")
+            raise ConfigError(
+                f"{folder_flag} {folder}: a connection with keys needs one on this side, too: add --keys FILE"
+            )
         return KeyLock(keys.read_pair(own), Allowed(folder))
     if is_public(endpoint):
         raise ConfigError(
-            f"{flag} {endpoint} is open to the network: say who may come in, with --keys FILE and {folder_flag} DIR "
+            f"{flag} {endpoint} is open to the network: set the allowed clients with --keys FILE and {folder_flag} DIR "
             "(softfinger keys makes keys), or take tcp://127.0.0.1:PORT"
         )
     return None

@@ -27,5 +27,5 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps({name: {"public": str(p), "secret": str(s)} for name, (p, s) in made.items()}))
     else:
         for public, secret in made.values():
-            print(f"{public}: give it to others\n{secret}: keep it to yourself")
+            print(f"{public}: public: give it to the other side\n{secret}: secret: share it with no one")
     return 0

@@ -81,7 +81,7 @@ def record_live(job: RecordingJob, path: Path) -> str:
 
 def _format_report(path: Path, batcher: TickBatcher, recorded: RecorderState, end_reason: str) -> str:
     if recorded.error:
-        raise RecordingError(f"{path}: cannot be written: {recorded.error}; it holds {recorded.ticks} ticks")
+        raise RecordingError(f"{path}: cannot be written: {recorded.error}; it has {recorded.ticks} ticks")
     lost = f"{batcher.lost} did not arrive" if batcher.lost else "no tick lost"
     slow = f", {recorded.dropped} left out since the disk was too slow" if recorded.dropped else ""
     unfinished = "" if recorded.whole else f"; the disk has not taken the last of it within {DISK_TIMEOUT_S:g} s"

@@ -44,15 +44,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="an .mcap; or poses (.csv, .npz, a shipped name), with --scene and --against",
     )
     parser.add_argument(
-        "--against", type=Path, metavar="FORCES", help="compare with this: results, or the forces that a replay kept"
+        "--against", type=Path, metavar="FORCES", help="reference: results, or the forces written by a replay"
     )
     parser.add_argument(
         "--tolerance", type=float, default=TOLERANCE, metavar="N", help="largest difference, N, N m, m (%(default)s)"
     )
     parser.add_argument("--scene", help="scene in place of the recording's")
-    parser.add_argument("--rig", help="rig whose guard limits the force, in place of the recording's")
+    parser.add_argument("--rig", help="rig with the guard that limits the force, instead of the recording's")
     parser.add_argument("--rate", type=float, metavar="HZ", help="of poses that are no recording (1000)")
-    parser.add_argument("--plot", type=plot_file, metavar="FILE.png", help="draw both forces and what lies between")
+    parser.add_argument("--plot", type=plot_file, metavar="FILE.png", help="draw both forces and their difference")
     parser.add_argument("--json", action="store_true", help="print the outcome as JSON")
 
 
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     rig = load_rig(args.rig or "replay", {} if args.rate is None else {"servo.rate_hz": args.rate})
     if recorded:
         if args.rate is not None:
-            raise ConfigError("--rate is for poses: a recording has its own")
+            raise ConfigError("--rate is for poses: a recording contains its rate")
         past = load_run(path, FIELDS)
         if past.notes.get("every", 1) != 1:
             raise RecordingError(f"{path}: has one tick in {past.notes['every']}: a replay needs all, so set every = 1")
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
             rig = build(schema.Rig, past.notes["rig"], f"{path}: rig")
     else:
         if args.scene is None or args.against is None:
-            raise ConfigError(f"{path}: poses alone say neither scene nor forces: give --scene and --against")
+            raise ConfigError(f"{path}: poses contain neither scene nor forces: give --scene and --against")
         past, scene = _run_from_poses(args.recording, rig.servo.rate_hz), load_scene(args.scene)
     replayed = replay(past, scene, rig)
     against = _recorded_values(past) if args.against is None else _from_file(args.against, past)
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if not outcome.compared:
         raise RecordingError(
-            f"{path}: no tick of it can be compared: it begins in contact, is too short, or has a command in each touch"
+            f"{path}: no tick of it can be compared: it starts in contact, is too short, or has a command in each touch"
         )
     return 0
 
@@ -99,7 +99,7 @@ def _scene(name: str | None, past: Run, path: Path) -> schema.Scene:
     if name is not None:
         return load_scene(name)
     if "scene" not in past.notes:
-        raise ConfigError(f"{path}: does not say its scene: give --scene")
+        raise ConfigError(f"{path}: does not contain its scene: give --scene")
     return build(schema.Scene, past.notes["scene"], f"{path}: scene")
 
 

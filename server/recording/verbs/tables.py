@@ -18,7 +18,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--columns", required=True, metavar="NAMES",
-        help="what each column is, such as t,x,y,z,-,-,-: of t,x,y,z,qw,qx,qy,qz, or - to leave it out",
+        help="content of the columns, such as t,x,y,z,-,-,-: of t,x,y,z,qw,qx,qy,qz, or - to ignore it",
     )  # fmt: skip
     parser.add_argument("--unit-s", type=float, default=1.0, metavar="S", help="unit of t in s (0.001 for ms)")
     parser.add_argument("--unit-m", type=float, default=1.0, metavar="M", help="unit of x, y, z in m (0.001 for mm)")

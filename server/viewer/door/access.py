@@ -91,7 +91,7 @@ class Access:
         """Return why a request to the `local` address (host, port, ...) is refused; empty if it is allowed."""
         hosts = [each.lower() for each in headers.get_all("Host")]
         if len(hosts) != 1 or hosts[0] not in self._hosts(local):
-            return f"the request is for the host {hosts}, which this page is not: --allow-host names others"
+            return f"the request is for the host {hosts}, which is not allowed: add it with --allow-host"
         origins = [each.lower() for each in headers.get_all("Origin")]
         upgrade = "Upgrade" in headers
         if (origins or upgrade) and origins not in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
@@ -173,8 +173,8 @@ def limit_browsers(handler: Handler) -> Handler:
             await handler(connection)
         except Exception as error:  # of many classes, as viser decodes untrusted bytes
             error_text = " ".join(f"{type(error).__name__}: {error}".split())[:ERROR_TEXT_MAX]
-            log.warning("a browser of the page was cut off: it said what the page does not know (%s)", error_text)
-            await connection.close(CloseCode.INVALID_DATA, "no message of this page: load it anew")
+            log.warning("a browser of the page was disconnected: it sent an unknown message (%s)", error_text)
+            await connection.close(CloseCode.INVALID_DATA, "no message of this page: load the scene again")
         finally:
             browsers.discard(connection)
 

@@ -84,7 +84,7 @@ class PageProcess:
         role: Role = Role.OPERATOR,
     ) -> None:
         if commands is None:
-            raise ConfigError("--view: the page asks by commands what is rendered: leave --commands off out")
+            raise ConfigError("--view: the page needs commands: remove --commands off")
         self._arguments = ["view", "--endpoint", telemetry, "--commands", commands]
         self._arguments += [] if role == Role.OPERATOR else ["--role", role.value]
         self._log_options, self._on_event, self._restarts = log_options, on_event, 0
@@ -140,7 +140,7 @@ class PageProcess:
         """Restart a crashed page, or report its exit once."""
         if self._is_final or (code := self._process.poll()) is None:
             return
-        text = f"the page has ended, with exit code {code}; the servo goes on"
+        text = f"the page has ended, with exit code {code}; the servo continues"
         self._is_final = not self._address or code in REQUESTED_EXIT_CODES or self._restarts >= RESTARTS
         if self._is_final:
             text += f"; to see it again: {program_name()} {shlex.join(self._arguments)}"
@@ -163,7 +163,7 @@ class PageProcess:
         except OSError as error:
             if not self._restart_failed:
                 self._restart_failed = True
-                text = f"the page cannot be started: {error}; it is tried again as long as the run goes on"
+                text = f"the page cannot be started: {error}; it is tried again until the run ends"
                 log.error("%s", text)
                 self._on_event(text)
             return False

@@ -112,7 +112,7 @@ def test_practice_comes_first() -> None:
         ({"task.parameter": "rig.servo.rate_hz"}, "another start of the daemon"),
         ({"task.scale": [1, 7]}, "only rate has a scale"),
         ({"task.kind": "rate", "task.reference": None, "task.scale": [7, 1]}, "the first mark, from 1"),
-        ({"task.scale_ends": ["soft", "hard"]}, "goes with scale"),
+        ({"task.scale_ends": ["soft", "hard"]}, "requires scale"),
         ({"factor.0.levels": [-1.0, 0.0]}, "damping_ns_per_m = -1.0"),
         ({"factor.0.scenes": {"a": "sphere"}}, "give one of parameter, scenes and values"),
         ({"rig": "omega-66"}, "did you mean"),

@@ -236,7 +236,7 @@ def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path)
 def test_a_participant_is_a_number(tmp_path: Path) -> None:
     """What would lead out of the folder is none, nor is what only looks like one."""
     for name in ("../x", "Zoë", True, 1.0):
-        with pytest.raises(ConfigError, match="must be a whole number from 1 to 9999"):
+        with pytest.raises(ConfigError, match="must be an integer from 1 to 9999"):
             Experiment(small()).run(tmp_path / "out", name, OFFLINE)  # type: ignore[arg-type]
     assert not (tmp_path / "out").exists()
 
@@ -268,7 +268,7 @@ def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["experiment", "friction-magnitude", "--no-daemon"], "give --dry-run too"),
         (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),
         (["experiment", "friction-magnitude", "--participant", "0"], "participant = 0"),
-        (["experiment", "friction-magnitude", "--set", "procedure.repetitions=0"], "must be a whole number from 1"),
+        (["experiment", "friction-magnitude", "--set", "procedure.repetitions=0"], "must be an integer from 1"),
         (["figure", str(tmp_path)], "is this a folder that `softfinger experiment` made"),
     ):
         assert cli.main([*words, *(["--out", str(tmp_path)] if words[0] == "experiment" else [])]) == 2

@@ -91,7 +91,7 @@ def test_nothing_is_left(root: Path, install: Install, edited: bool, capsys: pyt
     assert install("--remove") == 0
     told = capsys.readouterr().out
     assert set(content(root)) == {str(other.relative_to(root))} | ({UNIT, RECORD} if edited else set())
-    assert (f"kept, for it was edited; remove it yourself: {root / UNIT}" in told) == edited
+    assert (f"edited, so not removed; remove it yourself: {root / UNIT}" in told) == edited
     if not edited:
         assert {path.name for path in root.rglob("*") if path.is_dir()} == {"etc", "udev", "rules.d"}
         return
@@ -118,7 +118,7 @@ def test_an_edited_file_is_kept_and_said(root: Path, install: Install, capsys: p
     assert install("--rig", "omega-6", "--scene", "sphere") == 0
     told = capsys.readouterr().out
     assert (root / RULES).read_text() == "# mine\n"
-    assert f"kept, for it was edited; move it away to have the new one: {root / RULES}" in told
+    assert f"edited, so not replaced; move it away to get the new one: {root / RULES}" in told
     assert f"renewed {root / UNIT}" in told
     assert "run --rig omega-6 --scene sphere\n" in (root / UNIT).read_text()
 

@@ -108,7 +108,7 @@ def test_a_recording_from_the_middle_of_a_run(tmp_path: Path) -> None:
     part = run()[touches()[0] + 30 :]
     outcome = replayed(recorded(tmp_path / "a.mcap", part))
     (span,) = outcome.left_out
-    assert span.first == part[0, AT.tick] and span.why == "the recording begins in the middle of a run"
+    assert span.first == part[0, AT.tick] and span.why == "the recording starts in the middle of a run"
     assert outcome.first is None and outcome.compared == part[-1, AT.tick] - span.last > 0
 
 

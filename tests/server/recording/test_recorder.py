@@ -494,7 +494,7 @@ def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
         signal.signal(signal.SIGXFSZ, before)
     assert "File too large" in recorder.recorded.error and len(told) == 1
     records, _, _, end = read(path)
-    assert recorder.recorded.ticks == len(records) < 2000 and end.cut.startswith("it ends without an index")
+    assert recorder.recorded.ticks == len(records) < 2000 and end.cut.startswith("it has no index at its end")
     assert path.stat().st_size == recorder.recorded.bytes <= 40_000
     assert records.tobytes() == rows[: len(records)].tobytes()
 

@@ -43,7 +43,7 @@ def test_decimal_commas_are_read(between: str, tmp_path: Path) -> None:
     file = tmp_path / "theirs.csv"
     file.write_bytes(b"\xef\xbb\xbf" + "\r\n".join([heading, *(line + empty for line in lines), ""]).encode())
     with pytest.raises(
-        RecordingError, match=r"line 1, column 't': 'Zeit\(s\)' is not a number; --skip leaves a heading"
+        RecordingError, match=r"line 1, column 't': 'Zeit\(s\)' is not a number; --skip N skips a heading"
     ):
         read_table(file, Layout(("t", "x", "y", "z")))
     poses = read_table(file, Layout(("t", "x", "y", "z"), skip=1))

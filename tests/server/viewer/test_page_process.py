@@ -71,7 +71,7 @@ def test_a_page_that_dies_is_started_again_at_the_same_address() -> None:
             assert secret not in Path(f"/proc/{page}/cmdline").read_text()
             os.kill(page, signal.SIGKILL)
             ended = next(line for line in process.stderr if "the page has ended" in line)
-            assert f"exit code -9; the servo goes on; it is started again, {restart + 1} of {RESTARTS} times" in ended
+            assert f"exit code -9; the servo continues; it is started again, {restart + 1} of {RESTARTS} times" in ended
             assert answered(address) == 200
         os.kill(child_of(process), signal.SIGKILL)
         ended = next(line for line in process.stderr if "the page has ended" in line)

@@ -100,7 +100,7 @@ class KernelCache(NullCache):  # type: ignore[misc]
 
     def save(self, name: str, key: tuple[Any, ...], compiled: Any) -> None:
         if compiled.lifted or compiled.library.has_dynamic_globals:
-            log.warning("%s is compiled at every start: it holds addresses of this process", self._function)
+            log.warning("%s is compiled at every start: it contains addresses of this process", self._function)
             return
         self._folder.write(name, dumps((key, _calls(compiled.library), compiled._reduce())))
 

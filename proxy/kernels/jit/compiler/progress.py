@@ -20,10 +20,10 @@ class CompileProgress:
         """Callback at the start of the first compilation in this process; loading does not call it."""
 
     def __str__(self) -> str:
-        """Return `compiling kernel 2` for the second of this process, `loading kept kernels`, or an empty string."""
+        """Return `compiling kernel 2` for the second of this process, `loading cached kernels`, or an empty string."""
         if self._depth:  # its callees may be loaded at the same time
             return f"compiling kernel {self._compiled}"
-        return "loading kept kernels" if self._loading else ""
+        return "loading cached kernels" if self._loading else ""
 
     def begin(self) -> None:
         """Record the start of a compilation; a nested one, of a callee, counts as part of it."""
