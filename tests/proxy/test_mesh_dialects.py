@@ -423,6 +423,16 @@ def test_a_size_in_another_unit_is_asked_about(tmp_path: Path) -> None:
         "(centimetres, 0.4 m)"
     )
     assert "give scale = 0.001 (a thousand times larger, 0.04 m)" in noted(1e-6)
+    asset = '<asset><mesh name="a" file="b.stl" scale="1000 1000 1000"/></asset>'
+    (tmp_path / "a.xml").write_text(f'<mujoco>{asset}<worldbody><geom type="mesh" mesh="a"/></worldbody></mujoco>')
+    (tmp_path / "b.stl").write_bytes(stl())
+    of_model = schema.Mesh(
+        name="m", file=str(tmp_path / "a.xml"), mesh="a", material=schema.Material(stiffness_n_per_m=1.0)
+    )
+    assert (
+        "it is 40 m in size: if that is not meant, multiply the scale of its <mesh> by 0.001 (millimetres"
+        in (about(of_model).report.noted[0])
+    )
 
 
 def test_a_box_is_a_box() -> None:
