@@ -190,7 +190,7 @@ def test_stl_files_are_read_in_full(tmp_path: Path, name: str) -> None:
 def test_what_an_stl_lacks_is_said(tmp_path: Path) -> None:
     path = tmp_path / "a.stl"
     assert "it was cut off" in refusal(path, stl()[:-70])
-    assert "says that it has 10 triangles, and 85 bytes follow" in refusal(path, stl(count=10))
+    assert "states 10 triangles, but 85 bytes follow" in refusal(path, stl(count=10))
     assert "decimal commas" in refusal(path, TEXT.replace(".", ",").encode())
     assert "promises 12 faces, and has 11" in refusal(path, TEXT.replace("outer loop\n", "", 1).encode())
     assert "no endsolid" in refusal(path, TEXT.replace("endsolid", "end").encode())
@@ -399,7 +399,7 @@ def test_what_a_glb_has_besides_is_refused_by_name(tmp_path: Path) -> None:
         path, made.data(parts, extensionsRequired=["KHR_materials_unlit", "VND_bend"])
     )
     loop = [{"mesh": 0, "children": [1]}, {"children": [0]}]
-    assert "below itself" in refusal(path, made.data(parts, nodes=loop))
+    assert "is its own ancestor" in refusal(path, made.data(parts, nodes=loop))
     check_box(path, made.data(parts, extensionsRequired=["KHR_mesh_quantization", "KHR_materials_unlit"]))
     address = "data:application/octet-stream;base64," + base64.b64encode(made.blob).decode()
     check_box(path, made.data(parts, buffers=[{"byteLength": len(made.blob), "uri": address}]))
