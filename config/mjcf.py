@@ -127,7 +127,7 @@ def _compile(path: str, root: str | None) -> Compiled:
             warnings.simplefilter("ignore")  # MuJoCo's, of deprecated attributes
             spec = package.MjSpec.from_file(path)
             if is_urdf(path):
-                complete(spec, Path(folder))
+                complete(spec, Path(folder), home, name)
             _remove_pictures(spec)
             files = [*parts, *place_files(spec, listed, bool(names.attaches), home, name)]
             states = {file: _state(file) for file in files}

@@ -17,7 +17,6 @@ from softfinger.config import limits
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
 from softfinger.config.mjcf_files import check_place
-from softfinger.config.urdf import is_urdf, places
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -36,7 +35,6 @@ DEPTH_MAX: Final = 8
 """Deepest nesting of models attached to models."""
 PARSED: Final = ("include", "model")
 """Elements whose files are XML."""
-FILES: Final = ("file", "filename", "meshdir", "texturedir", "assetdir")
 ROWS_PER_BYTE: Final = 1 / 50
 """Vertices per byte of a mesh file, at most, in the usual notation."""
 
@@ -94,7 +92,7 @@ def check_files(text: str, path: Path, name: str, home: Path) -> Names:
 
     Raises ConfigError if it is too large, or if it includes or attaches a file that is not below `home`.
     """
-    model = _Model(home, name, is_urdf(str(path)))
+    model = _Model(home, name)
     model.read(text, path, name, 1, 0)
     return model.names
 
@@ -104,11 +102,10 @@ class _Model:
 
     home  folder below which its files must lie
     name  name of its file, for messages
-    urdf  whether it is one
     """
 
-    def __init__(self, home: Path, name: str, urdf: bool) -> None:
-        self._home, self._name, self._urdf = home, name, urdf
+    def __init__(self, home: Path, name: str) -> None:
+        self._home, self._name = home, name
         self.names = Names(set(), set(), set(), [])
         self._counted = Counter[str]()
         self._bytes = 0
@@ -148,6 +145,7 @@ class _Model:
             raise ConfigError(f"world.model {name}: has more than {SIZE_MAX:,} bytes with all that it includes")
         if "<!ENTITY" in text:
             raise ConfigError(f"world.model {name}: declares entities, and MuJoCo knows none: write them out")
+        text = text.strip("\0 \t\r\n")  # MuJoCo, too, permits it around the XML
         parser: Any = ElementTree.XMLPullParser(["start"])
         begun: list[Element] = []
         try:
@@ -160,7 +158,9 @@ class _Model:
                     )
             parser.close()
         except ElementTree.ParseError as error:
-            raise ConfigError(f"world.model {name}: is no XML: {error}") from error
+            raise ConfigError(
+                f"world.model {name}: is no well-formed XML, which is required even if MuJoCo reads it: {error}"
+            ) from error
         return begun[0]
 
     def _text(self, path: Path) -> str | None:
@@ -182,12 +182,8 @@ class _Model:
                 self.names.flexes.add(given)
             case "compiler":
                 self.names.folders.update(element.get(key) or "" for key in ("meshdir", "assetdir"))
-        if not self._urdf and element.tag not in PARSED:
-            return
-        for key in FILES:
-            given = element.get(key) or ""
-            for way in places(given):
-                check_place(folder / way, self._home, f"{name}: <{element.tag} {key}={given!r}>")
+        if element.tag in PARSED:
+            check_place(folder / given, self._home, f"{name}: <{element.tag} file={given!r}>")
 
     def _check_numbers(self, element: Element, name: str) -> None:
         for bound in BOUNDS.get(element.tag, ()):

@@ -1,31 +1,46 @@
 """Completion of a URDF model for MuJoCo: names of its geoms, and mesh files of packages.
 
-Geoms of a URDF seldom have names. They get the name of their link, which a scene uses for the geom. Mesh files are
-named relative to a package; they are searched in the folder of the URDF, like the files of any model.
+Geoms of a URDF seldom have names. They get the name of their link, which a scene uses for the geom. MuJoCo cannot find
+the files of a package; they are searched here, from the folder of the URDF upwards.
 """
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any, Final
 
-PACKAGE: Final = "package://"
+from softfinger.config.errors import ConfigError
+from softfinger.config.mjcf_files import check_place
+
+PACKAGES: Final = ("package://", "model://")
 
 
 def is_urdf(path: str) -> bool:
     return path.lower().endswith(".urdf")
 
 
-def places(given: str) -> tuple[str, ...]:
-    """Return the possible paths of a file, relative to the model's folder: with the package as a folder, or without."""
-    if not given.startswith(PACKAGE):
-        return (given,)
-    within = given.removeprefix(PACKAGE)
-    return within, within.partition("/")[2]
+def located(given: str, folder: Path, home: Path) -> Path:
+    """Return the path of a file that a URDF in `folder` names; of a package, the first that exists.
+
+    `package://NAME/FILE` is NAME/FILE or FILE in `folder`, or in a folder above it up to `home`. If there is none, the
+    path is that in `folder`.
+    """
+    if not given.startswith(PACKAGES):
+        return folder / given.removeprefix("file://")
+    within = given.partition("://")[2].lstrip("/")
+    start = Path(os.path.abspath(folder))
+    above = (each for each in (start, *start.parents) if Path(os.path.realpath(each)).is_relative_to(home))
+    ways = [each / way for each in above for way in (within, within.partition("/")[2])]
+    inside = (way for way in ways if way.is_file() and Path(os.path.realpath(way)).is_relative_to(home))
+    return next(inside, start / within)
 
 
-def complete(spec: Any, folder: Path) -> None:
-    """Name the colliding geoms after their links, the second of a link `NAME 2`, and find the mesh files."""
+def complete(spec: Any, folder: Path, home: Path, model: str) -> None:
+    """Name the colliding geoms after their links, the second of a link `NAME 2`, and find the mesh files.
+
+    Raises ConfigError for a file of a package that is not found, or not below `home`.
+    """
     taken = {geom.name for geom in spec.geoms}
     for geom in spec.geoms:
         if not geom.name and (geom.contype or geom.conaffinity):
@@ -35,5 +50,13 @@ def complete(spec: Any, folder: Path) -> None:
             geom.name = name
             taken.add(name)
     for mesh in spec.meshes:
-        ways = places(mesh.file)
-        mesh.file = next((way for way in ways if (folder / way).is_file()), ways[0])
+        if spec.strippath or not mesh.file.startswith((*PACKAGES, "file://")):
+            continue
+        path = located(mesh.file, folder, home)
+        check_place(path, home, f"{model}: the file {mesh.file}")
+        if not path.is_file():
+            raise ConfigError(
+                f"world.model {model}: {mesh.file} is not found from its folder up to {home}: name a folder that has "
+                'the package: [world] root = ".."'
+            )
+        mesh.file = str(path)

@@ -10,47 +10,19 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from itertools import islice
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from msgspec import UNSET, Struct, inspect
 
 from softfinger.config.materials import Library
+from softfinger.config.scalars import Fault, Report, checked_literal, checked_number, checked_text
 from softfinger.config.typeinfo import described, options, unwrapped
 from softfinger.config.words import either, expected, missing, near, shown
 
 UNKNOWN_SHOWN: Final = 8
 """Unknown keys named per table. Fewer than a message lists, so that the message also shows how many more there are."""
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
-
-
-class Fault(NamedTuple):
-    """Fault of a configuration: its source (file or flag), the dotted key, and the message with the remedy."""
-
-    where: str
-    key: str
-    message: str
-
-    def __str__(self) -> str:
-        return f"{self.where}: {self.message}"
-
-
-@dataclass
-class Report:
-    """Faults found so far; `sources` maps single keys to their source, such as a command-line flag."""
-
-    where: str
-    sources: Mapping[str, str]
-    faults: list[Fault] = field(default_factory=list)
-
-    def add(self, key: str, text: str) -> Any:
-        """Record a fault and return the placeholder for the value."""
-        path = key.split(".")
-        prefixes = (".".join(path[:n]) for n in range(len(path), 0, -1))
-        where = next((self.sources[p] for p in prefixes if p in self.sources), self.where)
-        self.faults.append(Fault(where, key, text))
-        return UNSET
 
 
 def examine(
@@ -73,16 +45,13 @@ def _value(info: inspect.Type, value: object, key: str, report: Report) -> Any:
         case inspect.StructType():
             return _struct(kind, value, key, report)
         case inspect.FloatType() | inspect.IntType():
-            return _number(kind, extra, value, key, report)
+            return checked_number(kind, extra, value, key, report)
         case inspect.TupleType() | inspect.VarTupleType() | inspect.ListType():
             return _list(kind, value, key, report)
         case inspect.StrType():
-            return _text(kind, value, key, report)
+            return checked_text(kind, value, key, report)
         case inspect.LiteralType():
-            if any(value == allowed and type(value) is type(allowed) for allowed in kind.values):
-                return value
-            hint = near(value, kind.values)
-            return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}{hint}")
+            return checked_literal(kind, value, key, report)
         case inspect.BoolType():
             usable = isinstance(value, bool)
         case inspect.DictType():
@@ -113,40 +82,6 @@ def _one_of(kind: inspect.UnionType, value: object, key: str, report: Report) ->
             return result
     choices = " or ".join(expected(option, key) for option in members)
     return report.add(key, f"{key} = {shown(value)}: must be {choices}")
-
-
-def _number(
-    kind: inspect.FloatType | inspect.IntType, extra: Mapping[str, Any], value: object, key: str, report: Report
-) -> Any:
-    whole = isinstance(kind, inspect.IntType)
-    wanted = f"{key} = {shown(value)}: must be {expected(kind, key)}"
-    if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
-        return report.add(key, wanted)
-    try:
-        number: float = int(value) if whole else float(value)
-        finite = math.isfinite(number)
-    except OverflowError:  # an integer beyond the range of float
-        finite = False
-    if not finite:
-        return report.add(key, wanted)
-    low = kind.ge is None or number >= kind.ge
-    high = kind.le is None or number <= kind.le
-    if low and high and (kind.gt is None or number > kind.gt) and (kind.lt is None or number < kind.lt):
-        return number
-    reason = f" ({extra['reason']})" if extra.get("reason") else ""
-    return report.add(key, wanted + reason)
-
-
-def _text(kind: inspect.StrType, value: object, key: str, report: Report) -> Any:
-    if not isinstance(value, str):
-        return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
-    short = kind.min_length is not None and len(value) < kind.min_length
-    long = kind.max_length is not None and len(value) > kind.max_length
-    # `$` also matches before a newline at the end.
-    odd = kind.pattern is not None and (value.endswith("\n") or not re.search(kind.pattern, value))
-    if short or long or odd:
-        return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
-    return value
 
 
 def _list(

@@ -90,8 +90,8 @@ def check_distinct(flag: str, written: str | Path, read: Iterable[str | Path]) -
 
 def default_rig(scene: str, fallback: str) -> str:
     """Return the default rig of a run: the shipped rig `simulated-<scene>` if it exists, else `fallback`."""
-    from softfinger.config.load import shipped
     from softfinger.config.schema import Rig
+    from softfinger.config.sources import shipped
 
     name = f"simulated-{scene}"
     return name if name in shipped(Rig) else fallback

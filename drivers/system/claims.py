@@ -12,8 +12,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from softfinger.config.load import load_rig, shipped
+from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
+from softfinger.config.sources import shipped
 from softfinger.drivers.system.descriptor import ReportLengths, parse_descriptor
 from softfinger.drivers.system.discovery import NO_PRODUCT, Attached, Bus
 

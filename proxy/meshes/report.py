@@ -68,19 +68,30 @@ class Report:
 
 
 def unit_note(size: float, scale: float | None) -> tuple[str, ...]:
-    """Return a question about the unit of a mesh that no hand surrounds, or none can feel; `size` in m, scaled."""
-    if scale is None or USUAL_M[0] <= size <= USUAL_M[1]:
+    """Return a question about the unit of a mesh that no hand surrounds, or none can feel.
+
+    size   m, scaled
+    scale  of the object; None for a mesh of a MuJoCo model, whose <mesh> has a scale of its own
+    """
+    if USUAL_M[0] <= size <= USUAL_M[1]:
         return ()
     if size > USUAL_M[1]:
-        units = [("millimetres", 1e-3), ("centimetres", 1e-2)] if scale == 1.0 else [("a thousandth of it", 1e-3)]
+        units = (
+            [("millimetres", 1e-3), ("centimetres", 1e-2)] if scale in (1.0, None) else [("a thousandth of it", 1e-3)]
+        )
     else:
         units = [("a thousand times larger", 1e3)]
-    asked = ", or ".join(f"scale = {scale * factor:g} ({unit}, {size * factor:.3g} m)" for unit, factor in units)
-    return (f"it is {size:.3g} m in size: if that is not meant, give {asked}",)
+    if scale is None:
+        asked = "multiply the scale of its <mesh> by "
+        asked += ", or ".join(f"{factor:g} ({unit}, {size * factor:.3g} m)" for unit, factor in units)
+    else:
+        asked = "give "
+        asked += ", or ".join(f"scale = {scale * factor:g} ({unit}, {size * factor:.3g} m)" for unit, factor in units)
+    return (f"it is {size:.3g} m in size: if that is not meant, {asked}",)
 
 
 def report_of(mended: Mended, loose: bool, scale: float | None) -> Report:
-    """Return the report on a mesh that `mend` gave; `scale` is the object's, None if its unit is certain."""
+    """Return the report on a mesh that `mend` gave; `scale` as for `unit_note`."""
     wound, (vertices, triangles) = mended.wound, mended.arrays
     x, y, z = (float(edge) for edge in np.ptp(vertices, axis=0))
     within = f" within {MERGED_WITHIN:g} of its size" if loose else ""

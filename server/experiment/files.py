@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import EXPERIMENTS, build, find_in, load_rig, names_in, overridden, read_toml
+from softfinger.config.load import build, load_rig, overridden
+from softfinger.config.sources import EXPERIMENTS, find_in, names_in, read_toml
 from softfinger.config.words import near, shown
 from softfinger.server.experiment import rigs
 from softfinger.server.experiment.design import conditions

@@ -11,7 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from softfinger.config.errors import RecordingError, SafetyStop
-from softfinger.config.load import describe, load_scene, numbered, value_at
+from softfinger.config.load import describe, load_scene
+from softfinger.config.overrides import numbered, value_at
 from softfinger.config.schema import Scene
 from softfinger.server.experiment import rigs
 from softfinger.server.experiment.masses import load_changed_scene, split

@@ -11,8 +11,9 @@ from typing import Final, NamedTuple
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import home_folder
-from softfinger.config.load import find, load_rig, load_scene, shipped
+from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
+from softfinger.config.sources import find, shipped
 from softfinger.drivers.system.rules import GROUP, program_command, udev_rules
 from softfinger.server.install.ledger import File
 from softfinger.server.install.manual import manual

@@ -132,9 +132,8 @@ def _heightmap_rows(item: Heightmap) -> list[tuple[str, str]]:
         ("    bends", f"{bends}; where that is less than the fingertip's radius it touches in several places"),
     ]
     if (over := overshoot(heights)) > OVERSHOOT * (high - low):
-        found.append(
-            ("    steps", f"the smooth surface is up to {over:.3g} m higher or lower than the neighbouring pixels")
-        )
+        beyond = f"the smooth surface is up to {over:.3g} m higher or lower than the neighbouring pixels"
+        found.append(("    steps", f"{beyond}; a step spread over more pixels has less"))
     return found
 
 

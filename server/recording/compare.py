@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import describe, numbered, overridden
+from softfinger.config.load import describe, overridden
+from softfinger.config.overrides import numbered
 from softfinger.drivers.base import HELD, WITHHELD, DeviceInfo
 from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.jit.pack import Packed, flatten, packed

@@ -16,6 +16,8 @@ from softfinger.server.recording.results import csv_lines
 
 SKIPPED: Final = "-"
 """Name of a column that does not belong to the pose."""
+_UTF_16: Final = (b"\xff\xfe", b"\xfe\xff")
+_QUOTED: Final = re.compile(r'"([^"]*)"')
 _COMMENT: Final = re.compile(rb"\s*(#|%|//|;|$)")
 _SEPARATORS: Final = tuple(re.compile(each) for each in (r"\s*;\s*", r" *\t *", r"\s*,\s*", r"\s+", r"\s*[,;\s]\s*"))
 """Separators of cells; the first that gives as many cells as there are columns is used."""
@@ -77,7 +79,8 @@ def read_table(path: Path, layout: Layout) -> Poses:
             number = 0
             while line := file.readline(LINE_MAX):
                 number += 1
-                line = line.removeprefix(b"\xef\xbb\xbf") if number == 1 else line
+                if number == 1:
+                    line = _without_mark(path, line)
                 if number <= layout.skip or (_COMMENT.match(line) and line.count(b";") != len(layout.columns) - 1):
                     continue
                 if len(numbers) >= POSES_MAX:
@@ -101,6 +104,15 @@ def read_table(path: Path, layout: Layout) -> Poses:
     )
 
 
+def _without_mark(path: Path, line: bytes) -> bytes:
+    """Return the first line without a byte order mark. Raises RecordingError for text of another kind."""
+    if line.startswith(_UTF_16):
+        raise RecordingError(f"{path}: is text in UTF-16: save it as UTF-8")
+    if b"\r" in line.rstrip(b"\r\n"):
+        raise RecordingError(f"{path}, line 1: has carriage returns: save it with line feeds")
+    return line.removeprefix(b"\xef\xbb\xbf")
+
+
 def _parse_row(location: str, line: bytes, layout: Layout, commas: set[bool]) -> list[float]:
     """Return the numbers of a line; `commas` gets whether a decimal comma or a decimal point was found."""
     try:
@@ -112,8 +124,10 @@ def _parse_row(location: str, line: bytes, layout: Layout, commas: set[bool]) ->
         try:
             row.append(0.0 if name == SKIPPED else float(cell.replace(",", ".")))
         except ValueError as error:
-            what = f"{cell[:40]!r} is not a number" if cell else "the cell is empty"
-            raise RecordingError(f"{location}, column '{name}': {what}; --skip N skips a heading") from error
+            what = "the cell is empty: fill it, or delete the line"
+            if cell:
+                what = f"{cell[:40]!r} is not a number; --skip N skips a heading"
+            raise RecordingError(f"{location}, column '{name}': {what}") from error
         commas |= {mark == "," for mark in ",." if name != SKIPPED and mark in cell}
     if len(commas) > 1:
         raise RecordingError(f"{location}: has decimal commas and decimal points: write all numbers with points")
@@ -121,7 +135,11 @@ def _parse_row(location: str, line: bytes, layout: Layout, commas: set[bool]) ->
 
 
 def _cells(location: str, text: str, columns: int) -> list[str]:
-    """Return the cells of a line, without empty ones at its end that exceed the number of columns."""
+    """Return the cells of a line, without empty ones at its end that exceed the number of columns.
+
+    A comma between quotation marks is a decimal comma, or in a text that is not read.
+    """
+    text = _QUOTED.sub(lambda quoted: quoted[1].replace(",", "."), text)
     counts = []
     for separator in _SEPARATORS:
         cells = separator.split(text)

@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
-from softfinger.config.load import build, completed, describe, load_scene, numbered, overridden, shipped, value_at
+from softfinger.config.load import build, completed, describe, load_scene, overridden
+from softfinger.config.overrides import numbered, value_at
+from softfinger.config.sources import shipped
 from softfinger.config.words import near, shown
 from softfinger.drivers import switch_interval
 from softfinger.drivers.simulated.lead import RequestedPose, hand_of

@@ -11,18 +11,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from softfinger.config.errors import ConfigError, DeviceError, HapticError, RecordingError
-from softfinger.config.load import (
-    EXPERIMENTS,
-    FaultyConfig,
-    describe,
-    find,
-    find_in,
-    load_rig,
-    load_scene,
-    names_in,
-    read_toml,
-    shipped,
-)
+from softfinger.config.load import FaultyConfig, describe, load_rig, load_scene
 from softfinger.config.schema import (
     DeviceConfig,
     Guard,
@@ -32,6 +21,7 @@ from softfinger.config.schema import (
     Scene,
     Servo,
 )
+from softfinger.config.sources import EXPERIMENTS, find, find_in, names_in, read_toml, shipped
 from softfinger.config.words import near, shown
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.offline.summary import mesh_report, object_rows, rig_summary, scene_summary

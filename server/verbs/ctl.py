@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import read_toml
+from softfinger.config.sources import read_toml
 from softfinger.config.words import near, shown
 from softfinger.server import keys
 from softfinger.server.arguments import duration, parse_parameter

@@ -10,8 +10,8 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.config.load import EXPERIMENTS, FOLDERS
 from softfinger.config.schema import Faults, Rig, Scene
+from softfinger.config.sources import EXPERIMENTS, FOLDERS
 from softfinger.drivers.poses import SHIPPED
 from softfinger.server.offline.library_texts import entries
 

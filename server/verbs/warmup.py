@@ -12,7 +12,8 @@ import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import load_scene, shipped
+from softfinger.config.load import load_scene
+from softfinger.config.sources import shipped
 from softfinger.proxy.engine import compiled
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.server.offline.simulate import simulate

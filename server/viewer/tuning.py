@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Any, Final, get_args
 
 from softfinger.config import schema
-from softfinger.config.load import describe, shipped
+from softfinger.config.load import describe
 from softfinger.config.schema.contact import RollingMethod
+from softfinger.config.sources import shipped
 from softfinger.server.viewer.controls import is_in_list, is_on_slider
 
 NO_ROLLING: Final = "none"

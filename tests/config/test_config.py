@@ -21,9 +21,10 @@ from hypothesis import strategies as st
 
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import FaultyConfig, build, describe, load_rig, load_scene, read_toml, shipped
+from softfinger.config.load import FaultyConfig, build, describe, load_rig, load_scene
 from softfinger.config.schema import Rig, Scene, commands_beside
 from softfinger.config.schema.pairing import pair, single_device
+from softfinger.config.sources import read_toml, shipped
 from softfinger.config.words import near
 from softfinger.drivers.serial.options import CHECKS
 from softfinger.proxy.record import FIELDS

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import FaultyConfig, describe, load_rig, load_scene, read_toml
+from softfinger.config.load import FaultyConfig, describe, load_rig, load_scene
+from softfinger.config.sources import read_toml
 from softfinger.config.toml import DEPTH_MAX, PARTS_MAX, parse_toml
 from softfinger.server.verbs.check import examine_file
 

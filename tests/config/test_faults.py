@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import build, load_faults, shipped
+from softfinger.config.load import build, load_faults
 from softfinger.config.schema import Faults, Injection
+from softfinger.config.sources import shipped
 from softfinger.drivers.injected import END_TICK, FIRST_TICK, PERIOD_TICKS, table
 
 pytestmark = pytest.mark.plain

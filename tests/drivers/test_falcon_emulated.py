@@ -19,8 +19,9 @@ import pytest
 from helpers.closed_loop import assert_engine_agrees
 from test_hid_emulated import CLOSED_LOOP, STROKE, SYSTEM_PYTHON, WHY_NOT
 
-from softfinger.config.load import find, load_scene
+from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
+from softfinger.config.sources import find
 from softfinger.drivers.falcon import firmware
 from softfinger.proxy.record import AT
 

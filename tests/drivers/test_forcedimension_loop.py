@@ -19,8 +19,9 @@ from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.drd_stub import Stub, StubBench, bench, stub, stub_library
 
 from softfinger.config.errors import DeviceLost, DeviceNotFound, DeviceTimeout, HapticError, SafetyStop
-from softfinger.config.load import build, load_rig, load_scene, shipped
+from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Rig
+from softfinger.config.sources import shipped
 from softfinger.drivers.base import FORCE_OFF, OK
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE

@@ -22,8 +22,9 @@ import pytest
 from helpers.closed_loop import assert_engine_agrees
 from helpers.hid_devices import RIGS
 
-from softfinger.config.load import find, load_scene
+from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
+from softfinger.config.sources import find
 from softfinger.proxy.record import AT
 
 EMULATORS = Path(__file__).parents[1] / "emulators"

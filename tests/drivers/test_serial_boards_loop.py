@@ -23,8 +23,9 @@ from helpers.c_stub import compile_stub
 from helpers.described_boards import force_of, settled
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.config.load import find, load_rig, load_scene
+from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig
+from softfinger.config.sources import find
 from softfinger.server.app import Daemon
 
 pytestmark = pytest.mark.real_time

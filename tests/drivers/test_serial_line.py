@@ -9,8 +9,9 @@ import pytest
 from helpers.described_boards import rig_options
 
 from softfinger.config.errors import ConfigError, DeviceNotFound
-from softfinger.config.load import find, load_rig, shipped
+from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
+from softfinger.config.sources import find, shipped
 from softfinger.drivers import registry
 from softfinger.drivers.serial import line
 from softfinger.server.cli import main

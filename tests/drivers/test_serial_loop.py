@@ -19,8 +19,9 @@ from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.serial_devices import PLACE, RIG
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError
-from softfinger.config.load import find, load_rig, load_scene
+from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig
+from softfinger.config.sources import find
 from softfinger.proxy.record import AT, MODE_NAMES
 from softfinger.server.app import Daemon
 

@@ -12,8 +12,9 @@ import pytest
 
 from softfinger.config.devices import presets
 from softfinger.config.errors import ConfigError, RecordingError
-from softfinger.config.load import build, load_rig, shipped
+from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Rig
+from softfinger.config.sources import shipped
 from softfinger.drivers.base import END, OK, WITHHELD
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample

@@ -33,8 +33,8 @@ from helpers.far_ends import Given, Timed, compiled, needs, rows, sketch_library
 from helpers.hd_stub import SOURCE as HD
 from helpers.hd_stub import HdStub
 from helpers.hid_devices import woody
-from softfinger.config.load import find
 from softfinger.config.schema import Rig
+from softfinger.config.sources import find
 
 Array = NDArray[np.float64]
 

@@ -19,6 +19,7 @@ import trimesh
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
+from softfinger.proxy.meshes.formats import glb
 from softfinger.proxy.meshes.prepared import about
 from softfinger.proxy.meshes.reading import Arrays, arrays_of
 from softfinger.proxy.meshes.report import Report
@@ -189,7 +190,7 @@ def test_stl_files_are_read_in_full(tmp_path: Path, name: str) -> None:
 def test_what_an_stl_lacks_is_said(tmp_path: Path) -> None:
     path = tmp_path / "a.stl"
     assert "it was cut off" in refusal(path, stl()[:-70])
-    assert "says that it has 10 triangles, and 85 bytes follow" in refusal(path, stl(count=10))
+    assert "states 10 triangles, but 85 bytes follow" in refusal(path, stl(count=10))
     assert "decimal commas" in refusal(path, TEXT.replace(".", ",").encode())
     assert "promises 12 faces, and has 11" in refusal(path, TEXT.replace("outer loop\n", "", 1).encode())
     assert "no endsolid" in refusal(path, TEXT.replace("endsolid", "end").encode())
@@ -254,7 +255,7 @@ def test_what_a_ply_lacks_is_said(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     assert "promises 12 entries of face, and has 11" in refusal(path, PLYS["little endian"][:-1])
     assert "has other rows than its head names" in refusal(path, ply(LITTLE, [INDICES], ROWS, 11))
-    assert "has other rows than its head names" in refusal(path, ply("ascii", [INDICES], LINES.encode(), 11))
+    assert "has other rows than its head names: 4 numbers" in refusal(path, ply("ascii", [INDICES], LINES.encode(), 11))
     # The first quad as a triangle: the lists no longer fit.
     wrong = ply(LITTLE, [INDICES], b"".join(struct.pack("<B4i", 3, *quad) for quad in QUADS), 6)
     assert "has other rows than its head names" in refusal(path, wrong)
@@ -330,6 +331,20 @@ def test_glb_strips_and_fans_are_read(tmp_path: Path) -> None:
     assert report(tmp_path / "a.glb").turned_triangles == 0
 
 
+@pytest.mark.parametrize(("mode", "corners", "count"), [(4, 12, 4), (5, 12, 10), (6, 12, 10), (5, 2, 0), (6, 1, 0)])
+def test_glb_promises_as_many_triangles_as_its_accessors_count(mode: int, corners: int, count: int) -> None:
+    """For each node that has the mesh; the number does not come from what was read."""
+    made = Glb()
+    at = made.add(np.random.default_rng(0).random((12, 3)).astype(np.float32))
+    part = {"attributes": {"POSITION": at}, "indices": made.add(np.arange(corners).astype(np.uint8)), "mode": mode}
+    twice = {"nodes": [{"mesh": 0}, {"mesh": 0}], "scenes": [{"nodes": [0, 1]}]}
+    faces = glb.read(made.data([part, part], **twice))
+    assert faces.promised == len(faces.counts) == 4 * count
+    made.accessors[1]["count"] += 1
+    with pytest.raises(ValueError, match="is damaged"):
+        glb.read(made.data([part], **twice))
+
+
 def test_glb_positions_of_every_kind_are_the_same_box(tmp_path: Path) -> None:
     """Floats, with gaps between them; integers that the node scales, as gltfpack writes them, normalized or not."""
     unit = CORNERS / 0.02
@@ -384,7 +399,7 @@ def test_what_a_glb_has_besides_is_refused_by_name(tmp_path: Path) -> None:
         path, made.data(parts, extensionsRequired=["KHR_materials_unlit", "VND_bend"])
     )
     loop = [{"mesh": 0, "children": [1]}, {"children": [0]}]
-    assert "below itself" in refusal(path, made.data(parts, nodes=loop))
+    assert "is its own ancestor" in refusal(path, made.data(parts, nodes=loop))
     check_box(path, made.data(parts, extensionsRequired=["KHR_mesh_quantization", "KHR_materials_unlit"]))
     address = "data:application/octet-stream;base64," + base64.b64encode(made.blob).decode()
     check_box(path, made.data(parts, buffers=[{"byteLength": len(made.blob), "uri": address}]))
@@ -408,6 +423,16 @@ def test_a_size_in_another_unit_is_asked_about(tmp_path: Path) -> None:
         "(centimetres, 0.4 m)"
     )
     assert "give scale = 0.001 (a thousand times larger, 0.04 m)" in noted(1e-6)
+    asset = '<asset><mesh name="a" file="b.stl" scale="1000 1000 1000"/></asset>'
+    (tmp_path / "a.xml").write_text(f'<mujoco>{asset}<worldbody><geom type="mesh" mesh="a"/></worldbody></mujoco>')
+    (tmp_path / "b.stl").write_bytes(stl())
+    of_model = schema.Mesh(
+        name="m", file=str(tmp_path / "a.xml"), mesh="a", material=schema.Material(stiffness_n_per_m=1.0)
+    )
+    assert (
+        "it is 40 m in size: if that is not meant, multiply the scale of its <mesh> by 0.001 (millimetres"
+        in (about(of_model).report.noted[0])
+    )
 
 
 def test_a_box_is_a_box() -> None:

@@ -29,7 +29,8 @@ from references.waves import REST, Wave, tail
 from softfinger.config import schema
 from softfinger.config.arrays.grids import read_grid
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import FOLDERS, build, describe, load_scene
+from softfinger.config.load import build, describe, load_scene
+from softfinger.config.sources import FOLDERS
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.contact.texture import sample
 from softfinger.proxy.kernels.jit.pack import flatten

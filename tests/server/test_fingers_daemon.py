@@ -26,8 +26,8 @@ from helpers.two_fingers import NAMES, SCENE, two_devices, two_fingers
 from rich.console import Console
 
 from softfinger.config.errors import ConfigError, DeviceNotFound, SafetyStop
-from softfinger.config.load import find
 from softfinger.config.schema import Rig
+from softfinger.config.sources import find
 from softfinger.drivers import registry
 from softfinger.drivers.poses import load_poses
 from softfinger.proxy.record import AT, CAUSE_NAMES, RECORD_SIZE

@@ -22,8 +22,8 @@ from helpers.programs import Program
 from helpers.serial_devices import PLACE, RIG
 
 from softfinger.config.errors import RecordingError
-from softfinger.config.load import find
 from softfinger.config.schema import Rig
+from softfinger.config.sources import find
 from softfinger.proxy.record import AT
 from softfinger.server.recording.reader import Ticks, read_contents
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import build, load_rig, load_scene, overridden, shipped
+from softfinger.config.load import build, load_rig, load_scene, overridden
+from softfinger.config.sources import shipped
 from softfinger.drivers.base import DeviceInfo
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample

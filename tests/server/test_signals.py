@@ -20,8 +20,8 @@ from helpers.programs import Program
 from helpers.serial_devices import PLACE, RIG
 
 from softfinger.config.errors import DeviceError
-from softfinger.config.load import find
 from softfinger.config.schema import Rig
+from softfinger.config.sources import find
 from softfinger.server import signals
 
 pytestmark = pytest.mark.real_time

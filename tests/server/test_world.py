@@ -6,6 +6,7 @@ Compiles a servo for a key on a spring.
 
 from __future__ import annotations
 
+import itertools
 import math
 import subprocess
 import sys
@@ -21,7 +22,7 @@ import pytest
 from helpers.allocations import HAS_COMPILER, counted
 
 from softfinger.config import schema
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_rig, load_scene, overridden
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.record import AT
@@ -134,7 +135,7 @@ COUNT = """
 import ctypes, sys
 sys.path.insert(0, sys.argv[1])
 from helpers.faulty_device import FaultyDevice, Options
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_rig, load_scene, overridden
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 shim = ctypes.CDLL(None)
@@ -188,20 +189,32 @@ def test_two_simulated_hands_lift_the_box_and_a_replay_agrees(tmp_path: Path) ->
     subprocess.run([*command, "replay", str(tmp_path / "a.mcap")], check=True)
 
 
+HOME = """
+  <actuator><motor joint="slide"/></actuator>
+  <keyframe><key name="home" qpos="-0.015" ctrl="-4.5"/></keyframe>
+</mujoco>
+"""
+"""The motor balances the spring: 300 N/m by 15 mm."""
+
+
 def test_bodies_are_put_back_by_command(scene: schema.Scene, tmp_path: Path) -> None:
-    """The key that was pushed away is back; a scene without a world refuses."""
-    with Daemon(rig(**{"commands.endpoint": f"ipc://{tmp_path}/c"}), scene) as running:
+    """At the keyframe, from the beginning and after a reset: with its control the key stays there, without it rises."""
+    text = KEY.replace("<joint", '<joint name="slide"').replace("</mujoco>", HOME)
+    (tmp_path / "key.xml").write_text(text)
+    at_home = overridden(scene, {"world.keyframe": "home"}, "test")
+    with Daemon(rig(**{"commands.endpoint": f"ipc://{tmp_path}/c"}), at_home) as running:
         running.start()
+        samples = heights(running.publisher.endpoint)
+        begun = [height for _, height in itertools.islice(samples, 5)]
         bodies = running.servo.tuning.scene.bodies
         assert bodies is not None
-        owner = bodies.block.owner
-        owner.model.jnt_stiffness[:] = owner.model.dof_damping[:] = 0.0
-        owner.data.qvel[0] = -0.3
-        before = next(height for _, height in heights(running.publisher.endpoint) if height < -0.05)
+        bodies.block.owner.data.ctrl[0] = 0.0
+        assert next(height for _, height in samples if height > -0.015)
         with Control(f"ipc://{tmp_path}/c") as control:
             tick = control.reset_world().tick
-        after = next(height for at, height in heights(running.publisher.endpoint) if at >= tick)
-        assert before < -0.05 and after > -0.02
+        after = [height for at, height in itertools.islice(samples, 60) if at >= tick]
+        assert len(after) > 10
+        assert begun + after == pytest.approx([-0.025] * len(begun + after), abs=1e-9)
 
 
 def next_fault(events: Subscription) -> str:

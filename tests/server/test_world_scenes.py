@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from helpers.simulated_hands import DT, SimulatedHands
 
-from softfinger.config.load import FOLDERS, describe, load_scene, shipped
+from softfinger.config.load import describe, load_scene
 from softfinger.config.schema import Rig, Scene
+from softfinger.config.sources import FOLDERS, shipped
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.server import cli
 

@@ -16,8 +16,9 @@ import pytest
 from helpers.forgotten import forget_user
 from helpers.recorded import about, run
 
-from softfinger.config.load import find, load_rig
+from softfinger.config.load import load_rig
 from softfinger.config.schema import Scene
+from softfinger.config.sources import find
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
 from softfinger.proxy.record import AT
 from softfinger.server.cli import main

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from test_hid_emulated import STROKE
 
-from softfinger.config.load import find
 from softfinger.config.schema import Rig
+from softfinger.config.sources import find
 from vm import contract_hid
 from vm.cases import PRESS, TICKS, Cases
 from vm.guest import Gadget, contract, exchanges, gadget, keep, measured

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from softfinger.config.load import find
 from softfinger.config.schema import Rig
+from softfinger.config.sources import find
 from vm.cases import Cases
 from vm.guest import Gadget, exchanges, gadget, measured
 from vm.guest import loaded as loaded

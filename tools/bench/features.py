@@ -13,7 +13,8 @@ from typing import Any, Final, NamedTuple, get_args
 import numpy as np
 
 from softfinger.config import schema
-from softfinger.config.load import FOLDERS, build
+from softfinger.config.load import build
+from softfinger.config.sources import FOLDERS
 from softfinger.server.offline.cost import BLOCK, Array, touching_poses
 
 Table = dict[str, Any]

@@ -10,8 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import load_scene, shipped
+from softfinger.config.load import load_scene
 from softfinger.config.schema import Scene
+from softfinger.config.sources import shipped
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch
 from softfinger.server.offline.cost import BLOCK, Cost, bare_contact, measure, touching_poses, without_parts

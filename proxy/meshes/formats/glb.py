@@ -24,6 +24,10 @@ _HARMLESS: Final = (
     *("MSFT_texture_", "EXT_lights_", "KHR_animation_pointer"),
 )
 """Extensions, by the beginning of their names, that leave positions and triangles as they are."""
+TRIANGLES: Final = 4
+STRIP: Final = 5
+FAN: Final = 6
+"""Modes of a part of a mesh; smaller ones are points and lines."""
 _JSON: Final = 0x4E4F534A
 COUNT_MAX: Final = 3 * int(limits.MESH_TRIANGLES.high)
 """Entries of an accessor."""
@@ -40,16 +44,19 @@ def read(data: bytes) -> Faces:
     parts, promised = list[tuple[Points, Indices]](), 0
     for mesh, place in _placed(head):
         for primitive in head["meshes"][mesh]["primitives"]:
-            if primitive.get("mode", 4) < 4:  # points and lines have no surface
+            if primitive.get("mode", TRIANGLES) < TRIANGLES:  # points and lines have no surface
                 continue
-            points, triangles = file.triangles(primitive)
-            promised += len(triangles)
+            promised += file.promised(primitive)
             if promised > limits.MESH_TRIANGLES.high:
                 raise ValueError(f"has more than {limits.MESH_TRIANGLES.high:,} triangles, the most: decimate it")
-            mirrored = np.linalg.det(place[:3, :3]) < 0.0
-            parts.append((points @ place[:3, :3].T + place[:3, 3], triangles[:, ::-1] if mirrored else triangles))
-    if not parts:
-        return triangles_only(np.empty((0, 3)), np.empty((0, 3), np.int64), 0)
+            points, triangles = file.triangles(primitive)
+            if (place != np.eye(4)).any():  # a copy costs as much as the reading
+                points = points @ place[:3, :3].T + place[:3, 3]
+                triangles = triangles[:, ::-1] if np.linalg.det(place[:3, :3]) < 0.0 else triangles
+            parts.append((points, triangles))
+    if len(parts) < 2:
+        points, triangles = parts[0] if parts else (np.empty((0, 3)), np.empty((0, 3), np.int64))
+        return triangles_only(points, triangles, promised)
     starts = np.cumsum([0, *(len(points) for points, _ in parts)])
     triangles = np.concatenate([part + start for (_, part), start in zip(parts, starts[:-1], strict=True)])
     return triangles_only(np.concatenate([points for points, _ in parts]), triangles, promised)
@@ -127,23 +134,28 @@ class _File:
     def __init__(self, head: dict[str, Any], buffer: bytes) -> None:
         self._head, self._buffer = head, buffer
 
+    def promised(self, primitive: dict[str, Any]) -> int:
+        """Return the number of triangles of a part of a mesh, by its mode and the count of its accessor alone."""
+        accessor = self._head["accessors"][primitive.get("indices", primitive["attributes"]["POSITION"])]
+        corners, mode = int(accessor["count"]), primitive.get("mode", TRIANGLES)
+        if mode not in (TRIANGLES, STRIP, FAN) or (mode == TRIANGLES and corners % 3):
+            raise ValueError(f"is damaged: {corners:,} corners in the mode {mode!r}")
+        return corners // 3 if mode == TRIANGLES else max(corners - 2, 0)
+
     def triangles(self, primitive: dict[str, Any]) -> tuple[Points, Indices]:
         """Return vertices and triangles of a part of a mesh."""
         points = self._accessor(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
-        corners = np.arange(len(points))
-        if "indices" in primitive:
-            corners = self._accessor(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
+        numbers = primitive.get("indices")
+        corners = np.arange(len(points)) if numbers is None else self._accessor(numbers, "SCALAR")[:, 0]
         if len(corners) and not (corners.min() >= 0 and corners.max() < len(points)):
             raise ValueError(f"is damaged: a triangle has a corner beyond the vertices 0 to {len(points) - 1}")
-        match primitive.get("mode", 4):
-            case 4 if len(corners) % 3 == 0:
-                return points, corners.reshape(-1, 3)
-            case 5:
-                return points, strip(corners)
-            case 6:
-                first = np.full(max(len(corners) - 2, 0), corners[0] if len(corners) else 0)
-                return points, np.stack([first, corners[1:-1], corners[2:]], axis=1)
-        raise ValueError(f"is damaged: {len(corners)} corners in the mode {primitive.get('mode', 4)!r}")
+        corners = corners.astype(np.int64)
+        mode = primitive.get("mode", TRIANGLES)
+        if mode == TRIANGLES:
+            return points, corners.reshape(-1, 3)
+        if mode == STRIP or len(corners) < 3:
+            return points, strip(corners)
+        return points, np.stack([np.full(len(corners) - 2, corners[0]), corners[1:-1], corners[2:]], axis=1)
 
     def _accessor(self, number: int, kind: str) -> NDArray[Any]:
         """Return the entries (count, width) of an accessor; integers that are normalized as fractions."""

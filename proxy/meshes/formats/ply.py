@@ -58,7 +58,8 @@ Table = dict[str, Column]
 def read(data: bytes) -> Faces:
     """Return the faces of a PLY file, or the triangles of its strips."""
     order, elements, body = _head(data)
-    if order == "":  # from here on a text is a binary file of float64
+    is_text = order == ""
+    if is_text:  # from here on a text is a binary file of float64
         body, order = numbers(body, np.float64).astype("<f8").tobytes(), "<"
         elements = [each._replace(properties=[_as_float64(one) for one in each.properties]) for each in elements]
     at, tables, rows = 0, dict[str, Table](), dict[str, int]()
@@ -66,7 +67,8 @@ def read(data: bytes) -> Faces:
         rows[element.name] = element.rows
         tables[element.name], at = _rows(element, body, at, order)
     if behind := body[at:].strip(b" \t\r\n"):
-        raise ValueError(f"has other rows than its head names: {len(behind):,} bytes are left over")
+        rest = f"{(len(body) - at) // 8:,} numbers" if is_text else f"{len(behind):,} bytes"
+        raise ValueError(f"has other rows than its head names: {rest} are left over")
     if not rows.get("vertex"):
         return Faces(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64), 0)
     points = np.stack([_scalar(tables, axis) for axis in "xyz"], axis=1)

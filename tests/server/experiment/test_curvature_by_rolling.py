@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import EXPERIMENTS
+from softfinger.config.sources import EXPERIMENTS
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.numerics.rotations import exp
 from softfinger.server.experiment.experiment import Experiment

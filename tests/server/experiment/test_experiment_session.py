@@ -21,8 +21,8 @@ from PIL import Image
 from test_experiment_design import small
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import EXPERIMENTS, FOLDERS
 from softfinger.config.schema import Scene
+from softfinger.config.sources import EXPERIMENTS, FOLDERS
 from softfinger.server import cli
 from softfinger.server.experiment.analysis import fit_groups
 from softfinger.server.experiment.experiment import Experiment, RunOptions, results

@@ -53,6 +53,14 @@ def test_decimal_commas_are_read(between: str, tmp_path: Path) -> None:
         read_table(file, Layout(("t", "x", "y", "z")))
 
 
+def test_quoted_cells_may_have_decimal_commas(tmp_path: Path) -> None:
+    """As spreadsheets write them with commas between the cells too."""
+    file = tmp_path / "theirs.csv"
+    file.write_text('"0,0","0,001",0,"0,01","a, b"\n"0,1","0,002",0,"0,02",""\n')
+    poses = read_table(file, Layout(("t", "x", "y", "z", "-")))
+    assert poses.position.tolist() == [[0.001, 0.0, 0.01], [0.002, 0.0, 0.02]]
+
+
 def test_a_column_that_is_sometimes_empty_is_left_out(tmp_path: Path) -> None:
     """Named by -, whatever is in it; unnamed, the first line that has something in it says so."""
     file = tmp_path / "theirs.csv"
@@ -116,7 +124,10 @@ def test_a_layout_that_makes_no_poses_is_refused(parts: tuple, fault: str) -> No
         (b"0 0 0 0\n1 0 0 nan\n", "line 2, column 'z': nan is not a finite number"),
         (b"0 0 0 0\n", "1 pose"),
         (b"", "0 pose"),
-        (b"\xff\xfe0 0 0\n", "line 1: not a text file"),
+        (b"0 0 0 0\n\xff 0 0 0\n", "line 2: not a text file"),
+        ("0;0;0;0,01\n".encode("utf-16"), "is text in UTF-16: save it as UTF-8"),
+        (b"0 0 0 0\r1 0 0 0\r", "line 1: has carriage returns: save it with line feeds"),
+        (b"0,0,0,0\n1,,0,0\n", "line 2, column 'x': the cell is empty: fill it, or delete the line$"),
         (b"0 0 0 0\n1 0 0 1e9\n", "outside"),
     ],
 )

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softfinger.config.load import load_scene, shipped
+from softfinger.config.load import load_scene
 from softfinger.config.schema import Scene
+from softfinger.config.sources import shipped
 from softfinger.server.surface_meshes import Mesh
 from softfinger.server.viewer.nodes.bodies import visual_geoms
 from softfinger.server.viewer.nodes.camera import Camera, initial_camera

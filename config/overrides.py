@@ -1,0 +1,126 @@
+"""Changes of single values of a scene or rig by dotted keys, such as `object.table.position_m`."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.materials import FINGERTIPS, MATERIALS
+from softfinger.config.words import shown
+
+_BY_NAME: Final = {"material": MATERIALS.key, "fingertip": FINGERTIPS.key}
+"""Tables that a text may replace, with the key that the text becomes the value of."""
+_ENTRY: Final = re.compile(r"\[(\d+)\]")
+_NUMBER: Final = re.compile(r"\.(\d+)(?=\.|$)")
+
+
+class Changed(NamedTuple):
+    """Mapping with overrides.
+
+    mapping   a copy of the given one, with the new values
+    origins   source of each key that has a new value
+    homeless  messages for overrides of places that do not exist
+    """
+
+    mapping: dict[str, Any]
+    origins: dict[str, str]
+    homeless: list[str]
+
+
+def changed(given: Mapping[str, Any], overrides: Mapping[str, Any], sources: Mapping[str, str]) -> Changed:
+    """Return a mapping with other values by dotted key; `sources` has the origin of each override for messages.
+
+    Raises ConfigError for a value that is given twice.
+    """
+    mapping, origins, homeless = copy.deepcopy(dict(given)), dict[str, str](), list[str]()
+    ways = {dotted: numbered(mapping, dotted) for dotted in overrides}
+    if len(set(ways.values())) < len(ways):
+        source = sources.get(next(iter(ways)), "override")
+        raise ConfigError(f"{source}: a value is given twice, by a name and by its number")
+    for dotted in sorted(overrides, key=lambda key: key != "device.driver"):
+        source = sources.get(dotted, "override")
+        try:
+            for key in _for_each_device(mapping, ways[dotted]):
+                _override(mapping, key, overrides[dotted], source, origins)
+        except LookupError as error:
+            homeless.append(f"{source}: {dotted}: {error.args[0]}")
+    return Changed(mapping, origins, homeless)
+
+
+def numbered(mapping: Mapping[str, Any], dotted: str) -> str:
+    """Return a key of `load_scene` with the index of an entry in place of its name: `object.0` for `object.table`."""
+    head, _, rest = dotted.partition(".")
+    entries = mapping.get(head)
+    if isinstance(entries, list | tuple) and not rest.partition(".")[0].isdecimal():
+        names = [(str(each.get("name", "")), place) for place, each in enumerate(entries) if isinstance(each, Mapping)]
+        for name, place in sorted(names, key=lambda each: -len(each[0])):  # names may contain dots
+            if name and (rest == name or rest.startswith(f"{name}.")):
+                return f"{head}.{place}{rest[len(name) :]}"
+    return dotted
+
+
+def value_at(mapping: Any, dotted: str) -> Any:
+    """Return the value of a mapping at a key of `load_scene`, with entries by index; None if it has no value."""
+    for name in _ENTRY.sub(r".\1", dotted).split("."):
+        if isinstance(mapping, list):
+            mapping = mapping[int(name)]
+        elif isinstance(mapping, dict):
+            mapping = mapping.get(name)
+    return mapping
+
+
+def _for_each_device(mapping: dict[str, Any], dotted: str) -> list[str]:
+    """Return the keys to override; in a file with [devices.NAME], a key of `device` applies to each of them."""
+    first, _, rest = dotted.partition(".")
+    if first == "device" and "device" not in mapping and isinstance(mapping.get("devices"), dict):
+        return [f"devices.{name}.{rest}" for name in mapping["devices"]]
+    return [dotted]
+
+
+def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, origins: dict[str, str]) -> None:
+    """Set a value and create the tables above it; `origins` records the source of keys that are not from the file.
+
+    An entry of a list is `object.0` or, as in messages, `object[0]`. Raises LookupError if the place does not exist.
+    """
+    way = _ENTRY.sub(r".\1", dotted).split(".")
+    at: Any = mapping
+    for depth, name in enumerate(way, 1):
+        key = _NUMBER.sub(r"[\1]", ".".join(way[:depth]))
+        place: Any = name
+        if isinstance(at, list):
+            if not (re.fullmatch("[0-9]{1,9}", name) and int(name) < len(at)):
+                there = f"entries go from 0 to {len(at) - 1}{_names(at)}" if at else "the list is empty"
+                raise LookupError(f"there is no {key}: {there}; to add one give all of {way[depth - 2]}")
+            place = int(name)
+        elif not isinstance(at, dict):
+            raise LookupError(f"{key} would be in {shown(at)}, which is no table: give the complete table")
+        elif depth < len(way) and name not in at:
+            at[name], origins[key] = {}, source
+        if depth == len(way):
+            if way[-1] == "driver" and way[0] in ("device", "devices") and at.get("driver") != value:
+                at.clear()
+            _forget_entry(at, way, value)
+            at[place], origins[key] = value, source
+        else:
+            if name in _BY_NAME and isinstance(at[place], str):
+                at[place] = {_BY_NAME[name]: at[place]}
+            at = at[place]
+
+
+def _forget_entry(at: Any, way: list[str], value: Any) -> None:
+    """Remove the values of the previous library entry if another entry is named."""
+    if not isinstance(at, dict) or at.get(way[-1]) == value or at.get("resolved") is not True:
+        return
+    if way[-2:] == ["material", MATERIALS.key]:
+        at.clear()
+    elif way[-1] == FINGERTIPS.key:
+        for key in ("resolved", "radius_m", "radii_m", "orientation_wxyz", "patch"):
+            at.pop(key, None)
+
+
+def _names(entries: list[Any]) -> str:
+    names = [str(each["name"]) for each in entries if isinstance(each, dict) and "name" in each]
+    return f", or by name {', '.join(names)}" if names else ""

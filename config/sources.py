@@ -1,0 +1,111 @@
+"""Files of scenes, rigs, faults and experiments: shipped ones by name, their paths, and their tables."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.files import read_input
+from softfinger.config.schema import Faults, Rig, Scene
+from softfinger.config.toml import parse_toml
+from softfinger.config.words import near, shown
+
+_HERE: Final = Path(__file__).resolve().parent
+FOLDERS: Final[Mapping[type[msgspec.Struct], Path]] = {
+    Scene: _HERE / "scenes",
+    Rig: _HERE / "rigs",
+    Faults: _HERE / "faults",
+}
+EXPERIMENTS: Final = _HERE / "experiments"
+_KINDS: Final[Mapping[type[msgspec.Struct], str]] = {Scene: "scene", Rig: "rig", Faults: "file of faults"}
+_SIZE_MAX: Final = 1 << 20
+
+
+def shipped(struct_type: type[msgspec.Struct]) -> list[str]:
+    """Return the names of the shipped files of a kind."""
+    return names_in(FOLDERS[struct_type])
+
+
+def names_in(folder: Path) -> list[str]:
+    """Return the names of the files in a folder of shipped files."""
+    return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+def find(path_or_name: str | Path, struct_type: type[msgspec.Struct]) -> Path:
+    """Return the path of a scene, rig or file of faults: see `find_in`."""
+    return find_in(FOLDERS[struct_type], _KINDS[struct_type], path_or_name)
+
+
+def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
+    """Return the path of a file; shipped files of its kind are in `folder`.
+
+    A text without a folder and without .toml names a shipped file or, if there is none, an existing file. Raises
+    ConfigError if it is neither. Any other path need not exist.
+    """
+    path = Path(path_or_name)
+    if isinstance(path_or_name, Path) or path.name != path_or_name or path.suffix == ".toml":
+        return path
+    names = names_in(folder)
+    if path_or_name in names:
+        return folder / f"{path_or_name}.toml"
+    try:
+        if path.exists():
+            return path
+    except (OSError, ValueError):
+        pass
+    own = f"my-{kind.split()[-1]}.toml"
+    raise ConfigError(
+        f"no {kind} is called {shown(path_or_name)}{near(path_or_name, names)}; "
+        f"shipped are {', '.join(names)}; give the path of another file with its suffix, such as {own}"
+    )
+
+
+def read_toml(path: str | Path, where: str | None = None) -> dict[str, Any]:
+    """Read the tables of a TOML file; raises ConfigError with the file, and line and column of a syntax error."""
+    name = printable(path) if where is None else where
+    return parse_toml(_text(Path(path), name), name)
+
+
+def _text(path: Path, name: str) -> str:
+    try:
+        data = read_input(path, _SIZE_MAX)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{name}: no such file{_sibling(path)}") from error
+    except IsADirectoryError as error:
+        raise ConfigError(f"{name}: is a folder: name a .toml file in it") from error
+    except (OSError, ValueError) as error:
+        if isinstance(error, OSError) and error.errno == errno.EFBIG:
+            raise ConfigError(f"{name}: larger than {_SIZE_MAX} bytes: this is no scene or rig") from error
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise ConfigError(f"{name}: cannot be read: {reason}") from error
+    try:
+        return data.decode("utf-8-sig")  # editors on Windows put a byte order mark in front
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ConfigError(
+            f"{name}: not UTF-8: byte 0x{data[error.start]:02x} at line {line}: save the file as UTF-8"
+        ) from error
+
+
+def printable(path: str | Path) -> str:
+    """Return a path for messages: complete, and on one line even with control characters."""
+    return repr(str(path))[1:-1]
+
+
+def _sibling(path: Path) -> str:
+    """Return a hint for a missing file: a similar name in its folder, or a shipped name."""
+    try:
+        beside = [found.name for found in path.parent.glob("*.toml")]
+    except (OSError, ValueError):
+        beside = []
+    hint = near(path.name, beside)
+    names = [name for kind in FOLDERS for name in shipped(kind)]
+    if not hint and path.suffix == ".toml":
+        hint = near(path.stem, names)
+        hint += " (shipped; named without folder and ending)" if hint else ""
+    return hint
