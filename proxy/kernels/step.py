@@ -2,18 +2,20 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.detection import (
-    STUCK_TICKS,
-    detect_or_continue,
-    is_clear,
-)
+from softfinger.proxy.kernels.contact.contact_friction import ProbeMotion, ground_at, load_on
+from softfinger.proxy.kernels.contact.detection import STUCK_TICKS, detect_or_continue, is_clear
 from softfinger.proxy.kernels.contact.effects import effects_of_tick
 from softfinger.proxy.kernels.contact.fingertip import seen_by
-from softfinger.proxy.kernels.contact.one_object import friction_alone, outcome_alone, rest_alone
+from softfinger.proxy.kernels.contact.one_contact import land_on_one, outcome_of_one, rub_first
 from softfinger.proxy.kernels.contact.outcome import remember, remember_free, report, report_free
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
-from softfinger.proxy.kernels.contact.rest.among import settle_among_several
-from softfinger.proxy.kernels.contact.several_objects import find_candidates, outcome_among_several
+from softfinger.proxy.kernels.contact.several_contacts import (
+    approach_among_several,
+    land_in_company,
+    outcome_of_several,
+    rub_each,
+    settle_after_friction,
+)
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type_of
 from softfinger.proxy.kernels.jit.outlined import outlined_where
@@ -181,14 +183,15 @@ def update_contact(
 def contact_with_one_object(
     contacts: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
-    shapes = all_bare(objects)
-    state, candidate = detect_or_continue(scene, finger, shapes, state, probe, dt)
-    if candidate.active[0].body < 0.0:
+    shapes, motion = all_bare(objects), ProbeMotion(probe, state.probe, dt)
+    state, approach = detect_or_continue(scene, finger, shapes, state, probe, dt)
+    if approach.active[0].body < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
-    friction = friction_alone(finger, objects, shapes, state, probe, candidate, dt)
-    rest = rest_alone(finger, objects, shapes, state, probe, candidate, friction.result, dt)
-    effects = effects_of_tick(scene, finger, objects, state, rest.active, probe, dt)
-    outcome = outcome_alone(finger, shapes, state, probe, candidate, friction, rest, effects)
+    ground, forces = rub_first(finger, objects, approach, motion)
+    landing = land_on_one(finger, shapes, approach, forces, probe.position)
+    load = load_on(finger, objects, ground, landing.active[0], motion, approach.began)
+    effects = effects_of_tick(scene, finger, objects, state, landing.active, probe, dt)
+    outcome = outcome_of_one(finger, ground, probe, approach, forces, landing, load, effects)
     return remember(probe, outcome), report(finger, probe, outcome)
 
 
@@ -196,16 +199,23 @@ def contact_with_one_object(
 def contact_with_several_objects(
     contacts: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
-    radius, position, shapes = finger.radius, probe.position, all_bare(objects)
-    if state.stuck >= STUCK_TICKS and is_clear(shapes, radius, position):
+    shapes, motion = all_bare(objects), ProbeMotion(probe, state.probe, dt)
+    if state.stuck >= STUCK_TICKS and is_clear(shapes, finger.radius, probe.position):
         return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
-    candidates = find_candidates(finger, shapes, state, position)
-    if candidates.active[0].body < 0.0:
-        return out_of_contact(scene, finger, objects, candidates.state, probe, dt, candidates.budget)
-    rest = settle_among_several(
-        shapes, radius, position, candidates.start, candidates.center, candidates.active, candidates.budget
-    )
-    outcome = outcome_among_several(scene, finger, objects, shapes, probe, candidates, rest, dt)
+    state, approach = approach_among_several(scene, finger, objects, shapes, state, motion)
+    if approach.active[0].body < 0.0:
+        return out_of_contact(scene, finger, objects, state, probe, dt, approach.budget)
+    forces = rub_each(finger, objects, approach, motion)
+    landing, is_alone = land_in_company(finger, shapes, approach, forces[0], probe.position)
+    if is_alone:
+        ground = ground_at(objects, landing.active[0].body)
+        load = load_on(finger, objects, ground, landing.active[0], motion, approach.began)
+        effects = effects_of_tick(scene, finger, objects, state, landing.active, probe, dt)
+        outcome = outcome_of_one(finger, ground, probe, approach, forces[0], landing, load, effects)
+        return remember(probe, outcome), report(finger, probe, outcome)
+    settled = settle_after_friction(finger, objects, shapes, approach, forces, probe.position)
+    effects = effects_of_tick(scene, finger, objects, state, settled.active, probe, dt)
+    outcome = outcome_of_several(finger, objects, shapes, motion, approach, forces, settled, effects)
     return remember(probe, outcome), report(finger, probe, outcome)
 
 

@@ -18,10 +18,11 @@ Array = NDArray[np.float64]
 
 QUESTION: Final = 2 * (5 + 2 * 48) + 4 * 24 + 9
 """What one may ask beyond its budget: the cell that is being looked at, the tiles on the way out and round a foot."""
-IN_COMPANY: Final = 1536 + 3 * QUESTION
-"""Of a tick: its budget, what the last question asks beyond it, and one foot where it began and one where it ended."""
 ALONE: Final = 600 + 2 * 300 + 1000 + 1152 + 5 * QUESTION
 """A roll, whether there is room at two ends, a first touch, and coming to rest."""
+IN_COMPANY: Final = ALONE + 1536 // 4 + 3 * QUESTION
+"""Of a tick: what a map may ask alone, then a quarter of the budget of several if others are in the way, what the last
+question asks beyond it, and one foot where it began and one where it ended."""
 
 
 def poses_at(points: ArrayLike) -> Array:

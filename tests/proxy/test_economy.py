@@ -42,6 +42,7 @@ STAND_INS = {
     "friction.stick_slip.slide_freely",
     "friction.laws.unturned",
     "friction.torsion.no_torsion",
+    "friction.torsion.share_of_none",
     "contact.rolling.base.no_roll",
     "contact.rolling.base.land_from",
     "contact.rolling.on_objects.follows_on",
@@ -70,7 +71,7 @@ STAND_INS = {
     "contact.texture.with_texture_friction",
     "contact.texture.with_texture_friction_on_one",
     "contact.texture.friction_without_texture",
-    "contact.texture.textured_alone",
+    "contact.texture.texture_depth_on_the_only_one",
     "contact.texture.depth_without_texture",
 }
 """All that a bare plane compiles of the modules below: the kernels for a part that is not there, and the plane's."""

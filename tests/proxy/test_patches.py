@@ -192,14 +192,14 @@ def test_spun_about_the_bisector_there_is_no_force_along(order):
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_turned_about_the_axis_both_walls_rub(order):
-    """r mu_d (f1 + f2) = 7.07 mN m, and each rubs along its wall."""
+    """A shaft in a V-block: friction of each wall presses on the other, and they bear F (1 + mu) / (1 + mu^2) and
+    F (1 - mu) / (1 + mu^2). The torque is r mu_d (f1 + f2) = 5.66 mN m; the force is that of the proxy's spring."""
     running = engine(*groove(order))
     turn = np.zeros((400, 3))
     turn[:, 1] = np.linspace(0.0, 1.0, 401)[1:]
     records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), turn)
-    np.testing.assert_allclose(part(records, "torque")[-1], [0.0, -R * 0.5 * 2.0 * F, 0.0], atol=1e-12)
-    # mu_d f along each wall: to one side down, to the other up, and both aside.
-    np.testing.assert_allclose(np.abs(part(records, "force")[-1]), [0.5 * F * SQRT2, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(part(records, "torque")[-1], [0.0, -R * 0.5 * 2.0 * F / 1.25, 0.0], atol=1e-12)
+    np.testing.assert_allclose(part(records, "force")[-1], [0.0, 0.0, 1.0], atol=1e-12)
 
 
 SEAM = [tile("left", -0.05), tile("right", 0.05)]
@@ -415,18 +415,19 @@ def test_a_fingertip_led_as_it_rolls_over_a_curve_is_not_wound():
 
 
 def test_a_drag_over_a_curve_is_wound_by_the_way_of_the_probe():
-    """Not by the proxy's, which is longer: what a deep drag winds and a shallow one lets go would be work for nothing.
-    So where it is let go on the way that it came, none is left."""
+    """The surface point that sticks keeps its normal, so the tangential force is K_t times the probe's way along it.
+    Let go on the way that it came, none is left."""
     angles = 0.08 * np.sin(np.linspace(0.0, np.pi, 1201))  # within the cone, 5 N
     records = over_the_ball(angles, 0.0 * angles)
-    wound = 1000.0 * (BALL + R - DEEP) * angles
+    wound = 1000.0 * (BALL + R - DEEP) * np.sin(angles)
     assert records["contact.tangential_force"] == pytest.approx(wound, abs=1e-6)
 
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("along", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
 def test_a_wall_that_slides_past_rubs_by_its_own_force(order, along):
-    """The finger stands on a still floor; the wall's kinetic friction is all there is."""
+    """The finger stands on a still floor. Friction of the wall, 0.25 N, is added along the floor; upwards it takes as
+    much from what the floor bears, and the force is that of the spring to the proxy at rest."""
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.0], "frequency_hz": 0.1}
     slides = wall("wall", (1, 0, 0)) | {"motion": motion}
     # The motion is given in the wall's own frame, whose z is the normal, x is -z of the world, y is y.
@@ -435,8 +436,11 @@ def test_a_wall_that_slides_past_rubs_by_its_own_force(order, along):
     running = engine(*[things[i] for i in order])
     at = np.array([R - 0.0005, 0.0, R - 0.001])
     records = running.run(poses(np.tile(at, (500, 1))))
-    expected = np.array([0.5, 0.0, 1.0]) + 0.25 * np.array(along)
+    expected = np.array([0.5, 0.25 * along[1], 1.0])
     np.testing.assert_allclose(part(records, "force")[-1], expected, atol=1e-12)
+    borne = {part(records, f"contacts{i}_object")[-1][0]: part(records, f"contacts{i}_force")[-1] for i in (0, 1)}
+    on_wall = np.array([0.5, 0.0, 0.0]) + 0.25 * np.array(along)
+    np.testing.assert_allclose(borne[float(order.index(1))], on_wall, atol=1e-12)
 
 
 @pytest.mark.parametrize("order", ORDERS)

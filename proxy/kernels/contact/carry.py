@@ -57,16 +57,21 @@ def carry_of_moving(body: Any) -> Carry:
 
 
 @jit
+def moving(body: Any) -> Carry:
+    """Motion in this tick of one of several objects, which all have the same type of it."""
+    return Carry(can_move(body.motion), pose_values(body.was), pose_values(body.pose))
+
+
+@jit
 def carry(objects: Any, index: float) -> Carry:
     """Motion in this tick of the object with that place."""
-    moves, was, now = 0.0, STILL, STILL
+    found = Carry(0.0, STILL, STILL)
     at = 0.0
     for entry in literal_unroll(objects):
         if contains(entry, at, index):
-            body = element(entry, index - at)
-            moves, was, now = can_move(body.motion), pose_values(body.was), pose_values(body.pose)
+            found = moving(element(entry, index - at))
         at += count(entry)
-    return Carry(moves, was, now)
+    return found
 
 
 @jit

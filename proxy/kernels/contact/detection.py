@@ -1,6 +1,8 @@
-"""What a contact brings into a tick: a first touch, or the old contact on the only object, carried along and rolled."""
+"""A contact before friction: a first touch, or the only contact of the last tick, carried along and rolled."""
 
 from typing import Any, NamedTuple
+
+from numba import literal_unroll
 
 from softfinger.proxy.kernels.contact.carry import (
     any_moves,
@@ -8,20 +10,21 @@ from softfinger.proxy.kernels.contact.carry import (
     carried_point,
     carry_of,
     relative_rotation,
-    relative_velocity,
 )
+from softfinger.proxy.kernels.contact.contact_friction import Prediction
 from softfinger.proxy.kernels.contact.first_pose import raised, touched_at_first
-from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, one_constraint, pressed
+from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, one_constraint
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
-from softfinger.proxy.kernels.jit.tuples import replace, same_for
+from softfinger.proxy.kernels.jit.tuples import first_of, replace, same_for
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
     NONE,
     ActiveSet,
+    Constraint,
     Finger,
     FingerState,
     Probe,
@@ -30,78 +33,119 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh
+from softfinger.proxy.kernels.numerics.frames import into
+from softfinger.proxy.kernels.query.elements import contains, count, element
+from softfinger.proxy.kernels.query.kinds import (
+    SINGLE_POINT,
+    WITH_HEIGHTMAP,
+    WITH_MESH,
+    any_creases,
+    any_mesh,
+    by_multipoint,
+    is_mesh_at,
+)
+from softfinger.proxy.kernels.query.motion import carried_along
 from softfinger.proxy.kernels.query.objects import (
     NOBODY,
     closest_to_within,
     deepest,
+    is_inside,
     slides_round_hollow,
 )
 from softfinger.proxy.kernels.query.sweep import first_hit
-from softfinger.proxy.kernels.shapes import is_hollow, transport
+from softfinger.proxy.kernels.shapes import is_hollow, transport, travel
 from softfinger.proxy.kernels.shapes.budget import BUDGET, ROOM, SPENT
 from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
-from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, FREE, ROLLING
+from softfinger.proxy.record import FREE, ROLLING
 
 STUCK_TICKS = 8
 """Ticks in a row without rest in which a proxy beside a mesh stands still before it starts anew where the probe is."""
 
 
+NO_PREDICTION = Prediction(NO_CONTACT, (0.0, 0.0, 0.0), 0.0, False)
+"""A place for a prediction, with no contact in it."""
+
+
 class Meeting(NamedTuple):
-    """A first touch: where the way of the proxy begins, where what is met holds it, and what that is, if anything. And
-    what is left of the tick's budget, below 0 where it is not known whether a first pose touches anything."""
+    """A first touch.
+
+    start    (3,) m  where the way of the proxy begins
+    met      (3,) m  where the object that is met holds it
+    center   (3,) m  the same, or over the probe
+    active           what is met, if anything
+    over             `center` is over the probe
+    budget           what is left for the tick, below 0 if it is not known whether a first pose touches anything
+    """
 
     start: Vec3
+    met: Vec3
     center: Vec3
     active: ActiveSet
+    over: bool
     budget: int
 
 
 class Approach(NamedTuple):
-    """The contact with the only object before friction has its say; the first constraint is of no object where there
-    is none.
+    """What holds the proxy at the beginning of a tick, before friction; the first constraint is of no object if nothing
+    does.
 
-    deflection, before, rolled_part   (3,) m  e now, e at the last tick and p, tangent to the object
-    theta, twist                      rad     roll and spin of the fingertip against the object in this tick
-    against                           m/s     probe velocity against the object
-    began                             it begins in this tick
-    strays                            the roll is in `deflection` only, and `center` has not gone along
-    bounded                           1 if that is so because the budget was used up
+    start        (3,) m  where the way of the proxy in this tick begins, see `first_hit`
+    outside      (3,) m  where the proxy is known to be outside of all objects
+    center       (3,) m  the proxy, with the roll of the only contact
+    active               the constraints at `center`
+    predicted            a Prediction for each contact
+    rolled       rad     roll angle since touch
+    strays               the roll is in the deflection only, and `center` has not gone along
+    single               one contact, whose way over its object is known: friction comes before the others are asked
+    began                the contact begins in this tick
+    bounded              1 if a roll was stopped since the budget was used up
+    budget               left for the search
+    stuck                ticks in a row before this one in which the proxy found no rest
     """
 
-    mode: float
-    cause: float
+    start: Vec3
+    outside: Vec3
     center: Vec3
     active: ActiveSet
-    deflection: Vec3
-    before: Vec3
-    rolled_part: Vec3
-    theta: float
-    twist: float
-    against: Vec3
-    began: bool
+    predicted: Any
+    rolled: float
     strays: bool
+    single: bool
+    began: bool
     bounded: float
+    budget: int
+    stuck: float
 
 
 @by_count
-def rest_of(contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Any:
+def first_rest(contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Any:
     """Where the proxy (3,) m of a contact begins that was met at `met`."""
 
 
-@rest_of.of(1)
-def rest_over_the_probe(
+@first_rest.of(1)
+def first_rest_on_the_only_one(
     contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet
 ) -> Vec3:
-    _, normal, depth = active[0]
-    over = vec3.add(position, vec3.scale(depth, normal))
-    return over if follows_on(objects[0], radius, OffsetPoint(met, normal), over) else met
+    return rest_over_the_probe(objects[0], radius, position, met, active[0])
 
 
-@rest_of.of(2)
-def rest_where_it_met(contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Vec3:
-    """Over the probe there may be another object: `settle_among_several` finds its way there."""
-    return met
+@first_rest.of(2)
+def first_rest_on_one_of_several(
+    contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet
+) -> Vec3:
+    found, at = met, 0.0
+    for entry in literal_unroll(objects):
+        if contains(entry, at, active[0].body):
+            found = rest_over_the_probe(element(entry, active[0].body - at), radius, position, met, active[0])
+        at += count(entry)
+    return found
+
+
+@jit
+def rest_over_the_probe(body: Any, radius: float, position: Vec3, met: Vec3, constraint: Constraint) -> Vec3:
+    """Over the probe, at the depth along the normal of where it was met; there, where the surface bends another way."""
+    over = vec3.add(position, vec3.scale(constraint.depth, constraint.normal))
+    return over if follows_on(body, radius, OffsetPoint(met, constraint.normal), over) else met
 
 
 @jit
@@ -117,6 +161,42 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
             return False
     gap, _, _ = deepest(objects, position, radius, NOBODY, budget)
     return gap >= radius * (1.0 - INSIDE)
+
+
+@by_multipoint
+def exact_touch(objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int) -> Any:
+    """Where (3,) m a way meets the object with that place, as if there were no other; False if others are in the way,
+    or if it is not known. `met` is where the search of all objects has met it."""
+
+
+@exact_touch.of(SINGLE_POINT)
+def touch_of_a_shape(
+    objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
+) -> tuple[Vec3, bool]:
+    return met, True
+
+
+@exact_touch.of(WITH_HEIGHTMAP)
+def touch_beside_a_heightmap(
+    objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
+) -> tuple[Vec3, bool]:
+    return met, not is_mesh_at(objects, index)
+
+
+@exact_touch.of(WITH_MESH)
+def touch_of_a_facet(
+    objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
+) -> tuple[Vec3, bool]:
+    """A mesh is searched along the way in steps of its clearance, which may end a little before the touch."""
+    found, at = end, 0.0
+    for entry in literal_unroll(objects):
+        if contains(entry, at, index):
+            body = element(entry, index - at)
+            begin = carried_along(body.was, body.pose, start)
+            share = travel(body.shape, into(body.pose, begin), into(body.pose, end), radius, False)
+            found = vec3.add_scaled(begin, min(share, 1.0), vec3.sub(end, begin))
+        at += count(entry)
+    return found, is_outside(objects, radius, found, found, budget)
 
 
 @jit
@@ -143,18 +223,23 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
     if state.started == 0.0:
         index, known, left = touched_at_first(objects, radius, position, left)
         if not known:
-            return Meeting(start, position, nothing, SPENT)
+            return Meeting(start, position, position, nothing, False, SPENT)
         met = position
     else:
         start = state.center
         index, met, left = first_hit(objects, start, position, radius, False, NOBODY, left)
-    active, center = nothing, position
+    active, center, exact = nothing, position, False
     if index >= 0.0:
         gap, point, normal, left = closest_to_within(objects, index, met, left)
         center = vec3.add_scaled(point, radius, normal)
-        together = any_mesh(objects) or (len(state.contacts) > 1 and any_creases(objects))
+        together = any_mesh(objects)
+        touch, exact = exact_touch(objects, index, start, position, radius, met, left)
         if state.started != 0.0 and together:
-            center = met  # others are as near, or the way was not searched to the end: on this one it might be inside
+            # Others may be as near, or the way was not searched to the end: on this one it might be inside.
+            center = met
+            if exact:
+                _, point, normal, left = closest_to_within(objects, index, touch, left)
+                center = vec3.add_scaled(point, radius, normal)
         elif (state.started == 0.0 or gap < radius * (1.0 - INSIDE)) and not is_outside(
             objects, radius, center, center, left
         ):  # the gap is a bound, of a map that was not searched to the end; or another triangle is as near
@@ -163,46 +248,52 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
             else:
                 center, known = raised(objects, index, radius, center, normal)
                 if not known:
-                    return Meeting(start, position, nothing, SPENT)
+                    return Meeting(start, position, position, nothing, False, SPENT)
         depth = max(vec3.dot(vec3.sub(center, position), normal), 0.0)
         active = one_constraint(index, normal, depth)
         ended = state.mode != FREE and depth <= INSIDE * radius
         if ended and is_outside(objects, radius, state.center, position, left):
             active, center = nothing, position  # what has just ended, rounded
-        else:
-            center = rest_of(state.contacts, objects, radius, position, center, active)
+    place, over = center, active[0].body >= 0.0 and exact
+    if over:
+        place = first_rest(state.contacts, objects, radius, position, center, active)
+    if len(state.contacts) > 1 and any_creases(objects) and state.started != 0.0 and active[0].body >= 0.0:
+        center = met  # of a map that was not searched to the end the gap is a bound
     if not any_moves(objects):
         start = center
     # What a mesh was asked on the way is not counted twice: see `BUDGET`.
     left = BUDGET - budget + max(left, 0) if any_creases(objects) else BUDGET
-    return Meeting(start, center, active, left)
+    return Meeting(start, center, place, active, over, left)
 
 
 @jit
-def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float) -> Approach:
-    """A first touch of the only object."""
-    zero, against = (0.0, 0.0, 0.0), probe.velocity
+def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Probe) -> Approach:
+    """A first touch."""
     met = detect_among_several(finger, objects, state, probe.position)
     center, active = met.center, met.active
-    if active[0].body >= 0.0 and is_hollow(objects[0].shape):
+    body = active[0].body
+    if body >= 0.0 and met.over and is_inside(objects, body):
         # The wall may be far along the normal of where it was met. Nothing is wound yet: the nearest place is right.
-        center, active, _ = settle_on_one(objects[0], finger.radius, probe.position, center, zero, active[0].normal)
-    if met.active[0].body >= 0.0:
-        against = relative_velocity(carry_of(objects[0]), probe.velocity, state.probe.position, dt)
+        center, active, _ = settle_on_one(
+            objects, body, finger.radius, probe.position, center, (0.0, 0.0, 0.0), active[0].normal
+        )
+    contact = replace(
+        state.contacts[0], "body", body, "normal", active[0].normal, "push", active[0].depth, "share", 1.0,
+        "mode", float(ROLLING),
+    )  # fmt: skip
     return Approach(
-        mode=float(ROLLING),
-        cause=float(CAUSE_TOUCH),
+        start=met.start,
+        outside=met.met,
         center=center,
         active=active,
-        deflection=zero,
-        before=zero,
-        rolled_part=zero,
-        theta=0.0,
-        twist=0.0,
-        against=against,
+        predicted=first_of(state.contacts, Prediction(contact, (0.0, 0.0, 0.0), 0.0, True), NO_PREDICTION),
+        rolled=state.rolled,
+        strays=not met.over,
+        single=met.over,
         began=True,
-        strays=False,
         bounded=0.0,
+        budget=met.budget,
+        stuck=state.stuck,
     )
 
 
@@ -266,12 +357,13 @@ def roll_in_hollow(
 
 
 @jit
-def continue_contact(scene: Scene, finger: Finger, body: Any, state: FingerState, probe: Probe, dt: float) -> Approach:
-    """The contact goes with its object and rolls by what the fingertip turned against it."""
+def continue_contact(
+    scene: Scene, finger: Finger, body: Any, index: float, state: FingerState, probe: Probe, dt: float
+) -> Approach:
+    """The only contact goes with its object and rolls by what the fingertip turned against it."""
     radius, position, last = finger.radius, probe.position, state.contacts[0]
     carried = carry_of(body)
     old_normal, moved = carried_direction(carried, last.normal), carried_point(carried, state.center)
-    against = relative_velocity(carried, probe.velocity, state.probe.position, dt)
     turn = relative_rotation(carried, rotations.relative(probe.orientation, state.probe.orientation))
     rolled = roll_on(scene.rolling, body, radius, moved, old_normal, turn)
     begun = OffsetPoint(moved, old_normal)
@@ -281,22 +373,25 @@ def continue_contact(scene: Scene, finger: Finger, body: Any, state: FingerState
     rolled_part = transport(body.shape, carried_direction(carried, last.rolled_part), old_normal, normal)
     before = transport(body.shape, carried_direction(carried, last.deflection), old_normal, normal)
     behind = vec3.sub(center, position)
-    active = pressed(normal, behind)
-    deflection = vec3.add(vec3.sub(behind, vec3.scale(active[0].depth, normal)), beyond)
+    depth = max(vec3.dot(behind, normal), 0.0)
+    contact = replace(
+        last, "body", index, "normal", normal, "push", depth, "share", 1.0, "mode", state.mode, "deflection", before,
+        "rolled_part", vec3.add(rolled_part, rolled.motion), "bend", carried_direction(carried, last.bend),
+    )  # fmt: skip
+    deflection = vec3.add(vec3.sub(behind, vec3.scale(depth, normal)), beyond)
     return Approach(
-        mode=state.mode,
-        cause=float(CAUSE_NONE),
+        start=state.center,
+        outside=moved,
         center=center,
-        active=active,
-        deflection=deflection,
-        before=before,
-        rolled_part=vec3.add(rolled_part, rolled.motion),
-        theta=rolled.theta,
-        twist=rolled.spin,
-        against=against,
-        began=False,
+        active=one_constraint(index, normal, depth),
+        predicted=first_of(state.contacts, Prediction(contact, deflection, rolled.spin, False), NO_PREDICTION),
+        rolled=state.rolled + rolled.theta,
         strays=strays,
+        single=True,
+        began=False,
         bounded=0.0 if whole else 1.0,
+        budget=BUDGET,
+        stuck=state.stuck,
     )
 
 
@@ -304,14 +399,14 @@ def continue_contact(scene: Scene, finger: Finger, body: Any, state: FingerState
 def detect_or_continue(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Approach]:
-    """The contact with the only object goes on; where it has ended, what is met in the same tick is another one. The
+    """The contact with the only object goes on; if it has ended, what is met in the same tick is another one. The
     state returned is without the contact that has ended."""
     if state.mode != FREE:
-        candidate = continue_contact(scene, finger, objects[0], state, probe, dt)
-        if not has_ended(candidate.active):
-            return state, candidate
+        approach = continue_contact(scene, finger, objects[0], 0.0, state, probe, dt)
+        if not has_ended(approach.active):
+            return state, approach
     state = separated(state)
-    return state, detect_contact(finger, objects, state, probe, dt)
+    return state, detect_contact(finger, objects, state, probe)
 
 
 @jit

@@ -14,7 +14,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.objects import material_of, transport_on
+from softfinger.proxy.kernels.query.objects import material_of
 from softfinger.proxy.record import ROLLING
 
 Contacts = tuple[ContactState, ContactState, ContactState]
@@ -111,8 +111,8 @@ def handed_over(objects: Any, contacts: Contacts, losses: Vec3, constraint: Cons
     zero = (0.0, 0.0, 0.0)
     deflection, rolled_part = zero, zero
     if keeps:
-        deflection = vec3.scale(kept, transport_on(objects, body, own.deflection, own.normal, normal))
-        rolled_part = vec3.scale(kept, transport_on(objects, body, own.rolled_part, own.normal, normal))
+        deflection = vec3.scale(kept, vec3.reject(own.deflection, normal))
+        rolled_part = vec3.scale(kept, vec3.reject(own.rolled_part, normal))
     contact = ContactState(
         body=body,
         normal=normal,

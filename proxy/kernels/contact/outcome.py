@@ -28,8 +28,7 @@ class Outcome(NamedTuple):
     mode, cause         of the first contact, and of its change in this tick
     object              number in the scene file of what bears the first contact, -1 for none
     normal              (3,)      of that object
-    center              (3,) m    proxy without friction's displacement where there are several objects
-    shown               (3,) m    proxy as it is reported
+    center              (3,) m    proxy
     contacts            ContactState of each contact
     reported            ContactOutcome of each contact
     pressing            (3,) N    sum of the normal forces
@@ -49,7 +48,6 @@ class Outcome(NamedTuple):
     object: float
     normal: Vec3
     center: Vec3
-    shown: Vec3
     contacts: Any
     reported: Any
     pressing: Vec3
@@ -91,9 +89,9 @@ def report(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
         object=outcome.object,
         cause=outcome.cause,
         velocity=probe.velocity,
-        center=outcome.shown,
-        penetration=vec3.dot(vec3.sub(outcome.shown, probe.position), normal),
-        point=point_under(finger.form, finger.radius, probe.orientation, outcome.shown, normal),
+        center=outcome.center,
+        penetration=vec3.dot(vec3.sub(outcome.center, probe.position), normal),
+        point=point_under(finger.form, finger.radius, probe.orientation, outcome.center, normal),
         normal=normal,
         finger_point=point_on(finger.form, finger.radius, inward),
         rolled=outcome.rolled,

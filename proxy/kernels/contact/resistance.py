@@ -1,12 +1,12 @@
 """Moment against rolling: a soft finger that rolls gets less work back behind the contact than it puts in before it.
 
-resist(patch, objects, bent, probe, last, area) -> Resistance
+resist(patch, carried, bent, probe, last, area) -> Resistance
 """
 
 from math import sqrt
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.carry import carry, relative_rotation
+from softfinger.proxy.kernels.contact.carry import relative_rotation
 from softfinger.proxy.kernels.friction.contact_patch import LEAST_SHARE, LIMPEST, ContactPatch
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
@@ -24,7 +24,6 @@ class ResistanceInput(NamedTuple):
     touches   a first touch: nothing has rolled
     """
 
-    body: float
     normal: Vec3
     share: float
     bend: Vec3
@@ -39,41 +38,41 @@ class Resistance(NamedTuple):
 
 
 @by_type
-def resist(patch: Any, objects: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch) -> Any:
+def resist(patch: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch) -> Any:
     """The moment after the fingertip's rotation against the object since the `last` probe, in the tangent plane."""
 
 
 @by_type
 def resist_by_loss(
-    rolling: Any, objects: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
+    rolling: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
 ) -> Any:
     """`resist` of a patch that has lost share of elastic work, or None."""
 
 
 @resist.of(None)
 def resist_without_patch(
-    patch: None, objects: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
+    patch: None, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
 ) -> Resistance:
     return Resistance((0.0, 0.0, 0.0), NOTHING)
 
 
 @resist.otherwise
 def resist_on_patch(
-    patch: Any, objects: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
+    patch: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
 ) -> Resistance:
-    return resist_by_loss(patch.rolling, objects, bent, probe, last, area)
+    return resist_by_loss(patch.rolling, carried, bent, probe, last, area)
 
 
 @resist_by_loss.of(None)
 def resist_without_loss(
-    rolling: None, objects: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
+    rolling: None, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
 ) -> Resistance:
     return Resistance((0.0, 0.0, 0.0), NOTHING)
 
 
 @resist_by_loss.of(RollingLoss)
 def resist_with_loss(
-    rolling: RollingLoss, objects: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
+    rolling: RollingLoss, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
 ) -> Resistance:
     """A spring against the roll whose anchor slips at 3/16 alpha a f_N, alpha the share of the work that is lost.
 
@@ -83,7 +82,7 @@ def resist_with_loss(
     roll = (0.0, 0.0, 0.0)
     if not bent.touches:
         turn = rotations.relative(probe.orientation, last.orientation)
-        theta, axis = rotations.tilt(relative_rotation(carry(objects, bent.body), turn), bent.normal)
+        theta, axis = rotations.tilt(relative_rotation(carried, turn), bent.normal)
         roll = vec3.scale(theta, axis)
     return wind_resistance(rolling.share, area, bent.share, vec3.reject(bent.bend, bent.normal), roll)
 

@@ -7,8 +7,8 @@ nothing else, so no way back to where one was gains or loses; damping acts along
 
 Friction. The coefficients of the law at the contact point, and the torsional limit, times the texture's factor there.
 
-    textured(objects, active, position)             -> ActiveSet  surface depths, and m in place of normals
-    with_texture_friction(objects, active, center)  -> objects    whose materials have the friction of the contact point
+    texture_depth_on(objects, index, depth, normal, position)  -> d, m
+    with_texture_friction(objects, active, center)  -> objects  whose materials have the friction of the contact point
 """
 
 from math import floor
@@ -21,7 +21,7 @@ from softfinger.proxy.kernels.friction.torsion import with_scaled_friction
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import ActiveSet, Constraint, Grip, Relief, Texture, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Grip, Relief, Texture, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
 from softfinger.proxy.kernels.numerics.scalars import clamp
@@ -142,36 +142,23 @@ def raise_by_relief(
     return depth - at.inside * below, vec3.sub(normal, turn_out_of(body.pose, uphill))
 
 
-@jit
-def textured_constraint(objects: Any, constraint: Constraint, position: Vec3) -> Constraint:
-    depth, m = texture_depth_on(objects, constraint.body, constraint.depth, constraint.normal, position)
-    return Constraint(constraint.body, m, depth)
-
-
 @by_count
-def textured(objects: Any, active: ActiveSet, position: Vec3) -> Any:
-    """`active` as the probe at `position` (3,) m feels it."""
-
-
-@textured.of(1)
-def textured_alone(objects: Any, active: ActiveSet, position: Vec3) -> ActiveSet:
-    one, two, three = active
-    depth, m = texture_depth(objects[0].texture, objects[0], one.depth, one.normal, position)
-    return Constraint(one.body, m, depth), two, three
-
-
-@textured.of(2)
-def textured_among_several(objects: Any, active: ActiveSet, position: Vec3) -> ActiveSet:
-    return (
-        textured_constraint(objects, active[0], position),
-        textured_constraint(objects, active[1], position),
-        textured_constraint(objects, active[2], position),
-    )
-
-
-@jit
-def texture_depth_on(objects: Any, index: float, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
+def texture_depth_on(objects: Any, index: float, depth: float, normal: Vec3, position: Vec3) -> Any:
     """`texture_depth` on the object with that place."""
+
+
+@texture_depth_on.of(1)
+def texture_depth_on_the_only_one(
+    objects: Any, index: float, depth: float, normal: Vec3, position: Vec3
+) -> tuple[float, Vec3]:
+    body = element(objects[0], index)
+    return texture_depth(body.texture, body, depth, normal, position)
+
+
+@texture_depth_on.of(2)
+def texture_depth_on_one_of_several(
+    objects: Any, index: float, depth: float, normal: Vec3, position: Vec3
+) -> tuple[float, Vec3]:
     d, m = depth, normal
     at = 0.0
     for entry in literal_unroll(objects):

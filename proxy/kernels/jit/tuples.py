@@ -53,3 +53,18 @@ def same_for_one(each: Any, thing: Any) -> Any:
 def same_for_several(each: Any, thing: Any) -> Any:
     # numba joins tuples of known types, and does not unpack one inside another.
     return (thing,) + same_for(each[1:], thing)  # noqa: RUF005
+
+
+@by_count
+def first_of(each: Any, thing: Any, others: Any) -> Any:
+    """A tuple as long as another, of a thing and, behind it, the same other thing for each that follows."""
+
+
+@first_of.of(1)
+def only_one(each: Any, thing: Any, others: Any) -> Any:
+    return (thing,)
+
+
+@first_of.of(2)
+def first_of_several(each: Any, thing: Any, others: Any) -> Any:
+    return (thing,) + same_for(each[1:], others)  # noqa: RUF005  # see above

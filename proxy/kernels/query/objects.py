@@ -24,7 +24,6 @@ from softfinger.proxy.kernels.shapes import (
     constraint_at,
     curvature,
     is_hollow,
-    transport,
 )
 from softfinger.proxy.kernels.shapes.composite import Deepest, has_creases, nearest_of_shape, neighbour_of, raised_clear
 
@@ -168,19 +167,6 @@ def pose_of(objects: Any, index: float) -> Pose:
         if contains(entry, at, index):
             body = element(entry, index - at)
             found = pose_values(body.pose)
-        at += count(entry)
-    return found
-
-
-@jit
-def transport_on(objects: Any, index: float, v: Vec3, normal_from: Vec3, normal_to: Vec3) -> Vec3:
-    """`transport` on the object with that place; directions are the world's."""
-    found = v
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            found = transport(body.shape, v, normal_from, normal_to)
         at += count(entry)
     return found
 

@@ -46,9 +46,9 @@ def displaced_by(active: ActiveSet) -> Vec3:
 
 
 @jit
-def pressed(normal: Vec3, behind: Vec3) -> ActiveSet:
-    """The only object, for a proxy on it that lies `behind` (3,) m ahead of the probe."""
-    return one_constraint(0.0, normal, max(vec3.dot(behind, normal), 0.0))
+def pressed(index: float, normal: Vec3, behind: Vec3) -> ActiveSet:
+    """One object, for a proxy on it that lies `behind` (3,) m ahead of the probe."""
+    return one_constraint(index, normal, max(vec3.dot(behind, normal), 0.0))
 
 
 @jit
@@ -163,18 +163,3 @@ def together(one: Constraint, two: Constraint) -> Constraint:
     push = vec3.add_scaled(vec3.scale(one.depth, one.normal), two.depth, two.normal)
     depth, normal = direction(push, one.normal)
     return Constraint(one.body, normal, depth)
-
-
-@jit
-def tangent_to_all(active: ActiveSet, v: Vec3) -> Vec3:
-    """Part of `v` along which all holding objects leave the proxy free."""
-    one, two, three = active
-    v = vec3.reject(v, one.normal)
-    if two.body >= 0.0:
-        across = vec3.reject(two.normal, one.normal)
-        size = vec3.dot(across, across)
-        if size > 1e-18:
-            v = vec3.add_scaled(v, -vec3.dot(v, across) / size, across)
-            if three.body >= 0.0:
-                return (0.0, 0.0, 0.0)
-    return v

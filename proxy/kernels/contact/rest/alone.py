@@ -1,11 +1,14 @@
-"""Where the proxy comes to rest on the only object, held aside by friction or not."""
+"""Where the proxy comes to rest on one object, held aside by friction or not."""
 
 from typing import Any
 
+from numba import literal_unroll
+
 from softfinger.proxy.kernels.contact.rest.active_set import pressed
-from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.model import ActiveSet, Plane, Vec3
 from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.elements import contains, count, element
 from softfinger.proxy.kernels.query.objects import closest_on
 from softfinger.proxy.kernels.shapes import is_hollow, rest_on
 
@@ -20,18 +23,40 @@ SETTLED = 1e-13
 """Movement, as a share of the fingertip's radius, below which the proxy is at rest."""
 
 
-@jit
+@by_count
 def settle_on_one(
-    body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
-) -> tuple[Vec3, ActiveSet, float]:
-    """Bring the proxy to rest on the only object; and 1 if its search had to stop before that was found.
+    objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> Any:
+    """Bring the proxy to rest on the object with that place, as if there were no other.
 
     center      (3,) m  where its roll has brought it
     deflection  (3,) m  what friction keeps between proxy and probe, tangent
     normal      (3,)    of the object there
+    returns             the proxy (3,) m, its constraint, and 1 if the search had to stop before its end
     """
+
+
+@settle_on_one.of(1)
+def settle_on_the_only_one(
+    objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, ActiveSet, float]:
+    body = element(objects[0], index)
     center, normal, bounded = rest_on(body.shape, body, radius, probe, center, deflection, normal)
-    return center, pressed(normal, vec3.sub(center, probe)), bounded
+    return center, pressed(index, normal, vec3.sub(center, probe)), bounded
+
+
+@settle_on_one.of(2)
+def settle_on_one_of_several(
+    objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, ActiveSet, float]:
+    bounded, at = 0.0, 0.0
+    found, up = center, normal
+    for entry in literal_unroll(objects):
+        if contains(entry, at, index):
+            body = element(entry, index - at)
+            found, up, bounded = rest_on(body.shape, body, radius, probe, center, deflection, normal)
+        at += count(entry)
+    return found, pressed(index, up, vec3.sub(found, probe)), bounded
 
 
 @rest_on.of(Plane)

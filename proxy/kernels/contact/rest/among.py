@@ -14,12 +14,13 @@ from softfinger.proxy.kernels.contact.rest.active_set import (
     loads_of,
     merge_support_points,
     one_constraint,
+    pressed,
     strongest_first,
     with_another,
     with_touched,
     without_weakest,
 )
-from softfinger.proxy.kernels.contact.rest.alone import ROUNDS, SETTLED, SLIDING_ROUNDS
+from softfinger.proxy.kernels.contact.rest.alone import ROUNDS, SAME_SIDE, SETTLED, SLIDING_ROUNDS
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, NEARLY, SOON, settle_by_planes
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined_where
@@ -31,9 +32,11 @@ from softfinger.proxy.kernels.query.kinds import (
     WITH_HEIGHTMAP,
     WITH_MESH,
     any_creases,
+    any_mesh,
     any_multipoint,
     by_multipoint,
     has_creases_at,
+    is_mesh_at,
     takes_long,
 )
 from softfinger.proxy.kernels.query.objects import (
@@ -154,6 +157,66 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
     if held[0].body < 0.0:
         held = one_constraint(active[0].body, active[0].normal, 0.0)
     return Rest(stand.center, strongest_first(objects, held), stand.late, stand.budget)
+
+
+@jit
+def facet_under(objects: Any, index: float, x: Vec3) -> float:
+    """Place of the facet nearest to `x` (3,) m, walked to over the edges from the one with that place."""
+    for _ in range(EDGES):
+        beyond = neighbour_on(objects, index, x)
+        if beyond == index:
+            break
+        index = beyond
+    return index
+
+
+@jit
+def over_edge(objects: Any, constraint: Constraint, center: Vec3, others: ActiveSet) -> Constraint:
+    """The constraint of the facet under a proxy at `center` (3,) m that has crossed the edge of its own."""
+    body = constraint.body
+    if body < 0.0 or not is_mesh_at(objects, body):
+        return constraint
+    beyond = facet_under(objects, body, center)
+    if beyond == others[0].body or beyond == others[1].body or beyond == others[2].body:
+        return constraint
+    return Constraint(beyond, constraint.normal, constraint.depth)
+
+
+@jit
+def over_edges(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
+    """The constraints of the facets under a proxy at `center` (3,) m."""
+    if not any_mesh(objects):
+        return active
+    one = over_edge(objects, active[0], center, active)
+    two = over_edge(objects, active[1], center, (one, active[1], active[2]))
+    return one, two, over_edge(objects, active[2], center, (one, two, active[2]))
+
+
+@jit
+def slide_over_facets(
+    objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, ActiveSet, bool]:
+    """`rest_on_curved` on a mesh, from one facet over its edges to the next; False if a proxy that nothing holds aside
+    has yet to come to rest."""
+    rounds, square = SLIDING_ROUNDS, 0.0
+    if deflection == (0.0, 0.0, 0.0):
+        rounds, foot = ROUNDS, facet_under(objects, index, probe)
+        _, point, foot_normal, _ = closest_to_within(objects, foot, probe, BUDGET)
+        if vec3.dot(foot_normal, normal) > SAME_SIDE:
+            center = vec3.add_scaled(point, radius, foot_normal)
+            return center, pressed(foot, foot_normal, vec3.sub(center, probe)), True
+    for _ in range(rounds):
+        depth = vec3.dot(vec3.sub(center, probe), normal)
+        goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
+        index = facet_under(objects, index, goal)
+        _, point, normal, _ = closest_to_within(objects, index, goal, BUDGET)
+        moved = vec3.add_scaled(point, radius, normal)
+        step = vec3.sub(moved, center)
+        center, square = moved, vec3.dot(step, step)
+        if square <= (SETTLED * radius) ** 2:
+            break
+    at_rest = rounds == SLIDING_ROUNDS or square <= (AT_REST * radius) ** 2
+    return center, pressed(index, normal, vec3.sub(center, probe)), at_rest
 
 
 @jit

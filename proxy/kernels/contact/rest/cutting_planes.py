@@ -20,7 +20,7 @@ from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
 from softfinger.proxy.kernels.query.kinds import is_mesh_at
-from softfinger.proxy.kernels.query.objects import closest_to_within, deepest, neighbour_on
+from softfinger.proxy.kernels.query.objects import closest_to_within, constraint_of, deepest, neighbour_on
 from softfinger.proxy.kernels.shapes.budget import BUDGET, SPENT, STRIDE
 
 ADDED = 24
@@ -292,6 +292,18 @@ def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
 
 
 @jit
-def held_at_anchor(objects: Any, radius: float, probe: Vec3, anchor: Vec3, bodies: Vec3) -> ActiveSet:
-    """What holds a proxy at the anchor of three places, pushing it; none where it touches none of them."""
-    return constraints_of(solved(planes_at(objects, radius, anchor, bodies), probe, 0.0))
+def plane_at(objects: Any, constraint: Constraint, radius: float, center: Vec3) -> Plane:
+    """The plane in which an object holds a proxy at `center` (3,) m, or none."""
+    if constraint.body < 0.0:
+        return NO_PLANE
+    point, normal, _ = constraint_of(objects, constraint.body, center, radius, constraint.normal, BUDGET)
+    return Plane(constraint.body, normal, vec3.dot(normal, point) + radius)
+
+
+@jit
+def pushed_at(objects: Any, radius: float, probe: Vec3, center: Vec3, active: ActiveSet) -> ActiveSet:
+    """How much each constraint of a proxy at `center` (3,) m pushes a probe; each has the plane that it has there."""
+    one = plane_at(objects, active[0], radius, center)
+    two = plane_at(objects, active[1], radius, center)
+    three = plane_at(objects, active[2], radius, center)
+    return constraints_of(solved(Planes(one, two, three, center, Depths(0.0, 0.0, 0.0)), probe, 0.0))

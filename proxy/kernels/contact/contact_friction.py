@@ -1,0 +1,189 @@
+"""Friction, torsion and resistance to rolling of one contact, whether it is the only one or one of several.
+
+A contact is first predicted as if it stuck: object, probe and roll move it. `apply_friction` then decides how much of
+that slips.
+"""
+
+from typing import Any, NamedTuple
+
+from numba import literal_unroll
+
+from softfinger.proxy.kernels.contact.carry import carry_of, moving, relative_velocity
+from softfinger.proxy.kernels.contact.fingertip import radius_of_curvature, velocity_at
+from softfinger.proxy.kernels.contact.normal import normal_force_of
+from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
+from softfinger.proxy.kernels.contact.texture import texture_depth_on
+from softfinger.proxy.kernels.friction.contact_patch import ContactPatch, contact_patch, torsion_under, winding_unit
+from softfinger.proxy.kernels.friction.laws import turned
+from softfinger.proxy.kernels.friction.stick_slip import stick_slip
+from softfinger.proxy.kernels.friction.torsion import share_of
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_count
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import (
+    Constraint,
+    ContactState,
+    Coupling,
+    Finger,
+    FrictionInput,
+    FrictionResult,
+    Material,
+    Probe,
+    Quaternion,
+    Vec3,
+)
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.frames import pose_values
+from softfinger.proxy.kernels.query.elements import contains, count, element
+
+
+class Ground(NamedTuple):
+    """Properties of the object under a contact, apart from its shape.
+
+    number       in the scene file
+    material     with the friction of the contact point
+    orientation  object to world
+    carried      motion in this tick, see `carry`
+    """
+
+    number: float
+    material: Material
+    orientation: Quaternion
+    carried: Any
+
+
+class Prediction(NamedTuple):
+    """A contact as if it stuck during the tick.
+
+    contact              with `push` and `normal` of this tick, `deflection` of the last one carried along, and
+                         `rolled_part` including the roll
+    deflection  (3,) m   with the motion of this tick
+    twist           rad  rotation about the normal
+    touches              the contact begins in this tick: nothing has moved it
+    """
+
+    contact: ContactState
+    deflection: Vec3
+    twist: float
+    touches: bool
+
+
+class ProbeMotion(NamedTuple):
+    """The probe in a tick and at the last one, and the time between, s."""
+
+    probe: Probe
+    last: Probe
+    dt: float
+
+
+class Load(NamedTuple):
+    """Normal force, N, and the unit vector (3,) along which it acts on the hand."""
+
+    size: float
+    along: Vec3
+
+
+class ContactForces(NamedTuple):
+    """Outcome of friction for one contact.
+
+    result  FrictionResult
+    area    ContactPatch
+    unit    of the torsional wind-up, see `winding_unit`
+    load    N, normal force during friction
+    bend, bending  wind-up against rolling, and its moment (3,) N m
+    """
+
+    result: FrictionResult
+    area: ContactPatch
+    unit: float
+    load: float
+    bend: Vec3
+    bending: Vec3
+
+
+@by_count
+def ground_at(objects: Any, index: float) -> Any:
+    """Ground of the object with that place, of whole objects (`with_texture_friction`)."""
+
+
+@ground_at.of(1)
+def ground_of_the_only_one(objects: Any, index: float) -> Ground:
+    body = element(objects[0], index)
+    return Ground(body.number, body.material, pose_values(body.pose).orientation, carry_of(body))
+
+
+@ground_at.of(2)
+def ground_of_one_of_several(objects: Any, index: float) -> Ground:
+    first = element(objects[0], 0.0)
+    found = Ground(first.number, first.material, pose_values(first.pose).orientation, moving(first))
+    at = 0.0
+    for entry in literal_unroll(objects):
+        if contains(entry, at, index):
+            body = element(entry, index - at)
+            found = Ground(body.number, body.material, pose_values(body.pose).orientation, moving(body))
+        at += count(entry)
+    return found
+
+
+@jit
+def load_on(finger: Finger, objects: Any, ground: Ground, at: Constraint, motion: ProbeMotion, touches: bool) -> Load:
+    """Normal force of a constraint; `touches` if nothing has moved it yet."""
+    probe, last, dt = motion
+    against = relative_velocity(ground.carried, probe.velocity, last.position, dt)
+    against = velocity_at(finger.form, against, ground.carried, probe, last, at.normal, 0.0 if touches else dt)
+    depth, m = texture_depth_on(objects, at.body, at.depth, at.normal, probe.position)
+    return Load(normal_force_of(ground.material.normal, depth, vec3.dot(against, m)), m)
+
+
+@jit
+def apply_friction(
+    finger: Finger, objects: Any, ground: Ground, predicted: Prediction, share: float, motion: ProbeMotion
+) -> ContactForces:
+    """Friction, torsion and resistance to rolling of a contact that has this share of the springs."""
+    contact, material, probe = predicted.contact, ground.material, motion.probe
+    at = Constraint(contact.body, contact.normal, contact.push)
+    load = load_on(finger, objects, ground, at, motion, predicted.touches).size
+    round_by = radius_of_curvature(finger.form, finger.radius, probe.orientation, contact.normal)
+    area = contact_patch(finger.patch, round_by, material.compliance, load)
+    unit = winding_unit(material.torsion, area, share)
+    result = stick_slip(
+        turned(material.friction, ground.orientation),
+        torsion_under(share_of(material.torsion, share), area),
+        Coupling(
+            share * finger.coupling.stiffness,
+            share * finger.coupling.damping,
+            share * finger.coupling.torsional_damping,
+        ),
+        share * finger.torque_stiffness,
+        FrictionInput(
+            radius=finger.radius,
+            resolution=finger.position_resolution,
+            dt=motion.dt,
+            mode=contact.mode,
+            normal=contact.normal,
+            deflection=predicted.deflection,
+            deflection_before=contact.deflection,
+            rolled_part=contact.rolled_part,
+            slip_speed=contact.slip_speed,
+            slip_deflection=contact.slip_deflection,
+            spin=contact.spin / unit,
+            twist=predicted.twist,
+            spin_slip_speed=contact.spin_slip_speed,
+            spin_slip_angle=contact.spin_slip_angle / unit,
+            normal_force=load,
+        ),
+    )
+    bent = ResistanceInput(contact.normal, share, contact.bend, predicted.touches)
+    bend, bending = resist(finger.patch, ground.carried, bent, probe, motion.last, area)
+    return ContactForces(result, area, unit, load, bend, bending)
+
+
+@jit
+def after_friction(predicted: Prediction, forces: ContactForces) -> ContactState:
+    """The contact with what friction left of its prediction."""
+    kept, unit = forces.result, forces.unit
+    return replace(
+        predicted.contact, "mode", kept.mode, "deflection", kept.deflection, "rolled_part", kept.rolled_part,
+        "spin", kept.spin * unit, "slip_speed", kept.slip_speed, "slip_deflection", kept.slip_deflection,
+        "spin_slip_speed", kept.spin_slip_speed, "spin_slip_angle", kept.spin_slip_angle * unit, "bend", forces.bend,
+    )  # fmt: skip

@@ -1,0 +1,138 @@
+"""A tick of a contact with one object, the only one of a scene or the only one that is touched."""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.contact_friction import (
+    ContactForces,
+    Ground,
+    Load,
+    ProbeMotion,
+    after_friction,
+    apply_friction,
+    ground_at,
+)
+from softfinger.proxy.kernels.contact.detection import Approach
+from softfinger.proxy.kernels.contact.effects import Effects
+from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
+from softfinger.proxy.kernels.contact.outcome import Outcome
+from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
+from softfinger.proxy.kernels.contact.texture import with_texture_friction
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import first_of, replace
+from softfinger.proxy.kernels.model import (
+    NO_CONTACT,
+    NO_OUTCOME,
+    ActiveSet,
+    ContactOutcome,
+    ContactState,
+    Finger,
+    Probe,
+    Vec3,
+)
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, SLIDING
+
+
+class Landing(NamedTuple):
+    """The proxy (3,) m after friction, what holds it there, and 1 if the search for its rest had to stop."""
+
+    center: Vec3
+    active: ActiveSet
+    bounded: float
+
+
+@jit
+def rub_first(finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion) -> tuple[Ground, ContactForces]:
+    """Friction of the only contact, and its ground."""
+    ground = ground_at(with_texture_friction(objects, approach.active, approach.center), approach.active[0].body)
+    return ground, apply_friction(finger, objects, ground, approach.predicted[0], 1.0, motion)
+
+
+@jit
+def slips(approach: Approach, forces: ContactForces) -> bool:
+    """Whether the proxy leaves the point where the only contact stuck."""
+    kept = forces.result
+    return kept.mode == SLIDING or kept.deflection != approach.predicted[0].deflection or approach.strays
+
+
+@jit
+def land_on_one(finger: Finger, shapes: Any, approach: Approach, forces: ContactForces, position: Vec3) -> Landing:
+    """The proxy follows a slip over the only object, and stays where it sticks."""
+    if not slips(approach, forces):
+        return Landing(approach.center, approach.active, 0.0)
+    held = approach.active[0]
+    center, active, bounded = settle_on_one(
+        shapes, held.body, finger.radius, position, approach.center, forces.result.deflection, held.normal
+    )
+    return Landing(center, active, bounded)
+
+
+@jit
+def contact_state(landing: Landing, predicted: Any, forces: ContactForces, position: Vec3) -> ContactState:
+    """State of the contact at the end of the tick; its deflection is that of the proxy from the probe."""
+    held = landing.active[0]
+    behind = vec3.sub(landing.center, position)
+    return replace(
+        after_friction(predicted, forces),
+        "body", held.body, "normal", held.normal, "push", held.depth,
+        "deflection", vec3.sub(behind, vec3.scale(held.depth, held.normal)),
+        "rolled_part", vec3.reject(forces.result.rolled_part, held.normal),
+    )  # fmt: skip
+
+
+@jit
+def outcome_of_one(
+    finger: Finger,
+    ground: Ground,
+    probe: Probe,
+    approach: Approach,
+    forces: ContactForces,
+    landing: Landing,
+    load: Load,
+    effects: Effects,
+) -> Outcome:
+    """Forces of the only contact under `load` at its new place, and its state."""
+    kept, normal = forces.result, landing.active[0].normal
+    tangential, moment, bending = vec3.reject(kept.force, normal), kept.moment, forces.bending
+    if forces.load > load.size:
+        # Less normal force there: both stay within their limits, the torsional one growing by up to f_N^(4/3).
+        ease = load.size / forces.load
+        tangential, moment = vec3.scale(ease, tangential), ease * ease * moment
+        bending = vec3.scale(ease * ease, bending)
+    pressing = vec3.scale(load.size, load.along)
+    torque = torque_of(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
+    torque = vec3.add(torque, bending)
+    reported = ContactOutcome(
+        object=ground.number,
+        point=point_under(finger.form, finger.radius, probe.orientation, landing.center, normal),
+        normal=normal,
+        force=vec3.add(pressing, tangential),
+        mode=kept.mode,
+        spin=kept.spin,
+        torque=torque,
+    )
+    cause = kept.cause
+    if approach.began and cause == CAUSE_NONE:
+        cause = float(CAUSE_TOUCH)
+    contact = contact_state(landing, approach.predicted[0], forces, probe.position)
+    return Outcome(
+        mode=kept.mode,
+        cause=cause,
+        object=ground.number,
+        normal=normal,
+        center=landing.center,
+        contacts=first_of(approach.predicted, contact, NO_CONTACT),
+        reported=first_of(approach.predicted, reported, NO_OUTCOME),
+        pressing=pressing,
+        normal_force=load.size,
+        tangential=tangential,
+        effects=effects.force,
+        effect_states=effects.states,
+        torque=torque,
+        torsion=moment,
+        spin=kept.spin,
+        radius=forces.area.radius,
+        rolled=approach.rolled,
+        stuck=0.0,
+        budget=max(landing.bounded, approach.bounded, effects.unknown),
+    )

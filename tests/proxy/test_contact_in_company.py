@@ -1,0 +1,363 @@
+"""One contact model: an object out of reach changes no bit, and a contact that sticks keeps its normal.
+
+Forces are compared with closed forms, r = 10 mm, R = 20 mm, K = K_t = 1000 N/m. If a contact sticks while the proxy is
+at c, the force on a probe at x is K (c - x): pressed d deep and dragged e aside, K d n - K e.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import meshes
+from helpers.hostile_meshes import bar
+from helpers.touching import Array, saved
+from references.laws import LAWS
+
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import NAMED
+
+pytestmark = pytest.mark.plain
+
+R, BALL, K = 0.01, 0.02, 1000.0
+UPRIGHT = [1.0, 0.0, 0.0, 0.0]
+GRIP: dict[str, Any] = {
+    "stiffness_n_per_m": K,
+    "damping_ns_per_m": 1.0,
+    "friction": {"static": 0.6, "kinetic": 0.5},
+    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+}
+STICKY: dict[str, Any] = {"stiffness_n_per_m": K, "friction": {"static": 50.0, "kinetic": 50.0}}
+SHAPES: dict[str, dict[str, Any]] = {
+    "plane": {"shape": "plane"},
+    "sphere": {"shape": "sphere", "radius_m": BALL},
+    "cylinder": {"shape": "cylinder", "radius_m": BALL},
+    "capped cylinder": {"shape": "cylinder", "radius_m": BALL, "length_m": 0.03},
+    "capsule": {"shape": "capsule", "radius_m": 0.015, "length_m": 0.02},
+    "box": {"shape": "box", "size_m": [0.04, 0.035, 0.03]},
+    "ellipsoid": {"shape": "ellipsoid", "semi_axes_m": [0.025, 0.02, 0.015]},
+    "torus": {"shape": "torus", "major_radius_m": 0.03, "minor_radius_m": 0.012},
+    "hollow sphere": {"shape": "sphere", "radius_m": 0.03, "inside": True},
+    "hollow cylinder": {"shape": "cylinder", "radius_m": 0.03, "inside": True},
+    "hollow capsule": {"shape": "capsule", "radius_m": 0.025, "length_m": 0.02, "inside": True},
+    "moving sphere": {
+        "shape": "sphere",
+        "radius_m": BALL,
+        "motion": {"kind": "turntable", "axis": [0.6, 0.0, 0.8], "rate_rad_per_s": 2.0, "pivot_m": [0.002, 0.0, 0.0]},
+    },
+}
+METHODS = ["euler_zxz", "euler_zyx", "rotation_vector", "midpoint", "montana_rk4", "montana_rk45", None]
+WITHOUT_CLOSED_FORM = {"ellipsoid", "torus", "mesh box", "mesh ball", "heightmap"}
+FAR = [
+    {"name": "far box", "shape": "box", "size_m": [0.01, 0.01, 0.01], "position_m": [3.0, 0.0, 0.0]},
+    {"name": "far sphere", "shape": "sphere", "radius_m": 0.05, "position_m": [0.0, 3.0, 0.0]},
+    {"name": "far plane", "shape": "plane", "position_m": [0.0, 0.0, -3.0]},
+]
+SHIFTED = ["contact.object", *(f"contacts{i}.object" for i in range(3))]
+"""Fields with an object's number, which is another one behind other objects."""
+
+
+def far(material: dict[str, Any]) -> list[dict[str, Any]]:
+    return [each | {"material": material} for each in FAR]
+
+
+def engine(objects: Sequence[dict[str, Any]], method: str | None = None, **tables: Any) -> Engine:
+    scene: dict[str, Any] = {
+        "fingertip": {"radius_m": R},
+        "probe": {"velocity_time_constant_s": 0.0},
+        "coupling": {"stiffness_n_per_m": K, "damping_ns_per_m": 0.0},
+        "object": list(objects),
+        **tables,
+    }
+    if method is not None:
+        scene["rolling"] = {"method": method}
+    if "finger" in tables:
+        del scene["fingertip"], scene["coupling"]
+    return Engine(build(Scene, scene, "company"))
+
+
+def thing(shape: str, folder: Path, material: dict[str, Any]) -> dict[str, Any]:
+    if shape == "mesh box":
+        return {"name": "it", "shape": "mesh", "file": saved(folder, *bar(0.02, 0.0175, 0.015)), "material": material}
+    if shape == "mesh ball":
+        return {"name": "it", "shape": "mesh", "file": saved(folder, *meshes.geodesic(6, BALL)), "material": material}
+    return {"name": "it", **SHAPES[shape], "material": material}
+
+
+def handling(ticks: int, seed: int, reach: float) -> Array:
+    """Poses (n, 7) of a hand that goes in and out of what is `reach` m about the origin, and turns."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(ticks)[:, None] * 1e-3
+
+    def wave(size: float, frequencies: tuple[float, float]) -> Array:
+        rate, phase = rng.uniform(*frequencies, (2, 3)), rng.uniform(0.0, 2.0 * np.pi, (2, 3))
+        part = size * np.sin(2.0 * np.pi * rate[:, None] * t + phase[:, None])
+        return np.asarray(part.sum(axis=0))
+
+    turn = wave(0.4, (0.5, 2.0)) + 1e-9
+    angle = np.linalg.norm(turn, axis=1, keepdims=True)
+    return np.hstack([wave(reach, (0.5, 3.0)), np.cos(0.5 * angle), np.sin(0.5 * angle) * turn / angle])
+
+
+def assert_same_but_for_numbers(alone: Any, company: Any, before: int) -> None:
+    assert (alone["contact.mode"] > 0).mean() > 0.2
+    alone, company = np.array(alone), np.array(company)
+    for name in SHIFTED:
+        field = company[:, NAMED[name].at]
+        field[field >= 0.0] -= before
+    np.testing.assert_array_equal(company.view(np.int64), alone.view(np.int64))
+
+
+def check_out_of_reach(shape: str, method: str | None, folder: Path, material: dict[str, Any], **tables: Any) -> None:
+    """Far objects before and after it in the list: records are those of the object alone, bit for bit."""
+    it, others = thing(shape, folder, material), far(material)
+    poses = handling(300, 11, 0.012 if "hollow" in shape else 0.016)
+    if shape == "plane":
+        poses[:, 2] += R
+    alone, company = engine([it], method, **tables), engine([others[0], it, *others[1:]], method, **tables)
+    if "finger" in tables:
+        both = {"thumb": poses, "index": handling(300, 12, 0.016)}
+        one, several = alone.run(both), company.run(both)
+        for name in both:
+            assert_same_but_for_numbers(one[name], several[name], 1)
+        return
+    assert_same_but_for_numbers(alone.run(poses), company.run(poses), 1)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("shape", [*SHAPES, "mesh box", "mesh ball"])
+def test_an_object_out_of_reach_changes_no_bit(shape: str, method: str | None, tmp_path: Path) -> None:
+    if method == "rotation_vector" and shape in WITHOUT_CLOSED_FORM:
+        pytest.skip("rotation_vector has no closed form on it")
+    check_out_of_reach(shape, method, tmp_path, GRIP)
+
+
+NORMALS = {
+    "power law": {"normal": {"exponent": 1.5}},
+    "Hunt-Crossley": {"normal": {"exponent": 1.5, "damping_s_per_m": 0.5}, "damping_ns_per_m": None},
+}
+
+
+@pytest.mark.parametrize("law", [*LAWS, *NORMALS, "paper", "patch"])
+@pytest.mark.parametrize("shape", ["sphere", "box"])
+def test_an_object_out_of_reach_changes_no_bit_under_any_law(shape: str, law: str, tmp_path: Path) -> None:
+    material: dict[str, Any] = dict(GRIP)
+    for key, change in {**LAWS, **NORMALS}.get(law, {}).items():
+        material[key] = {**material.get(key, {}), **change} if isinstance(change, dict) else change
+    tables: dict[str, Any] = {}
+    if law == "paper":
+        tables["rolling"] = {"method": "euler_zxz", "state_machine": "paper"}
+    if law == "patch":
+        material["torsion"] = {"model": "limit_surface"}
+        tables["fingertip"] = {"radius_m": R, "patch": {"shear_modulus_pa": 45000.0}}
+    material = {key: value for key, value in material.items() if value is not None}
+    method = None if law.startswith("frictionless") or law == "paper" else "euler_zxz"
+    check_out_of_reach(shape, method, tmp_path, material, **tables)
+
+
+@pytest.mark.parametrize("shape", ["plane", "sphere", "cylinder"])
+def test_an_object_out_of_reach_changes_no_bit_for_an_ellipsoid(shape: str, tmp_path: Path) -> None:
+    others = [each | {"material": GRIP} for each in FAR if each["shape"] != "box"]  # which no ellipsoid may touch
+    it, form = thing(shape, tmp_path, GRIP), {"radii_m": [0.01, 0.008, 0.012]}
+    poses = handling(300, 11, 0.016) + np.array([0.0, 0.0, R if shape == "plane" else 0.0, 0.0, 0.0, 0.0, 0.0])
+    alone, company = engine([it], "midpoint", fingertip=form), engine([*others, it], "midpoint", fingertip=form)
+    assert_same_but_for_numbers(alone.run(poses), company.run(poses), 2)
+
+
+def test_an_object_out_of_reach_changes_no_bit_for_two_fingers(tmp_path: Path) -> None:
+    fingers = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": K}} for name in ("thumb", "index")]
+    check_out_of_reach("ellipsoid", "midpoint", tmp_path, GRIP, finger=fingers)
+
+
+# --- the values of a contact that sticks -----------------------------------------------------------
+
+
+COMPANY = [pytest.param(False, id="alone"), pytest.param(True, id="in company")]
+
+
+def with_company(it: dict[str, Any], company: bool) -> list[dict[str, Any]]:
+    return [*far(it["material"])[:1], it] if company else [it]
+
+
+def line(*corners: Sequence[float], ticks: int = 50) -> Array:
+    """Upright poses (n, 7) along a polyline."""
+    legs = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
+    places = np.concatenate([*legs, [corners[-1]]])
+    return np.hstack([places, np.tile(UPRIGHT, (len(places), 1))])
+
+
+CURVED = {
+    "sphere": (SHAPES["sphere"], BALL),
+    "cylinder": ({**SHAPES["cylinder"], "orientation_wxyz": [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]}, BALL),
+    "ellipsoid": (SHAPES["ellipsoid"], 0.015),
+    "torus": ({"shape": "torus", "major_radius_m": 0.03, "minor_radius_m": 0.012}, 0.012),
+}
+
+
+@pytest.mark.parametrize("company", COMPANY)
+@pytest.mark.parametrize("deep", [1e-3, 3e-3])
+@pytest.mark.parametrize("shape", list(CURVED))
+def test_a_drag_that_sticks_is_a_spring_to_the_stuck_point(shape: str, deep: float, company: bool) -> None:
+    """Dragged 0.4 mm aside, the force is K (c - x): K d up, -K e aside, whatever the depth and the curvature."""
+    keys, height = CURVED[shape]
+    beside = 0.03 if shape == "torus" else 0.0
+    it = {"name": "it", **keys, "material": STICKY}
+    top = height + R
+    poses = line((beside, 0.0, top + 1e-3), (beside, 0.0, top - deep), (beside, 4e-4, top - deep))
+    last = engine(with_company(it, company)).run(poses)[-1]
+    np.testing.assert_allclose(last[NAMED["force"].at :][:3], [0.0, -0.4, K * deep], atol=1e-9)
+    np.testing.assert_allclose(last[NAMED["contact.normal"].at :][:3], [0.0, 0.0, 1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("company", COMPANY)
+@pytest.mark.parametrize("method", ["euler_zxz", "rotation_vector", "midpoint"])
+def test_a_roll_that_is_held_takes_its_normal_along(method: str, company: bool) -> None:
+    """A ball of 20 mm, 3 mm deep, rolled by 0.03 rad: the centre goes 0.3 mm round the ball, so the normal turns by
+    0.01 rad; the force is K (c - x), and the torque r times its tangential part."""
+    it = {"name": "it", **SHAPES["sphere"], "material": STICKY}
+    top, deep, turn = BALL + R, 3e-3, 0.03
+    down = line((0.0, 0.0, top + 1e-3), (0.0, 0.0, top - deep))
+    angle = np.linspace(0.0, turn, 51)
+    poses = np.tile(down[-1], (51, 1))
+    poses[:, 3], poses[:, 4] = np.cos(0.5 * angle), np.sin(0.5 * angle)
+    last = engine(with_company(it, company), method).run(np.vstack([down, poses]))[-1]
+    tilt = turn * R / top
+    n, x = np.array([0.0, -np.sin(tilt), np.cos(tilt)]), np.array([0.0, 0.0, top - deep])
+    force = K * (top * n - x)
+    # The Euler methods and the midpoint rule follow the arc of a tick to third order: 0.6 mrad, fifty times.
+    np.testing.assert_allclose(last[NAMED["force"].at :][:3], force, atol=1e-6)
+    tangential = force - (force @ n) * n
+    np.testing.assert_allclose(last[NAMED["torque"].at :][:3], -R * np.cross(n, tangential), atol=1e-8)
+
+
+@pytest.mark.parametrize("company", COMPANY)
+@pytest.mark.parametrize("kind", ["box", "mesh"])
+@pytest.mark.parametrize("deep", [1e-3, 3e-3, 5e-3, 6e-3])
+def test_an_edge_holds_what_sticks_to_it_at_any_depth(deep: float, kind: str, company: bool, tmp_path: Path) -> None:
+    """Across an edge, under its bisector: -K e, where the frictionless rest swings round by d e / (r - d)."""
+    half = 0.02
+    if kind == "box":
+        it = {"name": "it", "shape": "box", "size_m": [2 * half] * 3, "material": STICKY}
+    else:
+        it = {"name": "it", "shape": "mesh", "file": saved(tmp_path, *bar(half, half, half)), "material": STICKY}
+    n, across = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0), np.array([1.0, 0.0, -1.0]) / np.sqrt(2.0)
+    corner = np.array([half, 0.0, half])
+    places = [corner + (R + 1e-3) * n, corner + (R - deep) * n, corner + (R - deep) * n + 2e-4 * across]
+    last = engine(with_company(it, company)).run(line(*[p.tolist() for p in places]))[-1]
+    force = last[NAMED["force"].at :][:3]
+    np.testing.assert_allclose([force @ n, force @ across], [K * deep, -0.2], atol=1e-5)
+
+
+def test_a_ball_of_triangles_holds_what_sticks_to_it(tmp_path: Path) -> None:
+    """At a vertex of the mesh, which lies on the ball, 3 mm deep, dragged 0.4 mm: -0.4 N."""
+    ball = meshes.geodesic(24, BALL)
+    it = {"name": "it", "shape": "mesh", "file": saved(tmp_path, *ball), "material": STICKY}
+    n = ball.vertices[0] / BALL
+    across = np.cross(n, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    top = BALL + R
+    places = [(top + 1e-3) * n, (top - 3e-3) * n, (top - 3e-3) * n + 4e-4 * across]
+    last = engine([it]).run(line(*[p.tolist() for p in places]))[-1]
+    force = last[NAMED["force"].at :][:3]
+    # Vertices are stored in float32: 1e-9 m.
+    np.testing.assert_allclose([force @ n, force @ across], [3.0, -0.4], atol=1e-5)
+
+
+@pytest.mark.parametrize("company", COMPANY)
+def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> None:
+    """Held between two fingertips that stick, 1 mm deep each, a ball of mass m swings across with sqrt(2 K_t / m)."""
+    mass, deep, dt = 0.05, 1e-3, 1e-4
+    driven = {"name": "it", **SHAPES["sphere"], "material": STICKY, "motion": {"kind": "driven"}}
+    fingers = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": K}} for name in ("thumb", "index")]
+    for finger in fingers:
+        finger["coupling"] = {"stiffness_n_per_m": K, "damping_ns_per_m": 0.0}
+    running = engine(with_company(driven, company), finger=fingers)
+    far_out, near = BALL + R + 1e-4, BALL + R - deep
+    pinch = {
+        name: line((0.0, 0.0, side * far_out), (0.0, 0.0, side * near), ticks=20)
+        for name, side in (("thumb", -1.0), ("index", 1.0))
+    }
+    records = running.run(pinch, dt)
+    held = {name: poses[-1:] for name, poses in pinch.items()}
+    # Of the force on the ball at a small displacement, against 2 K_t: the frequency's square.
+    u = 2e-5
+    running.set("object.it.position_m", [u, 0.0, 0.0])
+    records = running.run(held, dt)
+    on_ball = -sum(float(each["force"][-1, 0]) for each in records.values())
+    frequency, expected = np.sqrt(-on_ball / u / mass), np.sqrt(2.0 * K / mass)
+    assert frequency == pytest.approx(expected, rel=1e-4)
+
+
+# --- energy ----------------------------------------------------------------------------------------
+
+
+def closed_path(seed: int, top: float, ticks: int) -> Array:
+    """Places (n, 3) m from above down to a random closed polyline and back up."""
+    rng = np.random.default_rng(seed)
+    begin = np.array([0.0, 0.0, top + 1e-3])
+    below = np.array([0.0, 0.0, top - 2e-3]) + rng.uniform(-1.0, 1.0, (4, 3)) * [6e-4, 6e-4, 8e-4]
+    corners = [begin, *below, below[0], begin]
+    return np.concatenate([np.linspace(a, b, ticks) for a, b in pairwise(corners)])
+
+
+@pytest.mark.parametrize("company", COMPANY)
+@pytest.mark.parametrize("shape", ["plane", "sphere", "cylinder", "ellipsoid", "torus", "box"])
+def test_a_closed_path_that_sticks_does_no_work_on_the_hand(shape: str, company: bool) -> None:
+    """The force is K (c - x) with c at rest, so the trapezoidal rule over the legs is exact, except at the touch."""
+    keys = SHAPES[shape] if shape != "cylinder" else CURVED["cylinder"][0]
+    tops = {"plane": 0.0, "box": 0.015, "torus": 0.012, "ellipsoid": 0.015}
+    top, beside = tops.get(shape, BALL) + R, 0.03 if shape == "torus" else 0.0
+    running = engine(with_company({"name": "it", **keys, "material": STICKY}, company))
+    for seed in range(3):
+        running.reset()
+        places = closed_path(seed, top, 25) + np.array([beside, 0.0, 0.0])
+        records = running.run(np.hstack([places, np.tile(UPRIGHT, (len(places), 1))]))
+        force = records["force"]
+        touching = (records["contact.mode"] > 0) & np.roll(records["contact.mode"] > 0, 1)
+        work = np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(places, axis=0), axis=1)
+        # Within the ticks of the touch and of the release the force is bent: the exact work of the springs counts.
+        inside = touching[1:] & touching[:-1]
+        first, last = np.flatnonzero(inside)[[0, -1]]
+        stored = 0.5 / K * np.sum(force**2, axis=1)
+        assert abs(work[first : last + 1].sum() + stored[last + 1] - stored[first]) < 1e-9
+
+
+# --- a mesh of a box is the box --------------------------------------------------------------------
+
+
+def over_a_box(seed: int, half: tuple[float, float, float], ticks: int) -> Array:
+    """Places (n, 3) m of a probe that goes round a box at random, over faces, edges and corners, up to 1.7 mm deep."""
+    rng, t = np.random.default_rng(seed), np.arange(ticks) * 1e-3
+    size, rate, phase = rng.normal(0.0, 1.0, (3, 3)), rng.uniform(0.3, 1.5, 3), rng.uniform(0.0, 6.0, 3)
+    out = np.sin(2.0 * np.pi * np.outer(t, rate) + phase) @ size
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    beyond = out / np.max(np.abs(out) / half, axis=1, keepdims=True) + 0.02 * out
+    foot = np.clip(beyond, -np.array(half), half)
+    normal = (beyond - foot) / np.linalg.norm(beyond - foot, axis=1, keepdims=True)
+    depth = 1e-3 * np.sin(2.0 * np.pi * 1.3 * t + 1.0) + 7e-4
+    return np.asarray(foot + (R - depth)[:, None] * normal)
+
+
+@pytest.mark.parametrize("company", COMPANY)
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_box_of_triangles_is_the_box_with_friction(seed: int, company: bool, tmp_path: Path) -> None:
+    """Touched, stuck, sliding and released over faces, edges and corners: the same forces as of the shape, which knows
+    no triangles, up to the float32 vertices, 1e-9 m, times 1000 N/m. No way of a tick enters and leaves an edge, which
+    is a touch of the shape and none of the mesh."""
+    half = (0.02, 0.0175, 0.015)
+    box = {"name": "it", "shape": "box", "size_m": [2.0 * h for h in half], "material": GRIP}
+    mesh = {"name": "it", "shape": "mesh", "file": saved(tmp_path, *bar(*half)), "material": GRIP}
+    places = over_a_box(seed, half, 700)
+    poses = np.hstack([places, np.tile(UPRIGHT, (len(places), 1))])
+    solid, made = engine([box]).run(poses), engine(with_company(mesh, company)).run(poses)
+    assert {0.0, 1.0, 2.0} <= set(solid["contact.mode"])
+    faces, edges, corners = ((np.count_nonzero(solid["contact.normal"], axis=1) == n).sum() for n in (1, 2, 3))
+    assert min(faces, edges, corners) > 10
+    np.testing.assert_allclose(made["force"], solid["force"], atol=1e-6)
+    np.testing.assert_allclose(made["proxy.position"], solid["proxy.position"], atol=1e-9)
