@@ -138,7 +138,9 @@ class RigidBodies:
 
     def kernel(self, riders: tuple[float, ...]) -> kernels.Bodies:
         """What kernels take; `riders` as of Bodies."""
-        return kernels.Bodies(self.block, ReadOnly(np.array(self.moving, np.int64)), riders)
+        return kernels.Bodies(
+            self.block, ReadOnly(np.array(self.moving, np.int64)), ReadOnly(np.array(riders)), float(len(riders))
+        )
 
     def number_of(self, body: str) -> int:
         """Number of a body by its name, or by its number where it has no name; ConfigError for none of the model."""

@@ -14,15 +14,16 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.load import SceneSource, load_scene, overridden
 from softfinger.proxy.bodies import RigidBodies, begin_bodies, check_bodies
-from softfinger.proxy.kernels.fingers import poses_in, rows_of, write_contacts
+from softfinger.proxy.kernels.fingers import poses_in, write_contacts
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
-from softfinger.proxy.kernels.model import Scene
+from softfinger.proxy.kernels.jit.tuples import rows_of
+from softfinger.proxy.kernels.model import Scene, State
 from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import CAUSE_NAMES, NAMED, POSITION_MAX_M, RECORD_SIZE, ContactMode
 from softfinger.proxy.records import Records
-from softfinger.proxy.scene import build_scene, other_model, start_state
+from softfinger.proxy.scene import build_scene, other_model, same_model, start_state
 
 T = TypeVar("T")
 
@@ -136,14 +137,14 @@ def step_many(
     pack(state_values, state)
 
 
-def compiled(scene: Scene) -> Callable[..., None]:
-    """`step_many` for scenes of this type, compiled; scene and start are of no use to it as arguments.
+def compiled(scene: Scene, begin: State) -> Callable[..., None]:
+    """`step_many` for scenes and states of these types, compiled; scene and start are of no use to it as arguments.
 
     numba's own call would look at each number of both trees to find their types: a hundred microseconds.
     """
     if PLAIN:
-        return lambda _scene, values, _start, *rest: step_many(scene, values, start_state(scene), *rest)
-    like, start = (types.TypeRef(numba.typeof(tree)) for tree in (scene, start_state(scene)))
+        return lambda _scene, values, _start, *rest: step_many(scene, values, begin, *rest)
+    like, start = (types.TypeRef(numba.typeof(tree)) for tree in (scene, begin))
     leaves, table = types.float64[::1], types.float64[:, :, ::1]
     kernel: Any = step_many
     made: Callable[..., None] = kernel.compile((like, leaves, start, leaves, table, types.float64, types.int64, table))
@@ -179,7 +180,8 @@ class Engine:
         self.dt = 1.0 / rate_hz
         begin_bodies(self.scene, self.dt)
         self._values = flatten(self.scene)
-        self._start = flatten(start_state(self.scene))
+        self._begin = start_state(self.scene)
+        self._start = flatten(self._begin)
         self._state = self._start.copy()
         self._tick = 0
         self._advance: Callable[..., None] | None = None
@@ -232,14 +234,14 @@ class Engine:
         wanted = {changes: value} if isinstance(changes, str) else changes
         config = overridden(self.config, wanted, "set")
         tree = build_scene(config, self.scene)
-        if numba.typeof(tree) != numba.typeof(self.scene):
+        if not same_model(tree, self.scene):
             raise ConfigError(f"set: {other_model(self.config, wanted)}: make another Engine")
         self._take(config, tree)
 
     def tune(self, scene: schema.Scene) -> None:
         """Change parameters and keep the contact; ValueError if the scene has other parts than the compiled one."""
         tree = build_scene(scene, self.scene)
-        if numba.typeof(tree) != numba.typeof(self.scene):
+        if not same_model(tree, self.scene):
             raise ValueError("the new scene has other parts than the one compiled: make another engine")
         self._take(scene, tree)
 
@@ -303,7 +305,7 @@ class Engine:
     def _run(self, poses: Array, dt: float, records: Array) -> None:
         """Steps for usable poses (n, fingers, 7) into `records` (n, fingers, RECORD_SIZE)."""
         if self._advance is None:
-            self._advance = compiled(self.scene)
+            self._advance = compiled(self.scene, self._begin)
         self._advance(None, self._values, None, self._state, poses, dt, self._tick, records)
         self._tick += len(poses)
         check_bodies(self.scene)

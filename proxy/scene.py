@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import singledispatch
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numba
+import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
@@ -16,19 +17,14 @@ from softfinger.proxy.bodies import bodies_of
 from softfinger.proxy.heightmaps import kernel_heightmap, read_heights
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.effects.forces import start_states
-from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.arrays import Mutable, ReadOnly
 from softfinger.proxy.kernels.jit.rows import Rows
+from softfinger.proxy.kernels.query.container import MEMORY
 from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
+from softfinger.proxy.many import many_objects as _objects
 from softfinger.proxy.meshes.prepared import Builder, tree_of
 from softfinger.proxy.record import FREE
 from softfinger.proxy.textures import kernel_texture
-
-ROWS_FROM: Final = 8
-"""So many objects of one type and more are asked by a loop at run time; fewer by code of their own."""
-ROWS_OF_WORLD_FROM: Final = 2
-"""The same beside bodies that move by themselves, whose step takes longer than any loop."""
-APART_MAX: Final = 24
-"""Objects with code of their own: each takes seconds to compile, and with 32 numba's recursion has no end."""
 
 
 class Body(NamedTuple):
@@ -44,8 +40,7 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
 
     before  what was built with other parameters: the bodies of its world go on in this one
 
-    Raises ConfigError where the file of a texture or a height map cannot be used, and for more than APART_MAX objects
-    that cannot share their code.
+    Raises ConfigError if the file of a texture or a height map cannot be used.
     """
     materials, rigid = _materials(scene), bodies_of(scene, before)
     bodies, riders = [], []
@@ -60,58 +55,38 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
             own = effects if part == 0 else ()
             made_of = material if isinstance(pose, model.Pose) else _facing(material, thing.orientation_wxyz)
             bodies.append(model.Object(shape, pose, motion, made_of, float(number), own, texture=texture))
+    fingers, rolling = tuple(_finger(each, scene.rolling) for each in scene.fingers), _rolling(scene)
     return model.Scene(
-        fingers=tuple(_finger(each, scene.rolling) for each in scene.fingers),
-        objects=_entries(bodies, ROWS_FROM if rigid is None else ROWS_OF_WORLD_FROM),
-        rolling=_rolling(scene),
+        fingers=fingers,
+        objects=_objects(bodies, fingers, rolling) if len(bodies) > 1 or rigid is not None else model.Single(bodies[0]),
+        rolling=rolling,
         effects=kernel_effects(scene.effect),
         bodies=None if rigid is None else rigid.kernel(tuple(riders)),
     )
 
 
-def _entries(bodies: list[model.Object], rows_from: int) -> tuple[model.Object | Rows, ...]:
-    """The objects as the kernels ask them; so many and more that are alike stand in rows, behind the others.
-
-    What has a motion of its own, remembers or is textured stays by itself: the world and each finger have a place for
-    it. What rides on a body is where that is.
-    """
-    alike: dict[Any, list[model.Object]] = {}
-    for body in bodies:
-        rides = body.motion is None or isinstance(body.motion, model.Simulated)
-        if rides and not body.effects and body.texture is None and not isinstance(body.shape, model.Mesh):
-            alike.setdefault(_type(body), []).append(body)
-    many = [those for those in alike.values() if len(those) >= rows_from]
-    if len(many) == 1 and len(many[0]) == len(bodies):
-        many[0].pop(0)  # a tuple of one entry is a scene of one body, which has one patch
-    in_rows = {id(body) for those in many for body in those}
-    apart = [body for body in bodies if id(body) not in in_rows]
-    if len(apart) > APART_MAX:
-        raise ConfigError(
-            f"{len(apart)} walls and objects need compiled code of their own; at most {APART_MAX} can: those of "
-            f"one shape share it, from {rows_from} on, if they stand still or ride on a body, and have neither effects "
-            "nor a texture"
-        )
-    return (*apart, *map(Rows, many))
+def same_model(one: Any, other: Any) -> bool:
+    """Return whether two scenes have the same compiled code and, of many objects, room for as many."""
+    return bool(numba.typeof(one) == numba.typeof(other)) and _count(one) == _count(other)
 
 
-def _type(tree: Any) -> Any:
-    """What of a tree is compiled: its types without its numbers."""
-    return (type(tree), *map(_type, tree)) if isinstance(tree, tuple) else numba.typeof(tree)
+def _count(scene: model.Scene) -> float:
+    return scene.objects.size if isinstance(scene.objects, model.Many) else 1.0
 
 
 def other_model(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
     """Which of the changes to a scene, that together make another model than its own, do so; for a message."""
-    kind = numba.typeof(build_scene(scene))
-    alone = [key for key, value in changes.items() if _kind_with(scene, {key: value}) != kind]
+    built = build_scene(scene)
+    alone = [key for key, value in changes.items() if not _same_with(scene, built, {key: value})]
     return f"{', '.join(alone or changes)}: that is another model, to be compiled"
 
 
-def _kind_with(scene: schema.Scene, changes: Mapping[str, Any]) -> Any:
-    """The type that a scene has with changes; None where they are not usable without others."""
+def _same_with(scene: schema.Scene, built: model.Scene, changes: Mapping[str, Any]) -> bool:
+    """Return whether a scene is the same model with changes; False if they are not usable without others."""
     try:
-        return numba.typeof(build_scene(overridden(scene, changes, "")))
+        return same_model(build_scene(overridden(scene, changes, "")), built)
     except ConfigError:
-        return None
+        return False
 
 
 def _finger(given: schema.FingerParts, rolling: schema.Rolling | None) -> model.Finger:
@@ -132,9 +107,7 @@ def _finger(given: schema.FingerParts, rolling: schema.Rolling | None) -> model.
 
 def start_state(scene: model.Scene) -> model.State:
     """State before the first pose."""
-    bodies = [entry[0] if isinstance(entry, Rows) else entry for entry in scene.objects]  # those in rows have none
-    effects = (start_states(scene.effects), tuple(start_states(body.effects) for body in bodies))
-    alone = [None if isinstance(entry, Rows) or entry.motion is None else entry.pose for entry in scene.objects]
+    effects = (start_states(scene.effects), tuple(start_states(each) for each in _effects_of(scene.objects)))
     finger = model.FingerState(
         started=0.0,
         probe=model.Probe(position=model.ZERO, orientation=(1.0, 0.0, 0.0, 0.0), velocity=model.ZERO),
@@ -145,15 +118,26 @@ def start_state(scene: model.Scene) -> model.State:
         stuck=0.0,
         effects=effects,
     )
-    poses = tuple(alone)
-    world = model.World(started=0.0, time=0.0, poses=poses, was=poses)
+    poses = _memory(scene.objects)
+    was = None if isinstance(scene.objects, model.Many) else poses
+    world = model.World(started=0.0, time=0.0, poses=poses, was=was)
     return model.State(world=world, fingers=(finger,) * len(scene.fingers))
 
 
-def patches_of(objects: tuple[model.Object, ...]) -> int:
+def _effects_of(objects: model.Single | model.Many) -> list[Any]:
+    return [each.effects for each in objects.effects] if isinstance(objects, model.Many) else [objects.body.effects]
+
+
+def _memory(objects: model.Single | model.Many) -> Any:
+    """Room for the poses of objects that can move."""
+    if isinstance(objects, model.Many):
+        return Mutable(np.zeros(MEMORY * int(objects.size)))
+    return None if objects.body.motion is None else objects.body.pose
+
+
+def patches_of(objects: model.Single | model.Many) -> int:
     """How many patches of contact a fingertip can have at once: one body is touched in one place, a mesh in several."""
-    alone = len(objects) == 1 and not isinstance(objects[0].shape, model.Mesh)
-    return 1 if alone else 3
+    return 1 if isinstance(objects, model.Single) and not isinstance(objects.body.shape, model.Mesh) else 3
 
 
 def _placed(

@@ -19,6 +19,7 @@ from softfinger.proxy.kernels.contact.several_contacts import (
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_count, by_type_of
 from softfinger.proxy.kernels.jit.outlined import outlined_where
+from softfinger.proxy.kernels.jit.tuples import map_each, unzip
 from softfinger.proxy.kernels.model import (
     NONE,
     Bodies,
@@ -55,8 +56,8 @@ def step(scene: Scene, state: State, poses: Any, dt: float) -> Any:
 def step_once(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     """The contact step of all fingers, with every object where the world has it now."""
     world = advance(scene.objects, state.world, dt)
-    objects = place_all(scene.objects, world.poses, world.was)
-    fingers, contacts = step_fingers(scene.fingers, scene, objects, state.fingers, poses, dt)
+    objects = place_all(scene.objects, world)
+    fingers, contacts = unzip(map_each(step_finger, (scene.fingers, state.fingers, poses), scene, objects, dt))
     return State(world=world, fingers=fingers), contacts
 
 
@@ -71,11 +72,11 @@ def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
         return let_go(scene, state.world, state.fingers, poses, dt)
     count = bodies.block[SUBSTEPS]
     begin = state.fingers
-    state, contacts = step_once(scene, state, on_the_way(begin, poses, 1.0 / count), dt / count)
+    state, contacts = step_once(scene, state, map_each(on_the_way, (begin, poses), 1.0 / count), dt / count)
     push_bodies(bodies, contacts, state.fingers)
     for i in range(1, count):
         if step_bodies(bodies) == NO_FAULT:
-            there = on_the_way(begin, poses, (i + 1.0) / count)
+            there = map_each(on_the_way, (begin, poses), (i + 1.0) / count)
             state, contacts = step_once(scene, state, there, dt / count)
             push_bodies(bodies, contacts, state.fingers)
     if faulty(bodies):
@@ -86,74 +87,33 @@ def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
 @jit
 def let_go(scene: Scene, world: World, fingers: Any, poses: Any, dt: float) -> Any:
     """The world as it is, which no finger touches: states before the tick to State and Contacts."""
-    states, contacts = release_fingers(scene.fingers, fingers, poses, dt)
+    states, contacts = unzip(map_each(release_finger, (scene.fingers, fingers, poses), dt))
     return State(world=world, fingers=states), contacts
 
 
-@by_count
-def release_fingers(fingers: Any, states: Any, poses: Any, dt: float) -> Any:
-    """FingerStates and Contacts of fingers that touch nothing and feel nothing, whatever is there; a tuple each."""
-
-
-@release_fingers.of(1)
-def release_one_finger(fingers: Any, states: Any, poses: Any, dt: float) -> Any:
-    state, pose = states[0], poses[0]
-    velocity = filter_velocity(state, pose.position, dt, fingers[0].velocity_time_constant)
+@jit
+def release_finger(finger: Finger, state: FingerState, pose: Pose, dt: float) -> tuple[FingerState, Contact]:
+    """FingerState and Contact of a finger that touches nothing and feels nothing, whatever is there."""
+    velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
-    return (remember_free(state, probe, state.effects, True),), (report_free(state, probe, (0.0, 0.0, 0.0), 0.0),)
+    return remember_free(state, probe, state.effects, True), report_free(state, probe, (0.0, 0.0, 0.0), 0.0)
 
 
-@release_fingers.of(2)
-def release_several_fingers(fingers: Any, states: Any, poses: Any, dt: float) -> Any:
-    state, contact = release_fingers(fingers[:1], states[:1], poses[:1], dt)
-    others, contacts = release_fingers(fingers[1:], states[1:], poses[1:], dt)
-    return state + others, contact + contacts
-
-
-@by_count
-def on_the_way(fingers: Any, poses: Any, share: float) -> Any:
-    """Poses a share of the way from those of each FingerState to the given ones; a finger without one is there."""
-
-
-@on_the_way.of(1)
-def one_on_its_way(fingers: Any, poses: Any, share: float) -> Any:
-    probe, pose = fingers[0].probe, poses[0]
-    if share == 1.0 or fingers[0].started == 0.0:
-        return (pose,)
+@jit
+def on_the_way(state: FingerState, pose: Pose, share: float) -> Pose:
+    """Pose a share of the way from that of a FingerState to the given one; a finger without one is there."""
+    probe = state.probe
+    if share == 1.0 or state.started == 0.0:
+        return pose
     way = vec3.sub(pose.position, probe.position)
     turn = rotations.log(rotations.relative(pose.orientation, probe.orientation))
     turned = rotations.multiply(rotations.exp(vec3.scale(share, turn)), probe.orientation)
-    return (Pose(vec3.add_scaled(probe.position, share, way), turned),)
-
-
-@on_the_way.of(2)
-def several_on_their_way(fingers: Any, poses: Any, share: float) -> Any:
-    # numba joins tuples of known types, and does not unpack one inside another.
-    return one_on_its_way(fingers[:1], poses[:1], share) + on_the_way(fingers[1:], poses[1:], share)
-
-
-@by_count
-def step_fingers(fingers: Any, scene: Scene, objects: Any, states: Any, poses: Any, dt: float) -> Any:
-    """`step_finger` for each finger; states and Contacts, a tuple each."""
-
-
-@step_fingers.of(1)
-def step_the_only_finger(fingers: Any, scene: Scene, objects: Any, states: Any, poses: Any, dt: float) -> Any:
-    state, contact = step_finger(scene, fingers[0], objects, states[0], poses[0], dt)
-    return (state,), (contact,)
-
-
-@step_fingers.of(2)
-def step_several_fingers(fingers: Any, scene: Scene, objects: Any, states: Any, poses: Any, dt: float) -> Any:
-    state, contact = step_finger(scene, fingers[0], objects, states[0], poses[0], dt)
-    others, contacts = step_fingers(fingers[1:], scene, objects, states[1:], poses[1:], dt)
-    # numba joins tuples of known types, and does not unpack one inside another.
-    return (state,) + others, (contact,) + contacts  # noqa: RUF005
+    return Pose(vec3.add_scaled(probe.position, share, way), turned)
 
 
 @outlined_where(moves_by_itself)
 def step_finger(
-    scene: Scene, finger: Finger, objects: Any, state: FingerState, pose: Pose, dt: float
+    finger: Finger, state: FingerState, pose: Pose, scene: Scene, objects: Any, dt: float
 ) -> tuple[FingerState, Contact]:
     """One finger's contact in a world that has been advanced: `objects` are where `place_all` has put them."""
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from softfinger.drivers.simulated.options import Simulation
 from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Plant, PlantState, advance, goal_at, sense
 from softfinger.proxy.bodies import begin_bodies, check_bodies
-from softfinger.proxy.kernels.fingers import rows_of
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry, jit
 from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
+from softfinger.proxy.kernels.jit.tuples import rows_of
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.record import RECORD_SIZE

@@ -160,7 +160,7 @@ def ask(like: Any, values: Array, points: Array, found: Array) -> None:
 
 def asked(scene: schema.Scene, corners: Array, radius: float) -> dict[str, Any]:
     """Nodes and triangles asked for the nearest one, and how far the distance is from that of all."""
-    mesh = build_scene(scene).objects[0].shape
+    mesh = build_scene(scene).objects.body.shape
     points = np.ascontiguousarray(way(BLOCK, radius)[:, :3])
     found = np.zeros((len(points), 3))
     ask(mesh, flatten(mesh), points, found)

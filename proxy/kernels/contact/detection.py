@@ -2,8 +2,6 @@
 
 from typing import Any, NamedTuple
 
-from numba import literal_unroll
-
 from softfinger.proxy.kernels.contact.carry import (
     any_moves,
     carried_direction,
@@ -18,7 +16,7 @@ from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import first_of, replace, same_for
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
@@ -34,7 +32,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import into
-from softfinger.proxy.kernels.query.elements import contains, count, element
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import (
     SINGLE_POINT,
     WITH_HEIGHTMAP,
@@ -117,28 +115,11 @@ class Approach(NamedTuple):
     stuck: float
 
 
-@by_count
-def first_rest(contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Any:
+@jit
+def first_rest(objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Vec3:
     """Where the proxy (3,) m of a contact begins that was met at `met`."""
-
-
-@first_rest.of(1)
-def first_rest_on_the_only_one(
-    contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet
-) -> Vec3:
-    return rest_over_the_probe(objects[0], radius, position, met, active[0])
-
-
-@first_rest.of(2)
-def first_rest_on_one_of_several(
-    contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet
-) -> Vec3:
-    found, at = met, 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, active[0].body):
-            found = rest_over_the_probe(element(entry, active[0].body - at), radius, position, met, active[0])
-        at += count(entry)
-    return found
+    body = object_at(objects, active[0].body)
+    return rest_over_the_probe(body, radius, position, met, active[0])
 
 
 @jit
@@ -188,14 +169,10 @@ def touch_of_a_facet(
     objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
 ) -> tuple[Vec3, bool]:
     """A mesh is searched along the way in steps of its clearance, which may end a little before the touch."""
-    found, at = end, 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            begin = carried_along(body.was, body.pose, start)
-            share = travel(body.shape, into(body.pose, begin), into(body.pose, end), radius, False)
-            found = vec3.add_scaled(begin, min(share, 1.0), vec3.sub(end, begin))
-        at += count(entry)
+    body = object_at(objects, index)
+    begin = carried_along(body, start)
+    share = travel(body.shape, into(body.pose, begin), into(body.pose, end), radius, False)
+    found = vec3.add_scaled(begin, min(share, 1.0), vec3.sub(end, begin))
     return found, is_outside(objects, radius, found, found, budget)
 
 
@@ -256,7 +233,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
             active, center = nothing, position  # what has just ended, rounded
     place, over = center, active[0].body >= 0.0 and exact
     if over:
-        place = first_rest(state.contacts, objects, radius, position, center, active)
+        place = first_rest(objects, radius, position, center, active)
     if len(state.contacts) > 1 and any_creases(objects) and state.started != 0.0 and active[0].body >= 0.0:
         center = met  # of a map that was not searched to the end the gap is a bound
     if not any_moves(objects):
@@ -402,7 +379,7 @@ def detect_or_continue(
     """The contact with the only object goes on; if it has ended, what is met in the same tick is another one. The
     state returned is without the contact that has ended."""
     if state.mode != FREE:
-        approach = continue_contact(scene, finger, objects[0], 0.0, state, probe, dt)
+        approach = continue_contact(scene, finger, object_at(objects, 0.0), 0.0, state, probe, dt)
         if not has_ended(approach.active):
             return state, approach
     state = separated(state)

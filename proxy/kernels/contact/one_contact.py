@@ -9,14 +9,13 @@ from softfinger.proxy.kernels.contact.contact_friction import (
     ProbeMotion,
     after_friction,
     apply_friction,
-    ground_at,
+    rough_ground_at,
 )
 from softfinger.proxy.kernels.contact.detection import Approach
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
 from softfinger.proxy.kernels.contact.outcome import Outcome
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
-from softfinger.proxy.kernels.contact.texture import with_texture_friction
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
 from softfinger.proxy.kernels.model import (
@@ -44,7 +43,7 @@ class Landing(NamedTuple):
 @jit
 def rub_first(finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion) -> tuple[Ground, ContactForces]:
     """Friction of the only contact, and its ground."""
-    ground = ground_at(with_texture_friction(objects, approach.active, approach.center), approach.active[0].body)
+    ground = rough_ground_at(objects, approach.active[0].body, approach.active, approach.center)
     return ground, apply_friction(finger, objects, ground, approach.predicted[0], 1.0, motion)
 
 

@@ -7,8 +7,6 @@ stays clear of all others, is in contact as if there were no others.
 
 from typing import Any, NamedTuple
 
-from numba import literal_unroll
-
 from softfinger.proxy.kernels.contact.carry import any_moves
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
@@ -18,6 +16,7 @@ from softfinger.proxy.kernels.contact.contact_friction import (
     apply_friction,
     ground_at,
     load_on,
+    rough_ground_at,
 )
 from softfinger.proxy.kernels.contact.detection import (
     NO_PREDICTION,
@@ -43,7 +42,6 @@ from softfinger.proxy.kernels.contact.rest.among import (
     slide_over_facets,
 )
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, pushed_at
-from softfinger.proxy.kernels.contact.texture import with_texture_friction
 from softfinger.proxy.kernels.friction.contact_patch import ContactPatch, contact_patch, winding_unit
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
@@ -63,7 +61,7 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.elements import contains, count, element
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import any_multipoint, has_creases_at, is_mesh_at, kind_at
 from softfinger.proxy.kernels.query.objects import deepest, number_of
 from softfinger.proxy.kernels.query.sweep import first_hit
@@ -119,12 +117,8 @@ def continue_single(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
 ) -> Approach:
     """The only contact of the last tick goes on, with the object of several that it is on."""
-    index, found, at = state.contacts[0].body, nothing_approached(probe), 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            found = continue_contact(scene, finger, element(entry, index - at), index, state, probe, dt)
-        at += count(entry)
-    return found
+    index = state.contacts[0].body
+    return continue_contact(scene, finger, object_at(objects, index), index, state, probe, dt)
 
 
 @jit
@@ -177,12 +171,13 @@ def approach_among_several(
 
 
 @jit
-def rub(finger: Finger, objects: Any, predicted: Prediction, motion: ProbeMotion) -> ContactForces:
+def rub(finger: Finger, objects: Any, approach: Approach, predicted: Prediction, motion: ProbeMotion) -> ContactForces:
     """Friction of one of several contacts."""
     contact = predicted.contact
     if contact.body < 0.0 or contact.share <= 0.0:
         return NO_FORCES
-    return apply_friction(finger, objects, ground_at(objects, contact.body), predicted, contact.share, motion)
+    ground = rough_ground_at(objects, contact.body, approach.active, approach.center)
+    return apply_friction(finger, objects, ground, predicted, contact.share, motion)
 
 
 @jit
@@ -190,9 +185,12 @@ def rub_each(
     finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion
 ) -> tuple[ContactForces, ContactForces, ContactForces]:
     """Friction of each contact."""
-    rough = with_texture_friction(objects, approach.active, approach.center)
     one, two, three = approach.predicted
-    return rub(finger, rough, one, motion), rub(finger, rough, two, motion), rub(finger, rough, three, motion)
+    return (
+        rub(finger, objects, approach, one, motion),
+        rub(finger, objects, approach, two, motion),
+        rub(finger, objects, approach, three, motion),
+    )
 
 
 @jit

@@ -3,10 +3,10 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
-from softfinger.proxy.kernels.jit.dispatch import by_count
-from softfinger.proxy.kernels.model import Constraint, Vec3
+from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.model import Constraint, Many, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.elements import element
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.motion import carried_along, moving_pose
 from softfinger.proxy.kernels.query.objects import closest_or_bound_on
 
@@ -21,26 +21,54 @@ class Touched(NamedTuple):
     before: Vec3
 
 
-@by_count
+@by_type
 def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
     """Sum of the forces (3,) N of all objects' effects, their states, and 1 where one of them was told a gap that may
-    be too large, because the search for it did not end; else 0."""
+    be too large, because the search for it did not end; else 0.
+
+    states  a tuple for each object that has effects; of a single object one that may be empty
+    """
 
 
-@apply_objects_effects.of(1)
-def effects_of_one(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    body = objects[0]
-    force, state, unsearched = effects_of(element(body, 0.0).effects, body, states[0], radius, touched, contact)
+@apply_objects_effects.of(Single)
+def effects_of_single(objects: Single, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
+    body = objects.body
+    force, state, unsearched = effects_of(body.effects, body, states[0], radius, touched, contact)
     return force, (state,), unsearched
 
 
-@apply_objects_effects.of(2)
-def effects_of_several(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    body = objects[0]
-    force, state, unsearched = effects_of(element(body, 0.0).effects, body, states[0], radius, touched, contact)
-    others, rest, more = apply_objects_effects(objects[1:], states[1:], radius, touched, contact)
-    states = (state,) + rest  # noqa: RUF005  # see world.poses_of_several_at
+@apply_objects_effects.of(Many)
+def effects_of_many(objects: Many, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
+    return effects_of_carriers(objects.effects, objects, states, radius, touched, contact)
+
+
+@by_count
+def effects_of_carriers(
+    carriers: Any, objects: Many, states: Any, radius: float, touched: Touched, contact: Situation
+) -> Any:
+    """The same of those of many objects that have effects."""
+
+
+@effects_of_carriers.of(0)
+def effects_of_no_carrier(
+    carriers: Any, objects: Many, states: Any, radius: float, touched: Touched, contact: Situation
+) -> Any:
+    return (-0.0, -0.0, -0.0), (), 0.0  # see effects.apply_none
+
+
+def effects_of_first_carrier(
+    carriers: Any, objects: Many, states: Any, radius: float, touched: Touched, contact: Situation
+) -> Any:
+    carrier = carriers[0]
+    body = object_at(objects, carrier.row)
+    force, state, unsearched = effects_of(carrier.effects, body, states[0], radius, touched, contact)
+    others, rest, more = effects_of_carriers(carriers[1:], objects, states[1:], radius, touched, contact)
+    states = (state,) + rest  # noqa: RUF005  # numba joins tuples of known types, and does not unpack them
     return vec3.add(force, others), states, max(unsearched, more)
+
+
+effects_of_carriers.of(1)(effects_of_first_carrier)
+effects_of_carriers.of(2)(effects_of_first_carrier)
 
 
 @by_count
@@ -67,7 +95,7 @@ def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched
         is_touched = 0.0
     carrier, velocity = moving_pose(body.motion, body.pose), contact.velocity
     if contact.dt > 0.0:  # against this object
-        way = vec3.sub(carried_along(body.was, body.pose, touched.before), touched.before)
+        way = vec3.sub(carried_along(body, touched.before), touched.before)
         velocity = vec3.add_scaled(velocity, -1.0 / contact.dt, way)
     situation = Situation(
         position=contact.position, velocity=velocity, dt=contact.dt, touched=is_touched, gap=gap - radius,

@@ -61,6 +61,8 @@ def chosen_by(
 ) -> Any:
     """A kernel chosen by its first argument.
 
+    `.has(kind)` tells whether a kind has a kernel of its own.
+
     sort           what plain Python chooses by: the argument's type, or its length
     kind_of        the kind for a sort
     compiled_kind  the kind for numba's type of the argument
@@ -99,5 +101,6 @@ def chosen_by(
 
     choice: Any = call if PLAIN else Choice(declaration, lambda node, *rest: kernel_for(compiled_kind(node)), call)
     choice.of = of
+    choice.has = kernels.__contains__
     choice.otherwise = of(_OTHERS)
     return choice

@@ -1,13 +1,14 @@
-"""Trees of one type in memory, one behind the other, of which a kernel reads one by its number.
+"""Trees of one type in memory, one behind the other, of which a kernel reads one by its index.
 
-    objects: Rows        # in a kernel: objects[i], len(objects)
+    entries: Rows        # in a kernel: entries[i]
 
-In a tuple every tree is code of its own; in rows the code is that of one tree, and how many there are costs only when
-it runs. The number is part of the type, as the length of a tuple is. Memory and lifetime are those of `arrays`.
+In a tuple every tree is code of its own; in rows the code is that of one tree. Their number is no part of the type, so
+kernels get it as a number. Memory and lifetime are those of `arrays`.
 """
 
 import operator
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numba
@@ -22,9 +23,12 @@ from softfinger.proxy.kernels.jit.pack import flatten
 
 
 class Rows(ReadOnly):
-    """One or more trees of one type (TypeError for others), copied once and never changed."""
+    """One or more trees of one type, copied once and never changed.
 
-    __slots__ = ("like", "trees")
+    They are copied when a kernel first needs them: the address of a tree's own kernels may compile these.
+
+    Raises TypeError for trees of several types.
+    """
 
     def __init__(self, trees: Sequence[Any]) -> None:
         self.trees = tuple(trees)
@@ -32,7 +36,16 @@ class Rows(ReadOnly):
         for tree in self.trees:
             if numba.typeof(tree) != self.like:
                 raise TypeError(f"rows of {self.like} and {numba.typeof(tree)}: all must be of one type")
-        super().__init__(np.stack([flatten(tree) for tree in self.trees]))
+
+    @cached_property
+    def array(self) -> Any:  # type: ignore[override]
+        values = np.stack([flatten(tree) for tree in self.trees]).ravel()
+        values.setflags(write=False)
+        return values
+
+    @property
+    def address(self) -> int:  # type: ignore[override]
+        return int(self.array.ctypes.data)
 
     def __getitem__(self, index: int) -> Any:
         return self.trees[index]
@@ -42,19 +55,18 @@ class Rows(ReadOnly):
 
 
 class RowsType(ReadOnlyType):
-    """What `Rows` is to the compiler: an address, what type of tree is there, and how many."""
+    """Compiler's type of `Rows`: an address, and the type of the trees there."""
 
     instance_class = Rows
 
-    def __init__(self, like: types.Type, count: int) -> None:
+    def __init__(self, like: types.Type) -> None:
         self.like = like
-        self.count = count
-        types.Type.__init__(self, name=f"Rows({like}, {count})")
+        types.Type.__init__(self, name=f"Rows({like})")
 
 
 @typeof_impl.register(Rows)
 def _typeof(value: Rows, context: Any) -> RowsType:
-    return RowsType(value.like, len(value))
+    return RowsType(value.like)
 
 
 register_address(RowsType)
@@ -74,11 +86,3 @@ def _getitem(rows, index):  # type: ignore[no-untyped-def]
     if isinstance(rows, RowsType) and isinstance(index, types.Integer):
         return lambda rows, index: _tree_at(rows, index)
     return None
-
-
-@overload(len, jit_options=INLINED)
-def _len(rows):  # type: ignore[no-untyped-def]
-    if not isinstance(rows, RowsType):
-        return None
-    count = rows.count
-    return lambda rows: count

@@ -1,5 +1,6 @@
 """Tuples as long as others, and named tuples with some of their fields changed."""
 
+import operator
 from typing import Any
 
 from numba import types
@@ -8,7 +9,6 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
 from softfinger.proxy.kernels.jit.decorators import PLAIN
-from softfinger.proxy.kernels.jit.dispatch import by_count
 
 
 @intrinsic(prefer_literal=True)
@@ -39,32 +39,90 @@ if PLAIN:
     replace = _replaced
 
 
-@by_count
-def same_for(each: Any, thing: Any) -> Any:
+@intrinsic
+def same_for(typing_context, each, thing):  # type: ignore[no-untyped-def]
     """A tuple of the same thing for each in another."""
+    result = types.UniTuple(types.unliteral(thing), len(each))
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return context.make_tuple(builder, result, [args[1]] * len(each))
+
+    return result(each, types.unliteral(thing)), generate
 
 
-@same_for.of(1)
-def same_for_one(each: Any, thing: Any) -> Any:
-    return (thing,)
-
-
-@same_for.of(2)
-def same_for_several(each: Any, thing: Any) -> Any:
-    # numba joins tuples of known types, and does not unpack one inside another.
-    return (thing,) + same_for(each[1:], thing)  # noqa: RUF005
-
-
-@by_count
-def first_of(each: Any, thing: Any, others: Any) -> Any:
+@intrinsic
+def first_of(typing_context, each, thing, others):  # type: ignore[no-untyped-def]
     """A tuple as long as another, of a thing and, behind it, the same other thing for each that follows."""
+    result = types.UniTuple(thing, len(each))
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return context.make_tuple(builder, result, [args[1], *[args[2]] * (len(each) - 1)])
+
+    return result(each, thing, thing), generate
 
 
-@first_of.of(1)
-def only_one(each: Any, thing: Any, others: Any) -> Any:
-    return (thing,)
+@intrinsic
+def rows_of(typing_context, each, table, first):  # type: ignore[no-untyped-def]
+    """A tuple of the rows of `table` from `first` on, one for each in another."""
+    get = typing_context.resolve_function_type(operator.getitem, (table, types.int64), {})
+    result = types.UniTuple(get.return_type, len(each))
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        row = context.get_function(operator.getitem, get)
+        at = [builder.add(args[2], context.get_constant(types.int64, i)) for i in range(len(each))]
+        return context.make_tuple(builder, result, [row(builder, [args[1], i]) for i in at])
+
+    return result(each, table, types.int64), generate
 
 
-@first_of.of(2)
-def first_of_several(each: Any, thing: Any, others: Any) -> Any:
-    return (thing,) + same_for(each[1:], others)  # noqa: RUF005  # see above
+@intrinsic
+def map_each(typing_context, kernel, each, *rest):  # type: ignore[no-untyped-def]
+    """A tuple of what a kernel returns for the elements of tuples of the same length.
+
+    kernel  called with an element of each tuple, and with the rest
+    each    tuple of the tuples
+    """
+    given = [tuple(of[i] for of in each) + rest for i in range(len(each[0]))]
+    made = [kernel.get_call_type(typing_context, tuple(map(types.unliteral, one)), {}) for one in given]
+    result = types.Tuple([one.return_type for one in made])
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        tuples = [cgutils.unpack_tuple(builder, of) for of in cgutils.unpack_tuple(builder, args[1])]
+        others, values = cgutils.unpack_tuple(builder, args[2]), []
+        for one, elements in zip(made, zip(*tuples, strict=True), strict=True):
+            values.append(context.get_function(kernel, one)(builder, [*elements, *others]))
+        return context.make_tuple(builder, result, values)
+
+    return result(kernel, each, types.Tuple(tuple(map(types.unliteral, rest)))), generate
+
+
+@intrinsic
+def unzip(typing_context, pairs):  # type: ignore[no-untyped-def]
+    """Two tuples of the first and of the second elements of a tuple of pairs."""
+    sides = [types.Tuple([pair[side] for pair in pairs]) for side in (0, 1)]
+    result = types.Tuple(sides)
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        values = [cgutils.unpack_tuple(builder, pair) for pair in cgutils.unpack_tuple(builder, args[0])]
+        made = [context.make_tuple(builder, kind, [pair[side] for pair in values]) for side, kind in enumerate(sides)]
+        return context.make_tuple(builder, result, made)
+
+    return result(pairs), generate
+
+
+if PLAIN:
+
+    def same_for(each: Any, thing: Any) -> Any:
+        return (thing,) * len(each)
+
+    def first_of(each: Any, thing: Any, others: Any) -> Any:
+        return (thing, *(others,) * (len(each) - 1))
+
+    def rows_of(each: Any, table: Any, first: int) -> Any:
+        return tuple(table[first : first + len(each)])
+
+    def map_each(kernel: Any, each: Any, *rest: Any) -> Any:
+        return tuple(kernel(*elements, *rest) for elements in zip(*each, strict=True))
+
+    def unzip(pairs: Any) -> Any:
+        return tuple(zip(*pairs, strict=True))

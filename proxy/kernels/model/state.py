@@ -10,8 +10,8 @@ class World(NamedTuple):
 
     started  0 before the first tick, then 1
     time     s, the sum of all time steps
-    poses    of all objects now, None for one that cannot move
-    was      the same at the last tick
+    poses    Pose of the only object now, None if it cannot move; of many objects memory of their poses (`query.world`)
+    was      Pose of the only object at the last tick; None for many
     """
 
     started: float

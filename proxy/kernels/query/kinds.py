@@ -3,27 +3,23 @@
 from collections.abc import Callable
 from typing import Any, Final
 
-from numba import literal_unroll
-
 from softfinger.proxy.kernels.jit.cache import kinds_in
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type, chosen_by
-from softfinger.proxy.kernels.jit.rows import Rows
-from softfinger.proxy.kernels.model import Heightmap, Mesh, Simulated
-from softfinger.proxy.kernels.query.elements import contains, count
+from softfinger.proxy.kernels.model import Bodies, Creased, Faceted, Heightmap, Many, Mesh, Single
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.shapes.composite import has_creases, is_mesh_shape
 
 
 def moves_by_itself(*given: Any) -> bool:
-    """Whether there is an object on a body of a simulation among arguments of those types: such a tick takes
-    microseconds, and the code of each finger, compiled into each of its callers, would take a minute."""
-    return Simulated in kinds_in(given)
+    """Return whether there are bodies of a simulation among arguments of those types: such a tick takes microseconds,
+    and the code of each finger, compiled into each of its callers, would take a minute."""
+    return Bodies in kinds_in(given)
 
 
 def takes_long(*given: Any) -> bool:
-    """Whether there is one, a mesh or a height map: what is asked of them takes long enough for a call by address not
-    to count."""
-    return moves_by_itself(*given) or not {Mesh, Heightmap}.isdisjoint(kinds_in(given))
+    """Return whether queries of objects of those types take long enough for a call by address not to count."""
+    return not {Many, Mesh, Heightmap}.isdisjoint(kinds_in(given))
 
 
 SINGLE_POINT: Final = "single point"
@@ -32,11 +28,13 @@ WITH_HEIGHTMAP: Final = "height map"
 
 
 def _kind_among(kinds: Any) -> str:
-    return WITH_HEIGHTMAP if Heightmap in kinds else WITH_MESH if Mesh in kinds else SINGLE_POINT
+    if not {Heightmap, Creased}.isdisjoint(kinds):
+        return WITH_HEIGHTMAP
+    return SINGLE_POINT if {Mesh, Faceted}.isdisjoint(kinds) else WITH_MESH
 
 
 def by_multipoint(declaration: Callable[..., Any]) -> Any:
-    """Declare a kernel chosen by the objects in a tuple; of the others nothing is compiled.
+    """Declare a kernel chosen by the objects of a scene; of the others nothing is compiled.
 
     .of(WITH_HEIGHTMAP)  one is a height map
     .of(WITH_MESH)       one is a mesh, and none a height map
@@ -44,29 +42,14 @@ def by_multipoint(declaration: Callable[..., Any]) -> Any:
     """
 
     def sort(objects: Any) -> str:
-        return _kind_among({type((entry[0] if isinstance(entry, Rows) else entry).shape) for entry in objects})
+        return _kind_among({type(objects.search if isinstance(objects, Many) else objects.body.shape)})
 
-    return chosen_by(declaration, sort, lambda kind: kind, lambda objects: _kind_among(kinds_in(tuple(objects))))
-
-
-@by_type
-def shape_in(entry: Any) -> Any:
-    """The shape of an entry, or of the first of a row, whose others are of its kind."""
-
-
-@shape_in.otherwise
-def shape_of_object(entry: Any) -> Any:
-    return entry.shape
-
-
-@shape_in.of(Rows)
-def shape_of_first(entry: Any) -> Any:
-    return entry[0].shape
+    return chosen_by(declaration, sort, lambda kind: kind, lambda objects: _kind_among(kinds_in((objects,))))
 
 
 @by_multipoint
 def any_mesh(objects: Any) -> Any:
-    """Whether there is a mesh among them."""
+    """Return whether there is a mesh among them."""
 
 
 @any_mesh.of(SINGLE_POINT)
@@ -74,17 +57,34 @@ def no_mesh(objects: Any) -> bool:
     return False
 
 
-@any_mesh.otherwise
+@any_mesh.of(WITH_MESH)
 def some_mesh(objects: Any) -> bool:
-    found = 0.0
-    for entry in literal_unroll(objects):
-        found += is_mesh_shape(shape_in(entry))
-    return found > 0.0
+    return True
+
+
+@any_mesh.of(WITH_HEIGHTMAP)
+def mesh_beside_heightmap(objects: Any) -> bool:
+    return has_meshes(objects)
+
+
+@by_type
+def has_meshes(objects: Any) -> Any:
+    """Return whether there is a mesh among objects one of which is a height map."""
+
+
+@has_meshes.of(Single)
+def single_has_none(objects: Single) -> bool:
+    return False
+
+
+@has_meshes.of(Many)
+def many_have_meshes(objects: Many) -> bool:
+    return bool(objects.search.meshes > 0.0)
 
 
 @by_multipoint
 def any_creases(objects: Any) -> Any:
-    """Whether there is a height map among them."""
+    """Return whether there is a height map among them."""
 
 
 @any_creases.of(WITH_HEIGHTMAP)
@@ -103,25 +103,31 @@ def any_multipoint(objects: Any) -> bool:
     return any_mesh(objects) or any_creases(objects)
 
 
-@jit
-def kind_at(objects: Any, index: float) -> float:
-    """Of the object with that place: 1 a triangle of a mesh, 2 a height map, 0 anything else, or nothing."""
-    kind = 0.0
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            kind = is_mesh_shape(shape_in(entry)) + 2.0 * has_creases(shape_in(entry))
-        at += count(entry)
-    return kind
+@by_multipoint
+def kind_at(objects: Any, index: float) -> Any:
+    """Return 1 for a triangle of a mesh, 2 for a height map, 0 for another object or an index below 0."""
+
+
+@kind_at.of(SINGLE_POINT)
+def kind_touched_in_one_point(objects: Any, index: float) -> float:
+    return 0.0
+
+
+@kind_at.otherwise
+def kind_of_surface(objects: Any, index: float) -> float:
+    if index < 0.0:
+        return 0.0
+    shape = object_at(objects, index).shape
+    return is_mesh_shape(shape) + 2.0 * has_creases(shape)
 
 
 @jit
 def is_mesh_at(objects: Any, index: float) -> bool:
-    """Whether the object with that place is a triangle of a mesh."""
+    """Whether the object with that index is a triangle of a mesh."""
     return kind_at(objects, index) == 1.0
 
 
 @jit
 def has_creases_at(objects: Any, index: float) -> bool:
-    """Whether the object with that place is a height map."""
+    """Whether the object with that index is a height map."""
     return kind_at(objects, index) == 2.0

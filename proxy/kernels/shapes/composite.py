@@ -1,11 +1,11 @@
 """What a shape can do that is touched in several places at once: a mesh, whose triangles are objects of their own, or a
 height map. Every other shape takes the defaults.
 
-    is_mesh_shape(shape)                     -> 0 or 1           whether it is many flat ones
+    is_mesh_shape(shape)                     -> 0 or 1           whether it is a triangle of a mesh
     has_creases(shape)                       -> 0 or 1           whether it may hold a fingertip in several places
     nearest_of_shape(shape, x, within, ...)  -> Deepest          the nearest of its objects
     neighbour_of(shape, x)                   -> number           of the object beyond an edge, counted from this one
-    count_of_shape, shape_contains, element_of_shape             how many objects it is, and which
+    element_of_shape(shape, facet)           -> shape            the object that is one of its triangles
     raised_clear(shape, x, radius)           -> (3,) m           a place outside for certain
     shaded(shape, pose, normal, position)    -> (3,)             the direction in which it presses
 """
@@ -25,7 +25,7 @@ way, and not by a rounding error."""
 
 @by_type
 def is_mesh_shape(shape: Any) -> Any:
-    """1 for a shape that is many flat ones, each an object of its own."""
+    """1 for a triangle of a mesh."""
 
 
 @is_mesh_shape.otherwise
@@ -53,12 +53,12 @@ class Deepest(NamedTuple):
 
 
 @by_type
-def nearest_of_shape(shape: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Any:
-    """`query.objects.deepest` of the objects that one shape is, in its frame; the place counts from its first."""
+def nearest_of_shape(shape: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Any:
+    """`query.objects.deepest` of one shape, in its frame; `place` and `known` are indices of triangles, 0 of others."""
 
 
 @nearest_of_shape.otherwise
-def gap_of_it(shape: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
+def gap_of_it(shape: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
     gap, _, _ = closest(shape, x)
     return Deepest(gap, 0.0, budget)
 
@@ -74,33 +74,13 @@ def no_neighbour(shape: Any, x: Vec3) -> float:
 
 
 @by_type
-def count_of_shape(shape: Any) -> Any:
-    """How many objects a shape is to the fingertip: each triangle of a mesh is one, held and rubbed by itself."""
-
-
-@count_of_shape.otherwise
-def count_one(shape: Any) -> float:
-    return 1.0
-
-
-@by_type
-def shape_contains(shape: Any, at: float, index: float) -> Any:
-    """`contains` of an object with that shape."""
-
-
-@shape_contains.otherwise
-def is_that_one(shape: Any, at: float, index: float) -> bool:
-    return at == index
-
-
-@by_type
-def element_of_shape(shape: Any, body: Any, number: float) -> Any:
-    """`element` of an object with that shape."""
+def element_of_shape(shape: Any, facet: float) -> Any:
+    """Return the triangle of a mesh with that index, another shape itself."""
 
 
 @element_of_shape.otherwise
-def shape_itself(shape: Any, body: Any, number: float) -> Any:
-    return body
+def shape_itself(shape: Any, facet: float) -> Any:
+    return shape
 
 
 @by_type

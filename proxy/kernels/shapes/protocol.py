@@ -15,7 +15,7 @@ These two are all that a new shape has to give. What follows has a default, whic
     bend(shape, radius, point, normal)       -> 1/m                 how much it bends round the fingertip
     follows(shape, radius, start, normal, end)                      whether a roll takes the centre there; default: yes
     travel(shape, start, end, radius, leaves)                       how far a fingertip gets until it meets the shape
-    rest_on(shape, body, radius, ...)                               where the proxy rests on it
+    rest_on(shape, pose, radius, ...)                               where the proxy rests on it
     ahead(shape, radius, center, ...)                               where the centre gets by going straight ahead
     tangent_plane(shape, normal)                                    the plane through the origin that it is like there
     unroll(shape, radius, center, ...)                              rolling in closed form, without a default
@@ -135,8 +135,8 @@ def travel(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> A
 
 
 @by_type
-def rest_on(shape: Any, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3) -> Any:
-    """Proxy and normal on a single object, the `body` of this shape, all but the shape in the world; and 1 if the
+def rest_on(shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3) -> Any:
+    """Proxy and normal on a single object of this shape and pose, all but the shape in the world; and 1 if the
     proxy stays where it was since the budget of the search was used up."""
 
 

@@ -44,6 +44,7 @@ from numba.core.caching import NullCache
 from numba.core.ccallback import CFunc
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder, compile_result
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import TypingError
 from numba.core.imputils import lower_constant
 from numba.core.registry import CPUDispatcher, cpu_target
@@ -339,6 +340,7 @@ def _linked(folder: Folder, symbol: str, target_context: Any) -> bool:
 _IN_AND_OUT: Final = types.void(types.voidptr, types.voidptr)
 
 
+@global_compiler_lock
 def link_unit(function: Callable[..., Any], folder: Folder, given: Any, make: Callable[[], Callable[..., Any]]) -> str:
     """The symbol of a kernel for arguments of the types `given`, a tuple; its code is there, from the disk or compiled.
 
