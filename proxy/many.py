@@ -13,7 +13,8 @@ from softfinger.proxy.kernels.contact.rest import alone as _alone  # noqa: F401
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.query.container import ENTRIES
-from softfinger.proxy.kernels.shapes import any_shape as kinds
+from softfinger.proxy.kernels.shapes import kernel_table as kinds
+from softfinger.proxy.kernels.shapes.any_shape import any_shape
 
 NO_BLOCK: Final = ReadOnly(np.zeros(1, np.int64))
 """In place of the addresses of a simulation."""
@@ -21,8 +22,10 @@ NO_VALUES: Final = ReadOnly(np.zeros(1))
 AT_REST: Final = model.Motion(model.STILL, NO_BLOCK, 0.0, model.ZERO, model.ZERO, model.ZERO, 0.0, 0.0, 0.0, 0.0)
 
 
-def many_objects(objects: list[model.Object], fingers: tuple[model.Finger, ...], rolling: Any) -> model.Many:
-    """Return any number of objects in their container.
+def many_objects(
+    objects: list[model.Object], effects: tuple[model.Carrier, ...], fingers: tuple[model.Finger, ...], rolling: Any
+) -> model.Many:
+    """Return any number of objects in their container, with the effects of some.
 
     Raises ConfigError for more than ENTRIES objects.
     """
@@ -42,7 +45,7 @@ def many_objects(objects: list[model.Object], fingers: tuple[model.Finger, ...],
         search=mark(meshes),
         materials=Rows([each.material._replace(normal=None) for each in objects]),
         textures=_textures([each.texture for each in objects]),
-        effects=tuple(model.Carrier(float(row), each.effects) for row, each in enumerate(objects) if each.effects),
+        effects=effects,
     )
 
 
@@ -61,7 +64,7 @@ def _needs(objects: list[model.Object], fingers: tuple[model.Finger, ...], rolli
 
 
 def _entry(thing: model.Object, needs: frozenset[int]) -> model.Entry:
-    shape = kinds.any_shape(thing.shape, needs)
+    shape = any_shape(thing.shape, needs)
     return model.Entry(shape, _pose(thing.pose), _motion(thing.motion), thing.material.normal, thing.number)
 
 

@@ -21,7 +21,7 @@ from softfinger.proxy.kernels.jit.arrays import Mutable, ReadOnly
 from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.query.container import MEMORY
 from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
-from softfinger.proxy.many import many_objects as _objects
+from softfinger.proxy.many import many_objects
 from softfinger.proxy.meshes.prepared import Builder, tree_of
 from softfinger.proxy.record import FREE
 from softfinger.proxy.textures import kernel_texture
@@ -43,7 +43,9 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
     Raises ConfigError if the file of a texture or a height map cannot be used.
     """
     materials, rigid = _materials(scene), bodies_of(scene, before)
-    bodies, riders = [], []
+    bodies = list[model.Object]()
+    carriers = list[model.Carrier]()
+    riders = list[float]()
     for number, (thing, material) in enumerate(zip(scene.object, materials, strict=True)):
         motion, effects = kernel_motion(thing.motion, rigid), kernel_effects(thing.effect)
         riders.append(motion.body if isinstance(motion, model.Simulated) else 0.0)
@@ -51,14 +53,16 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
         for part, (shape, position, orientation) in enumerate(shape_bodies(thing)):
             fixed = motion is None and texture is None
             shape, pose = _placed(shape, thing, position, orientation, fixed)
-            # Several walls of one object do together what the object does once.
-            own = effects if part == 0 else ()
+            if effects and part == 0:  # several walls of one object do together what the object does once
+                carriers.append(model.Carrier(float(len(bodies)), effects))
             made_of = material if isinstance(pose, model.Pose) else _facing(material, thing.orientation_wxyz)
-            bodies.append(model.Object(shape, pose, motion, made_of, float(number), own, texture=texture))
+            bodies.append(model.Object(shape, pose, motion, made_of, float(number), texture=texture))
     fingers, rolling = tuple(_finger(each, scene.rolling) for each in scene.fingers), _rolling(scene)
     return model.Scene(
         fingers=fingers,
-        objects=_objects(bodies, fingers, rolling) if len(bodies) > 1 or rigid is not None else model.Single(bodies[0]),
+        objects=many_objects(bodies, tuple(carriers), fingers, rolling)
+        if len(bodies) > 1 or rigid is not None
+        else model.Single(bodies[0], tuple(carriers)),
         rolling=rolling,
         effects=kernel_effects(scene.effect),
         bodies=None if rigid is None else rigid.kernel(tuple(riders)),
@@ -107,7 +111,7 @@ def _finger(given: schema.FingerParts, rolling: schema.Rolling | None) -> model.
 
 def start_state(scene: model.Scene) -> model.State:
     """State before the first pose."""
-    effects = (start_states(scene.effects), tuple(start_states(each) for each in _effects_of(scene.objects)))
+    effects = (start_states(scene.effects), tuple(start_states(each.effects) for each in scene.objects.effects))
     finger = model.FingerState(
         started=0.0,
         probe=model.Probe(position=model.ZERO, orientation=(1.0, 0.0, 0.0, 0.0), velocity=model.ZERO),
@@ -122,10 +126,6 @@ def start_state(scene: model.Scene) -> model.State:
     was = None if isinstance(scene.objects, model.Many) else poses
     world = model.World(started=0.0, time=0.0, poses=poses, was=was)
     return model.State(world=world, fingers=(finger,) * len(scene.fingers))
-
-
-def _effects_of(objects: model.Single | model.Many) -> list[Any]:
-    return [each.effects for each in objects.effects] if isinstance(objects, model.Many) else [objects.body.effects]
 
 
 def _memory(objects: model.Single | model.Many) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
@@ -26,14 +26,7 @@ from softfinger.config.words import shown
 from softfinger.server.offline.feels import entry_rows
 
 if TYPE_CHECKING:  # with the kernels behind them, which no rig needs
-    from softfinger.config.mjcf import Taken
     from softfinger.proxy.meshes.report import Report
-
-COMPILE_S: Final = (31.0, 7.0)
-"""Of a scene with bodies, and of each kind of geom that a finger touches: seconds of a processor, measured with 2, 4
-and 8 free bodies of five kinds, friction and rolling, on a busy machine."""
-LONG_S: Final = 90.0
-"""From here on a first start is worth a word."""
 
 
 def scene_summary(scene: Scene) -> list[tuple[str, str]]:
@@ -56,18 +49,7 @@ def _world_rows(world: World) -> list[tuple[str, str]]:
     geoms = list(taken(world))
     touched = sum(geom.object is not None for geom in geoms)
     rows = [("world", f"{world.model}, {touched} of {len(geoms)} geoms touched, substeps {world.substeps}")]
-    compiling = COMPILE_S[0] + COMPILE_S[1] * _compiled(geoms)
-    if compiling >= LONG_S:
-        few = "to touch fewer meshes give a material to these alone, by [[world.geom]]"
-        rows.append(("  compiling", f"some {round(compiling, -1):g} s at the first start; {few}"))
     return rows + [(f"  geom '{geom.name}'", geom.note) for geom in geoms if geom.note]
-
-
-def _compiled(geoms: list[Taken]) -> int:
-    """How many geoms have code of their own: all of a kind share theirs, but each mesh has its own."""
-    objects = [geom.object for geom in geoms if geom.object is not None]
-    meshes = sum(isinstance(each, Mesh) for each in objects)
-    return meshes + len({(each.shape, each.motion is None) for each in objects if not isinstance(each, Mesh)})
 
 
 def _finger_rows(scene: Scene, finger: FingerParts) -> list[tuple[str, str]]:

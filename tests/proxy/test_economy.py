@@ -48,11 +48,11 @@ STAND_INS = {
     "contact.rolling.on_objects.follows_on",
     "contact.rolling.on_objects.roll_on",
     "shapes.composite.not_shaded",
-    "effects.forces.apply_none",
-    "effects.objects.effects_of_none",
-    "effects.objects.effects_of_single",
+    "effects.forces.apply_effects",
+    "effects.objects.apply_objects_effects",
     "query.motion.pose_at_rest",
     "friction.torsion.damped_nothing",
+    "query.motion.cannot_move",
     "query.motion.no_moving_pose",
     "query.motion.not_carried",
     "shapes.protocol.never_hollow",
@@ -291,10 +291,12 @@ def test_table_of_features_has_every_feature_of_the_scene_format() -> None:
 
 
 def test_pairs_of_features_differ_in_what_is_compiled() -> None:
-    """A feature is code, not a number; only inside and outside of a smooth shape are one code with another sign."""
+    """A feature is code, not a number; one code serves both sides of a smooth shape, and two objects or three."""
     names = [feature.name for feature in all_features()]
     assert len(set(names)) == len(names)
     for feature in all_features():
         types = {numba.typeof(build_scene(s)) for s in (feature.without, feature.having)}
-        one_code = feature.name.startswith("inside ") and "ends" not in feature.name and "box" not in feature.name
+        name = feature.name
+        one_code = name.startswith("inside ") and "ends" not in name and "box" not in name
+        one_code |= name.startswith("third object")
         assert len(types) == (1 if one_code else 2), feature.name

@@ -117,7 +117,7 @@ def test_the_type_does_not_depend_on_the_objects() -> None:
 def test_more_objects_than_have_an_index_are_refused() -> None:
     body = build_scene(scene(SHAPES["plane"])).objects.body
     with pytest.raises(Exception, match=f"{ENTRIES + 1} walls and objects: at most {ENTRIES}"):
-        many_objects([body] * (ENTRIES + 1), (), None)
+        many_objects([body] * (ENTRIES + 1), (), (), None)
 
 
 def test_other_objects_compile_no_step_anew() -> None:

@@ -77,7 +77,7 @@ def test_what_says_where_and_what_is_allowed_is_there_at_once():
 @pytest.mark.plain
 def test_an_array_is_another_at_once():
     """What a law of another package owns is reached by its address, of which there is no half way."""
-    old, new = (model.Object(None, None, None, model.Material(ReadOnly([k]), None, None), 0.0, ()) for k in (1.0, 2.0))
+    old, new = (model.Object(None, None, None, model.Material(ReadOnly([k]), None, None), 0.0) for k in (1.0, 2.0))
     way = way_from(old)
     ramp.head_for(way, flatten(new))
     ramp.advance(way)
@@ -91,7 +91,7 @@ def test_a_power_law_changes_its_force_evenly_at_every_depth():
         model.Material(model.PowerNormal(k * DEPTH_M / d**p, p, 0.0), None, None)
         for k, d, p in ((1000.0, DEPTH_M, 1.5), (1000.0, DEPTH_M, 2.5))
     ]
-    old, new = (model.Object(None, None, None, material, 0.0, ()) for material in ends)
+    old, new = (model.Object(None, None, None, material, 0.0) for material in ends)
     way = way_from(old)
     ramp.head_for(way, flatten(new))
     for _ in range(TICKS):

@@ -111,7 +111,7 @@ def grown_by(objects: Any, tip: Tip) -> Any:
 def one_grown_by(objects: Single, tip: Tip) -> Single:
     body = objects.body
     axes = rotations.multiply(rotations.conjugate(pose_values(body.pose).orientation), tip.orientation)
-    return Single(replace(body, "shape", MinkowskiSum(body.shape, tip.semi_axes, axes, tip.radius)))
+    return replace(objects, "body", replace(body, "shape", MinkowskiSum(body.shape, tip.semi_axes, axes, tip.radius)))
 
 
 @grown_by.of(Many)

@@ -13,7 +13,8 @@ from math import floor, pi, sin
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.tuples import fold_each, map_each, unzip
 from softfinger.proxy.kernels.model import (
     Anchor,
     BoxBoundary,
@@ -39,6 +40,8 @@ FORCE_CEILING_N = 1e6
 """Only keeps products of absurd numbers finite; what reaches a hand is the guard's business."""
 TURNS_CEILING = 1e15
 """Past this many turns float64 has no fraction of a turn left."""
+NO_FORCE: Vec3 = (-0.0, -0.0, -0.0)
+"""Negative zeros: adding them changes no bit of any number, so the compiler leaves the addition out."""
 NO_LENGTH_M = 1e-100
 """A shorter vector has no direction: the squares of its components underflow."""
 
@@ -258,29 +261,11 @@ def stick_slip_force(effect: StickSlip, state: Anchor, situation: Situation) -> 
 # --- all of them ---------------------------------------------------------------------------------
 
 
-@by_count
+@jit
 def apply_effects(effects: Any, states: Any, situation: Situation) -> Any:
     """Sum of the forces (3,) N of a tuple of effects, and their states after this tick."""
-
-
-@apply_effects.of(0)
-def apply_none(effects: Any, states: Any, situation: Situation) -> Any:
-    # Negative zero: adding it changes no bit of any number, so the compiler leaves the addition out.
-    return (-0.0, -0.0, -0.0), ()
-
-
-@apply_effects.of(1)
-def apply_one(effects: Any, states: Any, situation: Situation) -> Any:
-    force, state = effect_force(effects[0], states[0], situation)
-    return force, (state,)
-
-
-@apply_effects.of(2)
-def apply_first_and_rest(effects: Any, states: Any, situation: Situation) -> Any:
-    force, state = effect_force(effects[0], states[0], situation)
-    others, states_of_others = apply_effects(effects[1:], states[1:], situation)
-    # numba joins tuples of known types, and does not unpack one inside another.
-    return vec3.add(force, others), (state,) + states_of_others  # noqa: RUF005
+    forces, after = unzip(map_each(effect_force, (effects, states), situation))
+    return fold_each(vec3.add, forces, NO_FORCE), after
 
 
 def start_states(effects: tuple[Any, ...]) -> tuple[Any, ...]:

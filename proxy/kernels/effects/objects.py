@@ -2,9 +2,11 @@
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
-from softfinger.proxy.kernels.model import Constraint, Many, Single, Vec3
+from softfinger.proxy.kernels.effects.forces import NO_FORCE, Situation, apply_effects
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.tuples import fold_each, map_each, unzip
+from softfinger.proxy.kernels.model import Carrier, Constraint, Many, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.motion import carried_along, moving_pose
@@ -21,68 +23,31 @@ class Touched(NamedTuple):
     before: Vec3
 
 
-@by_type
+@jit
 def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
     """Sum of the forces (3,) N of all objects' effects, their states, and 1 where one of them was told a gap that may
     be too large, because the search for it did not end; else 0.
 
-    states  a tuple for each object that has effects; of a single object one that may be empty
+    states  a tuple for each Carrier of the objects
     """
+    felt, after = unzip(map_each(effects_of, (objects.effects, states), objects, radius, touched, contact))
+    force, unsearched = fold_each(added, felt, (NO_FORCE, 0.0))
+    return force, after, unsearched
 
 
-@apply_objects_effects.of(Single)
-def effects_of_single(objects: Single, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    body = objects.body
-    force, state, unsearched = effects_of(body.effects, body, states[0], radius, touched, contact)
-    return force, (state,), unsearched
+@jit
+def added(one: tuple[Vec3, float], other: tuple[Vec3, float]) -> tuple[Vec3, float]:
+    """Force of both, and 1 if the search of either did not end."""
+    return vec3.add(one[0], other[0]), max(one[1], other[1])
 
 
-@apply_objects_effects.of(Many)
-def effects_of_many(objects: Many, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    return effects_of_carriers(objects.effects, objects, states, radius, touched, contact)
-
-
-@by_count
-def effects_of_carriers(
-    carriers: Any, objects: Many, states: Any, radius: float, touched: Touched, contact: Situation
-) -> Any:
-    """The same of those of many objects that have effects."""
-
-
-@effects_of_carriers.of(0)
-def effects_of_no_carrier(
-    carriers: Any, objects: Many, states: Any, radius: float, touched: Touched, contact: Situation
-) -> Any:
-    return (-0.0, -0.0, -0.0), (), 0.0  # see effects.apply_none
-
-
-def effects_of_first_carrier(
-    carriers: Any, objects: Many, states: Any, radius: float, touched: Touched, contact: Situation
-) -> Any:
-    carrier = carriers[0]
+@jit
+def effects_of(
+    carrier: Carrier, states: Any, objects: Any, radius: float, touched: Touched, contact: Situation
+) -> tuple[tuple[Vec3, float], Any]:
+    """Force (3,) N of one object's effects and, as above, whether a search did not end; and their states."""
     body = object_at(objects, carrier.row)
-    force, state, unsearched = effects_of(carrier.effects, body, states[0], radius, touched, contact)
-    others, rest, more = effects_of_carriers(carriers[1:], objects, states[1:], radius, touched, contact)
-    states = (state,) + rest  # noqa: RUF005  # numba joins tuples of known types, and does not unpack them
-    return vec3.add(force, others), states, max(unsearched, more)
-
-
-effects_of_carriers.of(1)(effects_of_first_carrier)
-effects_of_carriers.of(2)(effects_of_first_carrier)
-
-
-@by_count
-def effects_of(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    """Force, states and, as above, whether a search did not end, of one object's effects."""
-
-
-@effects_of.of(0)
-def effects_of_none(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    return (-0.0, -0.0, -0.0), (), 0.0  # see effects.apply_none
-
-
-def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    gap, _, normal, unsearched = closest_or_bound_on(body, contact.position)
+    gap, _, normal, unsearched = closest_or_bound_on(whole(objects, body), contact.position)
     is_touched = 1.0
     # The contact's normal, not that of the nearest surface point: the probe may be through a thin body.
     if body.number == touched.one.body:
@@ -93,17 +58,28 @@ def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched
         normal = touched.three.normal
     else:
         is_touched = 0.0
-    carrier, velocity = moving_pose(body.motion, body.pose), contact.velocity
+    frame, velocity = moving_pose(body.motion, body.pose), contact.velocity
     if contact.dt > 0.0:  # against this object
         way = vec3.sub(carried_along(body, touched.before), touched.before)
         velocity = vec3.add_scaled(velocity, -1.0 / contact.dt, way)
     situation = Situation(
         position=contact.position, velocity=velocity, dt=contact.dt, touched=is_touched, gap=gap - radius,
-        normal=normal, carrier=carrier,
+        normal=normal, carrier=frame,
     )  # fmt: skip
-    force, after = apply_effects(effects, states, situation)
-    return force, after, unsearched
+    force, after = apply_effects(carrier.effects, states, situation)
+    return (force, unsearched), after
 
 
-effects_of.of(1)(effects_of_some)
-effects_of.of(2)(effects_of_some)
+@by_type
+def whole(objects: Any, body: Any) -> Any:
+    """The object itself, not one of its triangles."""
+
+
+@whole.of(Single)
+def whole_of_single(objects: Single, body: Any) -> Any:
+    return objects.body
+
+
+@whole.of(Many)
+def whole_of_many(objects: Many, body: Any) -> Any:
+    return body

@@ -97,6 +97,32 @@ def map_each(typing_context, kernel, each, *rest):  # type: ignore[no-untyped-de
 
 
 @intrinsic
+def fold_each(typing_context, kernel, each, start):  # type: ignore[no-untyped-def]
+    """What a kernel of two arguments makes of the elements of a tuple, the last with `start`, the others with that."""
+    made = [kernel.get_call_type(typing_context, (one, start), {}) for one in each]
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        value = args[2]
+        for one, element in reversed(list(zip(made, cgutils.unpack_tuple(builder, args[1]), strict=True))):
+            value = context.get_function(kernel, one)(builder, [element, value])
+        return value
+
+    return start(kernel, each, start), generate
+
+
+@intrinsic(prefer_literal=True)
+def padded(typing_context, each, filler, length):  # type: ignore[no-untyped-def]
+    """A tuple of that length, which is a constant: another, and `filler` in the places behind it."""
+    result = types.UniTuple(types.unliteral(filler), length.literal_value)
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        values = cgutils.unpack_tuple(builder, args[0])
+        return context.make_tuple(builder, result, [*values, *[args[1]] * (result.count - len(values))])
+
+    return result(each, types.unliteral(filler), length), generate
+
+
+@intrinsic
 def unzip(typing_context, pairs):  # type: ignore[no-untyped-def]
     """Two tuples of the first and of the second elements of a tuple of pairs."""
     sides = [types.Tuple([pair[side] for pair in pairs]) for side in (0, 1)]
@@ -124,5 +150,13 @@ if PLAIN:
     def map_each(kernel: Any, each: Any, *rest: Any) -> Any:
         return tuple(kernel(*elements, *rest) for elements in zip(*each, strict=True))
 
+    def fold_each(kernel: Any, each: Any, start: Any) -> Any:
+        for element in reversed(each):
+            start = kernel(element, start)
+        return start
+
+    def padded(each: Any, filler: Any, length: int) -> Any:
+        return (*each, *(filler,) * (length - len(each)))
+
     def unzip(pairs: Any) -> Any:
-        return tuple(zip(*pairs, strict=True))
+        return tuple(zip(*pairs, strict=True)) or ((), ())

@@ -28,7 +28,6 @@ class Object(NamedTuple):
     motion    None, or how it moves
     material  Material, of the same parts for all objects of a scene
     number    of the object in the scene file; several shapes may make one object
-    effects   tuple of effects
     was       Pose at the last tick of an object that can move; None for one that cannot, and in a scene
     texture   Texture or None; its coordinates are those of the frame of `pose`
     """
@@ -38,15 +37,25 @@ class Object(NamedTuple):
     motion: Any
     material: Material
     number: float
-    effects: Any
     was: Any = None
     texture: Any = None
 
 
+class Carrier(NamedTuple):
+    """Effects of an object, and its row, 0 of a single one."""
+
+    row: float
+    effects: Any
+
+
 class Single(NamedTuple):
-    """The only object of a scene, of a shape that is known when the scene is compiled."""
+    """The only object of a scene, of a shape that is known when the scene is compiled.
+
+    effects  tuple of Carrier, one or none
+    """
 
     body: Object
+    effects: Any = ()
 
 
 class Entry(NamedTuple):
@@ -82,13 +91,6 @@ class Creased(NamedTuple):
     """Mark of objects among which are height maps; `meshes` is their number, which may be 0."""
 
     meshes: float
-
-
-class Carrier(NamedTuple):
-    """Effects of one of many objects, and its row."""
-
-    row: float
-    effects: Any
 
 
 class Tip(NamedTuple):

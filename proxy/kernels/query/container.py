@@ -61,7 +61,6 @@ def one_of_many(objects: Many, index: float) -> Object:
         motion=entry.motion,
         material=material_of_row(objects.materials, entry.normal, row),
         number=entry.number,
-        effects=(),
         was=was,
         texture=texture_of_row(objects.textures, row),
     )

@@ -90,7 +90,7 @@ def place_all(objects: Any, world: World) -> Any:
 @place_all.of(Single)
 def place_one(objects: Single, world: World) -> Single:
     body = objects.body
-    return Single(replace(body, "pose", standing(world.poses, body.pose), "was", world.was))
+    return replace(objects, "body", replace(body, "pose", standing(world.poses, body.pose), "was", world.was))
 
 
 @place_all.of(Many)
@@ -110,7 +110,7 @@ def all_bare(objects: Any) -> Any:
 def one_bare(objects: Single) -> Single:
     body = objects.body
     material = Material(body.material.normal, None, None)
-    return Single(replace(body, "material", material, "effects", (), "texture", None))
+    return Single(replace(body, "material", material, "texture", None))
 
 
 @all_bare.of(Many)

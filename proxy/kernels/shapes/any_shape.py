@@ -1,31 +1,18 @@
-"""A shape whose kind is data: its kernels are called by their addresses.
+"""A shape whose kind is data: its kernels are called by the addresses in its table (`kernel_table`).
 
-Each kind of shape has a table (`kernel_table`) with the addresses of the kernels it defines itself. For all others the
-default runs, which calls `closest` and `curvature` of the table. So the code for many objects is compiled once for all
-kinds, and of the kinds only those in use are compiled. A shape of another package needs no additions.
-
-A kernel in a table takes the row of a shape, the index of a triangle, and its own arguments (`called`).
+For what a kind does not define the default runs, which calls `closest` and `curvature` of the table. So the code for
+many objects is compiled once for all kinds, and of the kinds only those in use are compiled. A shape of another package
+needs no additions.
 """
 
 from __future__ import annotations
 
-import functools
 import math
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
-import llvmlite.binding as llvm
-import numba
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic, typeof_impl
 
-from softfinger.proxy.kernels.jit.arrays import ReadOnly, ReadOnlyType
-from softfinger.proxy.kernels.jit.compiler.numba_internals import Inlined, link_unit
-from softfinger.proxy.kernels.jit.decorators import INLINED, KEPT, PLAIN, entry
-from softfinger.proxy.kernels.jit.outlined import in_and_out
-from softfinger.proxy.kernels.jit.rows import Rows
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.model import (
     CREASED,
     FACETED,
@@ -35,7 +22,6 @@ from softfinger.proxy.kernels.model import (
     CappedCylinder,
     Capsule,
     Ellipsoid,
-    Facet,
     Heightmap,
     Mesh,
     MinkowskiSum,
@@ -54,6 +40,31 @@ from softfinger.proxy.kernels.shapes.composite import (
     neighbour_of,
     raised_clear,
     shaded,
+)
+from softfinger.proxy.kernels.shapes.kernel_table import (
+    BEND,
+    CHART,
+    CLOSEST,
+    CLOSEST_FROM,
+    CLOSEST_OR_BOUND,
+    CLOSEST_WITHIN,
+    CONSTRAINT,
+    CURVATURE,
+    FOLLOWS,
+    MEETS,
+    MINKOWSKI,
+    NEAREST,
+    NEIGHBOUR,
+    RAISED,
+    SHADED,
+    SLOTS,
+    TRANSPORT,
+    TRAVEL,
+    ShapeRow,
+    Slot,
+    called,
+    is_two_sided,
+    kernel_table,
 )
 from softfinger.proxy.kernels.shapes.minkowski import nearest_on_minkowski_sum
 from softfinger.proxy.kernels.shapes.protocol import (
@@ -74,14 +85,6 @@ from softfinger.proxy.kernels.shapes.protocol import (
     turn_along,
 )
 
-CLOSEST, CLOSEST_FROM, CLOSEST_OR_BOUND, CLOSEST_WITHIN, CONSTRAINT, CURVATURE = 0, 1, 2, 3, 4, 5
-TRANSPORT, BEND, FOLLOWS, TRAVEL, MEETS, NEAREST, NEIGHBOUR, RAISED, SHADED = 6, 7, 8, 9, 10, 11, 12, 13, 14
-REST, AHEAD, UNROLL, CHART, MINKOWSKI = 15, 16, 17, 18, 19
-"""Places in a table of kernels."""
-OPTIONAL: Final = frozenset({AHEAD, UNROLL, CHART, MINKOWSKI})
-"""Kernels that few scenes call: a rolling method, textures, an ellipsoidal fingertip."""
-TABLE_SIZE: Final = 20
-
 FOOT: Final = (0.0, ZERO, ZERO)
 FOOT_AND_BUDGET: Final = (0.0, ZERO, ZERO, 0)
 FOOT_AND_FLAG: Final = (0.0, ZERO, ZERO, 0.0)
@@ -93,163 +96,34 @@ NO_CHART: Final = Chart(0.0, 0.0, ZERO, ZERO, 0.0, ZERO)
 UP: Final = (1.0, 0.0, 0.0, 0.0)
 
 
-class Slot(NamedTuple):
-    """Place of a kernel in a table: what chooses it by shape, and values of the types of its arguments and result."""
-
-    choice: Any
-    arguments: tuple[Any, ...]
-    result: Any
-
-
-SLOTS: Final[dict[int, Slot]] = {
-    CLOSEST: Slot(closest, (ZERO,), FOOT),
-    CLOSEST_FROM: Slot(closest_from, (ZERO, ZERO, 0), FOOT_AND_BUDGET),
-    CLOSEST_OR_BOUND: Slot(closest_or_bound, (ZERO,), FOOT_AND_FLAG),
-    CLOSEST_WITHIN: Slot(closest_within, (ZERO, 0), FOOT_AND_BUDGET),
-    CONSTRAINT: Slot(constraint_at, (ZERO, 0.0, ZERO, 0), POINT_AND_BUDGET),
-    CURVATURE: Slot(curvature, (0.0, ZERO, ZERO), NO_CURVATURE),
-    TRANSPORT: Slot(transport, (ZERO, ZERO, ZERO), ZERO),
-    BEND: Slot(bend, (0.0, ZERO, ZERO), 0.0),
-    FOLLOWS: Slot(follows, (0.0, ZERO, ZERO, ZERO), True),
-    TRAVEL: Slot(travel, (ZERO, ZERO, 0.0, True), 0.0),
-    MEETS: Slot(meets, (ZERO, ZERO, 0.0, True, 0), NO_MEETING),
-    NEAREST: Slot(nearest_of_shape, (ZERO, 0.0, ZERO, 0), NO_OBJECT),
-    NEIGHBOUR: Slot(neighbour_of, (ZERO,), 0.0),
-    RAISED: Slot(raised_clear, (ZERO, 0.0), ZERO),
-    SHADED: Slot(shaded, (Pose(ZERO, UP), ZERO, ZERO), ZERO),
-    CHART: Slot(chart, (0.0, ZERO, ZERO), NO_CHART),
-}
-"""Kernels by their place; those of resting and rolling are added where they are declared."""
-
-
-class KernelTable(ReadOnly):
-    """Addresses of the kernels of one kind of shape, which are compiled when the first scene needs them.
-
-    shape  one of that kind
-    slots  places that are filled
-    """
-
-    def __init__(self, shape: Any, slots: frozenset[int]) -> None:
-        self._rows, self.slots = numba.typeof(Rows([shape])), slots
-
-    @functools.cached_property
-    def array(self) -> Any:  # type: ignore[override]
-        found = np.zeros(TABLE_SIZE, np.int64)
-        for slot in sorted(self.slots):
-            found[slot] = 1 if PLAIN else _address(SLOTS[slot], self._rows)
-        return found
-
-    @property
-    def address(self) -> int:  # type: ignore[override]
-        return int(self.array.ctypes.data)
-
-
-_TABLES: Final[dict[Any, KernelTable]] = {}
-
-
-def kernel_table(shape: Any, needs: frozenset[int]) -> KernelTable:
-    """Return the table of a shape's kind, with those of the OPTIONAL kernels that the scene `needs`."""
-    kind = type(shape)
-    slots = frozenset(
-        slot
-        for slot, (choice, _, _) in SLOTS.items()
-        if (slot in needs or slot not in OPTIONAL)
-        and _has(choice, kind)
-        and not (slot == BEND and _is_two_sided(shape))
-    )
-    key = kind, slots
-    if key not in _TABLES:
-        _TABLES[key] = KernelTable(shape, slots)
-    return _TABLES[key]
+SLOTS.update(
+    {
+        CLOSEST: Slot(closest, (ZERO,), FOOT),
+        CLOSEST_FROM: Slot(closest_from, (ZERO, ZERO, 0), FOOT_AND_BUDGET),
+        CLOSEST_OR_BOUND: Slot(closest_or_bound, (ZERO,), FOOT_AND_FLAG),
+        CLOSEST_WITHIN: Slot(closest_within, (ZERO, 0), FOOT_AND_BUDGET),
+        CONSTRAINT: Slot(constraint_at, (ZERO, 0.0, ZERO, 0), POINT_AND_BUDGET),
+        CURVATURE: Slot(curvature, (0.0, ZERO, ZERO), NO_CURVATURE),
+        TRANSPORT: Slot(transport, (ZERO, ZERO, ZERO), ZERO),
+        BEND: Slot(bend, (0.0, ZERO, ZERO), 0.0),
+        FOLLOWS: Slot(follows, (0.0, ZERO, ZERO, ZERO), True),
+        TRAVEL: Slot(travel, (ZERO, ZERO, 0.0, True), 0.0),
+        MEETS: Slot(meets, (ZERO, ZERO, 0.0, True, 0), NO_MEETING),
+        NEAREST: Slot(nearest_of_shape, (ZERO, 0.0, ZERO, 0), NO_OBJECT),
+        NEIGHBOUR: Slot(neighbour_of, (ZERO,), 0.0),
+        RAISED: Slot(raised_clear, (ZERO, 0.0), ZERO),
+        SHADED: Slot(shaded, (Pose(ZERO, UP), ZERO, ZERO), ZERO),
+        CHART: Slot(chart, (0.0, ZERO, ZERO), NO_CHART),
+    }
+)
 
 
 def any_shape(shape: Any, needs: frozenset[int]) -> AnyShape:
     """Return a shape as one whose kind is data."""
     kind = type(shape)
     surface = FACETED if kind is Mesh else CREASED if kind is Heightmap else SMOOTH
-    side = float(shape.side) if _is_two_sided(shape) else 1.0
+    side = float(shape.side) if is_two_sided(shape) else 1.0
     return AnyShape(ShapeRow([shape]), kernel_table(shape, needs), 0.0, side, surface, reach_of(shape))
-
-
-class ShapeRow(Rows):
-    """Row of one shape, of any kind."""
-
-
-@typeof_impl.register(ShapeRow)
-def _typeof(value: ShapeRow, context: Any) -> ReadOnlyType:
-    return ReadOnlyType(types.float64)
-
-
-@typeof_impl.register(KernelTable)
-def _typeof_table(value: KernelTable, context: Any) -> ReadOnlyType:
-    return ReadOnlyType(types.int64)
-
-
-def _is_two_sided(shape: Any) -> bool:
-    """Return whether `side` tells from which side a shape is touched (`may_be_hollow`)."""
-    return is_hollow.has(type(shape)) and hasattr(shape, "side")
-
-
-def _has(choice: Any, kind: type) -> bool:
-    return bool(choice.has(kind) or (kind is Mesh and choice.has(Facet)))
-
-
-def _address(slot: Slot, rows: Any) -> int:
-    """Return the address of a kernel for shapes in rows of that type, compiled or from the disk."""
-    choice, arguments, result = slot
-    if rows.like.instance_class is Mesh and choice.has(Facet):
-
-        def call(row: Any, facet: float, *rest: Any) -> Any:
-            return choice(Facet(row[0], facet), *rest)
-
-    else:
-
-        def call(row: Any, facet: float, *rest: Any) -> Any:
-            return choice(row[0], *rest)
-
-    given = types.Tuple((rows, types.float64, *map(numba.typeof, arguments)))
-    inner = Inlined(call, INLINED, entry)
-    symbol = link_unit(choice.__wrapped__, KEPT, given, lambda: in_and_out(inner, given, numba.typeof(result)))
-    return int(llvm.address_of_symbol(symbol))
-
-
-_BYTES: Final = ir.IntType(8).as_pointer()
-
-
-@intrinsic
-def _called(typing_context, shape, slot, like, arguments):  # type: ignore[no-untyped-def]
-    sizes, kernels, facet = shape.fields.index("sizes"), shape.fields.index("kernels"), shape.fields.index("facet")
-    kinds = tuple(map(types.unliteral, arguments))
-    given, result = types.Tuple((shape.types[sizes], types.float64, *kinds)), types.unliteral(like)
-
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        fields = cgutils.unpack_tuple(builder, args[0])
-        values = [fields[sizes], fields[facet], *cgutils.unpack_tuple(builder, args[3])]
-        there = cgutils.alloca_once(builder, context.get_value_type(given))
-        back = cgutils.alloca_once(builder, context.get_value_type(result))
-        builder.store(context.make_tuple(builder, given, values), there)
-        table = builder.inttoptr(fields[kernels], ir.IntType(64).as_pointer())
-        function = ir.FunctionType(ir.VoidType(), [_BYTES, _BYTES]).as_pointer()
-        code = builder.inttoptr(builder.load(builder.gep(table, [args[1]])), function)
-        builder.call(code, [builder.bitcast(each, _BYTES) for each in (there, back)])
-        return builder.load(back)
-
-    return result(shape, types.int64, like, types.Tuple(kinds)), generate
-
-
-def _called_in_python(shape: AnyShape, slot: int, like: Any, arguments: tuple[Any, ...]) -> Any:
-    choice, own = SLOTS[slot].choice, shape.sizes[0]
-    if isinstance(own, Mesh) and choice.has(Facet):
-        own = Facet(own, shape.facet)
-    return choice(own, *arguments)
-
-
-called: Any = _called_in_python if PLAIN else _called
-"""called(shape: AnyShape, slot, like, arguments): what the kernel in that place of the shape's table returns.
-
-like       a value of the result's type
-arguments  tuple, of the types of the slot
-"""
 
 
 # --- the shape's protocol, by address ------------------------------------------------------------

@@ -10,7 +10,8 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.objects import closest_on
 from softfinger.proxy.kernels.shapes import is_hollow, rest_on
-from softfinger.proxy.kernels.shapes.any_shape import REST, SLOTS, UP, Slot, called
+from softfinger.proxy.kernels.shapes.any_shape import UP
+from softfinger.proxy.kernels.shapes.kernel_table import REST, SLOTS, Slot, called
 
 ROUNDS = 10
 """Linearisations of curved surfaces at the proxy; each gains the digits that depth over radius of curvature allows."""

@@ -16,7 +16,7 @@ from softfinger.proxy.kernels.model import AnyShape, Cylinder, Facet, Plane, Qua
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import unroll
-from softfinger.proxy.kernels.shapes.any_shape import SLOTS, UNROLL, Slot, called
+from softfinger.proxy.kernels.shapes.kernel_table import SLOTS, UNROLL, Slot, called
 
 
 @jit

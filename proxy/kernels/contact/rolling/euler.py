@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.model import AnyShape, EulerZxz, EulerZyx, Quatern
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import ahead, curvature, transport
-from softfinger.proxy.kernels.shapes.any_shape import AHEAD, SLOTS, Slot, called
+from softfinger.proxy.kernels.shapes.kernel_table import AHEAD, SLOTS, Slot, called
 
 SLOTS[AHEAD] = Slot(ahead, (0.0, ZERO, ZERO, ZERO, 0.0), ZERO)
 
