@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.contact.several_contacts import (
     settle_after_friction,
 )
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type_of
+from softfinger.proxy.kernels.jit.dispatch import by_type_of
 from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.jit.tuples import map_each, unzip
 from softfinger.proxy.kernels.model import (
@@ -35,7 +35,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.bodies import NO_FAULT, SUBSTEPS, faulty, push_bodies, step_bodies
-from softfinger.proxy.kernels.query.kinds import moves_by_itself
+from softfinger.proxy.kernels.query.kinds import ONE_PATCH, SEVERAL_PATCHES, by_patches, moves_by_itself
 from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 
@@ -119,7 +119,7 @@ def step_finger(
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
     seen = seen_by(finger.form, finger.radius, objects, pose.orientation)
-    return update_contact(state.contacts, seen, scene, finger, state, probe, dt)
+    return update_contact(seen, scene, finger, state, probe, dt)
 
 
 @jit
@@ -132,16 +132,14 @@ def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant
     return vec3.add_scaled(vec3.faded(time_constant * gain, state.probe.velocity), gain, moved)
 
 
-@by_count
-def update_contact(
-    contacts: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
-) -> Any:
+@by_patches
+def update_contact(objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float) -> Any:
     """The finger's state and Contact: with one object there is one contact, and the proxy follows it where it slips."""
 
 
-@update_contact.of(1)
+@update_contact.of(ONE_PATCH)
 def contact_with_one_object(
-    contacts: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+    objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     shapes, motion = all_bare(objects), ProbeMotion(probe, state.probe, dt)
     state, approach = detect_or_continue(scene, finger, shapes, state, probe, dt)
@@ -155,9 +153,9 @@ def contact_with_one_object(
     return remember(probe, outcome), report(finger, probe, outcome)
 
 
-@update_contact.of(2)
+@update_contact.of(SEVERAL_PATCHES)
 def contact_with_several_objects(
-    contacts: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+    objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     shapes, motion = all_bare(objects), ProbeMotion(probe, state.probe, dt)
     if state.stuck >= STUCK_TICKS and is_clear(shapes, finger.radius, probe.position):

@@ -8,8 +8,8 @@ bodies' part of it is that wrench times their motion since, at the fingertip's c
 from typing import Any, Final, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
-from softfinger.proxy.kernels.jit.tuples import same_for
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.tuples import map_each, same_for
 from softfinger.proxy.kernels.model import Bodies, Contact, ContactOutcome, FingerState, Pose, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import log, relative, rotate
@@ -84,23 +84,7 @@ def no_reactions_on(bodies: None, contact: Contact, given: Guarded, center: Vec3
 @reactions_on.of(Bodies)
 def reactions_on_bodies(bodies: Bodies, contact: Contact, given: Guarded, center: Vec3) -> Any:
     of_force, of_torque = share_given(contact.force, given.force), share_given(contact.torque, given.torque)
-    return reactions(contact.contacts, bodies, of_force, of_torque, center)
-
-
-@by_count
-def reactions(outcomes: Any, bodies: Bodies, of_force: float, of_torque: float, center: Vec3) -> Any:
-    """A Reaction for each ContactOutcome."""
-
-
-@reactions.of(1)
-def one_reaction(outcomes: Any, bodies: Bodies, of_force: float, of_torque: float, center: Vec3) -> Any:
-    return (reaction(outcomes[0], bodies, of_force, of_torque, center),)
-
-
-@reactions.of(2)
-def several_reactions(outcomes: Any, bodies: Bodies, of_force: float, of_torque: float, center: Vec3) -> Any:
-    first = reactions(outcomes[:1], bodies, of_force, of_torque, center)
-    return first + reactions(outcomes[1:], bodies, of_force, of_torque, center)
+    return map_each(reaction, (contact.contacts,), bodies, of_force, of_torque, center)
 
 
 @jit

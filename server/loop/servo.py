@@ -17,18 +17,17 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.pack import unpack
 from softfinger.proxy.kernels.jit.seqlock import Slot, refresh
+from softfinger.proxy.kernels.jit.tuples import field_of_each, map_each, unzip
 from softfinger.server.loop.all_devices import (
     Io,
     Line,
     Stamp,
     ended,
     guarded_bits,
-    read_all,
-    records_of,
-    samples_of,
-    stamp_all,
-    write_all,
-    write_zeros,
+    read_one,
+    stamp_one,
+    write_one,
+    write_zero_to,
 )
 from softfinger.server.loop.bodies import move_bodies
 from softfinger.server.loop.clock import NS_PER_S, Pace, first_pace, next_pace, now_ns, sleep_until, with_suspension
@@ -121,6 +120,7 @@ def servo_loop(
     Whatever the end, the last thing written to every device is zero.
     """
     timespec, lines = scratch.timespec, scratch.lines
+    samples, records = field_of_each(lines, "sample"), field_of_each(lines, "record")
     seen = refresh(shared.tuning, -1, scratch.values)
     stay(scratch.way, scratch.values)
     tuning, memory, health = unpack(tuning_like, scratch.way.now), start, HEALTHY
@@ -138,14 +138,18 @@ def servo_loop(
         dt = nominal if schedule.own_clock else pace.dt
 
         seen, tuning = newest_parameters(shared.tuning, seen, scratch.values, scratch.way, tuning)
-        befores, statuses = read_all(ios, lines, tuning.guards, tuning.offsets, start.fingers, memory.fingers, dt)
+        befores, statuses = unzip(
+            map_each(read_one, (ios, lines, tuning.guards, tuning.offsets, start.fingers, memory.fingers), dt)
+        )
         place, status = ended(statuses)
         if place >= 0:
             ending, finger = FINISHED if status == END else READ_FAILED, place
             break
         memory = Memory(memory.world, befores)
-        memory = tick(tuning, start, memory, samples_of(lines), dt, nominal, number, records_of(lines))
-        hands, statuses_out = write_all(ios, lines, tuning.tools, start.fingers, befores, memory.fingers)
+        memory = tick(tuning, start, memory, samples, dt, nominal, number, records)
+        hands, statuses_out = unzip(
+            map_each(write_one, (ios, lines, tuning.tools, start.fingers, befores, memory.fingers))
+        )
         wrote = now_ns(timespec)
         move_bodies(tuning.scene.bodies, number, wrote, shared.motion, scratch.motion, timespec)
         place, status_out = ended(statuses_out)
@@ -155,7 +159,7 @@ def servo_loop(
         memory = Memory(memory.world, hands)
 
         stamp = stamp_of(schedule, pace, woke, wrote, busy)
-        stamp_all(lines, stamp, statuses, statuses_out)
+        map_each(stamp_one, (lines, statuses, statuses_out), stamp)
         number += 1
         hand_over_record(shared, scratch.row, number)
 
@@ -170,5 +174,5 @@ def servo_loop(
             store_release(shared.progress, 2, int(health.late > 0.5 * health.lost))
             break
 
-    write_zeros(ios, lines)
+    map_each(write_zero_to, (ios, lines))
     return ending, status, finger

@@ -8,9 +8,8 @@ from typing import Any, Final, NamedTuple
 
 from softfinger.proxy.kernels.contact.outcome import report_free
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count
-from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import FingerState, Pose, Probe, Scene, State, World
+from softfinger.proxy.kernels.jit.tuples import map_each, replace, unzip
+from softfinger.proxy.kernels.model import Contact, FingerState, Pose, Probe, Scene, State, World
 from softfinger.proxy.kernels.numerics.rotations import as_unit
 from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, tip_of
 from softfinger.proxy.kernels.numerics.vec3 import norm
@@ -64,12 +63,9 @@ class Memory(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What each finger's wrench passes on its way to the hand: guards and tools, one for each, and the passivity and
-    the bodies of all."""
+    """Passivity and bodies of all fingers, which their wrenches depend on."""
 
-    guards: Any
     passivity: Any
-    tools: Any
     bodies: Any
 
 
@@ -156,41 +152,22 @@ def entered(world: World, finger: FingerState, pose: Pose) -> Any:
     return replace(finger, "probe", probe)
 
 
-@by_count
-def arrive(hands: Any, tools: Any, world: World, samples: Any) -> Any:
-    """Before the step: states of the fingers, and their poses, a tuple each."""
+@jit
+def arrive(hand: FingerMemory, tool: Any, sample: Any, world: World) -> tuple[FingerState, Pose]:
+    """Before the step: a finger's state, and its pose."""
+    finger = hand.contact
+    pose = pose_of(tool, finger.probe, sample)
+    return entered(world, finger, pose), pose
 
 
-@arrive.of(1)
-def arrive_with_one(hands: Any, tools: Any, world: World, samples: Any) -> Any:
-    finger = hands[0].contact
-    pose = pose_of(tools[0], finger.probe, samples[0])
-    return (entered(world, finger, pose),), (pose,)
-
-
-@arrive.of(2)
-def arrive_with_several(hands: Any, tools: Any, world: World, samples: Any) -> Any:
-    finger, pose = arrive(hands[:1], tools[:1], world, samples[:1])
-    fingers, poses = arrive(hands[1:], tools[1:], world, samples[1:])
-    return finger + fingers, pose + poses
-
-
-@by_count
-def command(hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any) -> Any:
-    """After the step: FingerMemories with the wrench to be commanded, one for each finger.
-
-    stepped  FingerStates and Contacts, a tuple each
-    """
-
-
-@command.of(1)
-def command_one(
-    hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any
-) -> Any:
-    hand, start, record, state, contact = hands[0], starts[0], records[0], stepped[0][0], stepped[1][0]
-    guard, tool = output.guards[0], output.tools[0]
+@jit
+def command(
+    hand: FingerMemory, start: FingerMemory, sample: Any, state: FingerState, contact: Contact, guard: Guard, tool: Any,
+    record: Any, output: Output, instant: Instant,
+) -> FingerMemory:  # fmt: skip
+    """After the step, the FingerMemory of one finger with the wrench to be commanded."""
     before = hand.contact
-    if usable(samples[0]):
+    if usable(sample):
         position, orientation = state.probe.position, state.probe.orientation
         now = Pose(position, orientation)
         was = Pose(before.probe.position, before.probe.orientation) if before.started != 0.0 else now
@@ -219,19 +196,7 @@ def command_one(
     shown = felt(guard, guarded)
     given = Guarded(shown.force, about_tip(tool, orientation, shown.force, shown.torque), shown.gain)
     reactions = reactions_of(output.passivity, output.bodies, hand.reactions, contact, given, position)
-    return (FingerMemory(state, guarded, energy, limited, reactions),)
-
-
-@command.of(2)
-def command_several(
-    hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any
-) -> Any:
-    first = (stepped[0][:1], stepped[1][:1])
-    others = (stepped[0][1:], stepped[1][1:])
-    own = Output(output.guards[:1], output.passivity, output.tools[:1], output.bodies)
-    rest = Output(output.guards[1:], output.passivity, output.tools[1:], output.bodies)
-    hand = command(hands[:1], starts[:1], samples[:1], first, own, instant, records[:1])
-    return hand + command(hands[1:], starts[1:], samples[1:], others, rest, instant, records[1:])
+    return FingerMemory(state, guarded, energy, limited, reactions)
 
 
 @jit
@@ -249,11 +214,12 @@ def tick(
     A sample without a usable pose ends that finger's contact: force zero, everything of it as at the `start`, the ramp
     anew. The world and the other fingers go on.
     """
-    fingers, poses = arrive(memory.fingers, tuning.tools, memory.world, samples)
+    fingers, poses = unzip(map_each(arrive, (memory.fingers, tuning.tools, samples), memory.world))
     state, contacts = step(tuning.scene, State(memory.world, fingers), poses, dt)
-    hands = command(
-        memory.fingers, start.fingers, samples, (state.fingers, contacts),
-        Output(tuning.guards, tuning.passivity, tuning.tools, tuning.scene.bodies),
-        Instant(number, dt, period), records,
-    )  # fmt: skip
+    hands = map_each(
+        command,
+        (memory.fingers, start.fingers, samples, state.fingers, contacts, tuning.guards, tuning.tools, records),
+        Output(tuning.passivity, tuning.scene.bodies),
+        Instant(number, dt, period),
+    )
     return Memory(state.world, hands)

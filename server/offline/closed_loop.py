@@ -20,14 +20,13 @@ from softfinger.drivers.simulated.options import Simulation
 from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Plant, PlantState, advance, goal_at, sense
 from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry, jit
-from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
-from softfinger.proxy.kernels.jit.tuples import rows_of
+from softfinger.proxy.kernels.jit.tuples import map_each, rows_of
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S, period_ns
-from softfinger.server.loop.tick import Memory, Tuning, begin, tick
+from softfinger.server.loop.tick import FingerMemory, Memory, Tuning, begin, tick
 from softfinger.server.progress import CHUNK, progress
 
 Array = NDArray[np.float64]
@@ -131,38 +130,19 @@ class Held(NamedTuple):
     drive: Drive
 
 
-@by_count
-def samples_of(hands: Any, states: Any) -> Any:
-    """What each device says of itself: its pose in a tuple of seven."""
+@jit
+def sample_of(hand: Held, state: Any) -> Any:
+    """What a device says of itself: its pose in a tuple of seven."""
+    x, q = sense(hand.plant, state), state.orientation
+    return x[0], x[1], x[2], q[0], q[1], q[2], q[3]
 
 
-@samples_of.of(1)
-def sample_of_one(hands: Any, states: Any) -> Any:
-    x, q = sense(hands[0].plant, states[0]), states[0].orientation
-    return ((x[0], x[1], x[2], q[0], q[1], q[2], q[3]),)
-
-
-@samples_of.of(2)
-def samples_of_several(hands: Any, states: Any) -> Any:
-    return samples_of(hands[:1], states[:1]) + samples_of(hands[1:], states[1:])
-
-
-@by_count
-def advance_all(hands: Any, states: Any, fingers: Any, number: int) -> Any:
-    """States of all devices at tick `number`, after what `fingers`, a FingerMemory of each, command of them."""
-
-
-@advance_all.of(1)
-def advance_one(hands: Any, states: Any, fingers: Any, number: int) -> Any:
-    plant, drive = hands[0].plant, hands[0].drive
+@jit
+def advance_device(hand: Held, state: Any, finger: FingerMemory, number: int) -> Any:
+    """State of a device at tick `number`, after what its FingerMemory commands of it."""
+    plant, drive = hand.plant, hand.drive
     goal, orientation = goal_at(drive.intention, drive.poses, number)
-    return (advance(plant, states[0], fingers[0].guarded.force, goal, orientation, drive.line),)
-
-
-@advance_all.of(2)
-def advance_several(hands: Any, states: Any, fingers: Any, number: int) -> Any:
-    first = advance_all(hands[:1], states[:1], fingers[:1], number)
-    return first + advance_all(hands[1:], states[1:], fingers[1:], number)
+    return advance(plant, state, finger.guarded.force, goal, orientation, drive.line)
 
 
 @entry
@@ -188,10 +168,10 @@ def record_ticks(
     states = unpack(states_packed.like, states_packed.values)
     for i in range(records.shape[0]):
         rows = rows_of(memory.fingers, records[i], 0)
-        memory = tick(tuning, start, memory, samples_of(hands, states), dt, dt, first + i, rows)
+        memory = tick(tuning, start, memory, map_each(sample_of, (hands, states)), dt, dt, first + i, rows)
         step_bodies(tuning.scene.bodies)
         records[i, :, 0] = (first + i) * dt
-        states = advance_all(hands, states, memory.fingers, first + i + 1)
+        states = map_each(advance_device, (hands, states, memory.fingers), first + i + 1)
     pack(memory_packed.values, memory)
     pack(states_packed.values, states)
 

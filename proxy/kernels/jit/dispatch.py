@@ -48,11 +48,6 @@ def by_type_of(field: str) -> Callable[[Callable[..., Any]], Any]:
     )
 
 
-def by_count(declaration: Callable[..., Any]) -> Any:
-    """Declare a kernel chosen by the length of a tuple: `.of(1)` for exactly one, `.of(2)` for two and more."""
-    return chosen_by(declaration, len, lambda count: min(count, 2), lambda nodes: min(len(nodes), 2))
-
-
 def chosen_by(
     declaration: Callable[..., Any],
     sort: Callable[[Any], Any],

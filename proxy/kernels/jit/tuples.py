@@ -75,6 +75,20 @@ def rows_of(typing_context, each, table, first):  # type: ignore[no-untyped-def]
     return result(each, table, types.int64), generate
 
 
+@intrinsic(prefer_literal=True)
+def field_of_each(typing_context, each, name):  # type: ignore[no-untyped-def]
+    """A tuple of one field, given by its name, of each named tuple in another."""
+    at = [one.fields.index(name.literal_value) for one in each]
+    result = types.Tuple([one[place] for one, place in zip(each, at, strict=True)])
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        values = cgutils.unpack_tuple(builder, args[0])
+        found = [builder.extract_value(value, place) for value, place in zip(values, at, strict=True)]
+        return context.make_tuple(builder, result, found)
+
+    return result(each, name), generate
+
+
 @intrinsic
 def map_each(typing_context, kernel, each, *rest):  # type: ignore[no-untyped-def]
     """A tuple of what a kernel returns for the elements of tuples of the same length.
@@ -99,6 +113,7 @@ def map_each(typing_context, kernel, each, *rest):  # type: ignore[no-untyped-de
 @intrinsic
 def fold_each(typing_context, kernel, each, start):  # type: ignore[no-untyped-def]
     """What a kernel of two arguments makes of the elements of a tuple, the last with `start`, the others with that."""
+    start = types.unliteral(start)
     made = [kernel.get_call_type(typing_context, (one, start), {}) for one in each]
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -146,6 +161,9 @@ if PLAIN:
 
     def rows_of(each: Any, table: Any, first: int) -> Any:
         return tuple(table[first : first + len(each)])
+
+    def field_of_each(each: Any, name: str) -> Any:
+        return tuple(getattr(one, name) for one in each)
 
     def map_each(kernel: Any, each: Any, *rest: Any) -> Any:
         return tuple(kernel(*elements, *rest) for elements in zip(*each, strict=True))

@@ -47,6 +47,26 @@ def by_multipoint(declaration: Callable[..., Any]) -> Any:
     return chosen_by(declaration, sort, lambda kind: kind, lambda objects: _kind_among(kinds_in((objects,))))
 
 
+ONE_PATCH: Final = "one patch"
+SEVERAL_PATCHES: Final = "several patches"
+
+
+def by_patches(declaration: Callable[..., Any]) -> Any:
+    """Declare a kernel chosen by how many patches of contact the objects of a scene can have with a fingertip.
+
+    .of(ONE_PATCH)        a single object that is no mesh
+    .of(SEVERAL_PATCHES)  a mesh, or many objects
+    """
+
+    def among(kinds: Any) -> str:
+        return ONE_PATCH if {Many, Mesh}.isdisjoint(kinds) else SEVERAL_PATCHES
+
+    def sort(objects: Any) -> str:
+        return among({Many if isinstance(objects, Many) else type(objects.body.shape)})
+
+    return chosen_by(declaration, sort, lambda kind: kind, lambda objects: among(kinds_in((objects,))))
+
+
 @by_multipoint
 def any_mesh(objects: Any) -> Any:
     """Return whether there is a mesh among them."""

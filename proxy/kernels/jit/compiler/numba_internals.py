@@ -10,7 +10,7 @@ no_cpython_wrapper, no_cfunc_wrapper
 CPUDispatcher            Such a kernel, called from Python, is compiled once more. Without: numba jumps to address 0.
 _optimize_functions, _optimize_final_module, _codegen
                          Such a kernel is optimised lightly. Without: a scene compiles for 1.14 times as long.
-global_compiler_lock     numba's own, for C functions that no dispatcher compiles. Without: an assertion of numba's fails.
+global_compiler_lock     Needed where no dispatcher compiles. Without: an assertion of numba fails.
 JITCodeLibrary, get_executable, compile_result, CompilerBase and its passes
                          Such a kernel has no machine code, and is spared passes without work. Without: a scene compiles
                          for 1.2 times as long, and half as much again is kept on the disk.
