@@ -68,6 +68,7 @@ from softfinger.proxy.kernels.model.scene import (
 from softfinger.proxy.kernels.model.shapes import (
     CREASED,
     FACETED,
+    FLAT,
     SMOOTH,
     AnyShape,
     Box,
@@ -107,6 +108,7 @@ __all__ = [
     "CREASED",
     "DRIVEN",
     "FACETED",
+    "FLAT",
     "NONE",
     "NO_CONTACT",
     "NO_OUTCOME",

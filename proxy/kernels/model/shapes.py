@@ -147,7 +147,7 @@ class AnyShape(NamedTuple):
     kernels   addresses of the kernels of its kind (`shapes.any_shape`)
     facet     index of the triangle of a mesh that is meant, 0 for other shapes
     side      -1 if it is touched from inside, else 1
-    surface   SMOOTH, FACETED for a mesh, CREASED for a height map
+    surface   SMOOTH, FACETED for a mesh, CREASED for a height map, FLAT for a plane
     reach  m  radius of a ball about the origin of its frame that contains it; inf if none does
     """
 
@@ -159,8 +159,8 @@ class AnyShape(NamedTuple):
     reach: float
 
 
-SMOOTH, FACETED, CREASED = 0.0, 1.0, 2.0
-"""Surfaces of `AnyShape`: touched in one point, made of flat triangles, touched in several points as one body."""
+SMOOTH, FACETED, CREASED, FLAT = 0.0, 1.0, 2.0, 3.0
+"""Surfaces of `AnyShape`: touched in one point, made of triangles, touched in several points as one body, a plane."""
 
 
 class Facet(NamedTuple):

@@ -13,9 +13,11 @@ from typing import Any, Final
 import numpy as np
 
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.decorators import PLAIN, jit
 from softfinger.proxy.kernels.model import (
     CREASED,
     FACETED,
+    FLAT,
     SMOOTH,
     AnyShape,
     Box,
@@ -25,6 +27,7 @@ from softfinger.proxy.kernels.model import (
     Heightmap,
     Mesh,
     MinkowskiSum,
+    Plane,
     Pose,
     Sphere,
     Torus,
@@ -67,6 +70,7 @@ from softfinger.proxy.kernels.shapes.kernel_table import (
     kernel_table,
 )
 from softfinger.proxy.kernels.shapes.minkowski import nearest_on_minkowski_sum
+from softfinger.proxy.kernels.shapes.plane import closest_on_plane, travel_to_plane
 from softfinger.proxy.kernels.shapes.protocol import (
     bend,
     closest,
@@ -121,7 +125,7 @@ SLOTS.update(
 def any_shape(shape: Any, needs: frozenset[int]) -> AnyShape:
     """Return a shape as one whose kind is data."""
     kind = type(shape)
-    surface = FACETED if kind is Mesh else CREASED if kind is Heightmap else SMOOTH
+    surface = {Mesh: FACETED, Heightmap: CREASED, Plane: FLAT}.get(kind, SMOOTH)
     side = float(shape.side) if is_two_sided(shape) else 1.0
     return AnyShape(ShapeRow([shape]), kernel_table(shape, needs), 0.0, side, surface, reach_of(shape))
 
@@ -129,8 +133,19 @@ def any_shape(shape: Any, needs: frozenset[int]) -> AnyShape:
 # --- the shape's protocol, by address ------------------------------------------------------------
 
 
+def _plane_of(shape: AnyShape) -> Plane:
+    s = shape.sizes
+    return Plane((s[0], s[1], s[2]), s[3])
+
+
+plane_of: Any = (lambda shape: shape.sizes[0]) if PLAIN else jit(_plane_of)
+"""A flat shape as a Plane: it takes less time than a call by address."""
+
+
 @closest.of(AnyShape)
 def closest_on_any(shape: AnyShape, x: Vec3) -> tuple[float, Vec3, Vec3]:
+    if shape.surface == FLAT:
+        return closest_on_plane(plane_of(shape), x)
     return called(shape, CLOSEST, FOOT, (x,))
 
 
@@ -175,6 +190,8 @@ def constraint_of_any(
 
 @transport.of(AnyShape)
 def transport_on_any(shape: AnyShape, v: Vec3, normal_from: Vec3, normal_to: Vec3) -> Vec3:
+    if shape.surface == FLAT:
+        return v
     if shape.kernels[TRANSPORT] != 0:
         return called(shape, TRANSPORT, ZERO, (v, normal_from, normal_to))
     return turn_along(v, normal_from, normal_to)
@@ -202,6 +219,8 @@ def follows_on_any(shape: AnyShape, radius: float, start: Vec3, normal: Vec3, en
 
 @travel.of(AnyShape)
 def travel_to_any(shape: AnyShape, start: Vec3, end: Vec3, radius: float, leaves: bool) -> float:
+    if shape.surface == FLAT:
+        return travel_to_plane(plane_of(shape), start, end, radius, leaves)
     if shape.kernels[TRAVEL] != 0:
         return called(shape, TRAVEL, 0.0, (start, end, radius, leaves))
     return travel_to_shape(shape, start, end, radius, leaves)

@@ -24,7 +24,7 @@ from softfinger.proxy.kernels.jit.compiler.numba_internals import Inlined, link_
 from softfinger.proxy.kernels.jit.decorators import INLINED, KEPT, PLAIN, entry
 from softfinger.proxy.kernels.jit.outlined import in_and_out
 from softfinger.proxy.kernels.jit.rows import Rows
-from softfinger.proxy.kernels.model import AnyShape, Facet, Mesh
+from softfinger.proxy.kernels.model import AnyShape, Facet, Mesh, Plane
 from softfinger.proxy.kernels.shapes.protocol import is_hollow
 
 CLOSEST, CLOSEST_FROM, CLOSEST_OR_BOUND, CLOSEST_WITHIN, CONSTRAINT, CURVATURE = 0, 1, 2, 3, 4, 5
@@ -33,6 +33,8 @@ REST, AHEAD, UNROLL, CHART, MINKOWSKI = 15, 16, 17, 18, 19
 """Places in a table of kernels."""
 OPTIONAL: Final = frozenset({AHEAD, UNROLL, CHART, MINKOWSKI})
 """Kernels that few scenes call: a rolling method, textures, an ellipsoidal fingertip."""
+INLINE: Final[dict[type, frozenset[int]]] = {Plane: frozenset({CLOSEST, TRANSPORT, TRAVEL, REST})}
+"""Kernels of a kind that are compiled into their callers."""
 TABLE_SIZE: Final = 20
 
 
@@ -79,7 +81,10 @@ def kernel_table(shape: Any, needs: frozenset[int]) -> KernelTable:
     slots = frozenset(
         slot
         for slot, (choice, _, _) in SLOTS.items()
-        if (slot in needs or slot not in OPTIONAL) and _has(choice, kind) and not (slot == BEND and is_two_sided(shape))
+        if (slot in needs or slot not in OPTIONAL)
+        and slot not in INLINE.get(kind, ())
+        and _has(choice, kind)
+        and not (slot == BEND and is_two_sided(shape))
     )
     key = kind, slots
     if key not in _TABLES:

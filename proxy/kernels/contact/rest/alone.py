@@ -4,7 +4,7 @@ from typing import Any
 
 from softfinger.proxy.kernels.contact.rest.active_set import pressed
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import ActiveSet, AnyShape, Plane, Pose, Vec3
+from softfinger.proxy.kernels.model import FLAT, ActiveSet, AnyShape, Plane, Pose, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.container import object_at
@@ -48,6 +48,8 @@ def settle_on_one(
 def rest_on_any(
     shape: AnyShape, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
+    if shape.surface == FLAT:
+        return rest_on_plane(shape, pose, radius, probe, center, deflection, normal)
     if shape.kernels[REST] != 0:
         return called(shape, REST, NO_REST, (pose, radius, probe, center, deflection, normal))
     return rest_on_curved(shape, pose, radius, probe, center, deflection, normal)
@@ -55,7 +57,7 @@ def rest_on_any(
 
 @rest_on.of(Plane)
 def rest_on_plane(
-    shape: Plane, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+    shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
     """Found from the probe alone, so that a tick does not wait for the last one's proxy."""
     gap, _, normal = closest_on(shape, pose, probe)
