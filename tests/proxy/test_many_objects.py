@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -45,13 +46,17 @@ FAR = {"name": "far", "shape": "sphere", "radius_m": 0.01, "position_m": [3.0, 0
 
 
 @pytest.fixture(scope="module", autouse=True)
-def cone() -> Any:
-    """A shape of another package."""
+def cone() -> Iterator[Any]:
+    """A shape of another package, imported anew: its table is known only as long as a module needs it."""
     folder, before = str(Path(__file__).parents[1] / "outside_shape"), list(schema.ObjectBase.added)
+    other = sys.modules.pop("softfinger_cone", None)
     sys.path.insert(0, folder)
     yield importlib.import_module("softfinger_cone")
     sys.path.remove(folder)
     schema.ObjectBase.added[:] = before
+    del sys.modules["softfinger_cone"]
+    if other is not None:
+        sys.modules["softfinger_cone"] = other
 
 
 def scene(*things: dict[str, Any], **tables: Any) -> schema.Scene:
