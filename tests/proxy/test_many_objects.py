@@ -11,6 +11,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 
 from softfinger.config import schema
@@ -85,6 +86,21 @@ def test_among_many_a_shape_is_felt_as_alone(kind: str) -> None:
     among = Engine(scene(SHAPES[kind], FAR)).run(over_the_top(200))
     assert alone["contact.normal_force"].max() > 0.05 and set(alone["contact.mode"].ravel()) >= {0.0, 1.0}
     np.testing.assert_array_equal(np.asarray(among) + 0.0, np.asarray(alone) + 0.0)
+
+
+@pytest.mark.plain
+@pytest.mark.skipif(not PLAIN, reason="compiled, each of four scenes takes half a minute")
+@pytest.mark.parametrize("company", [(), (FAR,)], ids=["alone", "among many"])
+def test_a_mesh_is_rolled_on_in_closed_form(company: tuple[dict[str, Any], ...], tmp_path: Path) -> None:
+    """The method rotation_vector on the face of a box of triangles, alone and among many, as on the box."""
+    trimesh.creation.box((50.0, 40.0, 2000.0 * TOP)).export(tmp_path / "box.stl")
+    mesh = {"shape": "mesh", "file": str(tmp_path / "box.stl"), "scale": 0.001}
+    rolling = {"rolling": {"method": "rotation_vector"}}
+    on_box = Engine(scene(SHAPES["box"], *company, **rolling)).run(over_the_top(200))
+    on_mesh = Engine(scene(mesh, *company, **rolling)).run(over_the_top(200))
+    assert on_box["contact.rolled"].max() > 0.05
+    # Vertices are float32 in the file: 2 cm to 1e-9 m, times 1000 N/m.
+    np.testing.assert_allclose(on_mesh["force"], on_box["force"], atol=2e-6)
 
 
 @pytest.mark.plain
