@@ -33,7 +33,7 @@ PACKAGES := config drivers proxy server tools
 # a Python whose distribution left out venv.
 USABLE := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
-.PHONY: help setup run test test-all test-numba coverage mutants test-vm emulators browser vm-packages subscribers lint bench soak exchange-cost handover-age study faults-seen reference figures page-picture \
+.PHONY: help setup run test test-system test-all test-numba coverage mutants test-vm emulators browser vm-packages subscribers lint bench soak exchange-cost handover-age study faults-seen reference figures page-picture \
     docs docs-serve warmup wheel constraints docker-check host-check clean distclean
 
 help: ## This list
@@ -71,10 +71,13 @@ $(STAMP): pyproject.toml constraints.txt
 run: $(STAMP) ## The daemon: replays the shipped recording, streams on tcp://127.0.0.1:5555 (ARGS= passes on)
 	@exec $(BIN)/softfinger run $(ARGS)
 
-test: $(STAMP) ## Every feature and every mended fault, once: minutes (ARGS= goes to pytest; --compiled lists what was compiled)
+test: $(STAMP) ## Every feature and every mended fault, once: minutes (ARGS= goes to pytest); ends with a table of CPU seconds
 	@exec $(BIN)/python tests/run.py $(ARGS)
 
-test-all: $(STAMP) ## The rest, half an hour: ten thousand random cases, long lists, kernels compiled for every scene (ARGS= as above)
+test-system: $(STAMP) ## Emulated USB devices and the page in a browser (needs `make emulators browser`; ARGS= as above)
+	@exec $(BIN)/python tests/run.py --system $(ARGS)
+
+test-all: $(STAMP) ## Exhaustive tests, nightly: ten thousand random cases, long lists, kernels compiled for every scene (ARGS= as above)
 	@exec $(BIN)/python tests/run.py --rest $(ARGS)
 
 test-numba: ## `make test` with the numba before, in an environment of its own

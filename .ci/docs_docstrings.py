@@ -24,7 +24,7 @@ def _table(paragraph: str) -> str:
 
 
 def as_markdown(text: str) -> str:
-    """The docstring with examples fenced, and columns as tables."""
+    """Return the docstring with examples fenced, and columns as tables."""
     parts = []
     for paragraph in text.split("\n\n"):
         if paragraph.startswith(">>>"):

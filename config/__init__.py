@@ -1,4 +1,4 @@
-"""Configuration: what a scene and a rig may say, read from TOML and checked before anything moves.
+"""Configuration: schema of scenes, rigs and faults, read from TOML and validated before the device moves.
 
-Nothing of how it is computed; every other package may import this one, and it imports none of them.
+Contains no contact computation. Every other package may import this one; it imports none of them.
 """

@@ -1,4 +1,4 @@
-"""The devices that the driver `simulated` can be: what is known of each, in `devices.toml`."""
+"""Presets of the driver `simulated`, read from `devices.toml`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FILE: Final = Path(__file__).resolve().with_name("devices.toml")
 
 
 class Preset(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A device as the simulation has it; see docs/devices/simulated.md for each number and its source."""
+    """Parameters of one simulated device; docs/devices/simulated.md gives each number and its source."""
 
     name: str
     sensed_dof: int
@@ -30,5 +30,5 @@ class Preset(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 @lru_cache(maxsize=1)
 def presets() -> dict[str, Preset]:
-    """Every preset by its name; read once, when a simulated device is first opened."""
+    """Return all presets by name; the file is read when a simulated device is first opened."""
     return msgspec.toml.decode(FILE.read_bytes(), type=dict[str, Preset])

@@ -1,29 +1,29 @@
-"""The tree of errors: every error this program raises on purpose is a `HapticError`.
+"""Exceptions: every error that the program raises on purpose is a subclass of `HapticError`.
 
-A message says what happened, the value seen, the range allowed and what to do.
+A message states the failure, the value, the allowed range and the remedy.
 """
 
 
 class HapticError(Exception):
-    """Base of all errors raised on purpose; `exit_code` is what the command line returns."""
+    """Base class of all errors raised on purpose; `exit_code` is the exit status of the command line."""
 
     exit_code = 1
 
 
 class ConfigError(HapticError):
-    """A rig, scene or command-line value that cannot be used; the message lists every fault found."""
+    """Unusable rig, scene or command-line value; the message lists every fault found."""
 
     exit_code = 2
 
 
 class RecordingError(HapticError):
-    """A recording (poses or results) that cannot be read or written."""
+    """Recording of poses or results that cannot be read or written."""
 
     exit_code = 3
 
 
 class DeviceError(HapticError):
-    """A device that cannot be opened or that stopped answering."""
+    """Device that cannot be opened or that stopped answering."""
 
     exit_code = 4
 
@@ -33,11 +33,11 @@ class DeviceNotFound(DeviceError):
 
 
 class DeviceBusy(DeviceError):
-    """Another process holds the device."""
+    """Another process uses the device."""
 
 
 class DevicePermission(DeviceError):
-    """This user may not open the device."""
+    """The user has no permission to open the device."""
 
 
 class DeviceTimeout(DeviceError):
@@ -45,11 +45,11 @@ class DeviceTimeout(DeviceError):
 
 
 class DeviceLost(DeviceError):
-    """The device went away while it was in use."""
+    """The device disconnected while it was in use."""
 
 
 class RealtimeError(HapticError):
-    """A real-time setting was required and refused."""
+    """A required real-time setting was refused."""
 
     exit_code = 5
 
@@ -61,30 +61,30 @@ class SafetyStop(HapticError):
 
 
 class Unfit(HapticError):
-    """`doctor` found something that keeps this machine from running the rig, or `bench soak` something that grows."""
+    """`doctor` found a reason why this machine cannot run the rig, or `bench soak` found growth or a lost tick."""
 
     exit_code = 10
 
 
 class AddressInUse(HapticError):
-    """An endpoint that cannot be bound."""
+    """Endpoint that cannot be bound."""
 
     exit_code = 7
 
 
 class Exhausted(HapticError):
-    """The system has not what the program needs: files, memory, disk."""
+    """The system lacks a resource that the program needs: files, memory or disk space."""
 
     exit_code = 11
 
 
 class Different(HapticError):
-    """A replay does not give what was recorded; the message begins with where."""
+    """A replay differs from its recording; the message starts with the first difference."""
 
     exit_code = 13
 
 
 class CommandRefused(HapticError):
-    """A running daemon did not do what it was asked; the message begins with the name of the error."""
+    """A running daemon refused a command; the message starts with the name of the error."""
 
     exit_code = 12

@@ -1,8 +1,8 @@
-"""Files that a user names: one way to open them, one way to write them, and whose they have to be.
+"""Opening of files that a user names, for reading and writing, and the check of their owner.
 
-A name may lead to anything: a pipe that nobody writes to, a device that never ends, a link that another user
-planted. What is opened is looked at before a byte is read, by its descriptor and not by its name, which may mean
-another file a moment later. What is refused is an OSError with its reason in words, as a missing file is.
+A name may lead to anything: a pipe without a writer, a device without an end, a link that another user planted. The
+type is checked before a byte is read, on the descriptor and not on the name, which may mean another file a moment
+later. A refused file raises OSError with a reason in words, like a missing file.
 """
 
 from __future__ import annotations
@@ -27,8 +27,21 @@ _KINDS: Final = {
 }
 
 
+def home_folder() -> Path | None:
+    """Return the home folder of this user; None if neither HOME nor passwd has one, as for the user of a container."""
+    try:
+        return Path.home()
+    except RuntimeError:
+        return None
+
+
+def expanded(path: str) -> Path:
+    """Replace a leading ~ by the home folder; for a user without one, the path does not change."""
+    return Path(os.path.expanduser(path))
+
+
 def open_input(path: str | Path, size_max: int | None = None) -> IO[bytes]:
-    """A regular file to read from, of at most `size_max` bytes; OSError for anything else, without waiting for it."""
+    """Open a regular file of at most `size_max` bytes for reading; raises OSError for other files, without waiting."""
     fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     try:
         found = os.fstat(fd)
@@ -42,9 +55,9 @@ def open_input(path: str | Path, size_max: int | None = None) -> IO[bytes]:
 
 
 def read_input(path: str | Path, size_max: int) -> bytes:
-    """All of a regular file of at most `size_max` bytes; OSError for anything else."""
+    """Read a regular file of at most `size_max` bytes; raises OSError for other files."""
     with open_input(path, size_max) as file:
-        data = file.read(size_max + 1)  # a file under /proc has the size 0, and one that grows another than it had
+        data = file.read(size_max + 1)  # files under /proc have the size 0, and a growing file has an outdated one
     if len(data) > size_max:
         raise OSError(errno.EFBIG, f"has more than {size_max:,} bytes, the most that are read")
     return data
@@ -52,9 +65,9 @@ def read_input(path: str | Path, size_max: int) -> bytes:
 
 @contextmanager
 def new_file(path: str | Path) -> Iterator[IO[bytes]]:
-    """A file to write to that appears under its name when the block ends: whole, or not at all.
+    """Open a file that appears under its name only when the block ends without an error, and then complete.
 
-    Until then it has a name that nobody can foresee. A link keeps pointing at what is replaced.
+    Until then it has an unpredictable name. If the path is a link, its target is replaced and the link remains.
     """
     target = followed(path)
     part = target.with_name(f".{secrets.token_hex(8)}.part")
@@ -69,7 +82,7 @@ def new_file(path: str | Path) -> Iterator[IO[bytes]]:
 
 
 def open_output(path: str | Path, buffering: int = -1) -> IO[bytes]:
-    """A file to write to as one goes, emptied if it is there: what is written can be read before the end."""
+    """Open a file for writing over time, truncated if it exists; its contents can be read before it is closed."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
     fd = os.open(followed(path), flags, 0o666)
     try:
@@ -84,9 +97,9 @@ def open_output(path: str | Path, buffering: int = -1) -> IO[bytes]:
 
 
 def open_recording(path: str | Path, folder: str | Path | None = None) -> IO[bytes]:
-    """A new file for what must not be lost: unbuffered, and no file that is there already; OSError otherwise.
+    """Create a file for data that must not be lost: unbuffered, and new; raises OSError if the file exists.
 
-    With `folder` the path is somebody else's wish: it is followed below that folder only, past no link and no `..`.
+    With `folder`, the path comes from another party: it is opened only below that folder, without any link or `..`.
     """
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
     if folder is None:
@@ -106,7 +119,7 @@ def open_recording(path: str | Path, folder: str | Path | None = None) -> IO[byt
 
 
 def is_same_file(one: str | Path, other: str | Path) -> bool:
-    """Whether two names lead to one file, be it there or not."""
+    """Return whether two names lead to one file, which need not exist."""
     try:
         return os.path.samefile(one, other)
     except (OSError, ValueError):
@@ -114,9 +127,10 @@ def is_same_file(one: str | Path, other: str | Path) -> bool:
 
 
 def followed(path: str | Path) -> Path:
-    """What a name means after links of this user, of root, or of the owner of the folder they are in.
+    """Return the target of a path after links of this user, of root, or of the owner of the folder they are in.
 
-    A link of anybody else in a folder for all, such as /tmp, is refused: it would choose what is overwritten.
+    Raises OSError for a link of another user in a shared folder such as /tmp: it would choose which file is
+    overwritten.
     """
     at = Path(path)
     for _ in range(LINKS_MAX):
@@ -143,13 +157,15 @@ def _check_kind(mode: int, use: str) -> None:
 def check_owner(path: str | Path, status: os.stat_result, why: str) -> None:
     """Raise ConfigError for a file or folder that another user may have filled.
 
-    why  what another user could do with it
+    why  the possible misuse, for the message
     """
     if status.st_uid not in (0, os.geteuid()):
-        raise ConfigError(f"{path}: belongs to another user ({status.st_uid}), who {why}: use one of your own")
-    # In a folder as /tmp is, nobody replaces what is not his.
+        raise ConfigError(
+            f"{path}: belongs to another user ({status.st_uid}), who {why}: use a folder that belongs to you"
+        )
+    # The sticky bit, as of /tmp, prevents users from replacing files of other users.
     kept = stat.S_ISDIR(status.st_mode) and status.st_mode & stat.S_ISVTX
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not kept:
         raise ConfigError(
-            f"{path}: others may write to it (mode {stat.S_IMODE(status.st_mode):o}), and so {why}: chmod go-w it"
+            f"{path}: other users may write to it (mode {stat.S_IMODE(status.st_mode):o}), and so {why}: chmod go-w it"
         )

@@ -1,9 +1,9 @@
-"""Read scenes, rigs and faults to be injected: TOML to structs, all mistakes at once.
+"""Loading of scenes, rigs and faults to inject: TOML to structs, with all mistakes in one error.
 
     scene = load_scene("paper-plane")                     # shipped
     rig = load_rig("bench.toml", {"servo.rate_hz": 500.0}, {"servo.rate_hz": "command line --rate"})
 
-Nothing here knows what a driver's options mean: the driver's own struct goes through `build`.
+Options of a driver are not interpreted here: the driver's struct goes through `build`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from softfinger.config.words import near, shown
 
 T = TypeVar("T", bound=msgspec.Struct)
 SceneSource = str | Path | Mapping[str, Any] | Scene
-"""What a scene may be given as."""
+"""Accepted forms of a scene: file, name of a shipped scene, mapping, or `Scene`."""
 
 _HERE: Final = Path(__file__).resolve().parent
 FOLDERS: Final[Mapping[type[msgspec.Struct], Path]] = {
@@ -39,15 +39,15 @@ EXPERIMENTS: Final = _HERE / "experiments"
 _KINDS: Final[Mapping[type[msgspec.Struct], str]] = {Scene: "scene", Rig: "rig", Faults: "file of faults"}
 _SIZE_MAX: Final = 1 << 20
 _BY_NAME: Final = {"material": MATERIALS.key, "fingertip": FINGERTIPS.key}
-"""Tables that a text may stand for, and the key that it is the value of."""
+"""Tables that a text may replace, with the key that the text becomes the value of."""
 _ENTRY: Final = re.compile(r"\[(\d+)\]")
 _LISTED: Final = 12
-"""Faults that a message lists: a file with more has one mistake many times, and the first ones stay on the screen."""
+"""Faults listed in a message. A file with more usually repeats one mistake, and the first ones remain on the screen."""
 _NUMBER: Final = re.compile(r"\.(\d+)(?=\.|$)")
 
 
 class FaultyConfig(ConfigError):
-    """A ConfigError that keeps its faults apart, for those who list them."""
+    """ConfigError with the single faults in `faults`, for callers that list them."""
 
     def __init__(self, faults: Sequence[Fault]) -> None:
         self.faults = tuple(faults)
@@ -60,13 +60,30 @@ class FaultyConfig(ConfigError):
 def load_scene(
     scene: SceneSource, overrides: Mapping[str, Any] | None = None, sources: Mapping[str, str] | None = None
 ) -> Scene:
-    """A scene from a file, one of the shipped ones by name, or a mapping that has what a file would.
+    """Load a scene.
 
-    `overrides` maps dotted keys to values put in the file's place, an entry of a list by its number or its name
-    (`object.0.position_m`, `object.table.position_m`); `sources` says where each came from, for the
-    message. Files that the scene names are beside it, those of a mapping in the folder of the process. Raises
-    ConfigError with every fault found, or for an override that has no place.
+    Parameters
+    ----------
+    scene
+        File, name of a shipped scene, mapping with the contents of a file, or `Scene`.
+    overrides
+        Values by dotted key, which replace values of the scene. An entry of a list is selected by its index or name:
+        `object.0.position_m`, `object.table.position_m`.
+    sources
+        Origin of each override, for the message.
 
+    Returns
+    -------
+    Scene
+        Files that it names are relative to the folder of the scene file, or to the working directory for a mapping.
+
+    Raises
+    ------
+    ConfigError
+        With every fault found, or for an override of a place that does not exist.
+
+    Examples
+    --------
     >>> from softfinger import load_scene
     >>> load_scene("sphere", {"object.sphere.radius_m": 0.03}).object[0].radius_m
     0.03
@@ -87,17 +104,19 @@ def load_scene(
     things = tuple(_beside(folder, thing) for thing in loaded.object)
     world = loaded.world
     if world is not None:
-        world = msgspec.structs.replace(world, model=str(folder / world.model))
+        root = None if world.root is None else str(folder / world.root)
+        world = msgspec.structs.replace(world, model=str(folder / world.model), root=root)
     return completed(msgspec.structs.replace(loaded, object=things, world=world))
 
 
 def load_rig(
     path_or_name: str | Path, overrides: Mapping[str, Any] | None = None, sources: Mapping[str, str] | None = None
 ) -> Rig:
-    """A rig from a file, or one of the shipped ones by name; see `load_scene`.
+    """Load a rig from a file, or a shipped one by name; parameters and errors as for `load_scene`.
 
-    A `device.driver` other than the file's drops the file's device options: they are another driver's. What is said of
-    `device` holds for each of the file's [devices.NAME]. The keys that [security] names are beside the file.
+    An override that changes `device.driver` drops the device options of the file, since they belong to another driver.
+    An override of `device` applies to each [devices.NAME] of the file. Paths in [security] are relative to the folder
+    of the file.
     """
     rig = _load(Rig, path_or_name, overrides or {}, sources or {})
     if rig.security is None:
@@ -108,34 +127,37 @@ def load_rig(
 
 
 def load_faults(path_or_name: str | Path) -> Faults:
-    """Faults to be injected from a file, or one of the shipped ones by name; raises as `load_scene`."""
+    """Load faults to inject from a file, or shipped ones by name; raises as `load_scene`."""
     return _load(Faults, path_or_name, {}, {})
 
 
 def build(struct_type: type[T], mapping: object, where: str) -> T:
-    """`mapping` as a `struct_type`; ConfigError with every fault, each naming `where` and its key."""
+    """Convert `mapping` to a `struct_type`; raises ConfigError with every fault, each naming `where` and its key."""
     return _built(struct_type, mapping, where, {})
 
 
 def overridden(config: T, changes: Mapping[str, Any], where: str) -> T:
-    """`config` with other values, keys as of `load_scene`; ConfigError with every fault, naming `where`."""
+    """Return `config` with changed values, keys as for `load_scene`.
+
+    Raises ConfigError with every fault, each naming `where`.
+    """
     return _with_overrides(type(config), describe(config), where, changes, dict.fromkeys(changes, where))
 
 
 def numbered(mapping: Mapping[str, Any], dotted: str) -> str:
-    """A key of `load_scene` with the number of an entry in place of its name: `object.0` for `object.table`."""
+    """Return a key of `load_scene` with the index of an entry in place of its name: `object.0` for `object.table`."""
     head, _, rest = dotted.partition(".")
     entries = mapping.get(head)
     if isinstance(entries, list | tuple) and not rest.partition(".")[0].isdecimal():
         names = [(str(each.get("name", "")), place) for place, each in enumerate(entries) if isinstance(each, Mapping)]
-        for name, place in sorted(names, key=lambda each: -len(each[0])):  # the longest first: a name may have dots
+        for name, place in sorted(names, key=lambda each: -len(each[0])):  # names may contain dots
             if name and (rest == name or rest.startswith(f"{name}.")):
                 return f"{head}.{place}{rest[len(name) :]}"
     return dotted
 
 
 def value_at(mapping: Any, dotted: str) -> Any:
-    """What a mapping has at a key of `load_scene`, entries by number; None where it has nothing."""
+    """Return the value of a mapping at a key of `load_scene`, with entries by index; None if it has no value."""
     for name in _ENTRY.sub(r".\1", dotted).split("."):
         if isinstance(mapping, list):
             mapping = mapping[int(name)]
@@ -145,30 +167,30 @@ def value_at(mapping: Any, dotted: str) -> Any:
 
 
 def describe(config: msgspec.Struct) -> dict[str, Any]:
-    """A scene or rig as the mapping its file would hold; `build` takes it back."""
+    """Return a scene or rig as the mapping in its file; `build` is the inverse."""
     return _plain(msgspec.to_builtins(config))  # type: ignore[no-any-return]
 
 
 def shipped(struct_type: type[msgspec.Struct]) -> list[str]:
-    """Names of the files of a kind that come with the program."""
+    """Return the names of the shipped files of a kind."""
     return names_in(FOLDERS[struct_type])
 
 
 def names_in(folder: Path) -> list[str]:
-    """Names of the files in a folder of shipped ones."""
+    """Return the names of the files in a folder of shipped files."""
     return sorted(path.stem for path in folder.glob("*.toml"))
 
 
 def find(path_or_name: str | Path, struct_type: type[msgspec.Struct]) -> Path:
-    """Where a scene, rig or file of faults is: see `find_in`."""
+    """Return the path of a scene, rig or file of faults: see `find_in`."""
     return find_in(FOLDERS[struct_type], _KINDS[struct_type], path_or_name)
 
 
 def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
-    """Where a file is, of a kind whose shipped ones are in a folder. A text without a folder and without .toml is a
-    shipped name first.
+    """Return the path of a file; shipped files of its kind are in `folder`.
 
-    The path need not exist, unless the text is neither a shipped name nor a file: then ConfigError.
+    A text without a folder and without .toml names a shipped file or, if there is none, an existing file. Raises
+    ConfigError if it is neither. Any other path need not exist.
     """
     path = Path(path_or_name)
     if isinstance(path_or_name, Path) or path.name != path_or_name or path.suffix == ".toml":
@@ -184,12 +206,12 @@ def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
     own = f"my-{kind.split()[-1]}.toml"
     raise ConfigError(
         f"no {kind} is called {shown(path_or_name)}{near(path_or_name, names)}; "
-        f"shipped are {', '.join(names)}; a file of your own is named with its ending, such as {own}"
+        f"shipped are {', '.join(names)}; give the path of another file with its suffix, such as {own}"
     )
 
 
 def read_toml(path: str | Path, where: str | None = None) -> dict[str, Any]:
-    """The tables of a TOML file. Raises ConfigError with the file, and line and column of a syntax error."""
+    """Read the tables of a TOML file; raises ConfigError with the file, and line and column of a syntax error."""
     name = _named(path) if where is None else where
     return parse_toml(_text(Path(path), name), name)
 
@@ -216,12 +238,12 @@ def _text(path: Path, name: str) -> str:
 
 
 def _named(path: str | Path) -> str:
-    """A path as messages name it: whole, but on one line whatever is in it."""
+    """Return a path for messages: complete, and on one line even with control characters."""
     return repr(str(path))[1:-1]
 
 
 def _sibling(path: Path) -> str:
-    """A hint for a missing file: a similar name beside it, or a shipped name."""
+    """Return a hint for a missing file: a similar name in its folder, or a shipped name."""
     try:
         beside = [found.name for found in path.parent.glob("*.toml")]
     except (OSError, ValueError):
@@ -258,26 +280,27 @@ def _with_overrides(
         except LookupError as error:
             homeless.append(f"{source}: {dotted}: {error.args[0]}")
     config = _built(struct_type, mapping, where, origins)
-    if homeless:  # and not for a fault of the file's own
+    if homeless:  # only if the file itself has no fault
         raise ConfigError("; ".join(homeless))
     return config
 
 
 def completed(scene: Scene) -> Scene:
-    """A scene with an object for each geom of its world: what these demand of it and of each other is looked at, too.
+    """Add an object for each geom of the scene's world, and check the objects of the result against each other.
 
-    `load_scene` has done it. Raises ConfigError for a model that cannot be used.
+    `load_scene` does this already. Raises ConfigError for an unusable model.
     """
     if scene.world is None:
         return scene
-    from softfinger.config.mjcf import with_geoms  # it needs MuJoCo
+    from softfinger.config.mjcf_geoms import with_geoms  # it needs MuJoCo
 
     return build(Scene, describe(with_geoms(scene)), f"{scene.world.model} in the scene")
 
 
 def _beside(folder: Path, thing: Object) -> Object:
     if isinstance(thing, Heightmap | Mesh):
-        return msgspec.structs.replace(thing, file=str(folder / thing.file))
+        root = None if thing.root is None else str(folder / thing.root)
+        return msgspec.structs.replace(thing, file=str(folder / thing.file), root=root)
     if not isinstance(thing, Textured) or thing.texture is None:
         return thing
     texture = msgspec.structs.replace(thing.texture, file=str(folder / thing.texture.file))
@@ -293,7 +316,7 @@ def _built(struct_type: type[T], mapping: object, where: str, sources: Mapping[s
 
 
 def _for_each_device(mapping: dict[str, Any], dotted: str) -> list[str]:
-    """The key to override; in a file with [devices.NAME] one of `device` is meant for each of them."""
+    """Return the keys to override; in a file with [devices.NAME], a key of `device` applies to each of them."""
     first, _, rest = dotted.partition(".")
     if first == "device" and "device" not in mapping and isinstance(mapping.get("devices"), dict):
         return [f"devices.{name}.{rest}" for name in mapping["devices"]]
@@ -301,9 +324,9 @@ def _for_each_device(mapping: dict[str, Any], dotted: str) -> list[str]:
 
 
 def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, origins: dict[str, str]) -> None:
-    """Put a value in, with the tables that it needs; `origins` learns which keys are not the file's.
+    """Set a value and create the tables above it; `origins` records the source of keys that are not from the file.
 
-    An entry of a list is `object.0` or, as messages have it, `object[0]`. LookupError where there is no such place.
+    An entry of a list is `object.0` or, as in messages, `object[0]`. Raises LookupError if the place does not exist.
     """
     way = _ENTRY.sub(r".\1", dotted).split(".")
     at: Any = mapping
@@ -313,10 +336,10 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
         if isinstance(at, list):
             if not (re.fullmatch("[0-9]{1,9}", name) and int(name) < len(at)):
                 there = f"entries go from 0 to {len(at) - 1}{_names(at)}" if at else "the list is empty"
-                raise LookupError(f"there is no {key}: {there}; to add one give {way[depth - 2]} as a whole")
+                raise LookupError(f"there is no {key}: {there}; to add one give all of {way[depth - 2]}")
             place = int(name)
         elif not isinstance(at, dict):
-            raise LookupError(f"what {key} would be in is {shown(at)} and no table: give it as a whole")
+            raise LookupError(f"{key} would be in {shown(at)}, which is no table: give the complete table")
         elif depth < len(way) and name not in at:
             at[name], origins[key] = {}, source
         if depth == len(way):
@@ -331,7 +354,7 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
 
 
 def _forget_entry(at: Any, way: list[str], value: Any) -> None:
-    """Another entry of a library is to be named: nothing of the one before is left."""
+    """Remove the values of the previous library entry if another entry is named."""
     if not isinstance(at, dict) or at.get(way[-1]) == value or at.get("resolved") is not True:
         return
     if way[-2:] == ["material", MATERIALS.key]:

@@ -1,7 +1,7 @@
-"""The library of feels: what `material = "rubber"` and `fingertip = "human-index"` stand for, and where it is from.
+"""Library of materials and fingertips, such as `material = "rubber"` and `fingertip = "human-index"`, with sources.
 
-`materials.toml` and `fingertips.toml` hold tables as a scene would write them, with what was measured beside them. A
-scene names one and may change single keys:
+`materials.toml` and `fingertips.toml` contain tables as in a scene, together with published measurements. A scene names
+an entry and may change single keys:
 
     material = "rubber"
     material = { name = "rubber", stiffness_n_per_m = 800, friction = { kinetic = 0.6 } }
@@ -24,11 +24,11 @@ HERE: Final = Path(__file__).resolve().parent
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A published value: a coefficient of friction, or a range of a modulus or of an exponent of the patch.
+    """Published value: a coefficient of friction, or a range of a modulus or of an exponent of the patch.
 
-    friction, sd, low  mean, standard deviation, and the least that was seen
-    load_n             N, from and to, where the source says it
-    of, paper          what was measured, and in which of the papers
+    friction, sd, low  mean, standard deviation and smallest observed value
+    load_n             N, from and to, if the source gives it
+    of, paper          measured object, and key of the paper
     """
 
     of: str
@@ -42,14 +42,14 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Entry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A material or a fingertip.
+    """Material or fingertip of the library.
 
-    about        what it is, a sentence
-    holds        range within which the values mean something
-    papers       where they are from
-    values       what a scene gets
-    measured     what is drawn beside them
-    friction_of  between what the friction of a material was measured
+    about        description in one sentence
+    holds        range in which the values are valid
+    papers       sources of the values
+    values       keys and values for a scene
+    measured     published values, drawn for comparison
+    friction_of  pair of surfaces of the friction coefficients
     """
 
     about: str
@@ -61,7 +61,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Paper(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A source, and how far it was read."""
+    """Source, and how much of it was read."""
 
     text: str
     read: str
@@ -69,12 +69,12 @@ class Paper(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Library(NamedTuple):
-    """Named tables that stand in place of a table of a scene.
+    """Named tables that replace a table of a scene.
 
-    key      which names one
-    entries  the tables by name; the values of the named one stand wherever the scene says nothing itself
-    instead  keys of a scene (first) beside which one of the library's does not stand
-    marked   whether a filled table says that it is whole, by the key `resolved`
+    key      key that names an entry
+    entries  function that returns all entries by name; an entry supplies the values that the scene leaves out
+    instead  keys of a scene, each with the key of the entry that it replaces
+    marked   mark a filled table as complete, by the key `resolved`
     """
 
     key: str
@@ -83,7 +83,7 @@ class Library(NamedTuple):
     marked: bool = True
 
     def filled(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """What a scene gives of a table that names an entry, with that entry's values."""
+        """Return a table that names an entry, completed with the values of the entry."""
         dropped = {theirs for ours, theirs in self.instead.items() if given.get(ours) is not None}
         values = self.entries()[given[self.key]].values
         base = {key: value for key, value in values.items() if key not in dropped}
@@ -92,19 +92,19 @@ class Library(NamedTuple):
 
 @lru_cache(maxsize=1)
 def materials() -> Mapping[str, Entry]:
-    """Every material by its name; read once, when a scene first names one."""
+    """Return all materials by name; the file is read when a scene first names one."""
     return _entries("materials.toml")
 
 
 @lru_cache(maxsize=1)
 def fingertips() -> Mapping[str, Entry]:
-    """Every fingertip by its name."""
+    """Return all fingertips by name."""
     return _entries("fingertips.toml")
 
 
 @lru_cache(maxsize=1)
 def papers() -> Mapping[str, Paper]:
-    """Every source by its name."""
+    """Return all sources by name."""
     return MappingProxyType(msgspec.convert(_tables("papers.toml"), dict[str, Paper]))
 
 
@@ -113,7 +113,7 @@ FINGERTIPS: Final = Library("pad", fingertips, MappingProxyType({"radii_m": "rad
 
 
 def flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """The values of a table and of those in it, by dotted key."""
+    """Yield the values of a table and of the tables in it, with their dotted keys."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{before}{key}.")
@@ -130,7 +130,7 @@ def _tables(file: str) -> dict[str, Any]:
 
 
 def _over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with `changes` put in, table by table."""
+    """Return `base` updated with `changes`, table by table."""
     result = dict(base)
     for key, value in changes.items():
         below = base.get(key)

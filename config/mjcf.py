@@ -1,45 +1,51 @@
-"""A model of MuJoCo: read from its file, and its geoms as the objects of a scene.
+"""MuJoCo models: reading, compiling, and what is taken from the compiled model: meshes and height fields.
 
-A scene's [world] names the file. Every geom that can collide becomes an object of the same name, of our own exact
-shape: it is touched by the fingers here, and by the other geoms in MuJoCo. An object of the scene file that has the
-name of a geom takes its place.
+MuJoCo finds and reads the files of a model. Only files below one folder are allowed; pictures are not read at all.
 """
 
 from __future__ import annotations
 
+import copy
 import os
-from collections.abc import Iterator
+import threading
+import warnings
+from collections import OrderedDict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from softfinger.config import limits, schema
+from softfinger.config import schema
 from softfinger.config.arrays.grids import Grid
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
-from softfinger.config.urdf import complete, is_urdf, places
+from softfinger.config.mjcf_files import check_flexes, check_place, place_files
+from softfinger.config.mjcf_size import SIZE_MAX, check_files
+from softfinger.config.urdf import complete, is_urdf
 
 if TYPE_CHECKING:
     import mujoco
 
-SIZE_MAX: Final = 1 << 24
-BODIES_MAX: Final = 1000
-SQUARE: Final = 1e-6
-"""Difference of the sides of a pixel, as a share, that is rounding of sizes in a file: at most 1 pixel in a million."""
+KEPT: Final = 4
+"""Compiled models that stay in memory."""
 
 
-class Taken(NamedTuple):
-    """A geom, and how it was taken: the object, or None and why not; `note` says what differs from MuJoCo's geom."""
+class Compiled(NamedTuple):
+    """A model: its specification as in the file, the compiled model, and the state of each of its files."""
 
-    name: str
-    object: schema.Object | None
-    note: str
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    files: Mapping[str, Any]
+
+
+_compiled: Final = OrderedDict[tuple[str, str | None], Compiled]()
+_lock: Final = threading.Lock()
 
 
 def mujoco_module() -> Any:
-    """The package, which a scene with a [world] alone needs. ConfigError where it is not installed."""
+    """Return the package, needed only for a scene with [world]. Raises ConfigError if it is not installed."""
     try:
         import mujoco
     except ImportError as error:
@@ -47,227 +53,163 @@ def mujoco_module() -> Any:
     return mujoco
 
 
-def read_model(path: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """The model of a file, as it was written and as it is simulated.
+def read_model(world: schema.World) -> mujoco.MjModel:
+    """Return a compiled model of a world for the simulation, which the caller may change.
 
-    Raises ConfigError with the file and what is wrong with it.
+    Raises ConfigError with the file and its fault, or for a body that has no mass, or an unknown keyframe.
     """
+    spec, shared, _ = compiled(world.model, world.root)
+    model = copy.copy(shared)
+    try:
+        _set_masses(spec, model, world.mass_kg)
+    except (ValueError, mujoco_module().FatalError) as error:
+        raise ConfigError(f"world.model {world.model}: {_line(error)}") from error
+    key_number(model, world)
+    return model
+
+
+def key_number(model: mujoco.MjModel, world: schema.World) -> int | None:
+    """Return the number of the keyframe at which a world begins, None for none. Raises ConfigError if it is unknown."""
+    if world.keyframe is None:
+        return None
+    names = [model.key(number).name for number in range(model.nkey)]
+    if world.keyframe not in names:
+        have = ", ".join(names) or "none"
+        raise ConfigError(f"world.keyframe = {world.keyframe!r}: {world.model} has no such <key>; it has: {have}")
+    return names.index(world.keyframe)
+
+
+def compiled(path: str, root: str | None = None) -> Compiled:
+    """Return a model as MuJoCo compiles it, from memory while its files stay the same. The caller must not change it.
+
+    Parameters
+    ----------
+    path
+        MJCF or URDF file.
+    root
+        Folder below which the files of the model must lie; by default the folder of `path`.
+
+    Raises
+    ------
+    ConfigError
+        With the file and its fault.
+    """
+    with _lock:
+        found = _compiled.get((path, root))
+    if found is not None and all(_state(file) == state for file, state in found.files.items()):
+        return found
+    made = _compile(path, root)
+    with _lock:
+        _compiled[path, root] = made
+        _compiled.move_to_end((path, root))
+        while len(_compiled) > KEPT:
+            _compiled.popitem(last=False)
+    return made
+
+
+def _compile(path: str, root: str | None) -> Compiled:
     package, name = mujoco_module(), repr(path)[1:-1]
     try:
         text = read_input(path, SIZE_MAX).decode("utf-8-sig")
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError(f"world.model {name}: cannot be read: {reason}") from error
-    _check_folders(text, Path(path), name, set())
+    home = Path(os.path.realpath(Path(path).parent if root is None else root))
+    names = check_files(text, Path(path), name, home)
+    folder = os.path.dirname(os.path.abspath(path))
     try:
-        spec = package.MjSpec.from_file(path)
-        _check_count(len(spec.bodies) - 1, name)  # the world is one of them
-        if is_urdf(path):
-            complete(spec, Path(path).parent)
-        model = spec.compile()
+        listed = package.mju_getXMLDependencies(path)
+        parts = [path, *(file for file in listed if os.path.basename(file) in names.parts)]
+        for file in parts[1:]:
+            check_place(file, home, f"{name}: the file {file}")
+        check_flexes(folder, names.folders, names.flexes, home, name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # MuJoCo's, of deprecated attributes
+            spec = package.MjSpec.from_file(path)
+            if is_urdf(path):
+                complete(spec, Path(folder))
+            _remove_pictures(spec)
+            files = [*parts, *place_files(spec, listed, bool(names.attaches), home, name)]
+            states = {file: _state(file) for file in files}
+            package.mj_clearCache(package.mj_getCache())  # which misses that a file changed within a second
+            model = spec.compile()
     except (ValueError, package.FatalError) as error:
-        raise ConfigError(f"world.model {name}: {' '.join(str(error).split())}") from error
-    return spec, model
+        raise ConfigError(f"world.model {name}: {_line(error)}") from error
+    return Compiled(spec, model, states)
 
 
-def _check_count(bodies: int, name: str) -> None:
-    """MuJoCo takes a minute to read ten thousand bodies: they are counted before."""
-    if bodies > BODIES_MAX:
-        raise ConfigError(f"world.model {name}: has {bodies} bodies; at most {BODIES_MAX} can be stepped in time")
+def _remove_pictures(spec: mujoco.MjSpec) -> None:
+    """Replace textures by one pixel, and remove skins: contacts need neither."""
+    for texture in spec.textures:
+        texture.file, texture.width, texture.height, texture.gridsize = "", 1, 1, [1, 1]
+        texture.builtin = mujoco_module().mjtBuiltin.mjBUILTIN_FLAT
+        for side in range(len(texture.cubefiles)):
+            texture.cubefiles[side] = ""
+    for skin in list(spec.skins):
+        spec.delete(skin)
 
 
-def _check_folders(text: str, path: Path, name: str, seen: set[Path]) -> None:
-    """A model reads the files beside it and below, and no others; so do those that it includes, and theirs.
-
-    path  of the model, in whose folder MuJoCo looks for the files of all of them
-    seen  included files that were checked already
-    """
-    from xml.etree import ElementTree
-
-    if "<!ENTITY" in text:
-        raise ConfigError(f"world.model {name}: declares entities, and MuJoCo knows none: write them out")
+def _state(file: str) -> Any:
+    """Return what changes when a file does."""
     try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise ConfigError(f"world.model {name}: is no XML: {error}") from error
-    _check_count(sum(element.tag in ("body", "link") for element in root.iter()), name)
-    home = path.resolve().parent
-    keys = ("file", "filename", "meshdir", "texturedir", "assetdir")
-    for element in root.iter():
-        for key in keys:
-            given = element.get(key)
-            outside = [
-                way for way in places(given or "") if not Path(os.path.realpath(home / way)).is_relative_to(home)
-            ]
-            if outside:
-                raise ConfigError(
-                    f"world.model {name}: <{element.tag} {key}={given!r}> is outside of its folder: put the file "
-                    "beside the model"
-                )
-            if given and element.tag == "include" and (part := home / given) not in seen:
-                seen.add(part)
-                try:
-                    inner = read_input(part, SIZE_MAX).decode("utf-8-sig")
-                except (OSError, ValueError):
-                    continue  # MuJoCo says what is wrong with it
-                _check_folders(inner, path, f"{name}, {given}", seen)
+        found = os.stat(file)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
-def with_geoms(scene: schema.Scene) -> schema.Scene:
-    """The scene with an object for each geom of its [world] that none stands for yet."""
-    if scene.world is None:
-        return scene
-    have = {thing.name for thing in scene.object}
-    geoms = list(taken(scene.world))
-    added = [each.object for each in geoms if each.object is not None and each.name not in have]
-    if not scene.object and not added:
-        why = "; ".join(f"{each.name} {each.note}" for each in geoms[:5]) or "it has none"
-        raise ConfigError(f"world.model {scene.world.model}: no geom can be touched: {why}")
-    return msgspec.structs.replace(scene, object=(*scene.object, *added))
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())
 
 
-def taken(world: schema.World) -> Iterator[Taken]:
-    """How each geom of the model is taken, in their order. ConfigError for a model that cannot be used."""
-    package = mujoco_module()
-    spec, model = read_model(world.model)
-    data = package.MjData(model)
-    package.mj_kinematics(model, data)
-    for geom in spec.geoms:
-        name = geom.name or f"geom-{geom.id}"
-        if not geom.contype and not geom.conaffinity:
-            yield Taken(name, None, "does not collide (contype and conaffinity are 0)")
-            continue
-        material = _material(world, geom)
-        if material is None:
-            yield Taken(name, None, "has no material: give [world.material], or a [[world.geom]] that fits it")
-            continue
-        source = _source(world, spec, model, geom)
-        if isinstance(source, str):
-            yield Taken(name, None, source)
-        else:
-            yield _object(name, geom.id, material, model, data, source)
+def _set_masses(spec: mujoco.MjSpec, model: mujoco.MjModel, mass_kg: Mapping[str, float]) -> None:
+    """Set masses of the compiled model, regardless of their origin: geoms, <inertial>, densities, a total.
 
-
-def _material(world: schema.World, geom: Any) -> schema.Material | None:
-    material = world.material
-    for rule in world.geom:
-        of_name = rule.name is None or rule.name == geom.name
-        of_group = rule.group is None or rule.group == geom.group
-        of_default = rule.default is None or (geom.classname is not None and rule.default == geom.classname.name)
-        if of_name and of_group and of_default:
-            material = rule.material
-    return material
-
-
-def _no_file_of_ours(mesh: Any) -> str:
-    """Why a mesh cannot be touched; empty where it can."""
-    if not mesh.file.lower().endswith(schema.Mesh.endings):
-        return f"is a mesh from no file that ends in {', '.join(schema.Mesh.endings)}"
-    if len(set(mesh.scale)) > 1 or mesh.scale[0] <= 0.0:
-        return f"is a mesh with the scale {mesh.scale.tolist()}, which has to be the same along x, y and z, and above 0"
-    if any(mesh.refpos) or list(mesh.refquat) != [1.0, 0.0, 0.0, 0.0]:
-        return "is a mesh with refpos or refquat: move its geom instead"
-    return ""
-
-
-def _source(world: schema.World, spec: Any, model: Any, geom: Any) -> dict[str, Any] | str:
-    """What an object in place of a geom has from a file: nothing for most; or why the geom cannot be touched."""
-    kinds = mujoco_module().mjtGeom
-    match model.geom_type[geom.id]:
-        case kinds.mjGEOM_MESH:
-            mesh = spec.mesh(geom.meshname)
-            folder = Path(world.model).parent / (spec.meshdir or "")
-            return _no_file_of_ours(mesh) or {"file": str(folder / mesh.file), "scale": float(mesh.scale[0])}
-        case kinds.mjGEOM_HFIELD:
-            return _hfield(world, model, int(model.geom_dataid[geom.id]))
-    return {}
-
-
-def _hfield(world: schema.World, model: Any, number: int) -> dict[str, Any] | str:
-    rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
-    x, y, z = (float(each) for each in model.hfield_size[number][:3])
-    across, along = 2.0 * x / (columns - 1), 2.0 * y / (rows - 1)
-    if abs(across - along) > SQUARE * along:
-        sides = f"{across:.6g} m along x and {along:.6g} m along y"
-        return f"is a height field with pixels of {sides}: make them square, by its size or by resampling"
-    if rows * columns > limits.GRID_VALUES.high:
-        return f"is a height field of {rows} x {columns}: {limits.GRID_VALUES.high:,} values are the most"
-    return {"file": world.model, "hfield": model.hfield(number).name, "pitch_m": across, "level_m": z}
-
-
-def read_hfield(path: str, name: str) -> Grid:
-    """Elevations (rows, columns) of a model's height field, 0 to 1; columns along x, rows along y, the first lowest.
-
-    So MuJoCo has them once it has read them, from whatever file. ConfigError where there is none of that name.
+    The inertia is scaled as if the density had changed. MuJoCo then computes the quantities that depend on both, except
+    the damping of actuators with `dampratio`: a drive stays tuned to the model's own mass.
     """
-    _, model = read_model(path)
+    package = mujoco_module()
+    for name, mass in mass_kg.items():
+        body = package.mj_name2id(model, package.mjtObj.mjOBJ_BODY, name)
+        if body <= 0 or not model.body_mass[body] > 0.0:
+            names = ", ".join(model.body(each).name for each in range(1, model.nbody) if model.body_mass[each] > 0.0)
+            raise ValueError(f"mass_kg: {name!r} is no body with a mass; it has {names or 'none'}")
+        model.body_inertia[body] *= mass / model.body_mass[body]
+        model.body_mass[body] = mass
+    if mass_kg:
+        package.mj_setConst(model, package.MjData(model))
+        if model.nv and np.isnan(spec.stat.meaninertia):  # only the compiler computes it, unless the file gives it
+            model.stat.meaninertia = model.dof_M0.mean()
+
+
+def read_mesh(path: str, root: str | None, name: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return vertices (n, 3) and triangles (m, 3) of a model's mesh, m, in the frame of the geoms that have it.
+
+    Raises ConfigError if no mesh has that name.
+    """
+    _, model, _ = compiled(path, root)
+    for number in range(model.nmesh):
+        if model.mesh(number).name == name:
+            first, face = model.mesh_vertadr[number], model.mesh_faceadr[number]
+            vertices = model.mesh_vert[first : first + model.mesh_vertnum[number]]
+            faces = model.mesh_face[face : face + model.mesh_facenum[number]]
+            return vertices.astype(np.float64), faces.astype(np.int32)
+    raise ConfigError(f"{path}: has no mesh {name!r}; it has: {_names(model.mesh, model.nmesh)}")
+
+
+def read_hfield(path: str, root: str | None, name: str) -> Grid:
+    """Return the elevations (rows, columns) of a model's height field, 0 to 1, as MuJoCo reads them from any file.
+
+    Columns run along x, rows along y, lowest coordinate first. Raises ConfigError if no height field has that name.
+    """
+    _, model, _ = compiled(path, root)
     for number in range(model.nhfield):
         if model.hfield(number).name == name:
             rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
             first = int(model.hfield_adr[number])
             return np.array(model.hfield_data[first : first + rows * columns], np.float64).reshape(rows, columns)
-    names = ", ".join(model.hfield(number).name for number in range(model.nhfield)) or "none"
-    raise ConfigError(f"{path}: has no height field {name!r}; it has: {names}")
+    raise ConfigError(f"{path}: has no height field {name!r}; it has: {_names(model.hfield, model.nhfield)}")
 
 
-def _object(name: str, geom: int, material: schema.Material, model: Any, data: Any, source: dict[str, Any]) -> Taken:
-    kinds = mujoco_module().mjtGeom
-    x, y, z = (float(each) for each in model.geom_size[geom])
-    body = int(model.geom_bodyid[geom])
-    place: dict[str, Any] = {"name": name, "material": material}
-    there = model.geom_pos[geom], model.geom_quat[geom]
-    if model.geom_type[geom] == kinds.mjGEOM_MESH:  # whose vertices MuJoCo has about its centre of mass and axes
-        number = model.geom_dataid[geom]
-        there = _on(there, _inverse((model.mesh_pos[number], model.mesh_quat[number])))
-    if moves(model, body):
-        place["motion"] = schema.Body(body=model.body(body).name or str(body))
-    else:
-        there = _on((data.xpos[body], data.xquat[body]), there)
-    place["position_m"], place["orientation_wxyz"] = map(_numbers, there)
-    match model.geom_type[geom]:
-        case kinds.mjGEOM_PLANE:
-            return Taken(name, schema.Plane(**place), "without an end" if x or y else "")
-        case kinds.mjGEOM_SPHERE:
-            return Taken(name, schema.Sphere(radius_m=x, **place), "")
-        case kinds.mjGEOM_CAPSULE:
-            return Taken(name, schema.Capsule(radius_m=x, length_m=2.0 * y, **place), "")
-        case kinds.mjGEOM_ELLIPSOID:
-            return Taken(name, schema.Ellipsoid(semi_axes_m=(x, y, z), **place), "")
-        case kinds.mjGEOM_CYLINDER:
-            return Taken(name, schema.Cylinder(radius_m=x, length_m=2.0 * y, **place), "")
-        case kinds.mjGEOM_BOX:
-            return Taken(name, schema.Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z), **place), "")
-        case kinds.mjGEOM_HFIELD:
-            return Taken(name, schema.Heightmap(**source, **place), "smooth between its heights, level beyond its rim")
-        case kinds.mjGEOM_MESH:
-            return Taken(name, schema.Mesh(**source, **place), "is touched as it is; other geoms meet its convex hull")
-    kind = kinds(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
-    return Taken(name, None, f"is of the type {kind}, which fingers do not touch")
-
-
-def moves(model: Any, body: int) -> bool:
-    """Whether a body can be anywhere else than where the model has put it."""
-    at = body
-    while at != 0:
-        if model.body_dofnum[at] > 0 or model.body_mocapid[at] >= 0:
-            return True
-        at = int(model.body_parentid[at])
-    return False
-
-
-def _numbers(values: Any) -> Any:
-    return tuple(float(each) for each in values)
-
-
-def _on(outer: Any, inner: Any) -> Any:
-    """The pose `inner`, given in the frame `outer`, where that frame is given."""
-    package, place, turn = mujoco_module(), np.zeros(3), np.zeros(4)
-    package.mju_mulPose(place, turn, outer[0], outer[1], inner[0], inner[1])
-    return place, turn
-
-
-def _inverse(pose: Any) -> Any:
-    """The pose of the outer frame in the inner one."""
-    package, place, turn = mujoco_module(), np.zeros(3), np.zeros(4)
-    package.mju_negPose(place, turn, pose[0], pose[1])
-    return place, turn
+def _names(named: Any, count: int) -> str:
+    return ", ".join(named(number).name for number in range(count)) or "none"

@@ -1,9 +1,9 @@
 """Real-time haptic rendering server: soft-finger contact with rolling and torsion at 1 kHz.
 
-`Engine` renders the contact of a scene, pose by pose, in this process; `run_recording` a whole recording of poses, as
-the daemon would; `Client` talks to a daemon that runs (`softfinger run`); `load_scene` reads a scene;
-`ContactMode` names the modes of contact. The errors that these raise are here, too, below `HapticError`. docs/python.md
-shows how they go together.
+`Engine` renders the contact of a scene in this process, pose by pose. `run_recording` renders a recording of poses as
+the daemon would. `Client` connects to a running daemon (`softfinger run`). `load_scene` reads a scene. `ContactMode`
+names the contact modes. The exceptions that these raise are exported, too; all derive from `HapticError`.
+docs/python.md shows how to combine them.
 
 >>> import softfinger
 >>> engine = softfinger.Engine("paper-plane")
@@ -11,7 +11,7 @@ shows how they go together.
 array([0., 0., 1.])
 """
 
-# Installed, this file is softfinger/__init__.py: docs/decisions/0001-one-import-name.md.
+# The wheel installs this file as softfinger/__init__.py: docs/decisions/0001-one-import-name.md.
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from softfinger.server.experiment.experiment import Experiment
     from softfinger.server.offline.simulate import run_recording
     from softfinger.server.remote import Client
-    from softfinger.server.wire.asking import NoAnswer
     from softfinger.server.wire.client import NoTelemetry
+    from softfinger.server.wire.client_requests import NoAnswer
     from softfinger.server.wire.protocol import ProtocolError
 
     __version__: str
@@ -97,7 +97,7 @@ _HOMES = {
     "Exhausted": "softfinger.config.errors",
     "Experiment": "softfinger.server.experiment.experiment",
     "HapticError": "softfinger.config.errors",
-    "NoAnswer": "softfinger.server.wire.asking",
+    "NoAnswer": "softfinger.server.wire.client_requests",
     "NoField": "softfinger.proxy.records",
     "NoTelemetry": "softfinger.server.wire.client",
     "PoseError": "softfinger.proxy.engine",
@@ -109,7 +109,7 @@ _HOMES = {
     "load_scene": "softfinger.config.load",
     "run_recording": "softfinger.server.offline.simulate",
 }
-"""Imported when they are asked for: the compiler alone takes half a second."""
+"""Module of each public name. It is imported on first use, since importing the compiler takes half a second."""
 
 
 def __getattr__(name: str) -> Any:

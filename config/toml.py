@@ -1,7 +1,8 @@
-"""TOML of foreign origin: parsed in bounded time and memory.
+"""Parser of untrusted TOML, in bounded time and memory.
 
-tomllib takes time and memory with the square of a dotted key's parts, and lets tables nest deeper than Python can
-follow. Both are looked for here: keys in the text, before it is parsed, and depth in what came of it.
+tomllib needs time and memory that grow with the square of the number of parts in a dotted key, and accepts tables that
+are nested deeper than Python's recursion limit. Keys are checked in the text before it is parsed, nesting in the
+result.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError
 
 PARTS_MAX: Final = 32
-"""Parts of a dotted key at most; those of scenes and rigs have 5."""
+"""Largest number of parts of a dotted key; scenes and rigs have 5."""
 DEPTH_MAX: Final = 64
-"""Tables and lists in one another at most; those of scenes and rigs have 5."""
+"""Deepest nesting of tables and lists; scenes and rigs have 5."""
 
-# Both run through the text once: what a quantifier with + has taken it does not give back.
+# Both scan the text once: the possessive quantifiers, with a trailing +, do not backtrack.
 _STRINGS: Final = re.compile(
     r"""(?xs)
     (?P<blank> "{3} (?: \\. | [^\\] )*? (?: "{3} | \\?\Z ) | '{3} .*? (?: '{3} | \Z ) | \#[^\n]*+ )
@@ -25,12 +26,12 @@ _STRINGS: Final = re.compile(
     | ' [^'\n]*+ '?+
     """
 )
-"""Strings and comments; `blank` are those that no key can be in."""
+"""Strings and comments; `blank` matches the ones that cannot contain a key."""
 _LONG_KEY: Final = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{PARTS_MAX}}}")
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
-    """The tables of a text; ConfigError with its name for one that is no TOML or asks too much."""
+    """Parse a text; raises ConfigError with its name if it is not TOML or exceeds a limit."""
     long = _LONG_KEY.search(_STRINGS.sub(_blanked, text))
     if long is not None:
         line = text.count("\n", 0, long.start()) + 1
@@ -40,7 +41,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{name}: not TOML: {error}") from error
     except (ValueError, RecursionError) as error:
-        # tomllib lets through what Python itself refuses: 5000-digit numbers, a thousand brackets.
+        # tomllib passes on errors of Python itself, for 5000-digit numbers and a thousand brackets.
         raise ConfigError(f"{name}: not usable: {error}") from error
     level: list[Any] = [tables]
     for _ in range(DEPTH_MAX):
@@ -51,7 +52,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def _blanked(found: re.Match[str]) -> str:
-    """As many lines and columns without what is in it: a string on one line may be a part of a key, so a letter."""
+    """Return spaces in as many lines and columns; a string on one line may be part of a key and becomes a letter."""
     spaces = re.sub(r"[^\n]", " ", found[0])
     return spaces if found["blank"] else f"s{spaces[1:]}"
 

@@ -1,4 +1,4 @@
-"""What `msgspec.inspect` says of a struct, as the checks, their messages and the reference tables ask for it."""
+"""Type descriptions of structs (`msgspec.inspect`) for validation, error messages and reference tables."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from msgspec import Struct, inspect
 
 @lru_cache(maxsize=32)
 def described(struct_type: type[Struct]) -> inspect.StructType:
-    """Tag, fields and ranges of a struct; TypeError if it is none."""
+    """Return tag, fields and ranges of a struct; raises TypeError for another type."""
     info = inspect.type_info(struct_type)
     if not isinstance(info, inspect.StructType):
         raise TypeError(f"{struct_type!r} is not a msgspec Struct")
@@ -18,7 +18,7 @@ def described(struct_type: type[Struct]) -> inspect.StructType:
 
 
 def unwrapped(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
-    """The bare type, and what its Meta said besides the range: description, examples, reason."""
+    """Return the bare type and the further contents of its Meta: description, examples, reason."""
     extra: dict[str, Any] = {}
     while isinstance(info, inspect.Metadata):
         extra |= (info.extra_json_schema or {}) | (info.extra or {})
@@ -27,9 +27,9 @@ def unwrapped(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
 
 
 def options(info: inspect.Type) -> list[inspect.Type]:
-    """What a field may hold besides being left out: the members of a union without None, or the type alone.
+    """Return the types of a field that is given: the members of a union without None, or the type itself.
 
-    A union of structs whose base has a list `added` is open: those of the list are members, too.
+    If the base class of the structs in a union has a list `added`, the structs in that list are members, too.
     """
     members = info.types if isinstance(info, inspect.UnionType) else (info,)
     present = [member for member in members if not isinstance(member, inspect.NoneType)]

@@ -1,7 +1,7 @@
-"""What a URDF file has not as a model of MuJoCo needs it: names of its geoms, and files of packages.
+"""Completion of a URDF model for MuJoCo: names of its geoms, and mesh files of packages.
 
-Geoms of a URDF seldom have names. The link has one, which is what a scene calls its geom. Files are named by the
-package that they are in; they are looked for in the folder of the URDF, as those of any model.
+Geoms of a URDF seldom have names. They get the name of their link, which a scene uses for the geom. Mesh files are
+named relative to a package; they are searched in the folder of the URDF, like the files of any model.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ def is_urdf(path: str) -> bool:
 
 
 def places(given: str) -> tuple[str, ...]:
-    """Where a file may be, from the model's folder: with the package's name as a folder, or without."""
+    """Return the possible paths of a file, relative to the model's folder: with the package as a folder, or without."""
     if not given.startswith(PACKAGE):
         return (given,)
     within = given.removeprefix(PACKAGE)
@@ -25,7 +25,7 @@ def places(given: str) -> tuple[str, ...]:
 
 
 def complete(spec: Any, folder: Path) -> None:
-    """Name the geoms that collide after their links, the second of a link `NAME 2`, and find the meshes' files."""
+    """Name the colliding geoms after their links, the second of a link `NAME 2`, and find the mesh files."""
     taken = {geom.name for geom in spec.geoms}
     for geom in spec.geoms:
         if not geom.name and (geom.contype or geom.conaffinity):

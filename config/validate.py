@@ -1,8 +1,8 @@
-"""From a mapping to a struct, finding every fault on the way.
+"""Conversion of a mapping to a struct, with all faults at once.
 
-`msgspec.convert` stops at the first fault and knows nothing of units or near misses. This walk
-follows the same type descriptions (`msgspec.inspect`), and where a value is unusable it notes the
-fault, puts `UNSET` in its place and goes on.
+`msgspec.convert` stops at the first fault and knows neither units nor similar names. These functions walk the same type
+descriptions (`msgspec.inspect`). For an unusable value they record the fault, store `UNSET` in its place and continue.
+`config.load` calls `examine`.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from softfinger.config.typeinfo import described, options, unwrapped
 from softfinger.config.words import either, expected, missing, near, shown
 
 UNKNOWN_SHOWN: Final = 8
-"""Keys without a meaning that the faults of a table name: fewer than a message lists, which then has their number."""
+"""Unknown keys named per table. Fewer than a message lists, so that the message also shows how many more there are."""
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
 class Fault(NamedTuple):
-    """One thing wrong: the file or flag it came from, the dotted key, and what to do about it."""
+    """Fault of a configuration: its source (file or flag), the dotted key, and the message with the remedy."""
 
     where: str
     key: str
@@ -38,14 +38,14 @@ class Fault(NamedTuple):
 
 @dataclass
 class Report:
-    """Faults found so far; `sources` names where single keys came from (command-line flags)."""
+    """Faults found so far; `sources` maps single keys to their source, such as a command-line flag."""
 
     where: str
     sources: Mapping[str, str]
     faults: list[Fault] = field(default_factory=list)
 
     def add(self, key: str, text: str) -> Any:
-        """Note a fault; returns the placeholder for the value."""
+        """Record a fault and return the placeholder for the value."""
         path = key.split(".")
         prefixes = (".".join(path[:n]) for n in range(len(path), 0, -1))
         where = next((self.sources[p] for p in prefixes if p in self.sources), self.where)
@@ -56,7 +56,7 @@ class Report:
 def examine(
     struct_type: type[Struct], mapping: object, where: str, sources: Mapping[str, str] | None = None
 ) -> tuple[Any, list[Fault]]:
-    """The struct as far as `mapping` gives it (unusable fields hold UNSET), and all faults."""
+    """Convert `mapping` to the struct and return it with all faults; unusable fields are UNSET."""
     report = Report(where, sources or {})
     value = _struct(described(struct_type), mapping, "", report)
     return value, report.faults
@@ -97,7 +97,7 @@ def _value(info: inspect.Type, value: object, key: str, report: Report) -> Any:
 
 
 def _one_of(kind: inspect.UnionType, value: object, key: str, report: Report) -> Any:
-    """Optional values, and structs told apart by their tag."""
+    """Read an optional value, a struct selected by its tag, or the first member of a union that fits."""
     members = options(kind)
     if value is None and len(members) < len(kind.types):
         return None
@@ -125,7 +125,7 @@ def _number(
     try:
         number: float = int(value) if whole else float(value)
         finite = math.isfinite(number)
-    except OverflowError:  # a whole number beyond any float
+    except OverflowError:  # an integer beyond the range of float
         finite = False
     if not finite:
         return report.add(key, wanted)
@@ -142,7 +142,7 @@ def _text(kind: inspect.StrType, value: object, key: str, report: Report) -> Any
         return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
     short = kind.min_length is not None and len(value) < kind.min_length
     long = kind.max_length is not None and len(value) > kind.max_length
-    # A $ lets a newline at the end pass.
+    # `$` also matches before a newline at the end.
     odd = kind.pattern is not None and (value.endswith("\n") or not re.search(kind.pattern, value))
     if short or long or odd:
         return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
@@ -165,14 +165,14 @@ def _list(
         return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}, this has {len(value)}")
     before = len(report.faults)
     items = [_value(t, item, f"{key}[{i}]", report) for i, (t, item) in enumerate(zip(types, value, strict=True))]
-    # A list of tables keeps its usable ones for the checks across tables; a vector is whole or nothing.
+    # Usable tables of a list are needed for the checks across tables; a vector with an unusable component is useless.
     if isinstance(kind, inspect.TupleType) and len(report.faults) > before:
         return UNSET
     return items if isinstance(kind, inspect.ListType) else tuple(items)
 
 
 def _named(kind: inspect.DictType, value: object, key: str, report: Report) -> Any:
-    """A table of tables, or of values, whose keys are names."""
+    """Read a table of tables or of values, with names as keys."""
     if not isinstance(value, Mapping):
         return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
     before = len(report.faults)
@@ -194,12 +194,36 @@ def _tagged(structs: list[inspect.StructType], value: object, key: str, report: 
     dotted, tags = _join(key, tag_field), [struct.tag for struct in structs]
     allowed = either(tags)
     if tag_field not in value:
-        return report.add(dotted, f"{dotted} is missing: give {allowed}, such as {tag_field} = {shown(tags[0])}")
+        report.add(dotted, f"{dotted} is missing: give {allowed}, such as {tag_field} = {shown(tags[0])}")
+        return _without_tag(structs, structs, value, key, report)
     tag = value[tag_field]
     for struct in structs:
         if type(tag) is type(struct.tag) and tag == struct.tag:
             return _fields(struct, value, key, report)
-    return report.add(dotted, f"{dotted} = {shown(tag)}: must be {allowed}{near(tag, tags)}")
+    hint = near(tag, tags)
+    report.add(dotted, f"{dotted} = {shown(tag)}: must be {allowed}{hint}")
+    meant = [struct for struct in structs if hint and repr(struct.tag) in hint]
+    return _without_tag(structs, meant or structs, value, key, report)
+
+
+def _without_tag(
+    structs: list[inspect.StructType],
+    meant: list[inspect.StructType],
+    value: Mapping[Any, Any],
+    key: str,
+    report: Report,
+) -> Any:
+    """Record the faults of a table whose kind is unknown: in keys that all structs of `meant` share, or none has."""
+    every = {field.encode_name for struct in structs for field in struct.fields}
+    likely = [{field.encode_name: field.type for field in struct.fields} for struct in meant]
+    gathering = any(getattr(struct.cls, "gathers", None) for struct in structs)
+    for name, item in value.items():
+        dotted = _join(key, name)
+        if name in likely[0] and all(each.get(name) == likely[0][name] for each in likely):
+            _value(likely[0][name], item, dotted, report)
+        elif name != structs[0].tag_field and name not in every and not gathering:
+            report.add(dotted, f"{dotted} is not a key here{near(name, sorted(every))}")
+    return UNSET
 
 
 def _struct(info: inspect.StructType, value: object, key: str, report: Report) -> Any:
@@ -207,7 +231,7 @@ def _struct(info: inspect.StructType, value: object, key: str, report: Report) -
         return _tagged([info], value, key, report)
     library = getattr(info.cls, "library", None)
     if library is not None:
-        value = _from_library(library, value, key, report)
+        value = _from_library(info, library, value, key, report)
         if value is UNSET:
             return UNSET
     if not isinstance(value, Mapping):
@@ -215,10 +239,10 @@ def _struct(info: inspect.StructType, value: object, key: str, report: Report) -
     return _fields(info, value, key, report)
 
 
-def _from_library(library: Library, value: object, key: str, report: Report) -> Any:
-    """A table that names an entry of a library, with that one's values where it has none of its own.
+def _from_library(info: inspect.StructType, library: Library, value: object, key: str, report: Report) -> Any:
+    """Fill a table that names an entry of a library with the values of the entry that it leaves out.
 
-    What says that it is resolved has them already, from the library of the program that wrote it.
+    A table marked `resolved` is complete: the program that wrote it filled it from its library.
     """
     given = {library.key: value} if isinstance(value, str) else value
     if not isinstance(given, Mapping) or not isinstance(given.get(library.key), str) or given.get("resolved") is True:
@@ -228,9 +252,10 @@ def _from_library(library: Library, value: object, key: str, report: Report) -> 
         return library.filled(given)
     dotted = key if isinstance(value, str) else _join(key, library.key)
     choices = ", ".join(entries)
-    return report.add(
+    report.add(
         dotted, f"{dotted} = {shown(name)}: not in the library{near(name, entries)}; it has {choices}; or give numbers"
     )
+    return _without_tag([info], [info], given, key, report)
 
 
 def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report: Report) -> Any:
@@ -260,12 +285,12 @@ def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report
 
 
 def _made(cls: type[Struct], values: dict[str, Any], key: str, report: Report, start: int) -> Any:
-    """The struct, after its own checks across fields."""
+    """Create the struct and run its checks across fields."""
     try:
         struct = cls(**values)
         complaints = list(struct.faults()) if hasattr(struct, "faults") else []
     except (TypeError, ValueError, ArithmeticError, AttributeError) as error:
-        # An outside driver's own check may stumble over UNSET; that is no news if the field is reported.
+        # The check of an external driver may fail on UNSET. That is no fault if the field is reported already.
         return UNSET if len(report.faults) > start else report.add(key, f"{key or 'the whole'}: {error}")
     for name, seen, text in complaints:
         dotted = f"{key}.{name}" if key else name

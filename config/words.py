@@ -1,4 +1,4 @@
-"""What messages and reference tables say of a field and of a value."""
+"""Wording of fields and values in error messages and reference tables."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _SHOWN: Final = 60
 
 
 def expected(info: inspect.Type, key: str) -> str:
-    """What a value has to be, in words: `a number from 0 to 40 N`."""
+    """Describe the allowed values of a field, such as `a number from 0 to 40 N`."""
     kind, _ = unwrapped(info)
     match kind:
         case inspect.FloatType() | inspect.IntType():
-            noun = "a whole number" if isinstance(kind, inspect.IntType) else "a number"
+            noun = "an integer" if isinstance(kind, inspect.IntType) else "a number"
             return f"{noun}{_span(kind)}{_unit(key)}"
         case inspect.StrType():
             return "text" + _length(kind, "characters") + (f" like {kind.pattern}" if kind.pattern else "")
@@ -47,7 +47,7 @@ def expected(info: inspect.Type, key: str) -> str:
 
 
 def missing(info: inspect.Type, dotted: str, name: str) -> str:
-    """What to add where a required field is left out."""
+    """Return the message for a missing required field, with the key or table to add."""
     kind, extra = unwrapped(info)
     if isinstance(kind, inspect.StructType):
         return f"{dotted} is missing: add the table [{_INDEX.sub('', dotted)}]"
@@ -60,20 +60,20 @@ def missing(info: inspect.Type, dotted: str, name: str) -> str:
 
 
 def _is_table(info: inspect.Type) -> bool:
-    """Whether values of this type are tables, of one kind or of several."""
+    """Return whether all values of this type are tables, of one kind or of several."""
     kind, _ = unwrapped(info)
     members = kind.types if isinstance(kind, inspect.UnionType) else (kind,)
     return all(isinstance(unwrapped(member)[0], inspect.StructType) for member in members)
 
 
 def _length(kind: inspect.StrType | inspect.VarTupleType | inspect.ListType, what: str) -> str:
-    """` of 1 to 64 characters`, or nothing where any length will do."""
+    """Return ` of 1 to 64 characters`, or an empty text if any length is allowed."""
     low, high = kind.min_length or 0, kind.max_length
     return f" of {low} to {high} {what}" if high is not None else f" of at least {low} {what}" if low else ""
 
 
 def _span(kind: inspect.FloatType | inspect.IntType) -> str:
-    """Range of a number: ` from 0 to 40`, ` above 0`, or nothing."""
+    """Return the range of a number: ` from 0 to 40`, ` above 0`, or an empty text."""
     low = f"{kind.ge:g}" if kind.ge is not None else f"above {kind.gt:g}" if kind.gt is not None else ""
     high = f"{kind.le:g}" if kind.le is not None else f"below {kind.lt:g}" if kind.lt is not None else ""
     if low and high:
@@ -84,13 +84,13 @@ def _span(kind: inspect.FloatType | inspect.IntType) -> str:
 
 
 def shown(value: object) -> str:
-    """A value as a message may carry it: one line, bounded, never an error itself."""
+    """Format a value for a message: on one line, of bounded length, without raising."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         return repr(value if len(value) <= _SHOWN else value[:_SHOWN] + "...")
     if isinstance(value, int):
-        return str(value) if value.bit_length() <= 64 else f"a whole number of {value.bit_length()} bits"
+        return str(value) if value.bit_length() <= 64 else f"an integer of {value.bit_length()} bits"
     if isinstance(value, float):
         return repr(float(value))
     if isinstance(value, Mapping):
@@ -102,13 +102,13 @@ def shown(value: object) -> str:
 
 
 def toml(value: object) -> str:
-    """An example as one would write it in a file."""
+    """Format an example as it is written in a file."""
     return json.dumps(value)
 
 
 def near(given: object, allowed: Iterable[object]) -> str:
-    """` (did you mean 'plane'?)` where one of the allowed names is close, or up to three that begin so."""
-    # An endless key would keep difflib busy, and nothing is close to it anyway.
+    """Return ` (did you mean 'plane'?)` for a similar name, or for up to three names that start with `given`."""
+    # difflib is slow for very long keys, and no allowed name is similar to one.
     if not isinstance(given, str) or len(given) > 64:
         return ""
     names = [name for name in allowed if isinstance(name, str)]
@@ -118,7 +118,7 @@ def near(given: object, allowed: Iterable[object]) -> str:
 
 
 def either(names: Iterable[object]) -> str:
-    """`one of 'a', 'b'`, or the only name."""
+    """Return `one of 'a', 'b'`, or the only name."""
     listed = [shown(name) for name in names]
     return listed[0] if len(listed) == 1 else f"one of {', '.join(listed)}"
 

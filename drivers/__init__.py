@@ -1,5 +1,5 @@
-"""Devices: the contract (`base`), a driver in each folder (its `device`; found by `registry`), and what they share.
+"""Devices: the contract (`base`), one driver per folder (module `device`, loaded by `registry`), and shared parts.
 
-No contact, no scene, no servo: a driver senses a pose and displays a wrench. A folder's `__init__` imports nothing, so
-that a part of a driver is had without compiling the whole.
+No contact, scene or servo: a driver senses a pose and displays a wrench. The `__init__` of each folder imports nothing,
+so that importing a part of a driver does not compile all of it.
 """

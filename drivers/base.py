@@ -1,14 +1,14 @@
-"""The contract every device keeps.
+"""Contract between devices and the servo loop.
 
-A driver gives the servo loop three integers: the addresses of two C functions and a handle that
-both receive. The loop calls them without the GIL; it does not know which device is behind.
+A driver gives the servo loop three integers: the addresses of two C functions, and a handle that both receive. The loop
+calls them without the GIL and does not depend on the kind of device.
 
     int64 read(int64 handle, double sample[SAMPLE_SIZE])    -> status
     int64 write(int64 handle, const double wrench[6])       -> status
 
-`sample` is position (m), orientation quaternion w, x, y, z (fingertip to world), device time (s),
-buttons, and opening of the gripper (rad; 0 without one); `wrench` is force (N) and torque (N m) on
-the hand. Both are in the world frame: vendor axes are turned inside the driver and nowhere else.
+`sample` is position (m), orientation quaternion w, x, y, z (fingertip to world), device time (s), buttons, and opening
+of the gripper (rad; 0 without one); `wrench` is force (N) and torque (N m) on the hand. Both are in the world frame:
+only the driver converts from and to the axes of the vendor.
 """
 
 from __future__ import annotations
@@ -22,26 +22,32 @@ from typing import Final, NamedTuple, Protocol, Self
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 
 OK: Final = 0
-"""A new sample was read, or the wrench was taken. Not for a sample of before: how far a hand may have come is judged by
-the time since the last new one."""
+"""Read: a new sample. Write: the device received the wrench.
+
+Do not return it for a repeated sample: the allowed movement of the hand grows with the time since the last new one.
+"""
 STALE: Final = 1
-"""Read: no new sample, the last one is repeated. Write: taken, but limited by the device."""
+"""Read: no new sample, the last one is repeated. Write: the device received the wrench, but limited it."""
 END: Final = 2
-"""Read: a recording has come to its end; the servo stops in order."""
+"""Read: end of a recording; the servo stops normally."""
 WITHHELD: Final = 3
-"""Read or write: the driver commands zero in place of the force (a silence, no pose, not armed); the guard fades in
-anew once it does not."""
+"""Read or write: the driver commands zero instead of the force (silence, no pose, or disarmed).
+
+The guard fades the force in again afterwards.
+"""
 HELD: Final = 4
-"""Write: not taken, the device keeps the force of before. The guard counts on from that one, so that the next that is
-taken is a limited change from what the hand feels."""
+"""Write: the device did not accept the wrench and keeps the previous force.
+
+The guard continues from that force, so that the next one differs from it by a limited step.
+"""
 LOST: Final = -1
-"""The device is gone."""
+"""The device is disconnected."""
 TIMEOUT: Final = -2
 """The device did not answer in time."""
 PROTOCOL: Final = -3
-"""The device answered something that is not in its protocol."""
+"""The device sent an answer that its protocol does not define."""
 FORCE_OFF: Final = -4
-"""The device answers, but has turned its own force off; `Device.reason` says why."""
+"""The device answers, but has switched its force off; `Device.reason` returns the cause."""
 
 SAMPLE_SIZE: Final = 10
 SAMPLE_TIME: Final = 7
@@ -50,36 +56,35 @@ SAMPLE_GRIPPER: Final = 9
 
 
 class DeviceIO(NamedTuple):
-    """C function addresses and the handle they are called with."""
+    """Addresses of the C functions, and the handle to call them with."""
 
     read: int
     write: int
     handle: int
 
 
-class Led(Protocol):
-    """A hand that is computed, and that a program may lead. One thread only."""
+class LeadableHand(Protocol):
+    """Simulated hand that a program may lead. Call it from one thread only."""
 
     def lead(self, position_m: Vec3, orientation: Quaternion | None = None) -> None:
-        """Have it want to be at `position_m`, turned so (unit quaternion; None: as it is), and stay."""
+        """Set the target: position (3,) m and unit quaternion (None: unchanged), device frame."""
 
     def hold(self) -> None:
-        """Have it want to stay where it wants to be now, and so turned, whatever it is on the way to."""
+        """Hold the present intention, even on the way to an earlier target."""
 
     def release(self) -> None:
-        """Have it go back to what it does by itself."""
+        """End the lead: the hand resumes its configured behaviour."""
 
     def intends(self) -> tuple[Vec3, Quaternion]:
-        """Where it wants to be by now, (3,) m, and how turned, device's frame: up to a tick old."""
+        """Return the present intention, (3,) m and unit quaternion, device frame; up to one tick old."""
 
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """What a device can do; the guard never commands more than this.
+    """Capabilities of a device; the guard never commands more than this.
 
-    `own_clock` says that each read advances the device by one nominal period, whatever the wall
-    clock does (a recording, a simulation); the contact step then uses the nominal dt, so that a
-    run is reproducible to the bit.
+    `own_clock` is True if each read advances the device by one nominal period, independent of the wall clock (a
+    recording, a simulation). The contact step then uses the nominal dt, so that a run is reproducible to the bit.
     """
 
     name: str
@@ -94,21 +99,21 @@ class DeviceInfo:
     own_clock: bool = False
 
     @property
-    def holds_a_force(self) -> bool:
-        """Whether a force that nobody renews stays in somebody's hand."""
+    def has_persistent_force(self) -> bool:
+        """True if the last force persists in a person's hand until it is replaced."""
         return self.actuated_dof > 0 and not self.own_clock
 
 
 def names(devices: Iterable[Device]) -> str:
-    """Names of devices, for people."""
+    """Return the names of devices for a message."""
     return ", ".join(device.info.name for device in devices)
 
 
 class LastWord(NamedTuple):
-    """Path of a device's node, its open file descriptor, and the bytes that command zero when they are written there.
+    """Means of another process to zero a device: path of its node, open file descriptor, and bytes to write there.
 
-    A process that inherits the descriptor does not have to open the node: a serial port that is open for one user alone
-    stays so as long as anybody holds it.
+    A process that inherits the descriptor does not have to open the node. A serial port opened exclusively remains
+    exclusive as long as any process has it open.
     """
 
     node: str
@@ -117,52 +122,59 @@ class LastWord(NamedTuple):
 
 
 class Device(ABC):
-    """An open device. Opening happens in the constructor; leaving the context stops and closes it."""
+    """Open device. The constructor opens it; leaving the context stops and closes it."""
 
     info: DeviceInfo
 
     @abstractmethod
     def io(self) -> DeviceIO:
-        """Addresses for the servo loop, valid until `close`."""
+        """Return the addresses for the servo loop, valid until `close`."""
 
     def arm(self) -> None:  # noqa: B027  (a device that has nothing to switch on does nothing)
-        """Switch on force and what watches over it (a watchdog, a session that times out).
+        """Switch on the force and its safeguards (a watchdog, a session that times out).
 
-        Called once, by the thread that runs the loop, as the last act before the first tick: whatever takes long
-        is done. Raises DeviceError. A device that has nothing to switch on does nothing.
+        The servo thread calls it once, right before the first tick, after everything slow is done. A device with
+        nothing to switch on does nothing. Raises DeviceError.
         """
 
     @abstractmethod
     def stop(self) -> None:
-        """Command zero force and disarm. From any thread, any number of times, also after an error."""
+        """Command zero force and disarm. May be called from any thread, repeatedly, and after an error."""
 
     @abstractmethod
     def close(self) -> None:
-        """Stop, then release the device. Any number of times."""
+        """Stop, then release the device. May be called repeatedly."""
 
     def reason(self) -> str:
-        """What the device itself says of its last failure; empty where it says nothing. After the loop has ended."""
+        """Return the device's explanation of its last failure; empty without one. Call it after the end of the loop."""
         return ""
 
     def warning(self) -> str:
-        """What the device has to say while it goes on working, such as that its motors get hot; empty: nothing.
+        """Return a problem that does not end the run, such as hot motors; empty if there is none.
 
-        From any thread. The same words as long as nothing changes: each is told once.
+        May be called from any thread. Return the same text until the problem changes: each text is reported once.
         """
         return ""
 
-    def hand(self) -> Led | None:
-        """The hand on it, where it is computed and may be led; None where a person's is, or something else leads it."""
+    def zero_failure(self) -> str:
+        """Return why the zero of the last `stop` is not confirmed; empty if it is.
+
+        `stop` itself does not raise for a device that is gone or silent.
+        """
+        return ""
+
+    def hand(self) -> LeadableHand | None:
+        """Return the simulated hand, or None if a person or another source moves the device."""
         return None
 
     def last_word(self) -> LastWord | None:
-        """What another process needs to command zero; None where none can."""
+        """Return the means of another process to command zero; None if there are none."""
         return None
 
     def counts(self) -> dict[str, int]:
-        """What the driver has counted since the device was opened, by name; empty where it counts nothing.
+        """Return the driver's counters since the device was opened, by name; empty without counters.
 
-        While the servo runs: each number as it was just now.
+        While the servo runs, each is a momentary value.
         """
         return {}
 

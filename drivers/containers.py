@@ -1,4 +1,4 @@
-"""MCAP files read in file order, up to wherever they end."""
+"""Reading of MCAP files in file order, up to the end of the file, damaged or not. `poses` uses it."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ from collections.abc import Iterator
 from typing import IO, Any, Final
 
 RECORD_BYTES_MAX: Final = 16 << 20
-"""Of one record of an MCAP file, and of one of its chunks unpacked, for which the library has no limit; this program's
-chunks have 64 KiB."""
+"""Maximum bytes of a record, and of an unpacked chunk; the library has no limit. Chunks of this program have 64 KiB."""
 
 
 def mcap_messages(file: IO[bytes], topic: str | None) -> Iterator[tuple[Any, Any, Any]]:
-    """Schema (None without one), channel and message of each message of a topic, None for all, in file order.
+    """Yield schema (None without one), channel and message of each message of a topic (None: all), in file order.
 
-    A schema is handed out once its first message comes. Raises ValueError for what breaks the limit, and whatever the
-    library raises on damaged bytes.
+    Raises ValueError if a size exceeds the limit, and any error of the library for damaged bytes.
     """
     from mcap.records import Channel, Chunk, Message, Schema
     from mcap.stream_reader import breakup_chunk
@@ -32,7 +30,7 @@ def mcap_messages(file: IO[bytes], topic: str | None) -> Iterator[tuple[Any, Any
 
 
 def mcap_records(file: IO[bytes]) -> Iterator[Any]:
-    """Every record in file order, chunks unpacked and whole; raises as `mcap_messages`."""
+    """Yield every record in file order, chunks unpacked; raises like `mcap_messages`."""
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
@@ -40,8 +38,8 @@ def mcap_records(file: IO[bytes]) -> Iterator[Any]:
     for record in reader.records:
         if isinstance(record, Chunk):
             if record.uncompressed_size > RECORD_BYTES_MAX:
-                said = f"a chunk has {record.uncompressed_size:,} bytes unpacked, may have {RECORD_BYTES_MAX:,}"
-                raise ValueError(said)
+                message = f"a chunk has {record.uncompressed_size:,} bytes unpacked, may have {RECORD_BYTES_MAX:,}"
+                raise ValueError(message)
             stream, length = get_chunk_data_stream(record, validate_crc=True)
             record.data, record.compression = stream.read(length), ""
         yield record

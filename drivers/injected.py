@@ -1,7 +1,7 @@
-"""A device with faults injected between it and the loop, for tests and for `softfinger run --inject`.
+"""Device with faults injected between driver and loop, for tests and for `softfinger run --inject`.
 
-It wraps any driver behind the same two C functions. Without it nothing of this is called or compiled. What stops and
-closes the device goes straight to its driver.
+It wraps any driver behind the same two C functions. Runs without it neither call nor compile any of this. `stop` and
+`close` go directly to the driver.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from softfinger.drivers.base import (
     Device,
     DeviceIO,
     LastWord,
-    Led,
+    LeadableHand,
 )
 from softfinger.drivers.block import Block, address, counter, lay_out, numbers, word
 from softfinger.drivers.system.libc import IO_SIGNATURE
@@ -61,56 +61,81 @@ WRENCH_SIZE: Final = 6
 POSE_SIZE: Final = len(NUMBERS)
 
 ROW: Final = 8
-"""Numbers of a fault in the table: what it does, first tick, tick behind the last, one in so many, then its own."""
-DOES, FIRST, BEHIND, EVERY, A, B, C = range(7)
+"""Columns of the fault table: action, first tick, tick after the last, period in ticks, then its parameters."""
+ACTION, FIRST_TICK, END_TICK, PERIOD_TICKS, A, B, C = range(7)
 
-REPEAT, PUT, MOVE, BLOCK_READ, BLOCK_WRITE, CUT, FLIP, PRESS, FAIL_READ, FAIL_WRITE, UNPLUG, ZERO, KEEP = range(13)
-"""What a fault does: repeat the sample (status A); put B at number A of the pose; move by A, B, C (m); block for A
-(us); cut behind the first A numbers; flip a bit; press buttons A; fail with status A; unplug; write zero, with status A
-of the read; keep the force of before (status A of the write)."""
+(
+    REPEAT,
+    SET_NUMBER,
+    MOVE,
+    BLOCK_READ,
+    BLOCK_WRITE,
+    TRUNCATE,
+    FLIP,
+    TOGGLE_BUTTONS,
+    FAIL_READ,
+    FAIL_WRITE,
+    UNPLUG,
+    ZERO_FORCE,
+    HOLD_FORCE,
+) = range(13)
+"""Actions of faults.
+
+REPEAT          repeat the sample, with status A
+SET_NUMBER      set number A of the pose to B
+MOVE            add A, B, C (m) to the position
+BLOCK_READ      block for A (us) while reading; BLOCK_WRITE: while writing
+TRUNCATE        set the numbers from index A to zero
+FLIP            flip a bit of the pose
+TOGGLE_BUTTONS  toggle buttons A
+FAIL_READ       fail with status A while reading; FAIL_WRITE: while writing
+UNPLUG          report a disconnected device
+ZERO_FORCE      write zero, and read with status A
+HOLD_FORCE      keep the previous force, and write with status A
+"""
 
 US_PER_S: Final = 1e6
 BLOCK_US: Final = 500_000
-"""Longest single wait: usleep need not take a second."""
+"""Longest single wait: usleep need not accept a second."""
 
 _usleep: Any = types.ExternalFunction("usleep", types.int32(types.uint32))
 
 
-class Words(NamedTuple):
-    """The words of an injected device."""
+class Fields(NamedTuple):
+    """Fields of an injected device."""
 
     ticks: Annotated[int, word("reads so far")]
     injected_ticks: Annotated[int, counter("reads and writes in which a fault has acted")]
-    newest: Annotated[int, word("index of the fault that acted last, -1 before the first")]
-    newest_tick: Annotated[int, word("in which it has")]
-    known: Annotated[int, word("whether there is a sample of before")]
+    last_fault: Annotated[int, word("index of the fault that acted last, -1 before the first")]
+    last_fault_tick: Annotated[int, word("in which it has")]
+    has_sample: Annotated[int, word("whether there is a sample of before")]
     random: Annotated[int, word("state of the random numbers")]
     read: Annotated[int, word("the driver's")]
     write: Annotated[int, word("the driver's")]
     handle: Annotated[int, word("the driver's")]
     faults: Annotated[int, address("(count, ROW) float64")]
     length: Annotated[int, word("how many faults there are")]
-    sample: Annotated[int, numbers("the newest sample, as the loop was given it", SAMPLE_SIZE)]
-    wrench: Annotated[int, numbers("what the driver is given", WRENCH_SIZE)]
+    sample: Annotated[int, numbers("the latest sample that the loop read", SAMPLE_SIZE)]
+    wrench: Annotated[int, numbers("wrench sent to the driver", WRENCH_SIZE)]
 
 
-AT: Final = lay_out(Words)
-
-
-@jit
-def _acts(row: Any, tick: int) -> bool:
-    return bool(row[FIRST] <= tick < row[BEHIND] and (tick - int(row[FIRST])) % int(row[EVERY]) == 0)
+AT: Final = lay_out(Fields)
 
 
 @jit
-def _note(word: Any, place: int, tick: int) -> None:
+def _is_active(row: Any, tick: int) -> bool:
+    return bool(row[FIRST_TICK] <= tick < row[END_TICK] and (tick - int(row[FIRST_TICK])) % int(row[PERIOD_TICKS]) == 0)
+
+
+@jit
+def _record(word: Any, index: int, tick: int) -> None:
     word[AT.injected_ticks] += 1
-    word[AT.newest] = place
-    word[AT.newest_tick] = tick
+    word[AT.last_fault] = index
+    word[AT.last_fault_tick] = tick
 
 
 @jit
-def _block(microseconds: float) -> None:
+def _block_for(microseconds: float) -> None:
     left = int(microseconds)
     while left > 0:
         _usleep(min(left, BLOCK_US))
@@ -118,51 +143,53 @@ def _block(microseconds: float) -> None:
 
 
 @jit
-def _instead(handle: int, tick: int) -> tuple[int, bool]:
-    """What a tick's faults make of the read before it is made: a status, and whether the sample of before comes again.
-    A status below zero is that of a read that fails."""
+def _replace_read(handle: int, tick: int) -> tuple[int, bool]:
+    """Apply a tick's faults that replace the read. Return the status, and True to repeat the previous sample.
+
+    A status below zero fails the read.
+    """
     word = int64_at(handle)
-    status, again = OK, False
-    for place in range(word[AT.length]):
-        row = float64_at(word[AT.faults] + 8 * ROW * place)
-        if not _acts(row, tick):
+    status, is_repeated = OK, False
+    for index in range(word[AT.length]):
+        row = float64_at(word[AT.faults] + 8 * ROW * index)
+        if not _is_active(row, tick):
             continue
-        does = int(row[DOES])
-        if does in (REPEAT, ZERO, FAIL_READ):
+        action = int(row[ACTION])
+        if action in (REPEAT, ZERO_FORCE, FAIL_READ):
             status = int(row[A])
-            again |= does == REPEAT
-        elif does == UNPLUG:
+            is_repeated |= action == REPEAT
+        elif action == UNPLUG:
             status = LOST
-        elif does == BLOCK_READ:
-            _block(row[A])
-        if does != KEEP and does != BLOCK_WRITE and does != FAIL_WRITE:
-            _note(word, place, tick)
-    return status, again
+        elif action == BLOCK_READ:
+            _block_for(row[A])
+        if action != HOLD_FORCE and action != BLOCK_WRITE and action != FAIL_WRITE:
+            _record(word, index, tick)
+    return status, is_repeated
 
 
 @jit
-def _spoil(handle: int, tick: int) -> None:
-    """Do what a tick's faults do to the sample that was read."""
+def _corrupt_sample(handle: int, tick: int) -> None:
+    """Apply a tick's faults to the sample that was read."""
     word = int64_at(handle)
     sample = float64_at(handle + 8 * AT.sample)
     bits = int64_at(handle + 8 * AT.sample)
-    for place in range(word[AT.length]):
-        row = float64_at(word[AT.faults] + 8 * ROW * place)
-        if not _acts(row, tick):
+    for index in range(word[AT.length]):
+        row = float64_at(word[AT.faults] + 8 * ROW * index)
+        if not _is_active(row, tick):
             continue
-        does = int(row[DOES])
-        if does == PUT:
+        action = int(row[ACTION])
+        if action == SET_NUMBER:
             sample[int(row[A])] = row[B]
-        elif does == MOVE:
+        elif action == MOVE:
             for i in range(3):
                 sample[i] += row[A + i]
-        elif does == CUT:
+        elif action == TRUNCATE:
             for i in range(int(row[A]), SAMPLE_SIZE):
                 sample[i] = 0.0
-        elif does == PRESS:
+        elif action == TOGGLE_BUTTONS:
             sample[SAMPLE_BUTTONS] = float(int(sample[SAMPLE_BUTTONS]) ^ int(row[A]))
-        elif does == FLIP:
-            # Knuth's linear congruential generator (MMIX), whose upper bits are the random ones
+        elif action == FLIP:
+            # Knuth's linear congruential generator (MMIX); only its upper bits are random
             state = word[AT.random] * 6364136223846793005 + 1442695040888963407
             word[AT.random] = state
             drawn = (state >> 33) & 0x3FFFFFFF
@@ -172,59 +199,58 @@ def _spoil(handle: int, tick: int) -> None:
 @c_function(IO_SIGNATURE, on_demand=True)
 def _read(handle: int, sample: Any) -> int:
     word = int64_at(handle)
-    kept = carray(float64_at(handle + 8 * AT.sample), (SAMPLE_SIZE,))
+    last_sample = carray(float64_at(handle + 8 * AT.sample), (SAMPLE_SIZE,))
     tick = word[AT.ticks]
     word[AT.ticks] = tick + 1
-    status, again = _instead(handle, tick)
+    status, is_repeated = _replace_read(handle, tick)
     if status < 0:
         return status
-    if not (again and word[AT.known]):
-        said = call_device(word[AT.read], word[AT.handle], kept)
+    if not (is_repeated and word[AT.has_sample]):
+        said = call_device(word[AT.read], word[AT.handle], last_sample)
         if said < 0:
             return int(said)
         status = max(status, said)
-        word[AT.known] = 1
-        _spoil(handle, tick)
+        word[AT.has_sample] = 1
+        _corrupt_sample(handle, tick)
     for i in range(SAMPLE_SIZE):
-        sample[i] = kept[i]
+        sample[i] = last_sample[i]
     return int(status)
 
 
 @c_function(IO_SIGNATURE, on_demand=True)
 def _write(handle: int, wrench: Any) -> int:
     word = int64_at(handle)
-    given = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
+    commanded = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
     for i in range(WRENCH_SIZE):
-        given[i] = wrench[i]
-    tick, status, arrives = word[AT.ticks] - 1, OK, True
-    for place in range(word[AT.length]):
-        row = float64_at(word[AT.faults] + 8 * ROW * place)
-        if not _acts(row, tick):
+        commanded[i] = wrench[i]
+    tick, status, is_delivered = word[AT.ticks] - 1, OK, True
+    for index in range(word[AT.length]):
+        row = float64_at(word[AT.faults] + 8 * ROW * index)
+        if not _is_active(row, tick):
             continue
-        does = int(row[DOES])
-        if does == BLOCK_WRITE:
-            _block(row[A])
-        elif does == ZERO:
+        action = int(row[ACTION])
+        if action == BLOCK_WRITE:
+            _block_for(row[A])
+        elif action == ZERO_FORCE:
             status = WITHHELD
             for i in range(WRENCH_SIZE):
-                given[i] = 0.0
-        elif does == UNPLUG:
-            status, arrives = LOST, False
-        elif does in (KEEP, FAIL_WRITE):
-            status, arrives = int(row[A]), False
-        if does in (BLOCK_WRITE, KEEP, FAIL_WRITE):
-            _note(word, place, tick)
-    if not arrives:
+                commanded[i] = 0.0
+        elif action == UNPLUG:
+            status, is_delivered = LOST, False
+        elif action in (HOLD_FORCE, FAIL_WRITE):
+            status, is_delivered = int(row[A]), False
+        if action in (BLOCK_WRITE, HOLD_FORCE, FAIL_WRITE):
+            _record(word, index, tick)
+    if not is_delivered:
         return int(status)
-    said = call_device(word[AT.write], word[AT.handle], given)
+    said = call_device(word[AT.write], word[AT.handle], commanded)
     return int(said if said < 0 else max(status, said))
 
 
-class Injected(Device):
-    """An open device with faults; it is the caller's no more, and is stopped and closed with this one.
+class FaultInjector(Device):
+    """Open device with faults. It takes ownership of the device: stop and close this one instead.
 
-    It counts as one that a hand holds, whatever is behind: its poses are doubted, and its ticks take as long as they
-    take.
+    For any wrapped device `own_clock` is False: poses are checked for jumps, and ticks use the measured time.
     """
 
     def __init__(self, device: Device, faults: Faults, rate_hz: float, finger: str = "") -> None:
@@ -235,10 +261,10 @@ class Injected(Device):
         self._block = block = Block(AT)
         io, at = device.io(), block.word
         at[AT.read], at[AT.write], at[AT.handle] = io
-        at[AT.newest] = -1
+        at[AT.last_fault] = -1
         at[AT.random] = next((fault.seed for fault in self._faults if isinstance(fault, Corrupt)), 1)
         at[AT.length] = len(self._faults)
-        block.point(AT.faults, table(self._faults, rate_hz))
+        block.set_address(AT.faults, table(self._faults, rate_hz))
 
     def io(self) -> DeviceIO:
         return DeviceIO(_read.address, _write.address, self._block.handle)
@@ -253,13 +279,19 @@ class Injected(Device):
         self._device.close()
 
     def reason(self) -> str:
-        place = int(self._block.word[AT.newest])
-        if place < 0:
+        index = int(self._block.word[AT.last_fault])
+        if index < 0:
             return self._device.reason()
-        said = f"injected: {self._faults[place].kind} in tick {int(self._block.word[AT.newest_tick])}"
+        said = f"injected: {self._faults[index].kind} in tick {int(self._block.word[AT.last_fault_tick])}"
         return "; ".join(filter(None, [self._device.reason(), said]))
 
-    def hand(self) -> Led | None:
+    def warning(self) -> str:
+        return self._device.warning()
+
+    def zero_failure(self) -> str:
+        return self._device.zero_failure()
+
+    def hand(self) -> LeadableHand | None:
         return self._device.hand()
 
     def last_word(self) -> LastWord | None:
@@ -270,38 +302,38 @@ class Injected(Device):
 
 
 def table(faults: list[Injection], rate_hz: float) -> NDArray[np.float64]:
-    """The faults as the kernels have them (count, ROW)."""
+    """Return the fault table for the kernels (count, ROW)."""
     rows = np.zeros((len(faults), ROW))
     for row, fault in zip(rows, faults, strict=True):
-        row[FIRST], row[BEHIND] = fault.window(rate_hz)
-        row[EVERY] = fault.every_ticks
-        does, *own = _deed(fault)
-        row[DOES] = does
-        row[A : A + len(own)] = own
+        row[FIRST_TICK], row[END_TICK] = fault.window(rate_hz)
+        row[PERIOD_TICKS] = fault.every_ticks
+        action, *parameters = _action(fault)
+        row[ACTION] = action
+        row[A : A + len(parameters)] = parameters
     return rows
 
 
-def _deed(fault: FaultBase) -> tuple[float, ...]:
-    """What a fault does, and the numbers of that."""
+def _action(fault: FaultBase) -> tuple[float, ...]:
+    """Return the action of a fault and its parameters."""
     match fault:
         case Stale():
             return REPEAT, STALE
         case Frozen():
             return REPEAT, OK
         case NotANumber():
-            return PUT, NUMBERS.index(fault.number), np.nan
+            return SET_NUMBER, NUMBERS.index(fault.number), np.nan
         case Infinite():
-            return PUT, NUMBERS.index(fault.number), np.inf
+            return SET_NUMBER, NUMBERS.index(fault.number), np.inf
         case Teleport():
             return MOVE, *fault.offset_m
         case Slow():
             return BLOCK_READ if fault.on == "read" else BLOCK_WRITE, US_PER_S * fault.block_s
         case Short():
-            return CUT, fault.numbers
+            return TRUNCATE, fault.numbers
         case Corrupt():
             return (FLIP,)
         case Bounce():
-            return PRESS, fault.buttons
+            return TOGGLE_BUTTONS, fault.buttons
         case Disconnect():
             return (UNPLUG,)
         case Timeout():
@@ -309,11 +341,11 @@ def _deed(fault: FaultBase) -> tuple[float, ...]:
         case Protocol():
             return FAIL_READ if fault.on == "read" else FAIL_WRITE, PROTOCOL
         case ForceOff():
-            return ZERO, FORCE_OFF
+            return ZERO_FORCE, FORCE_OFF
         case Withheld():
-            return ZERO, WITHHELD
+            return ZERO_FORCE, WITHHELD
         case Held():
-            return KEEP, HELD
+            return HOLD_FORCE, HELD
         case Swallowed():
-            return KEEP, OK
+            return HOLD_FORCE, OK
     raise TypeError(f"{fault!r} is no fault")

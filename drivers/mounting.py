@@ -1,4 +1,4 @@
-"""Where a device stands: its frame in the world, as a rig gives it."""
+"""Frame of a device in the world, as a rig configures it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Mounting(Table, frozen=True, kw_only=True):
             yield "orientation_wxyz", self.orientation_wxyz, "all zero is no orientation: [1, 0, 0, 0] turns nothing"
 
     def frame(self) -> tuple[Vec3, Quaternion]:
-        """Origin of the device in the world (m), and the unit quaternion device to world."""
+        """Return the device's origin in the world (m), and the unit quaternion from device to world."""
         x, y, z = (float(v) for v in self.position_m)
         w, i, j, k = (float(v) for v in self.orientation_wxyz)
         return (x, y, z), normalize((w, i, j, k))

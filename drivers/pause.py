@@ -1,9 +1,9 @@
-"""When the loop has paused: what the drivers that exchange packets themselves do with an answer that is old.
+"""Handling of old answers after a pause of the loop, for the drivers that exchange packets themselves.
 
-A loop that stood still (compiling, stopped in a debugger, starved by its machine) finds answers of before, or answers
-to what it asked before. They are thrown away and one of now is awaited, for a short while where there is a sample to
-repeat. The pause itself is no silence of the device, for nobody listened; but its last sample is old, so no force goes
-out until there is a new one.
+After a pause (compiling, stopped in a debugger, starved by other processes), the loop finds old answers, or answers to
+old requests. The drivers discard them and wait for a current one; briefly if there is a sample to repeat. The pause
+does not count as silence of the device, because nothing was read in it. Its last sample is old, however, so the drivers
+send no force until there is a new one.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from typing import Final
 from softfinger.proxy.kernels.jit.decorators import jit
 
 RESUME_NS: Final = 30_000_000
-"""A pause is longer than three periods of the slowest loop; a hand moves by millimetres in it."""
+"""Minimum pause: three periods of the slowest loop; a hand moves by millimetres in it."""
 RESUME_WAIT_NS: Final = 100_000_000
-"""How long a running loop waits for an answer of now: the supervisor ends one that stands still for 0.25 s."""
+"""Longest wait of a running loop for a current answer: the supervisor ends a loop that stalls for 0.25 s."""
 
 
 @jit
-def heard_at(heard: int, read: int, now: int, quiet: int) -> int:
-    """When the device is taken to have been heard last, after a pause of the loop.
+def shift_sample_time(sampled_at: int, read_at: int, now: int, quiet: int) -> int:
+    """Return the time (ns) to use as that of the last answer after a pause of the loop.
 
-    heard  ns  when it was
-    read   ns  when the loop last listened
-    quiet  ns  of silence, after which it gets no force
+    sampled_at  ns  time of the last answer
+    read_at     ns  time of the last read
+    quiet       ns  silence after which no force is sent
     """
-    return min(heard + now - read, now - quiet - 1)
+    return min(sampled_at + now - read_at, now - quiet - 1)

@@ -1,9 +1,9 @@
-"""Recorded poses: read from CSV, from this program's results (CSV, npz, MCAP), and checked.
+"""Recorded poses, read from CSV and from results of this program (CSV, npz, MCAP), and checked.
 
-A recording is foreign input. Whatever its bytes are, reading it gives poses or a RecordingError
-that says where the fault is; nothing in it is ever unpickled.
+A recording is untrusted input. For any bytes, reading it returns poses or raises a RecordingError with the location of
+the fault; nothing in it is ever unpickled.
 
-The three formats stay in one file, since they share the checks and the way in which a fault is located.
+The three formats share one file because they share the checks and the location of a fault.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from softfinger.drivers.containers import mcap_messages
 Array = NDArray[np.float64]
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "config" / "recordings"
-"""Where the recordings that come with the program stand."""
+"""Folder of the shipped recordings."""
 POSE_COLUMNS: Final = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 RESULT_COLUMNS: Final = (
     "timestamp",
@@ -37,23 +37,23 @@ RESULT_COLUMNS: Final = (
     *(f"probe.orientation[{i}]" for i in range(4)),
 )
 TOPIC: Final = "contact"
-FINGERS: Final = "finger/"
-"""Topics of ticks: of a single finger, and what those of several begin with."""
+FINGER_TOPIC_PREFIX: Final = "finger/"
+"""Topics of ticks: TOPIC of a single finger, FINGER_TOPIC_PREFIX and the name of one of several."""
 DT_MIN_S: Final = 1e-6
 DT_MAX_S: Final = 3600.0
-"""From a thousandth of the shortest period to a pause that nobody records over."""
+"""Range from a thousandth of the shortest period to a pause longer than that of any recording."""
 POSES_MAX: Final = 5_000_000
-"""Poses read at most: 83 minutes at 1 kHz, 320 MB."""
+"""Maximum number of poses: 83 minutes at 1 kHz, 320 MB."""
 LINE_MAX: Final = 1 << 16
-"""Bytes of a line of a CSV file at most; the longest of this program have 4 KB."""
+"""Maximum bytes of a line of a CSV file; the longest of this program have 4 KB."""
 BLOCK_BYTES: Final = 1 << 18
-"""Of a CSV file, read at once."""
+"""Bytes of a CSV file read at a time."""
 ENDINGS: Final = (".csv", ".npz", ".mcap")
 
 POSITION_MAX_M: Final = 1e6
-STEP_MIN_S: Final = 1e-9  # below it a velocity between two rows says nothing
-NORM_MIN, NORM_MAX = 0.5, 2.0  # a quaternion outside was never meant to be a unit one
-NORM_ROUNDING: Final = 1e-15  # a quaternion this close to a unit one was normalised before, and is kept to the bit
+STEP_MIN_S: Final = 1e-9  # the velocity over a shorter step is meaningless
+NORM_MIN, NORM_MAX = 0.5, 2.0  # a quaternion outside was not meant to be a unit quaternion
+NORM_ROUNDING: Final = 1e-15  # a quaternion this close to unit norm was normalised before, and is not changed
 
 _ROWS: Final = msgspec.json.Decoder(list[list[float]])
 
@@ -61,8 +61,12 @@ log: Final = logging.getLogger(__name__)
 
 
 class Poses(NamedTuple):
-    """A recorded motion: t (N,) s, strictly increasing; position (N, 3) m; orientation (N, 4) unit
-    quaternions w, x, y, z, fingertip to world, neighbours on the same half of the sphere."""
+    """Recorded motion.
+
+    t            (N,)    s  strictly increasing
+    position     (N, 3)  m
+    orientation  (N, 4)     unit quaternions w, x, y, z, fingertip to world; signs continuous from row to row
+    """
 
     t: Array
     position: Array
@@ -70,15 +74,27 @@ class Poses(NamedTuple):
 
 
 def load_poses(recording: str | Path, finger: str = "") -> Poses:
-    """Read a file, or a shipped recording by its name; RecordingError when it cannot be used.
+    """Read a file, or a shipped recording by its name.
 
-    finger  whose poses, in an MCAP recording of several
+    Parameters
+    ----------
+    recording
+        The ending determines the format: .csv (`t,x,y,z,qw,qx,qy,qz` in s, m and unit quaternions, in any column
+        order, or a results file), .npz (results) or .mcap (a recording of this program; a truncated one is read up
+        to the damage, with a warning in the log).
+    finger
+        Name of the finger to read from an MCAP recording of several.
 
-    The file's ending says what it is: .csv (`t,x,y,z,qw,qx,qy,qz` in s, m and unit quaternions, in
-    any column order, or a results file), .npz (results) or .mcap (a recording of this program; a
-    truncated one is read as far as it goes, with a warning in the log). Times of results count
-    from their first row; those of an MCAP recording are whole numbers of the loop's periods, so that a replay at
-    the same rate plays each pose in a tick of its own.
+    Returns
+    -------
+    Poses
+        Times of results start at their first row. Times of an MCAP recording are multiples of the loop's period, so
+        that a replay at the same rate plays one pose per tick.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be used.
     """
     path = find_recording(recording)
     readers: dict[str, Callable[[Path], Poses]] = {
@@ -88,9 +104,7 @@ def load_poses(recording: str | Path, finger: str = "") -> Poses:
     }
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise RecordingError(
-            f"{path}: cannot tell what kind of recording this is: give it one of the endings {', '.join(ENDINGS)}"
-        )
+        raise RecordingError(f"{path}: unknown kind of recording: give it one of the suffixes {', '.join(ENDINGS)}")
     try:
         return reader(path)
     except OSError as error:
@@ -100,17 +114,17 @@ def load_poses(recording: str | Path, finger: str = "") -> Poses:
 
 
 def shipped_names() -> list[str]:
-    """Names of the recordings that come with the program."""
+    """Return the names of the shipped recordings."""
     return sorted(path.stem for path in SHIPPED.glob("*.csv"))
 
 
 def find_recording(recording: str | Path) -> Path:
-    """The file meant by a path or by a shipped name (with or without .csv)."""
+    """Return the file for a path or a shipped name (with or without .csv); raises RecordingError."""
     try:
         path = Path(recording)
         if path.exists():
             return path
-    except (ValueError, OSError) as error:  # too long, or a NUL in it
+    except (ValueError, OSError) as error:  # too long, or contains a NUL
         raise RecordingError(f"recording {str(recording)[:80]!r} is not a usable file name: {error}") from error
     names = shipped_names()
     name = str(recording).removesuffix(".csv")
@@ -123,41 +137,43 @@ def find_recording(recording: str | Path) -> Path:
     )
 
 
-def checked(t: Array, position: Array, orientation: Array, place: Callable[[int], str]) -> Poses:
-    """Poses from raw columns (N,), (N, 3), (N, 4): finite, in order, quaternions normalised and continuous in sign.
+def check_poses(t: Array, position: Array, orientation: Array, locate: Callable[[int], str]) -> Poses:
+    """Return checked poses from raw columns (N,), (N, 3), (N, 4).
 
-    `place(row)` says where a row stands, for the RecordingError.
+    Values are finite, times increase, and quaternions are normalised and continuous in sign.
+
+    `locate(row)` returns the location of a row for the message of RecordingError.
     """
     if len(t) < 2:
-        raise RecordingError(f"{place(0)}: {len(t)} pose(s), at least 2 are needed")
+        raise RecordingError(f"{locate(0)}: {len(t)} pose(s), at least 2 are needed")
     values = np.column_stack((t, position, orientation))
     finite = np.isfinite(values)
     if not finite.all():
         row, column = (int(i) for i in np.argwhere(~finite)[0])
         raise RecordingError(
-            f"{place(row)}, column '{POSE_COLUMNS[column]}': {values[row, column]} is not a finite number"
+            f"{locate(row)}, column '{POSE_COLUMNS[column]}': {values[row, column]} is not a finite number"
         )
     far = np.abs(position) > POSITION_MAX_M
     if far.any():
         row, column = (int(i) for i in np.argwhere(far)[0])
         raise RecordingError(
-            f"{place(row)}, column '{'xyz'[column]}': {position[row, column]:g} m is outside "
+            f"{locate(row)}, column '{'xyz'[column]}': {position[row, column]:g} m is outside "
             f"{-POSITION_MAX_M:g} to {POSITION_MAX_M:g} m: positions are in metres"
         )
-    with np.errstate(over="ignore"):  # an infinite norm or step is refused below
+    with np.errstate(over="ignore"):  # an infinite norm or step is rejected below
         step = np.diff(t)
         norm = np.sqrt(np.sum(orientation**2, axis=1))
     late = step < STEP_MIN_S
     if late.any():
         row = int(np.argmax(late)) + 1
         raise RecordingError(
-            f"{place(row)}, column 't': {t[row]:.9g} s does not follow {t[row - 1]:.9g} s: times must increase"
+            f"{locate(row)}, column 't': {t[row]:.9g} s does not follow {t[row - 1]:.9g} s: times must increase"
         )
     odd = ~((norm >= NORM_MIN) & (norm <= NORM_MAX))
     if odd.any():
         row = int(np.argmax(odd))
         raise RecordingError(
-            f"{place(row)}, columns 'qw' to 'qz': quaternion of norm {norm[row]:.6g}, "
+            f"{locate(row)}, columns 'qw' to 'qz': quaternion of norm {norm[row]:.6g}, "
             f"must be 1 (accepted and normalised: {NORM_MIN:g} to {NORM_MAX:g})"
         )
     unit = orientation / np.where(np.abs(norm - 1.0) < NORM_ROUNDING, 1.0, norm)[:, None]
@@ -173,7 +189,7 @@ def _read_csv(path: Path) -> Poses:
 
 
 def _lines(path: Path, file: IO[bytes], number: int) -> Iterator[str]:
-    """The text of each line, one at a time; `number` is the first one's."""
+    """Yield the text of each line; `number` is that of the first one, for messages."""
     while line := file.readline(LINE_MAX):
         if len(line) == LINE_MAX:
             raise RecordingError(f"{path}, line {number}: longer than {LINE_MAX:,} bytes: this is no table of poses")
@@ -186,17 +202,17 @@ def _lines(path: Path, file: IO[bytes], number: int) -> Iterator[str]:
 
 def _read_rows(path: Path, first: str, file: IO[bytes]) -> Poses:
     names = [name.strip() for name in first.split(",")]
-    wanted = RESULT_COLUMNS if set(RESULT_COLUMNS) <= set(names) else POSE_COLUMNS
-    missing = [name for name in wanted if names.count(name) != 1]
+    columns = RESULT_COLUMNS if set(RESULT_COLUMNS) <= set(names) else POSE_COLUMNS
+    missing = [name for name in columns if names.count(name) != 1]
     if missing:
         raise RecordingError(
             f"{path}, line 1: column(s) {', '.join(missing)} missing or given twice: "
             f"the header must name {','.join(POSE_COLUMNS)} (other columns are ignored)"
         )
-    index = [names.index(name) for name in wanted]
+    index = [names.index(name) for name in columns]
     numbers, values, number = array("q"), array("d"), 2
     while block := file.read(BLOCK_BYTES) + file.readline(LINE_MAX):
-        rows = _rows_at_once(block, len(names))
+        rows = _parse_block(block, len(names))
         if rows is not None:
             _check_count(path, len(numbers) + len(rows) - 1)
             numbers.extend(range(number, number + len(rows)))
@@ -207,17 +223,17 @@ def _read_rows(path: Path, first: str, file: IO[bytes]) -> Poses:
             if line.strip():
                 _check_count(path, len(numbers))
                 numbers.append(number)
-                values.extend(_row(f"{path}, line {number}", line, names, index))
+                values.extend(_parse_row(f"{path}, line {number}", line, names, index))
             number += 1
-    table = np.frombuffer(values).reshape(-1, len(wanted))
-    place = _place(path, numbers)
-    return checked(_from_first(table[:, 0], wanted is RESULT_COLUMNS), table[:, 1:4], table[:, 4:8], place)
+    table = np.frombuffer(values).reshape(-1, len(columns))
+    locate = _make_locator(path, numbers)
+    return check_poses(_relative_times(table[:, 0], columns is RESULT_COLUMNS), table[:, 1:4], table[:, 4:8], locate)
 
 
-def _rows_at_once(lines: bytes, width: int) -> Array | None:
-    """Rows (n, width) of lines that are a list of JSON but for its brackets, read four times as fast as one by one.
+def _parse_block(lines: bytes, width: int) -> Array | None:
+    """Return rows (n, width) of lines that form a JSON list without its brackets; else None, even for valid lines.
 
-    None where they are anything else, even if it is right.
+    Four times as fast as line by line.
     """
     text = lines.replace(b"\r\n", b"\n")
     if any(letter in text for letter in (b"[", b" ", b"\t", b"\r")):
@@ -230,17 +246,17 @@ def _rows_at_once(lines: bytes, width: int) -> Array | None:
     return rows if rows.shape[1:] == (width,) else None
 
 
-def _row(place: str, line: str, names: Sequence[str], index: Sequence[int]) -> Iterator[float]:
-    """The numbers of a line in the columns `index`; RecordingError with the place where there are none."""
+def _parse_row(location: str, line: str, names: Sequence[str], index: Sequence[int]) -> Iterator[float]:
+    """Yield the numbers of a line in the columns `index`; RecordingError with `location` if one is not a number."""
     cells = line.split(",")
     if len(cells) != len(names):
-        raise RecordingError(f"{place}: {len(cells)} values, the header names {len(names)}")
+        raise RecordingError(f"{location}: {len(cells)} values, the header names {len(names)}")
     for column in index:
         try:
             yield float(cells[column])
         except ValueError as error:
             raise RecordingError(
-                f"{place}, column '{names[column]}': {cells[column][:40]!r} is not a number"
+                f"{location}, column '{names[column]}': {cells[column][:40]!r} is not a number"
             ) from error
 
 
@@ -250,37 +266,41 @@ def _read_npz(path: Path) -> Poses:
         with open_input(path) as file:
             archive = open_npz(file)
             for name, shape in (("timestamp", ()), ("probe.position", (3,)), ("probe.orientation", (4,))):
-                found = archive[name]
-                if found.dtype.kind not in "fiu" or found.shape[1:] != shape or found.ndim != 1 + len(shape):
+                array_found = archive[name]
+                if (
+                    array_found.dtype.kind not in "fiu"
+                    or array_found.shape[1:] != shape
+                    or array_found.ndim != 1 + len(shape)
+                ):
                     raise RecordingError(
-                        f"{path}, array '{name}': {found.dtype} of shape {found.shape}, "
+                        f"{path}, array '{name}': {array_found.dtype} of shape {array_found.shape}, "
                         f"must be numbers of shape {('N', *shape)}"
                     )
-                _check_count(path, len(found) - 1)
-                columns.append(found.astype(np.float64))
+                _check_count(path, len(array_found) - 1)
+                columns.append(array_found.astype(np.float64))
     except (RecordingError, OSError, MemoryError):
         raise
-    except Exception as error:  # zip and npy decoders fail in many ways on damaged bytes
+    except Exception as error:  # the decoders of zip and npy fail in many ways on damaged bytes
         raise RecordingError(
-            f"{path}: not a readable results file: {_reason(error)}: it must be an .npz with timestamp, "
+            f"{path}: not a readable results file: {_describe_error(error)}: it must be an .npz with timestamp, "
             "probe.position and probe.orientation"
         ) from error
     t, position, orientation = columns
     if not len(t) == len(position) == len(orientation):
         raise RecordingError(f"{path}: arrays of {len(t)}, {len(position)} and {len(orientation)} rows, must be equal")
-    return checked(_from_first(t, True), position, orientation, _place(path))
+    return check_poses(_relative_times(t, True), position, orientation, _make_locator(path))
 
 
 def _read_mcap(path: Path, finger: str) -> Poses:
     values = array("d")
-    topic = f"{FINGERS}{finger}" if finger else TOPIC
-    for number, message in enumerate(decoded_messages(path, topic)):
+    topic = f"{FINGER_TOPIC_PREFIX}{finger}" if finger else TOPIC
+    for number, message in enumerate(decode_messages(path, topic)):
         _check_count(path, number)
         try:
             row = message.timestamp, message.tick, message.dt, *message.probe.position, *message.probe.orientation
         except (AttributeError, TypeError) as error:
             raise RecordingError(
-                f"{path}: topic '{topic}' is not a recording of this program: {_reason(error)}"
+                f"{path}: topic '{topic}' is not a recording of this program: {_describe_error(error)}"
             ) from error
         if len(row) != 10:
             raise RecordingError(
@@ -290,27 +310,31 @@ def _read_mcap(path: Path, finger: str) -> Poses:
         try:
             values.extend(row)
         except (TypeError, ValueError) as error:
-            raise RecordingError(f"{path}: topic '{topic}' does not hold numbers: {_reason(error)}") from error
+            raise RecordingError(f"{path}: topic '{topic}' does not hold numbers: {_describe_error(error)}") from error
     table = np.frombuffer(values).reshape(-1, 10)
-    return checked(_by_ticks(table[:, 0], table[:, 1], table[:, 2]), table[:, 3:6], table[:, 6:10], _place(path))
+    return check_poses(
+        _times_from_ticks(table[:, 0], table[:, 1], table[:, 2]), table[:, 3:6], table[:, 6:10], _make_locator(path)
+    )
 
 
-def _by_ticks(timestamp: Array, tick: Array, dt: Array) -> Array:
-    """Times (n,) of ticks, s from the first: the periods of the loop that each one's time step has, and one for each
-    tick that is missing. Where ticks or steps are none of a loop's, the times are those of the clock."""
+def _times_from_ticks(timestamp: Array, tick: Array, dt: Array) -> Array:
+    """Return times (n,) s of ticks, from the first: each step in whole periods of the loop, plus one per missing tick.
+
+    Return times relative to the first timestamp if ticks or steps cannot be from a loop.
+    """
     with np.errstate(invalid="ignore", over="ignore"):
-        apart = np.diff(tick)
-        usable = len(dt) > 1 and bool(np.all((dt > DT_MIN_S) & (dt < DT_MAX_S)) and np.all(apart >= 1))
-    if not usable:
-        return _from_first(timestamp, True)
+        tick_steps = np.diff(tick)
+        is_usable = len(dt) > 1 and bool(np.all((dt > DT_MIN_S) & (dt < DT_MAX_S)) and np.all(tick_steps >= 1))
+    if not is_usable:
+        return _relative_times(timestamp, True)
     period = float(dt.min())
-    periods = apart - 1.0 + np.maximum(1.0, np.rint(dt[1:] / period))
-    return np.concatenate(([0.0], np.cumsum(periods))) / rate_of(period)
+    periods = tick_steps - 1.0 + np.maximum(1.0, np.rint(dt[1:] / period))
+    return np.concatenate(([0.0], np.cumsum(periods))) / rate_from_period(period)
 
 
 @cache
-def rate_of(period_s: float) -> float:
-    """The roundest rate (Hz) whose period is this to the nanosecond, as the loop's is: the one that its rig says."""
+def rate_from_period(period_s: float) -> float:
+    """Return the roundest rate (Hz) with this period to the nanosecond, as in the loop: the rate in its rig."""
     nanoseconds = round(period_s * 1e9)
     for digits in range(7):
         rate = round(1e9 / nanoseconds, digits)
@@ -319,10 +343,10 @@ def rate_of(period_s: float) -> float:
     return 1e9 / nanoseconds
 
 
-def decoded_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
-    """Messages of a topic, decoded with the descriptor in the file, in file order.
+def decode_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
+    """Yield the messages of a topic, decoded with the descriptor in the file, in file order.
 
-    A file cut short ends early with a warning in the log; one without a readable message is a RecordingError.
+    A truncated file ends early, with a warning in the log. Raises RecordingError if no message is readable.
     """
     from mcap_protobuf.decoder import DecoderFactory
 
@@ -340,32 +364,32 @@ def decoded_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
             raise
         except Exception as error:  # the decoders fail in many ways on damaged bytes
             if count == 0:
-                raise RecordingError(f"{path}: not a readable MCAP recording: {_reason(error)}") from error
-            log.warning("%s is cut short or damaged (%s): %d messages read", path, _reason(error), count)
+                raise RecordingError(f"{path}: not a readable MCAP recording: {_describe_error(error)}") from error
+            log.warning("%s is cut short or damaged (%s): %d messages read", path, _describe_error(error), count)
     if count == 0:
-        raise RecordingError(f"{path}: holds no message of topic '{topic}'")
+        raise RecordingError(f"{path}: has no message of topic '{topic}'")
 
 
 def _check_count(path: Path, before: int) -> None:
-    """Refuse one pose more than POSES_MAX; `before` were read."""
+    """Raise RecordingError if `before` poses were read and another would exceed POSES_MAX."""
     if before >= POSES_MAX:
         raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the most that are read: cut it into parts")
 
 
-def _place(path: Path, line_numbers: Sequence[int] | None = None) -> Callable[[int], str]:
-    def place(row: int) -> str:
+def _make_locator(path: Path, line_numbers: Sequence[int] | None = None) -> Callable[[int], str]:
+    def locate(row: int) -> str:
         if line_numbers is None:
             return f"{path}, row {row}"
         return f"{path}, line {line_numbers[row]}" if row < len(line_numbers) else str(path)
 
-    return place
+    return locate
 
 
-def _from_first(t: Array, relative: bool) -> Array:
-    """Times of results are since the epoch; the motion starts at its first row."""
+def _relative_times(t: Array, relative: bool) -> Array:
+    """Return times from the first row if `relative`, because results have times since the epoch."""
     with np.errstate(invalid="ignore", over="ignore"):
         return t - t[0] if relative and len(t) else t
 
 
-def _reason(error: Exception) -> str:
+def _describe_error(error: Exception) -> str:
     return f"{type(error).__name__}: {str(error)[:120]}" if str(error) else type(error).__name__

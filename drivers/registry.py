@@ -1,8 +1,8 @@
-"""Drivers by name: built in, or added by another package through an entry point.
+"""Drivers by name: built in, or provided by another package through an entry point.
 
-A driver is a module with `Options` (a msgspec Struct, what a rig's [device] table may say) and
-`open_device(options, rate_hz) -> Device`. It is imported when it is asked for, so that a vendor
-library missing on this machine costs nothing until its device is wanted.
+A driver is a module with `Options` (a msgspec Struct of the keys in a rig's [device] table) and
+`open_device(options, rate_hz) -> Device`. It is imported on first use, so that a missing vendor library affects only
+the devices that need it.
 """
 
 from __future__ import annotations
@@ -16,84 +16,93 @@ from typing import Any, Final
 from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.config.load import build
 from softfinger.config.schema import DeviceConfig
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.drivers.base import Device
 
 ENTRY_POINT_GROUP: Final = "softfinger.drivers"
 BUILT_IN: Final = (
     "falcon", "forcedimension", "haply", "hid", "openhaptics", "replay", "serial", "simulated", "spacemouse",
 )  # fmt: skip
-"""Each is the folder of its name here, and `device` in it is the driver."""
-_added: Final[dict[str, ModuleType]] = {}
+"""Names of folders here; module `device` in each is the driver."""
+_registered: Final[dict[str, ModuleType]] = {}
 
 
 def names() -> list[str]:
-    """Every driver that can be asked for: built in ones first, then those of this program and of installed packages."""
-    return [*BUILT_IN, *sorted({*_added, *_outside()} - set(BUILT_IN))]
+    """Return the names of all drivers: built in, then added by this program and by installed packages."""
+    return [*BUILT_IN, *sorted({*_registered, *_entry_points()} - set(BUILT_IN))]
 
 
 def add(name: str, module: ModuleType) -> None:
-    """Let rigs in this process say `driver = name` for a module of the program itself, which no package offers.
+    """Register a module of the running program as driver `name`, for rigs in this process.
 
-    Raises DeviceError where the module is no driver, or the name is a built in one's.
+    Raises DeviceError if the module is not a driver, or if the name is that of a built in driver.
     """
     if name in BUILT_IN:
         raise DeviceError(f"driver '{name}' is built in: give yours another name")
-    _added[name] = _driver(name, module, f"module {module.__name__}")
+    _registered[name] = _check_driver(name, module, f"module {module.__name__}")
 
 
 def load(name: str) -> ModuleType:
     """Import the driver `name`.
 
-    Raises DeviceNotFound when there is no such driver, DeviceError when it cannot be imported or
-    is not a driver.
+    Raises DeviceNotFound if there is no such driver, DeviceError if it cannot be imported or is not a driver.
     """
     if name in BUILT_IN:
         return importlib.import_module(f"softfinger.drivers.{name}.device")
-    if name in _added:
-        return _added[name]
-    entry = _outside().get(name)
+    if name in _registered:
+        return _registered[name]
+    entry = _entry_points().get(name)
     if entry is None:
-        raise DeviceNotFound(_unknown(name))
+        raise DeviceNotFound(_unknown_message(name))
     try:
         module = entry.load()
-    except Exception as error:  # another package's import may fail in any way
+    except Exception as error:  # the import of another package may raise any error
         raise DeviceError(
             f"driver '{name}' ({entry.value}) cannot be imported: {error}: "
             "repair or reinstall the package that provides it"
         ) from error
-    return _driver(name, module, f"{entry.value}, an entry point in group '{ENTRY_POINT_GROUP}'")
+    return _check_driver(name, module, f"{entry.value}, an entry point in group '{ENTRY_POINT_GROUP}'")
 
 
 def options(config: DeviceConfig, where: str = "[device]") -> Any:
-    """The [device] table of a rig as its driver's Options; ConfigError for a key or value that it refuses."""
+    """Return a rig's [device] table as the Options of its driver; raises ConfigError for an invalid key or value."""
     return build(load(config.driver).Options, config.options, where)
 
 
-def open_device(config: DeviceConfig, rate_hz: float, where: str = "[device]") -> Device:
-    """Open the device a rig names; ConfigError for options its driver does not know, at `where` in its file.
+def check(config: DeviceConfig, rate_hz: float, where: str = "[device]") -> Any:
+    """Return the Options of a [device] table; raises ConfigError if the driver rejects them or the rate (Hz)."""
+    driver_options = options(config, where)
+    check_options = getattr(load(config.driver), "check", None)
+    if check_options is not None:
+        check_options(driver_options, rate_hz, where)
+    return driver_options
 
-    It is zeroed before the process stops by a signal, and closed when one ends the process from another thread.
+
+def open_device(config: DeviceConfig, rate_hz: float, where: str = "[device]") -> Device:
+    """Open the device that a rig describes; raises ConfigError for invalid options, with their location `where`.
+
+    A signal that stops the process zeroes the device; one that ends the process from another thread closes it.
     """
-    device: Device = load(config.driver).open_device(options(config, where), rate_hz)
-    opened.devices.add(device)
+    driver, driver_options = load(config.driver), check(config, rate_hz, where)
+    device: Device = driver.open_device(driver_options, rate_hz)
+    open_devices.devices.add(device)
     return device
 
 
-def _driver(name: str, module: Any, whose: str) -> ModuleType:
+def _check_driver(name: str, module: Any, source: str) -> ModuleType:
     missing = [part for part in ("Options", "open_device") if not hasattr(module, part)]
     if missing or not isinstance(module, ModuleType):
         raise DeviceError(
-            f"driver '{name}' ({whose}) is not a driver module: it lacks {', '.join(missing) or 'a module'}"
+            f"driver '{name}' ({source}) is not a driver module: it lacks {', '.join(missing) or 'a module'}"
         )
     return module
 
 
-def _outside() -> dict[str, metadata.EntryPoint]:
+def _entry_points() -> dict[str, metadata.EntryPoint]:
     return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT_GROUP)}
 
 
-def _unknown(name: str) -> str:
+def _unknown_message(name: str) -> str:
     known = names()
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean '{close[0]}'? " if close else ""

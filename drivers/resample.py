@@ -1,4 +1,4 @@
-"""Recorded poses at the servo's rate: interpolated without a step, and closed into a loop without a jump."""
+"""Recorded poses at the servo's rate: interpolated with continuous velocity, and closed into a loop without a jump."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from softfinger.drivers.poses import Poses
 Array = NDArray[np.float64]
 
 SAMPLES_MAX: Final = 10_000_000  # 2.8 h at 1 kHz, 560 MB
-BLOCK: Final = 16384  # ticks interpolated at a time: on the way there each takes five times the memory
-SAME_TIME_S: Final = 1e-9  # a tick this close to a recorded sample is that sample, to the bit
+BLOCK: Final = 16384  # ticks interpolated at a time: the intermediate arrays need five times the memory
+SAME_TIME_S: Final = 1e-9  # a tick this close to a recorded sample uses that sample unchanged
 RETURN_SPEED_M_PER_S: Final = 0.1
 RETURN_SPEED_RAD_PER_S: Final = 1.0
 RETURN_MIN_S: Final = 0.5
-MINIMUM_JERK_PEAK: Final = 1.875  # peak speed of a minimum-jerk move over its mean speed
-SEAM_POSE: Final = 1e-9  # m and rad: closer than this, end and start are one pose
-SEAM_SPEED_M_PER_S: Final = 1e-3  # a velocity step this small at the seam needs no return
+MINIMUM_JERK_PEAK: Final = 1.875  # ratio of peak to mean speed of a minimum-jerk movement
+SEAM_TOLERANCE: Final = 1e-9  # m and rad: end and start closer than this are the same pose
+SEAM_SPEED_M_PER_S: Final = 1e-3  # a smaller velocity step at the seam needs no return
 SEAM_SPEED_RAD_PER_S: Final = 1e-2
 
 
 def resample(poses: Poses, rate_hz: float) -> Array:
-    """Poses (M, 7) at ticks k / rate_hz from the first sample to the last: x, y, z, qw, qx, qy, qz.
+    """Return poses (M, 7) at ticks k / rate_hz from the first sample to the last: x, y, z, qw, qx, qy, qz.
 
-    Positions by shape-preserving cubic Hermite interpolation: through every sample, no overshoot,
-    continuous velocity, so that a 100 Hz recording has no velocity steps at 1 kHz. Orientations
-    turn at a constant rate along the short way (slerp). RecordingError when the recording is
-    shorter than two ticks or too long to hold.
+    Positions use shape-preserving cubic Hermite interpolation: through every sample, without overshoot and with
+    continuous velocity, so that a 100 Hz recording has no velocity steps at 1 kHz. Orientations turn at a constant rate
+    by the shorter rotation (slerp). Raises RecordingError if the recording is shorter than two ticks or too long for
+    the memory.
     """
     duration = float(poses.t[-1]) - float(poses.t[0])
     ticks = duration * rate_hz + 1e-6
@@ -47,22 +47,22 @@ def resample(poses: Poses, rate_hz: float) -> Array:
         return np.concatenate((poses.position[near], poses.orientation[near]), axis=1)
     samples, slopes = np.empty((len(at), 7)), _slopes(t, poses.position)
     for first in range(0, len(at), BLOCK):
-        some = slice(first, first + BLOCK)
-        segment = np.clip(np.searchsorted(t, at[some], side="right") - 1, 0, len(t) - 2)
+        chunk = slice(first, first + BLOCK)
+        segment = np.clip(np.searchsorted(t, at[chunk], side="right") - 1, 0, len(t) - 2)
         width = t[segment + 1] - t[segment]
-        u = np.clip((at[some] - t[segment]) / width, 0.0, 1.0)[:, None]
-        samples[some, :3] = _hermite(poses.position, slopes, segment, width[:, None], u)
-        samples[some, 3:] = slerp(poses.orientation[segment], poses.orientation[segment + 1], u)
+        u = np.clip((at[chunk] - t[segment]) / width, 0.0, 1.0)[:, None]
+        samples[chunk, :3] = _hermite(poses.position, slopes, segment, width[:, None], u)
+        samples[chunk, 3:] = slerp(poses.orientation[segment], poses.orientation[segment + 1], u)
     samples[on_sample, :3] = poses.position[near[on_sample]]
     samples[on_sample, 3:] = poses.orientation[near[on_sample]]
     return samples
 
 
 def _slopes(t: Array, x: Array) -> Array:
-    """Velocities (N, 3) at the samples that keep the interpolant monotone where the samples are.
+    """Return velocities (N, 3) at the samples with which the interpolant is monotone where the samples are.
 
-    Source: Fritsch, Carlson (1980), with the weighted harmonic mean of Fritsch, Butland (1984) and
-    their one-sided three-point rule at both ends.
+    Source: Fritsch, Carlson (1980), with the weighted harmonic mean of Fritsch, Butland (1984) and their one-sided
+    three-point rule at both ends.
     """
     h = np.diff(t)[:, None]
     secant = np.diff(x, axis=0) / h
@@ -73,7 +73,7 @@ def _slopes(t: Array, x: Array) -> Array:
     w_left, w_right = 2.0 * h[1:] + h[:-1], h[1:] + 2.0 * h[:-1]
     monotone = (np.sign(left) * np.sign(right)) > 0.0
     safe_left, safe_right = np.where(monotone, left, 1.0), np.where(monotone, right, 1.0)
-    with np.errstate(over="ignore"):  # a secant next to nothing gives slope 0, as it should
+    with np.errstate(over="ignore"):  # a secant near zero gives slope 0, as it should
         mean = (w_left + w_right) / (w_left / safe_left + w_right / safe_right)
     slope[1:-1] = np.where(monotone, mean, 0.0)
     slope[0] = _end_slope(h[0], h[1], secant[0], secant[1])
@@ -96,9 +96,9 @@ def _hermite(x: Array, slope: Array, segment: NDArray[np.intp], width: Array, u:
 
 
 def slerp(a: Array, b: Array, u: Array) -> Array:
-    """Unit quaternions (M, 4) a fraction u (M, 1) of the short way from a to b."""
+    """Return unit quaternions (M, 4) at a fraction u (M, 1) of the shorter rotation from a to b."""
     b = np.where(np.sum(a * b, axis=1, keepdims=True) < 0.0, -b, b)
-    # atan2 of chord lengths keeps its accuracy at small angles, where acos of the dot product has none
+    # atan2 of chord lengths is accurate at small angles, unlike acos of the dot product
     half = np.arctan2(np.linalg.norm(b - a, axis=1), np.linalg.norm(b + a, axis=1))[:, None]
     sine = np.sin(2.0 * half)
     small = sine < 1e-9
@@ -112,22 +112,22 @@ def slerp(a: Array, b: Array, u: Array) -> Array:
 
 
 def close_loop(samples: Array, rate_hz: float) -> Array:
-    """One period (L, 7) of the endless motion that repeats `samples` (M, 7) without a jump.
+    """Return one period (L, 7) of the endless motion that repeats `samples` (M, 7) without a jump.
 
-    When the end does not run on into the start, a return is appended that leaves with the end's
-    velocity and arrives with the start's, in position and in orientation; it is no faster than
-    0.1 m/s and 1 rad/s on top of those velocities. When end and start are one pose at one
-    velocity, the doubled sample is dropped instead. Sample L of the motion is sample 0.
+    If the end does not continue into the start, a return is appended. It starts with the velocity of the end and
+    finishes with the velocity of the start, in position and orientation; it is no faster than 0.1 m/s and 1 rad/s on
+    top of those velocities. If end and start are the same pose with the same velocity, the repeated sample is dropped
+    instead. Sample L of the motion is sample 0.
     """
     end, start = samples[-1], samples[0]
-    travel, turn = start[:3] - end[:3], _log(_relative(end[3:], start[3:]))
-    distance, angle = float(np.linalg.norm(travel)), float(np.linalg.norm(turn))
-    if distance <= SEAM_POSE and angle <= SEAM_POSE and _runs_on(samples, rate_hz):
+    travel, rotation_vector = start[:3] - end[:3], _log(_relative(end[3:], start[3:]))
+    distance, angle = float(np.linalg.norm(travel)), float(np.linalg.norm(rotation_vector))
+    if distance <= SEAM_TOLERANCE and angle <= SEAM_TOLERANCE and _is_continuous(samples, rate_hz):
         return np.ascontiguousarray(samples[:-1])
 
-    leave, arrive = (samples[-1, :3] - samples[-2, :3]) * rate_hz, (samples[1, :3] - start[:3]) * rate_hz
-    spin_leave = _log(_relative(samples[-2, 3:], end[3:])) * rate_hz
-    spin_arrive = _log(_relative(start[3:], samples[1, 3:])) * rate_hz
+    start_velocity, end_velocity = (samples[-1, :3] - samples[-2, :3]) * rate_hz, (samples[1, :3] - start[:3]) * rate_hz
+    start_spin = _log(_relative(samples[-2, 3:], end[3:])) * rate_hz
+    end_spin = _log(_relative(start[3:], samples[1, 3:])) * rate_hz
     seconds = max(
         RETURN_MIN_S,
         MINIMUM_JERK_PEAK * distance / RETURN_SPEED_M_PER_S,
@@ -136,17 +136,17 @@ def close_loop(samples: Array, rate_hz: float) -> Array:
     count = max(2, int(np.ceil(seconds * rate_hz)))
     u = (np.arange(1, count) / count)[:, None]
     seconds = count / rate_hz
-    way = np.empty((count - 1, 7))
-    way[:, :3] = end[:3] + _quintic(travel, leave, arrive, seconds, u)
-    # the turn in the end's body frame: its rate there is the angular velocity, at the other end only
-    # through the inverse Jacobian of the rotation vector
-    rotation = _quintic(turn, spin_leave, _inverse_jacobian(turn) @ spin_arrive, seconds, u)
-    way[:, 3:] = _product(end[3:], _exp(rotation))
-    return np.concatenate((samples, way))
+    path = np.empty((count - 1, 7))
+    path[:, :3] = end[:3] + _quintic(travel, start_velocity, end_velocity, seconds, u)
+    # Turn in the body frame at the end: there the rate of the rotation vector is the angular velocity. At the start it
+    # is so only through the inverse Jacobian of the rotation vector.
+    rotation = _quintic(rotation_vector, start_spin, _inverse_jacobian(rotation_vector) @ end_spin, seconds, u)
+    path[:, 3:] = _product(end[3:], _exp(rotation))
+    return np.concatenate((samples, path))
 
 
-def _runs_on(samples: Array, rate_hz: float) -> bool:
-    """Whether the velocity steps no more from the end to the start, one pose, than within the motion."""
+def _is_continuous(samples: Array, rate_hz: float) -> bool:
+    """Return True if the velocity step from the end to the start is no larger than the steps within the motion."""
     velocity = np.diff(samples[:, :3], axis=0) * rate_hz
     spin = _log(_relative(samples[:-1, 3:], samples[1:, 3:])) * rate_hz
     for rates, negligible in ((velocity, SEAM_SPEED_M_PER_S), (spin, SEAM_SPEED_RAD_PER_S)):
@@ -156,13 +156,13 @@ def _runs_on(samples: Array, rate_hz: float) -> bool:
     return True
 
 
-def _quintic(travel: Array, leave: Array, arrive: Array, seconds: float, u: Array) -> Array:
-    """Minimum-jerk way of 0 to `travel` with the given velocities and no acceleration at both ends."""
+def _quintic(travel: Array, start_velocity: Array, end_velocity: Array, seconds: float, u: Array) -> Array:
+    """Return the minimum-jerk path from 0 to `travel` with the given velocities and zero acceleration at both ends."""
     rise = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
     out = u - u**3 * (6.0 - 8.0 * u + 3.0 * u**2)
     into = -(u**3) * (4.0 - 7.0 * u + 3.0 * u**2)
-    way: Array = rise * travel + seconds * (out * leave + into * arrive)
-    return way
+    path: Array = rise * travel + seconds * (out * start_velocity + into * end_velocity)
+    return path
 
 
 def _product(a: Array, b: Array) -> Array:
@@ -180,12 +180,12 @@ def _product(a: Array, b: Array) -> Array:
 
 
 def _relative(a: Array, b: Array) -> Array:
-    """a^-1 b: the turn from a to b seen in the body."""
+    """Return a^-1 b: the rotation from a to b in the body frame."""
     return _product(a * np.array([1.0, -1.0, -1.0, -1.0]), b)
 
 
 def _log(q: Array) -> Array:
-    """Rotation vectors (..., 3) of unit quaternions (..., 4), the short way."""
+    """Return rotation vectors (..., 3) of unit quaternions (..., 4), at most half a turn."""
     vector = np.where(q[..., :1] >= 0.0, q[..., 1:], -q[..., 1:])
     sine = np.linalg.norm(vector, axis=-1, keepdims=True)
     small = sine < 1e-12
@@ -195,13 +195,13 @@ def _log(q: Array) -> Array:
 
 
 def _exp(rotation: Array) -> Array:
-    """Unit quaternions (M, 4) of rotation vectors (M, 3)."""
+    """Return unit quaternions (M, 4) of rotation vectors (M, 3)."""
     half = 0.5 * np.linalg.norm(rotation, axis=1, keepdims=True)
     return np.concatenate((np.cos(half), 0.5 * rotation * np.sinc(half / np.pi)), axis=1)
 
 
 def _inverse_jacobian(rotation: Array) -> Array:
-    """(3, 3) from body angular velocity to the rate of the rotation vector (inverse right Jacobian)."""
+    """Return the (3, 3) inverse right Jacobian, from body angular velocity to the rate of the rotation vector."""
     angle = float(np.linalg.norm(rotation))
     x, y, z = rotation
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

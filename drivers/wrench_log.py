@@ -1,7 +1,7 @@
-"""Every wrench a device without hardware is given, kept: a log in memory behind the handle, and its file.
+"""Log of every wrench written to a device without hardware: memory behind the handle, and its file.
 
-A driver's block begins with the words here, `LOG`; its own follow behind. `write` is the driver's C
-function for the servo. Python reads the log while the servo writes to it, without a lock.
+A driver's block starts with the fields of `LOG`; the fields of the driver follow. `write` is the driver's C function
+for the servo. Python reads the log without a lock while the servo writes to it.
 """
 
 from __future__ import annotations
@@ -36,30 +36,34 @@ FORCE_COLUMNS: Final = ("read", "force[0]", "force[1]", "force[2]", "torque[0]",
 log: Final = logging.getLogger(__name__)
 
 
-class Written(NamedTuple):
-    """Wrenches a device was given, oldest first: index (k,) of the read each one answers, -1 before the
-    first, and force N, torque N m (k, 6)."""
+class LoggedWrenches(NamedTuple):
+    """Logged wrenches, oldest first.
+
+    read    (k,)         index of the preceding read, -1 before the first
+    wrench  (k, 6)       force N, torque N m
+    """
 
     read: NDArray[np.int64]
     wrench: Array
 
 
-class Words(NamedTuple):
-    """The words of the log, in front of the driver's own."""
+class Fields(NamedTuple):
+    """Fields of the log; the fields of the driver follow."""
 
-    reads: Annotated[int, counter("reads so far; kept by the driver")]
-    writes: Annotated[int, counter("wrenches kept so far, overwritten ones included")]
+    reads: Annotated[int, counter("number of reads; written by the driver")]
+    writes: Annotated[int, counter("number of stored wrenches, including overwritten ones")]
     log: Annotated[int, address("(capacity, 7) float64: read index, force, torque")]
     capacity: Annotated[int, word("rows of the log")]
-    armed: Annotated[int, word("whether wrenches are kept")]
-    lock: Annotated[int, word("held for the few instructions that add to the log")]
+    armed: Annotated[int, word("whether wrenches are stored")]
+    lock: Annotated[int, word("lock: set while a wrench is appended")]
     next_row: Annotated[int, word("counted up and wrapped, which is cheaper than a remainder")]
 
 
-LOG: Final = lay_out(Words)
+LOG: Final = lay_out(Fields)
 
 
-def _append(handle: int, f0: float, f1: float, f2: float, t0: float, t1: float, t2: float) -> None:
+@jit
+def _append_row(handle: int, f0: float, f1: float, f2: float, t0: float, t1: float, t2: float) -> None:
     at = int64_at(handle)
     slot = at[LOG.next_row]
     at[LOG.next_row] = 0 if slot + 1 == at[LOG.capacity] else slot + 1
@@ -71,22 +75,19 @@ def _append(handle: int, f0: float, f1: float, f2: float, t0: float, t1: float, 
     row[4] = t0
     row[5] = t1
     row[6] = t2
-    # an exchange and not a plain store: it keeps the count behind the row for a reader on any processor
+    # an exchange instead of a plain store: it orders the count after the row, for a reader on any processor
     exchange_int64(handle + LOG.writes * 8, at[LOG.writes] + 1)
-
-
-_keep: Any = jit(_append)
 
 
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
     at = int64_at(handle)
-    # Never wait here: who holds the lock is stopping the device, so refusing is right as well.
+    # Never wait here: the lock's owner is stopping the device, so refusing is right as well.
     if exchange_int64(handle + LOG.lock * 8, 1) != 0:
         return WITHHELD
     armed = at[LOG.armed]
     if armed:
-        _keep(handle, wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5])
+        _append_row(handle, wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5])
     exchange_int64(handle + LOG.lock * 8, 0)
     if armed:
         return OK
@@ -98,71 +99,76 @@ def write(handle: int, wrench: Any) -> int:
 
 @c_function(types.int64(types.int64))
 def silence(handle: int) -> int:
-    """Keep one zero wrench and disarm; 0 when a write is under way just now and it must be tried again."""
+    """Log a zero wrench and disarm. Return 1, or 0 if a write is in progress and the call must be repeated."""
     at = int64_at(handle)
     if exchange_int64(handle + LOG.lock * 8, 1) != 0:
         return 0
     if at[LOG.armed]:
-        _keep(handle, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        _append_row(handle, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         at[LOG.armed] = 0
     exchange_int64(handle + LOG.lock * 8, 0)
     return 1
 
 
 class WrenchLog:
-    """The log of a device whose block is `block`, LOG in front; at least `rows` wrenches and those of 10 s are kept.
+    """Log in a block that starts with LOG, with room for at least `rows` wrenches and 10 s.
 
-    `forces` names the file that `close` saves to, None for no file.
+    `forces` is the file that `close` writes; None for no file.
     """
 
     def __init__(self, block: Block, rows: int, rate_hz: float, forces: str | None) -> None:
         self._path = _forces_path(forces) if forces else None
         self._block, word = block, block.word
         capacity = max(rows, math.ceil(LOG_MIN_S * rate_hz)) + LOG_MARGIN
-        self._rows = np.full((capacity, 7), 0.0)  # written here, so that the loop meets no first-touch page fault
-        block.point(LOG.log, self._rows)
+        self._rows = np.full((capacity, 7), 0.0)  # written here, so that the loop causes no page fault on first access
+        block.set_address(LOG.log, self._rows)
         word[LOG.capacity] = capacity
         word[LOG.armed] = 1
 
     def stop(self) -> None:
-        """Keep a zero and disarm. From any thread, any number of times."""
-        if PLAIN:  # no loop gives a wrench: that is machine code
+        """Log a zero and disarm. May be called from any thread, repeatedly."""
+        if PLAIN:  # without compilation no loop writes concurrently
             self._block.word[LOG.armed] = 0
             return
         while not silence.ctypes(self._block.handle):
-            time.sleep(0.0001)  # a write holds the lock for some twenty instructions
+            time.sleep(0.0001)  # a write has the lock for about twenty instructions
 
     def close(self) -> None:
-        """Stop, then save, if that was asked for and is not done."""
+        """Stop, then save the file if there is one to save."""
         self.stop()
         path, self._path = self._path, None
         if path is not None:
             self._save(path)
 
     @property
-    def lost(self) -> int:
-        """Wrenches kept once and overwritten since, because a run was longer than the log."""
+    def overwritten_count(self) -> int:
+        """Number of wrenches overwritten because the run was longer than the log."""
         return max(0, int(self._block.word[LOG.writes]) - len(self._rows))
 
     def counts(self) -> dict[str, int]:
-        """What the block counts: reads and wrenches taken, and what the driver adds."""
+        """Return the counters of the block: reads, wrenches, and counters of the driver."""
         return self._block.counts()
 
-    def written(self) -> Written:
-        """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""
+    def logged(self) -> LoggedWrenches:
+        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
         before = int(self._block.word[LOG.writes])
         rows = self._rows.copy()
         after = int(self._block.word[LOG.writes])
         capacity = len(rows)
-        # the row after the newest may be half overwritten while it is copied
+        # the row after the latest may be half overwritten during the copy
         first = max(0, (after + 1 if self._block.word[LOG.armed] else after) - capacity)
         rows = rows[np.arange(first, before) % capacity] if first < before else rows[:0]
-        return Written(rows[:, 0].astype(np.int64), rows[:, 1:].copy())
+        return LoggedWrenches(rows[:, 0].astype(np.int64), rows[:, 1:].copy())
 
     def _save(self, path: Path) -> None:
-        read, wrench = self.written()
-        if self.lost:
-            log.warning("%s holds the last %d wrenches; %d earlier ones were overwritten", path, len(read), self.lost)
+        read, wrench = self.logged()
+        if self.overwritten_count:
+            log.warning(
+                "%s has the last %d wrenches; %d earlier ones were overwritten",
+                path,
+                len(read),
+                self.overwritten_count,
+            )
         try:
             with new_file(path) as file:
                 if path.suffix.lower() == ".csv":

@@ -31,8 +31,8 @@ class Options(Table, frozen=True, kw_only=True):
     depth_m: Annotated[float, within(Range(0.0, 0.005, "half a fingertip"), "how deep the hand presses", 0.001)] = 0.001
 
 
-class Words(NamedTuple):
-    """The words of the block."""
+class Fields(NamedTuple):
+    """Fields of the block."""
 
     reads: Annotated[int, counter("poses read")]
     armed: Annotated[int, word("whether force is displayed")]
@@ -40,7 +40,7 @@ class Words(NamedTuple):
     force: Annotated[int, numbers("on the hand (N)", 3)]
 
 
-AT = lay_out(Words)
+AT = lay_out(Fields)
 
 
 @c_function(IO_SIGNATURE)

@@ -1,4 +1,4 @@
-"""Effects and motions of a scene file as the named tuples their kernels take."""
+"""Conversion of effects and motions of a scene file to the named tuples of their kernels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from softfinger.proxy.kernels import model
 
 
 def kernel_effects(effects: Iterable[schema.Effect | schema.ObjectEffect]) -> tuple[Any, ...]:
-    """Kernel effects of the workspace or of one object, in the order of the file."""
+    """Return the kernel effects of the workspace or of one object, in the order of the file."""
     return tuple(_effect(effect) for effect in effects)
 
 
@@ -69,7 +69,10 @@ def _region(region: schema.Region | None) -> model.BoxRegion | model.SphereRegio
 
 
 def kernel_motion(motion: schema.Motion | None, bodies: RigidBodies | None = None) -> Any:
-    """Kernel motion of an object; None for one that stands still. One that rides on a body needs the `bodies`."""
+    """Return the kernel motion of an object; None if it does not move.
+
+    An object attached to a body needs the `bodies`.
+    """
     match motion:
         case schema.Sinusoid():
             axis = _unit(motion.axis)

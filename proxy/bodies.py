@@ -1,11 +1,12 @@
-"""The rigid bodies of a scene's [world]: MuJoCo's model and data, and their addresses for the kernels.
+"""Rigid bodies of a scene's [world]: MuJoCo's model and data, and their addresses for the kernels.
 
-MuJoCo does not document `_address` of its objects, which this file alone uses; tests/proxy/test_bodies.py checks it.
+Only this file uses `_address` of MuJoCo's objects, which is undocumented; tests/proxy/test_bodies.py checks it.
 """
 
 from __future__ import annotations
 
 import ctypes
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,8 +14,8 @@ import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, SafetyStop
-from softfinger.config.mjcf import moves, mujoco_module, read_model
-from softfinger.config.urdf import is_urdf
+from softfinger.config.mjcf import key_number, mujoco_module, read_model
+from softfinger.config.mjcf_geoms import moves
 from softfinger.proxy.kernels import model as kernels
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import PLAIN
@@ -22,13 +23,11 @@ from softfinger.proxy.kernels.jit.rescue import RESCUE_ALIGNMENT, RESCUE_BYTES, 
 from softfinger.proxy.kernels.query import bodies as at
 
 TIMESTEP_TOLERANCE: Final = 1e-6
-"""Relative: a period of whole nanoseconds is the timestep that a model has in decimal seconds."""
-URDF_TIMESTEP_S: Final = 0.002
-"""MuJoCo's default time step. A URDF cannot give one: it takes the servo's."""
+"""Relative difference allowed between a period, in whole nanoseconds, and a model's timestep, in decimal seconds."""
 
 
 class _LogConfig(ctypes.Structure):
-    """mjLogConfig of mjtype.h; all zero: MuJoCo writes neither to the terminal nor to MUJOCO_LOG.TXT."""
+    """mjLogConfig of mjtype.h; with all fields zero, MuJoCo writes neither to the terminal nor to MUJOCO_LOG.TXT."""
 
     _fields_ = (
         ("logto_console", ctypes.c_uint8),
@@ -39,7 +38,7 @@ class _LogConfig(ctypes.Structure):
 
 
 class Block(ReadOnly):
-    """Addresses of a simulation, whose memory lives as long as this does."""
+    """Addresses of a simulation; a reference to it preserves the simulation's memory."""
 
     __slots__ = ("owner",)
 
@@ -47,32 +46,49 @@ class Block(ReadOnly):
         super().__init__(words)
         self.owner: Final = owner
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle the simulation: a copy has different addresses."""
+        return attrgetter("block"), (self.owner,)
+
 
 class RigidBodies:
-    """A world: MuJoCo's `model` and `data`. Raises ConfigError for a model that cannot be simulated."""
+    """World of MuJoCo: its `model` and `data`. Raises ConfigError for a model that cannot be simulated."""
 
     def __init__(self, world: schema.World) -> None:
         self.world: Final = world
         package = mujoco_module()
-        _, self.model = read_model(world.model)
-        # What diverges is to be seen, and not to be put back where it began without a word.
+        self.model = read_model(world)
+        # A divergence must be reported, not hidden by an automatic reset to the initial state.
         self.model.opt.disableflags |= package.mjtDisableBit.mjDSBL_AUTORESET
-        self._without_timestep: Final = is_urdf(world.model) and self.model.opt.timestep == URDF_TIMESTEP_S
+        self._key: Final = key_number(self.model, world)
         self.data: Final = package.MjData(self.model)
         self.moving: Final = [body for body in range(1, self.model.nbody) if moves(self.model, body)]
-        """Numbers of the bodies that can move, and their names, or numbers where they have none."""
+        """Numbers of the bodies that can move; `names` are their names, or numbers of unnamed bodies."""
         self.names: Final = [self.model.body(body).name or str(body) for body in self.moving]
-        self._library: Final = _library(package)
-        self._library.mju_setLogConfig(_LogConfig())  # warnings are counted: a servo thread writes no file
-        if not PLAIN:  # Python's own calls of MuJoCo raise as before
-            self._library.mju_setLogHandler.argtypes = (ctypes.c_void_p,)
-            self._library.mju_setLogHandler(jump_on_error.address)
         self._fault: Final = np.zeros(2, np.int64)
         self._last: Final = (np.zeros_like(self.data.xpos), np.zeros_like(self.data.xquat))
-        self._memory: Final = np.zeros(RESCUE_BYTES + RESCUE_ALIGNMENT, np.uint8)
-        self._rescue: Final = -(-self._memory.ctypes.data // RESCUE_ALIGNMENT) * RESCUE_ALIGNMENT
         self._said = ""
-        self.block: Final = Block(self._words(self._library), self)
+        self._connect()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state from which a copy continues with the same bits; MuJoCo pickles its data with the model."""
+        own = ("world", "data", "moving", "names", "_key", "_fault", "_last", "_said")
+        return {name: vars(self)[name] for name in own}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, model=state["data"].model)
+        self._connect()
+
+    def _connect(self) -> None:
+        """Look up MuJoCo's functions, route its errors to `rescue`, and collect the addresses for the kernels."""
+        self._library = _library(mujoco_module())
+        self._library.mju_setLogConfig(_LogConfig())  # warnings are counted: a servo thread must not write files
+        if not PLAIN:  # calls of MuJoCo from Python still raise exceptions
+            self._library.mju_setLogHandler.argtypes = (ctypes.c_void_p,)
+            self._library.mju_setLogHandler(jump_on_error.address)
+        self._memory = np.zeros(RESCUE_BYTES + RESCUE_ALIGNMENT, np.uint8)
+        self._rescue = -(-self._memory.ctypes.data // RESCUE_ALIGNMENT) * RESCUE_ALIGNMENT
+        self.block = Block(self._words(self._library), self)
 
     def _words(self, library: ctypes.CDLL) -> Any:
         data, words = self.data, np.zeros(at.BLOCK_SIZE, np.int64)
@@ -103,7 +119,7 @@ class RigidBodies:
         return words
 
     def step_half(self, half: int) -> bool:
-        """A half of a step by MuJoCo's own package, for kernels that are plain Python: whether it met an error."""
+        """Run half a step with MuJoCo's Python package, for kernels in plain Python. Return whether it failed."""
         package = mujoco_module()
         try:
             (package.mj_step1 if half == at.FIRST_HALF else package.mj_step2)(self.model, self.data)
@@ -114,11 +130,11 @@ class RigidBodies:
 
     @property
     def failure(self) -> SafetyStop | None:
-        """Why the bodies stand still, in MuJoCo's words and with what to do; None while they move."""
+        """Reason why the bodies have stopped, with MuJoCo's message and the remedy; None while they move."""
         fault = int(self._fault[0])
         if fault == at.NO_FAULT:
             return None
-        what = f"[world] {self.world.model}: the bodies were let go and stand still"
+        what = f"[world] {self.world.model}: the bodies were released and no longer move"
         if fault == at.SLOW:
             return SafetyStop(
                 f"{what}: most steps took longer than world.budget_us = {self.world.budget_us:g}; take fewer bodies or "
@@ -137,13 +153,16 @@ class RigidBodies:
         return SafetyStop(f"{what}: MuJoCo said: {said}: {remedy}")
 
     def kernel(self, riders: tuple[float, ...]) -> kernels.Bodies:
-        """What kernels take; `riders` as of Bodies."""
+        """Return the kernels' Bodies, with `riders` as described there."""
         return kernels.Bodies(
             self.block, ReadOnly(np.array(self.moving, np.int64)), ReadOnly(np.array(riders)), float(len(riders))
         )
 
     def number_of(self, body: str) -> int:
-        """Number of a body by its name, or by its number where it has no name; ConfigError for none of the model."""
+        """Return the number of a body from its name or, for an unnamed body, its number in text form.
+
+        Raises ConfigError if the model has no such body.
+        """
         package = mujoco_module()
         number = package.mj_name2id(self.model, package.mjtObj.mjOBJ_BODY, body)
         if number < 0 and body.isdecimal() and int(body) < self.model.nbody:
@@ -154,30 +173,36 @@ class RigidBodies:
         return int(number)
 
     def begin(self, period_s: float) -> None:
-        """Put everything where the model has it, for ticks of `period_s`.
+        """Reset all bodies to their initial poses, or those of the keyframe, for ticks of `period_s`.
 
-        ConfigError where the model's time step is another, or where its beginning has no finite acceleration.
+        Raises ConfigError if the model keeps another time step, or if its initial state has no finite acceleration.
         """
         package = mujoco_module()
-        if self._without_timestep:
-            self.model.opt.timestep = period_s / self.world.substeps
         step = self.model.opt.timestep * self.world.substeps
-        if abs(step - period_s) > TIMESTEP_TOLERANCE * period_s:
+        fits = abs(step - period_s) <= TIMESTEP_TOLERANCE * period_s
+        if not fits and self.world.timestep == "tick":
+            self.model.opt.timestep = period_s / self.world.substeps
+        elif not fits:
             raise ConfigError(
                 f"{self.world.model}: its timestep of {self.model.opt.timestep:g} s, world.substeps = "
                 f"{self.world.substeps} times, is not a tick of {period_s:g} s: write "
-                f'<option timestep="{period_s / self.world.substeps:g}"/>, or take another rate'
+                f'<option timestep="{period_s / self.world.substeps:g}"/>, or take another rate, or world.timestep = '
+                '"tick"'
             )
         self._fault[:] = 0
         self._said = ""
         try:
             package.mj_resetData(self.model, self.data)
+            if self._key is not None:
+                package.mj_resetDataKeyframe(self.model, self.data, self._key)
             package.mj_forward(self.model, self.data)
         except package.FatalError as error:
             raise ConfigError(f"{self.world.model}: {' '.join(str(error).split())}") from error
         warned = {name: int(count) for name, count in zip(_WARNINGS, self.data.warning.number, strict=False) if count}
         if warned or not np.isfinite(self.data.qacc).all():
-            raise ConfigError(f"{self.world.model}: cannot be simulated as it begins: {warned or 'no acceleration'}")
+            raise ConfigError(
+                f"{self.world.model}: cannot be simulated from its initial state: {warned or 'no acceleration'}"
+            )
         package.mj_step1(self.model, self.data)
         self._last[0][:], self._last[1][:] = self.data.xpos, self.data.xquat
 
@@ -186,36 +211,41 @@ _WARNINGS: Final = ("inertia", "contacts full", "constraints full", "bad qpos", 
 
 
 def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> RigidBodies | None:
-    """The world of a scene, None for one without; that of a scene `before` goes on, and has to be the same."""
+    """Return the world of a scene, None without one; reuse the one of a scene `before`, if given.
+
+    Raises ConfigError if the world differs from the one of `before`.
+    """
     if scene.world is None:
         return None
     if before is None or before.bodies is None:
         return RigidBodies(scene.world)
     owner: RigidBodies = before.bodies.block.owner
-    for key in ("model", "substeps", "budget_us"):
+    for key in ("model", "mass_kg", "substeps", "budget_us", "timestep", "keyframe"):
         now, given = getattr(owner.world, key), getattr(scene.world, key)
         if now != given:
             raise ConfigError(
-                f"world.{key} cannot change while the scene runs (now {now!r}, given {given!r}): load it anew"
+                f"world.{key} cannot change while the scene runs (now {now!r}, given {given!r}): load the scene again"
             )
     return owner
 
 
 def motion_size(scene: kernels.Scene) -> int:
-    """Numbers that tell of the motion of a scene's bodies: `query.bodies.tell_motion`."""
+    """Return the size of the array that describes the motion of a scene's bodies: `query.bodies.tell_motion`."""
     moving = 0 if scene.bodies is None else len(scene.bodies.block.owner.moving)
     return 1 + at.MOTION_SIZE * moving
 
 
 def begin_bodies(scene: kernels.Scene, period_s: float) -> None:
-    """Put the bodies of a scene, if it has any, where its model has them, for ticks of `period_s`; see
-    `RigidBodies.begin`."""
+    """Reset the bodies of a scene, if any, to the poses in the model, for ticks of `period_s`.
+
+    See `RigidBodies.begin`.
+    """
     if scene.bodies is not None:
         scene.bodies.block.owner.begin(period_s)
 
 
 def check_bodies(scene: kernels.Scene) -> None:
-    """Raise SafetyStop if the bodies of a scene, if it has any, have failed since they began."""
+    """Raise SafetyStop if the bodies of a scene have failed since their start."""
     if scene.bodies is not None and (failure := scene.bodies.block.owner.failure) is not None:
         raise failure
 

@@ -1,4 +1,4 @@
-"""The contact model for Python: load a scene, step poses one by one or a whole array, get typed results."""
+"""Contact model for Python: load a scene, step single poses or an array of poses, and get typed results."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ Array = NDArray[np.float64]
 
 DT_MIN_S: Final = 1e-9
 DT_MAX_S: Final = 1e3
-"""Time steps far beyond any servo's; within them no quotient of the step overflows."""
+"""Range of time steps, far beyond that of any servo; within it no division by the step overflows."""
 
 
 class PoseError(HapticError):
-    """A pose, or a time step, that no probe can have."""
+    """Pose or time step that is not possible for a probe."""
 
 
 class Part(Generic[T]):
-    """A field of a record as an attribute of the Step that holds it, read when it is asked for: most are not."""
+    """Descriptor of a record field as an attribute of Step, converted on access: most fields are never read."""
 
     def __init__(self, read: Callable[[Any], T], name: str) -> None:
         self.field: Final = NAMED[name]
@@ -71,10 +71,10 @@ def _cause(number: float) -> str:
 
 
 class Step:
-    """One tick's outcome: of the record's fields those that a contact step fills, `cause` by its name.
+    """Result of one tick: the fields of the record that a contact step computes, with `cause` as a name.
 
-    Vectors (3,) float64 in the world frame; `finger_point`, `patch_normal` and `patch_stretch` in the fingertip frame.
-    `record` is the whole row.
+    Vectors are (3,) float64 in the world frame; `finger_point`, `patch_normal` and `patch_stretch` in the fingertip
+    frame. `record` is the complete row.
     """
 
     __slots__ = ("record",)
@@ -108,7 +108,7 @@ class Step:
 
 
 STEP_FIELDS: Final = {name: part.field for name, part in vars(Step).items() if isinstance(part, Part)}
-"""The record's field behind each attribute of Step."""
+"""Field of the record for each attribute of Step."""
 
 
 @entry
@@ -122,9 +122,9 @@ def step_many(
     first_tick: int,
     records: Array,
 ) -> None:
-    """One step for each of n ticks in `poses` (n, fingers, 7), with `records` (n, fingers, RECORD_SIZE) of them.
+    """Run one step for each of n ticks in `poses` (n, fingers, 7), and fill their `records` (n, fingers, RECORD_SIZE).
 
-    scene, start  the types of a Scene and its State, whose leaves are `values` and `state_values`
+    scene, start  types of a Scene and its State, with the leaves `values` and `state_values`
     """
     parameters = unpack(scene, values)
     state = unpack(start, state_values)
@@ -138,9 +138,9 @@ def step_many(
 
 
 def compiled(scene: Scene, begin: State) -> Callable[..., None]:
-    """`step_many` for scenes and states of these types, compiled; scene and start are of no use to it as arguments.
+    """Return `step_many` compiled for scenes and states of these types; it ignores the arguments `scene` and `start`.
 
-    numba's own call would look at each number of both trees to find their types: a hundred microseconds.
+    numba's dispatcher would determine the types of both trees number by number on each call, in a hundred microseconds.
     """
     if PLAIN:
         return lambda _scene, values, _start, *rest: step_many(scene, values, begin, *rest)
@@ -152,13 +152,24 @@ def compiled(scene: Scene, begin: State) -> Callable[..., None]:
 
 
 class Engine:
-    """The contact between a scene and its fingertip, or several, advanced by poses.
+    """Contact between a scene and its fingertips, advanced pose by pose.
 
-    scene     a validated scene; or what `load_scene` takes: the path or shipped name of a file, or a mapping like one
-    rate_hz   nominal tick rate, Hz; the default time step is its inverse
+    The first step compiles the scene's kernels unless they are in the cache from an earlier run.
 
-    The first step compiles the scene's kernels unless an earlier run left them in the cache.
+    Parameters
+    ----------
+    scene
+        Validated scene, or anything that `load_scene` accepts: path of a file, name of a shipped scene, or mapping.
+    rate_hz
+        Nominal tick rate, Hz; the default time step is its inverse.
 
+    Raises
+    ------
+    ConfigError
+        If the scene cannot be used, or the rate is out of range.
+
+    Examples
+    --------
     >>> from softfinger import Engine
     >>> engine = Engine("paper-plane")
     >>> touch = engine.step([0.0, 0.0, 0.0095], [1.0, 0.0, 0.0, 0.0])   # 0.5 mm into the plane z = 0, radius 10 mm
@@ -171,21 +182,24 @@ class Engine:
 
     def __init__(self, scene: SceneSource, rate_hz: float = 1000.0) -> None:
         self.config = load_scene(scene)
-        """The validated scene, with what was set."""
+        """Validated scene, including the changes by `set`."""
         self.scene: Scene = build_scene(self.config)
         self.fingers: Final = tuple(finger.name for finger in self.config.fingers)
-        """Names of the fingers; one of [fingertip] has the name ""."""
+        """Names of the fingers; the finger of [fingertip] has the name ""."""
         if not 1.0 / DT_MAX_S <= rate_hz <= 1.0 / DT_MIN_S:
             raise ConfigError(f"rate_hz = {rate_hz}: must be a number from {1 / DT_MAX_S:g} to {1 / DT_MIN_S:g} Hz")
         self.dt = 1.0 / rate_hz
         begin_bodies(self.scene, self.dt)
-        self._values = flatten(self.scene)
         self._begin = start_state(self.scene)
         self._start = flatten(self._begin)
         self._state = self._start.copy()
         self._tick = 0
+        self._make_buffers()
+
+    def _make_buffers(self) -> None:
+        """Allocate the arguments of the kernel, and the arrays with its results."""
+        self._values = flatten(self.scene)
         self._advance: Callable[..., None] | None = None
-        # What `step` hands to the kernel, and gets back.
         self._poses, self._records = (np.zeros((1, 1, size)) for size in (7, RECORD_SIZE))
         self._pose, self._record = self._poses[0, 0], self._records[0, 0]
         self._position, self._orientation = self._pose[:3], self._pose[3:]
@@ -195,20 +209,28 @@ class Engine:
         fingers = f"fingers {', '.join(self.fingers)}; " if len(self.fingers) > 1 else ""
         return f"<Engine: {fingers}objects {objects}; {1.0 / self.dt:g} Hz, after {self._tick} ticks>"
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state from which a copy continues with the same bits: scene, contact, bodies of a [world]."""
+        return {name: vars(self)[name] for name in ("config", "scene", "fingers", "dt", "_start", "_state", "_tick")}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        vars(self).update(state)
+        self._make_buffers()
+
     def reset(self) -> None:
-        """Forget the contact, and put the bodies of a [world] back: the next step is the first."""
+        """Clear the contact and reset the bodies of a [world]: the next step is the first."""
         self._state = self._start.copy()
         self._tick = 0
         begin_bodies(self.scene, self.dt)
 
     @property
     def model(self) -> Any:
-        """MuJoCo's MjModel of the scene's [world]; ConfigError in a scene without."""
+        """MuJoCo's MjModel of the scene's [world]. Raises ConfigError in a scene without [world]."""
         return self._world.model
 
     @property
     def data(self) -> Any:
-        """MuJoCo's MjData of the scene's [world]; ConfigError in a scene without."""
+        """MuJoCo's MjData of the scene's [world]. Raises ConfigError in a scene without [world]."""
         return self._world.data
 
     @property
@@ -225,11 +247,21 @@ class Engine:
     def set(self, changes: Mapping[str, Any]) -> None: ...
 
     def set(self, changes: str | Mapping[str, Any], value: Any = None) -> None:
-        """Change parameters and keep the contact: a dotted path and its value, or several in a mapping, all or none.
+        """Change parameters and preserve the contact. Nothing is compiled.
 
-        Paths are those of `load_scene` and of the command set_params, such as object.table.material.stiffness_n_per_m
-        or fingertip.radius_m. Nothing is compiled: ConfigError where a value is out of its range, a path has no place,
-        or a change makes another model.
+        Parameters
+        ----------
+        changes
+            Dotted path of one parameter, such as object.table.material.stiffness_n_per_m or fingertip.radius_m; or a
+            mapping with several paths and values, of which all or none are applied. `load_scene` and the command
+            set_params use the same paths.
+        value
+            Value of a single parameter.
+
+        Raises
+        ------
+        ConfigError
+            If a value is out of range, a path does not exist, or a change requires another compiled model.
         """
         wanted = {changes: value} if isinstance(changes, str) else changes
         config = overridden(self.config, wanted, "set")
@@ -239,7 +271,13 @@ class Engine:
         self._take(config, tree)
 
     def tune(self, scene: schema.Scene) -> None:
-        """Change parameters and keep the contact; ValueError if the scene has other parts than the compiled one."""
+        """Take the parameters from another scene and preserve the contact.
+
+        Raises
+        ------
+        ValueError
+            If the scene has other parts than the compiled one.
+        """
         tree = build_scene(scene, self.scene)
         if not same_model(tree, self.scene):
             raise ValueError("the new scene has other parts than the one compiled: make another engine")
@@ -247,18 +285,27 @@ class Engine:
 
     def _take(self, config: schema.Scene, tree: Scene) -> None:
         self.config, self.scene, self._values = config, tree, flatten(tree)
-        if PLAIN:  # its arrays are those of the scene it was made for; a compiled one goes by their addresses
+        if PLAIN:  # it refers to the arrays of its scene; compiled code reads their addresses from the values
             self._advance = None
 
     def step(self, position: ArrayLike, orientation: ArrayLike, dt: float | None = None) -> Step:
-        """Advance by one pose.
+        """Advance by one pose, in a scene with one finger.
 
-        position     (3,) m  fingertip centre, world
-        orientation  (4,) 1  quaternion w, x, y, z, fingertip to world; normalised here
-        dt           s       time since the last pose, default the nominal one
+        Parameters
+        ----------
+        position
+            (3,) m, fingertip centre, world frame.
+        orientation
+            (4,) quaternion w, x, y, z, fingertip to world; normalised here.
+        dt
+            Time since the last pose, s; by default the nominal one.
 
-        For a scene with one finger. Raises PoseError for a pose that is not finite or out of range, and for a dt that
-        no servo has.
+        Raises
+        ------
+        PoseError
+            If the pose is not finite or out of range, `dt` is out of range, or the scene has several fingers.
+        SafetyStop
+            If the bodies of a [world] have failed.
         """
         if len(self.fingers) > 1:
             raise self._several()
@@ -273,7 +320,7 @@ class Engine:
         x, y, z, a, b, c, d = self._pose.tolist()
         far = POSITION_MAX_M
         near = -far < x < far and -far < y < far and -far < z < far
-        if not (near and 0.5 < a * a + b * b + c * c + d * d < 2.0):  # or it is plainly usable, and a look costs 20 us
+        if not (near and 0.5 < a * a + b * b + c * c + d * d < 2.0):  # skip the check, 20 us, of a usable pose
             check_poses(self._poses[0])
         self._run(self._poses, self.dt if dt is None else self._check_dt(dt), self._records)
         return Step(self._record.copy())
@@ -285,12 +332,28 @@ class Engine:
     def run(self, poses: ArrayLike, dt: float | None = None) -> Records: ...
 
     def run(self, poses: ArrayLike | Mapping[str, ArrayLike], dt: float | None = None) -> Records | dict[str, Records]:
-        """Advance by many poses (n, 7), rows x, y, z, qw, qx, qy, qz; returns records (n, RECORD_SIZE), fields by name.
+        """Advance by many poses.
 
-        Of several fingers: poses of each by its name, as many for all; returns records by name.
+        Parameters
+        ----------
+        poses
+            (n, 7), rows x, y, z, qw, qx, qy, qz; with several fingers a mapping from their names to arrays of equal
+            length.
+        dt
+            Time step, s; by default the nominal one.
 
-        Fields are those of `softfinger.proxy.record`; the timestamp is the tick times dt, and the
-        fields of servo and device are 0. Raises PoseError as `step`, and for poses that are not of these fingers.
+        Returns
+        -------
+        Records or dict[str, Records]
+            (n, RECORD_SIZE), with the fields of `softfinger.proxy.record` by name; for a mapping a dictionary by finger
+            name. The timestamp is the tick times dt, and the fields of servo and device are 0.
+
+        Raises
+        ------
+        PoseError
+            If a pose or `dt` is out of range, or the poses do not match the scene's fingers.
+        SafetyStop
+            If the bodies of a [world] have failed.
         """
         named = isinstance(poses, Mapping)
         if not named and len(self.fingers) > 1:
@@ -303,7 +366,7 @@ class Engine:
         return each if named else each[self.fingers[0]]
 
     def _run(self, poses: Array, dt: float, records: Array) -> None:
-        """Steps for usable poses (n, fingers, 7) into `records` (n, fingers, RECORD_SIZE)."""
+        """Step with checked poses (n, fingers, 7), and fill `records` (n, fingers, RECORD_SIZE)."""
         if self._advance is None:
             self._advance = compiled(self.scene, self._begin)
         self._advance(None, self._values, None, self._state, poses, dt, self._tick, records)
@@ -322,7 +385,10 @@ class Engine:
 
 
 def poses_together(poses: Mapping[str, Any], fingers: Sequence[str]) -> Array:
-    """Poses (n, fingers, 7) from those of each finger, (n, 7), by name; PoseError where they do not go together."""
+    """Stack the poses (n, 7) of each finger, given by name, to (n, fingers, 7).
+
+    Raises PoseError if a pose cannot be used, or the names or lengths do not match.
+    """
     if set(poses) != set(fingers):
         names = ", ".join(fingers) or "one, whose poses are given without a name"
         raise PoseError(f"poses of {', '.join(map(str, poses))} are not those of the scene's fingers: {names}")
@@ -334,7 +400,7 @@ def poses_together(poses: Mapping[str, Any], fingers: Sequence[str]) -> Array:
 
 
 def check_poses(poses: Array) -> Array:
-    """Poses (n, 7), contiguous; raises PoseError naming the first row that cannot be used."""
+    """Return poses (n, 7) as a contiguous array; raise PoseError for the first row that cannot be used."""
     if poses.ndim != 2 or poses.shape[1] != 7:
         raise PoseError(f"poses of shape {poses.shape}: expected (n, 7), rows x, y, z, qw, qx, qy, qz")
     norms = np.linalg.norm(poses[:, 3:], axis=1)

@@ -1,8 +1,8 @@
-"""A height map as the numbers that its kernels take: the spline's coefficients, and the tiles that a search goes by.
+"""Conversion of a height map to the arrays of its kernels: coefficients of the spline, and tiles for the search.
 
-The spline goes through every height: of three neighbouring coefficients (c_-1 + 4 c_0 + c_1) / 6 is the height, and at
-the rim it is not bent (the natural spline), so that c_-1 = 2 c_0 - c_1 beyond it. Farther out the coefficients are
-those next to the rim, and the surface is level from the third pixel on.
+The spline passes through every height: of three adjacent coefficients (c_-1 + 4 c_0 + c_1) / 6 is the height. At
+the rim its curvature is zero (natural spline), so that c_-1 = 2 c_0 - c_1 beyond it. Farther out the coefficients
+repeat the ones next to the rim, and the surface is level from the third pixel on.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 
 RIM: Final = 4
-"""Coefficients beyond each side of the map: the one that ends it straight, and three like it."""
+"""Coefficients beyond each side of the map: one for zero curvature at the rim, and three copies of it."""
 SLACK: Final = 1e-13
-"""Of a map's height, by which a tile is thicker than computed: rounding of what was computed."""
+"""Increase of a tile's thickness for rounding, relative to the largest coefficient of the map."""
 
 
 class Facets(NamedTuple):
-    """Planes through tiles, (rows, columns) each.
+    """Planes that approximate tiles, with bounds; (rows, columns) each.
 
     a       height in the middle
     b1, b2  slopes along columns and rows
-    thick   how far from the plane the surface may be, along z
-    valley  bound of how h'' bends up
-    ridge   bound of how it bends down
+    thick   bound of the distance between surface and plane, along z
+    valley  bound of the largest eigenvalue of h'': upward curvature
+    ridge   bound of the largest eigenvalue of -h'': downward curvature
     """
 
     a: Grid
@@ -42,7 +42,7 @@ class Facets(NamedTuple):
 
 
 def read_heights(thing: schema.Heightmap) -> Grid:
-    """Heights (rows, columns), m, from the object's file. Raises ConfigError for one that cannot be used."""
+    """Return the heights (rows, columns), m, from the object's file. Raises ConfigError if it cannot be used."""
     try:
         heights = _levels(thing) * thing.level_m
         most, worst = limits.COORDINATE_M.high, float(heights.flat[np.abs(heights).argmax()])
@@ -59,13 +59,13 @@ def read_heights(thing: schema.Heightmap) -> Grid:
 def _levels(thing: schema.Heightmap) -> Grid:
     if thing.hfield is None:
         return read_grid(thing.file, even=True)
-    from softfinger.config.mjcf import read_hfield  # it needs MuJoCo
+    from softfinger.config.mjcf import read_hfield  # requires MuJoCo
 
-    return read_hfield(thing.file, thing.hfield)
+    return read_hfield(thing.file, thing.root, thing.hfield)
 
 
 def kernel_heightmap(heights: Grid, pitch: float) -> model.Heightmap:
-    """The map of heights (rows, columns), m, `pitch` m apart, columns along x and rows along y."""
+    """Return the map of heights (rows, columns), m, `pitch` m apart, columns along x and rows along y."""
     spline = coefficients(heights / pitch)
     facets = [facets_of_cells(spline)]
     while facets[-1].a.size > 1:
@@ -85,26 +85,50 @@ def kernel_heightmap(heights: Grid, pitch: float) -> model.Heightmap:
 
 
 def tightest(heights: Grid, pitch: float) -> float:
-    """Curvature that no valley of the map within its pixels exceeds, 1/m."""
+    """Return an upper bound of the upward curvature of the map within its pixels, 1/m."""
     valley, _ = sharpest_bends(coefficients(heights / pitch))
     first, (rows, columns) = RIM - 1, heights.shape
     return float(valley[first : first + max(rows - 1, 1), first : first + max(columns - 1, 1)].max()) / pitch
 
 
+def overshoot(heights: Grid) -> float:
+    """Return by how much the surface rises above or falls below the four pixels around it, m, at fifths of a cell."""
+    rows, columns = heights.shape
+    if min(rows, columns) < 2:
+        heights = np.repeat(np.repeat(heights, 1 + (rows < 2), 0), 1 + (columns < 2), 1)
+        rows, columns = heights.shape
+    first = RIM - 1
+    net = _bezier(coefficients(heights)[first : first + rows + 2, first : first + columns + 2])
+    corners = [heights[j : rows - 1 + j, i : columns - 1 + i] for j in (0, 1) for i in (0, 1)]
+    low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
+    weights = [
+        np.array([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3]) for t in (0.0, 0.2, 0.4, 0.6, 0.8)
+    ]
+    most = 0.0
+    for along in weights:
+        for across in weights:
+            surface = sum(along[j] * across[i] * net[j][i] for j in range(4) for i in range(4))
+            most = max(most, float((surface - high).max()), float((low - surface).max()))
+    return most
+
+
 def thinned(heights: Grid, pitch: float, most: int) -> tuple[Grid, Grid, Grid]:
-    """Places x (columns,) and y (rows,), m, and heights (rows, columns): so many pixels a side at most."""
+    """Reduce a map to at most `most` pixels a side.
+
+    Returns x (columns,) and y (rows,), m, and heights (rows, columns).
+    """
     rows, columns = (np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int)) for n in heights.shape)
     x, y = ((kept - 0.5 * (n - 1)) * pitch for kept, n in ((columns, heights.shape[1]), (rows, heights.shape[0])))
     return x, y, heights[np.ix_(rows, columns)]
 
 
 def coefficients(values: Grid) -> Grid:
-    """Of the spline through the values (rows, columns), with RIM more on each side."""
+    """Return the coefficients of the spline through the values (rows, columns), with RIM more on each side."""
     return _along_rows(_along_rows(values).T).T
 
 
 def _along_rows(values: Grid) -> Grid:
-    """A spline along the first axis, for each column: Thomas' algorithm for (1, 4, 1) between the first and last."""
+    """Fit a spline along the first axis, for each column: Thomas' algorithm for (1, 4, 1) of the inner rows."""
     count = len(values)
     found = values.copy()
     if count > 2:
@@ -125,7 +149,11 @@ def _along_rows(values: Grid) -> Grid:
 
 
 def facets_of_cells(spline: Grid) -> Facets:
-    """Of each cell: its surface is among the 16 heights of its Bezier net, which are as a plane where it is one."""
+    """Return the facets of the cells.
+
+    The surface of a cell is between the 16 heights of its Bezier net. The net of a plane is coplanar, so it has zero
+    thickness.
+    """
     net = _bezier(spline)
     b1 = 0.5 * (net[0][3] - net[0][0] + net[3][3] - net[3][0])
     b2 = 0.5 * (net[3][0] - net[0][0] + net[3][3] - net[0][3])
@@ -135,10 +163,10 @@ def facets_of_cells(spline: Grid) -> Facets:
 
 
 def _bezier(spline: Grid) -> list[list[Grid]]:
-    """Heights of the Bezier net of every cell: [j][i] along rows and columns, (rows, columns) each."""
+    """Return the heights of the Bezier net of every cell: [j][i] along rows and columns, (rows, columns) each."""
 
     def split(c: Grid) -> list[Grid]:
-        """Along the first axis."""
+        """Split along the first axis."""
         c0, c1, c2, c3 = (c[k : len(c) - 3 + k] for k in range(4))
         return [(c0 + 4.0 * c1 + c2) / 6.0, (2.0 * c1 + c2) / 3.0, (c1 + 2.0 * c2) / 3.0, (c1 + 4.0 * c2 + c3) / 6.0]
 
@@ -146,12 +174,15 @@ def _bezier(spline: Grid) -> list[list[Grid]]:
 
 
 def facets_of_four(small: Facets, size: float) -> Facets:
-    """Of the tiles that four of `size` cells make, at the rim fewer: with their mean slope, and as thick as they go."""
+    """Return the facets of the tiles that combine four tiles of `size` cells, fewer at the rim.
+
+    A tile has the mean slope of its parts, and a thickness that includes theirs.
+    """
     pads = [(0, small.a.shape[0] % 2), (0, small.a.shape[1] % 2)]
     padded = [np.pad(each, pads, mode="edge") for each in small]
     a, b1, b2, thick, *bending = ([each[j::2, i::2] for j in (0, 1) for i in (0, 1)] for each in padded)
     bends = [np.maximum.reduce(each) for each in bending]
-    # What is not there is as its neighbour, in its place: as if the tile were smaller.
+    # Missing parts at the rim are masked, as if the tile were smaller.
     rows, columns = np.indices(a[0].shape)
     there = [(2 * rows + j < small.a.shape[0]) & (2 * columns + i < small.a.shape[1]) for j in (0, 1) for i in (0, 1)]
     count = sum(mask.astype(float) for mask in there)
@@ -168,9 +199,10 @@ def facets_of_four(small: Facets, size: float) -> Facets:
 
 
 def sharpest_bends(spline: Grid) -> tuple[Grid, Grid]:
-    """Bounds of the largest eigenvalues of h'' and of -h'' in each cell, not negative.
+    """Return upper bounds of the largest eigenvalues of h'' and of -h'' in each cell, not negative.
 
-    Derivatives of a B-spline are B-splines of differences of its coefficients, and in a cell between those of its own.
+    Derivatives of a B-spline are B-splines of differences of its coefficients, and in a cell between the differences
+    there.
     """
     ss, tt = np.diff(spline, 2, axis=1), np.diff(spline, 2, axis=0)
     mixed = _most(np.abs(np.diff(np.diff(spline, axis=0), axis=1)), 3, 3)
@@ -180,5 +212,5 @@ def sharpest_bends(spline: Grid) -> tuple[Grid, Grid]:
 
 
 def _most(values: Grid, rows: int, columns: int) -> Grid:
-    """The greatest of every block of so many."""
+    """Return the maximum of every block of rows x columns."""
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, (rows, columns)).max(axis=(2, 3)))

@@ -1,4 +1,7 @@
-"""The objects' normal force, friction and torsion as kernel laws, all of one type: one law is compiled for a scene."""
+"""Conversion of the objects' normal force, friction and torsion to kernel laws.
+
+All objects have laws of the same type, so that one law of each kind is compiled for a scene.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ _LIMP = schema.Torsion(stiffness_nm_per_rad=1.0, friction_length_m=0.0)
 
 
 def normal_laws(scene: schema.Scene) -> list[NormalLaw]:
-    """A law for each object, of the type that the richest of them needs: a linear spring has the exponent 1."""
+    """Return a law for each object, of the most general type needed: a linear spring has the exponent 1."""
     things = [(thing.material, thing.material.normal or schema.Normal()) for thing in scene.object]
     curved = any(normal.exponent != 1.0 for _, normal in things)
     crossed = any(normal.damping_s_per_m is not None for _, normal in things)
@@ -32,10 +35,10 @@ def normal_laws(scene: schema.Scene) -> list[NormalLaw]:
 
 
 def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
-    """A law for each object, None for all if none has friction.
+    """Return a law for each object; None for all if none has friction.
 
-    They are of the type that the richest of them needs; where an object has less, the rest of its law does
-    nothing: no friction is a coefficient of 0, no Stribeck curve a speed of 0, alike in all directions a scale of 1.
+    All are of the most general type needed. The unused parameters of an object are neutral: coefficient 0 without
+    friction, speed 0 without a Stribeck curve, scale 1 without a direction.
     """
     given = [thing.material.friction for thing in scene.object]
     present = [friction for friction in given if friction is not None]
@@ -60,7 +63,7 @@ def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
 
 
 def torsion_laws(scene: schema.Scene) -> list[TorsionLaw]:
-    """A law for each object, None for all if none has torsion; of one type, as the friction laws are."""
+    """Return a law for each object, all of one type, as in `friction_laws`; None for all if none has torsion."""
     given = [thing.material.torsion for thing in scene.object]
     present = [torsion for torsion in given if torsion is not None]
     if not present:
@@ -85,7 +88,7 @@ def torsion_laws(scene: schema.Scene) -> list[TorsionLaw]:
         if "limit_surface" in models:
             laws.append(model.LimitSurface(law))
         elif "soft_finger_proxy" in models:
-            # With the same limit for sticking and slipping this proxy is that of the independent model.
+            # With equal limits for sticking and slipping, this proxy is the one of the independent model.
             laws.append(model.SoftFingerProxy(law, share))
         else:
             laws.append(law)
@@ -93,7 +96,7 @@ def torsion_laws(scene: schema.Scene) -> list[TorsionLaw]:
 
 
 def shear_compliances(scene: schema.Scene) -> list[float | None]:
-    """1/G of each object, m^2/N, 0 for a rigid one; None for all where no patch asks for it."""
+    """Return 1/G of each object, m^2/N, 0 for a rigid one; None for all if no fingertip has a patch."""
     moduli = [thing.material.shear_modulus_pa for thing in scene.object]
     if not scene.soft:
         return [None for _ in moduli]
@@ -101,7 +104,7 @@ def shear_compliances(scene: schema.Scene) -> list[float | None]:
 
 
 def kernel_patch(patch: schema.Patch | None) -> model.HertzPatch | model.PowerPatch | None:
-    """The fingertip's patch for the kernels."""
+    """Return the fingertip's patch for the kernels."""
     if patch is None:
         return None
     rolling = None if patch.rolling_loss is None else model.RollingLoss(patch.rolling_loss)
@@ -118,7 +121,7 @@ def kernel_patch(patch: schema.Patch | None) -> model.HertzPatch | model.PowerPa
 
 
 def lever_of(k: float) -> float:
-    """Mean distance from the centre, over the radius, of the pressure (1 - x^k)^(1/k): 3 pi/16 for k = 2.
+    """Return the mean distance from the centre, over the radius, of the pressure (1 - x^k)^(1/k): 3 pi/16 for k = 2.
 
     B(3/k, 1 + 1/k) / B(2/k, 1 + 1/k), the integrals of x^2 and of x times the pressure. Source of the family: Xydas and
     Kao (1999).

@@ -1,4 +1,4 @@
-"""Objects that are made of a file as triangles, few enough for a picture and for the wire."""
+"""Triangles of objects defined by a file, few enough to draw and to send."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from softfinger.proxy.meshes.prepared import rendered
 from softfinger.proxy.meshes.reading import Arrays
 
 MAP_PIXELS: Final = 158
-"""Of a height map along each side, at most: 49 298 triangles, as many as of a mesh."""
+"""Largest number of pixels of a height map's picture along each side: 49 298 triangles, as many as of a mesh."""
 
 Filed = schema.Mesh | schema.Heightmap
-"""What of an object is to be seen is in no table of these, but in a file."""
+"""Objects with their geometry in a separate file."""
 
 
 class Picture(NamedTuple):
-    """Triangles in the object's frame, m, counter-clockwise seen from outside; of how many these are a part."""
+    """Triangles in the object's frame, m, counter-clockwise seen from outside; `of` is the number before reduction."""
 
     arrays: Arrays
     of: int
 
 
 def picture_of(thing: Filed) -> Picture:
-    """What an object looks like. ConfigError, naming it, for a file that cannot be used any more."""
+    """Return the picture of an object. Raises ConfigError, with its name, if its file cannot be used any more."""
     if isinstance(thing, schema.Mesh):
         report, arrays = rendered(thing)
         return Picture(arrays, report.triangles)
@@ -37,9 +37,10 @@ def picture_of(thing: Filed) -> Picture:
 
 
 def relief(x: Grid, y: Grid, z: Grid) -> Arrays:
-    """Two triangles for each cell between heights (rows, columns) at x (columns,) and y (rows,), facing upwards, m.
+    """Return two triangles for each cell between heights `z` (rows, columns) at x (columns,) and y (rows,).
 
-    A map of one row or one column, which is a profile without an end, is as deep as it is wide.
+    A map of one row or one column, an infinite profile, is drawn as deep as it is wide. They face upwards. Lengths in
+    m.
     """
     if len(y) == 1:
         y, z = x[[0, -1]], z[[0, 0]]

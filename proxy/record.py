@@ -1,8 +1,7 @@
-"""The record: what one servo tick leaves behind, as a table.
+"""Table of the record: the result of one servo tick.
 
-A record is one row of float64. The servo writes it, the ring carries it, telemetry names it,
-results files flatten it, and docs/reference/ lists it; all of them read this table, so a field
-is added here and nowhere else, at the end. Integers are exact in float64 up to 2**53.
+A record is one row of float64. The servo, the ring buffer, telemetry, results files and docs/reference/ all read this
+table, so a field is added only here, at the end. Integers are exact in float64 up to 2**53.
 """
 
 from dataclasses import dataclass
@@ -13,10 +12,10 @@ from typing import Annotated, Final, Literal, NamedTuple, get_type_hints
 Kind = Literal["float", "int"]
 
 POSITION_MAX_M: Final = 1e6
-"""A coordinate beyond this is a broken sensor; its square is still far from overflow."""
+"""Largest plausible coordinate: beyond it a sensor is broken. Its square is still far from overflow."""
 
 PATCHES: Final = 3
-"""Patches of contact that a record has room for, `contacts0` the most loaded; a message has them in a list."""
+"""Number of contact patches in a record, `contacts0` the most loaded; a message has them in a list."""
 
 FREE: Final = 0
 ROLLING: Final = 1
@@ -24,7 +23,7 @@ SLIDING: Final = 2
 
 
 class ContactMode(IntEnum):
-    """How a fingertip touches: `contact.mode` of records and messages, where it is the same number."""
+    """Mode of a contact: `contact.mode` of records and messages, as the same number."""
 
     FREE = FREE
     ROLLING = ROLLING
@@ -45,13 +44,13 @@ CAUSE_RESTART: Final = 7
 
 UNSEARCHED: Final = 1
 ON_ITS_WAY: Final = 2
-"""Of `contact.budget`, and 0 for neither."""
+"""Values of `contact.budget`, besides 0."""
 
 
 class Offsets(NamedTuple):
-    """The table: each field with its number of components, kind, unit, frame and meaning.
+    """Table of the record: each field with its number of components, kind, unit, frame and meaning.
 
-    Its telemetry name has a dot for the first underscore.
+    Its telemetry name has a dot in place of the first underscore.
     """
 
     timestamp: Annotated[int, 1, "float", "s", "", "time of the tick since the epoch"]
@@ -78,7 +77,7 @@ class Offsets(NamedTuple):
     contact_cause: Annotated[int, 1, "int", "1", "", "cause of the mode change in this tick, 0 none"]
     contact_normal_force: Annotated[int, 1, "float", "N", "", "normal force before the guard"]
     contact_tangential_force: Annotated[int, 1, "float", "N", "", "magnitude of the tangential force before the guard"]
-    servo_guard: Annotated[int, 1, "int", "bits", "", "what the guard changed in this tick"]
+    servo_guard: Annotated[int, 1, "int", "bits", "", "changes by the guard in this tick"]
     servo_busy: Annotated[int, 1, "float", "s", "", "duration of the previous tick, from wake-up to sleep"]
     passivity_energy: Annotated[
         int, 1, "float", "J", "", "work of the hand in this contact; below 0: energy that the rendering generated"
@@ -149,15 +148,15 @@ FIELDS: Final = tuple(
 )
 
 AT: Final = Offsets(*accumulate((field.size for field in FIELDS[:-1]), initial=0))
-"""First column of each field by name, in kernels too: `row[AT.contact_mode]`."""
+"""First column of each field by name, also for kernels: `row[AT.contact_mode]`."""
 
 NAMED: Final = {field.name: field for field in FIELDS}
-"""Fields by telemetry name, for names that come from outside."""
+"""Fields by telemetry name, to look up names from users."""
 
 RECORD_SIZE: Final = sum(field.size for field in FIELDS)
-"""Columns of one record."""
+"""Number of columns of a record."""
 
 
 def columns() -> list[str]:
-    """Names of the record's columns, components as `name[i]`, in order; the header of a results file."""
+    """Return the names of the record's columns in order, components as `name[i]`; the header of a results file."""
     return [f"{f.name}[{i}]" if f.size > 1 else f.name for f in FIELDS for i in range(f.size)]

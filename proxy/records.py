@@ -1,4 +1,4 @@
-"""Records by the names of their fields: arrays that know the table of a tick."""
+"""Records as arrays with access by field name, according to the table of a tick."""
 
 from __future__ import annotations
 
@@ -15,22 +15,24 @@ if TYPE_CHECKING:
     import pandas
 
 STRUCTURE: Final = np.dtype([(field.name, np.float64, (field.size,) if field.size > 1 else ()) for field in FIELDS])
-"""A record as numpy's structured type, dotted names; whole numbers are exact in it."""
+"""Record as numpy's structured type, with dotted names; integers are exact in it."""
 
 
 class NoField(HapticError, KeyError):
-    """A name that no field of a record has."""
+    """Name that is no field of a record."""
 
     __str__ = Exception.__str__  # KeyError shows its message in quotes
 
 
 class Records(np.ndarray[Any, np.dtype[np.float64]]):
-    """Records (..., RECORD_SIZE) float64, a row a tick, whose fields go by their telemetry names.
+    """Records (..., RECORD_SIZE) float64, one row per tick, with access to fields by telemetry name.
 
-    `records["force"]` is (..., 3), a view; `records["contact.mode"]` is (...,): whole numbers are int64 copies. Rows
-    are taken as from any array, and keep their names: `records[records["contact.mode"] == 2]["force"]`. What has no
-    whole rows any more is a plain array.
+    `records["force"]` is (..., 3), a view; `records["contact.mode"]` is (...,): integer fields are int64 copies. Rows
+    are selected as in any array, and preserve their names: `records[records["contact.mode"] == 2]["force"]`. A
+    selection without complete rows is a plain array.
 
+    Examples
+    --------
     >>> from softfinger import run_recording
     >>> records = run_recording("tap")
     >>> records["force"].shape, int(records["contact.mode"].max())
@@ -40,7 +42,7 @@ class Records(np.ndarray[Any, np.dtype[np.float64]]):
     """
 
     def __new__(cls, rows: NDArray[np.float64]) -> Self:
-        """The same memory, with names. Raises ValueError for rows that are no records."""
+        """Return a view of the same memory. Raises ValueError if the rows are not records."""
         if rows.shape[-1:] != (RECORD_SIZE,):
             raise ValueError(f"an array of shape {rows.shape} has no records: its rows must have {RECORD_SIZE} columns")
         return rows.view(cls)
@@ -66,18 +68,21 @@ class Records(np.ndarray[Any, np.dtype[np.float64]]):
         return f"<Records: {count}; fields {', '.join(NAMED)}>"
 
     def _ipython_key_completions_(self) -> list[str]:
-        """What IPython and notebooks offer behind `records[`."""
+        """Return the completions that IPython and notebooks offer after `records[`."""
         return list(NAMED)
 
     @property
     def structured(self) -> NDArray[Any]:
-        """The same memory (...,) as numpy's structured type, a name for each field."""
+        """The same memory (...,) as numpy's structured type, with a name for each field."""
         return np.ascontiguousarray(self.view(np.ndarray)).view(STRUCTURE)[..., 0]
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Records (n, RECORD_SIZE) as a table, columns as those of a results file: `tick`, `force[0]`, ....
+        """Return records (n, RECORD_SIZE) as a table, with the columns of a results file: `tick`, `force[0]`, ....
 
-        Raises HapticError where pandas is not installed.
+        Raises
+        ------
+        HapticError
+            If pandas is not installed.
         """
         try:
             import pandas

@@ -1,4 +1,4 @@
-"""From a validated scene file to the tree the kernels are compiled for."""
+"""Conversion of a validated scene file to the tree of named tuples for which the kernels are compiled."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from softfinger.proxy.textures import kernel_texture
 
 
 class Body(NamedTuple):
-    """A kernel shape with its place (m) and turn in the frame of the object that it is part of."""
+    """Kernel shape with its position (m) and orientation in the frame of the object of which it is a part."""
 
     shape: Any
     position: model.Vec3 = (0.0, 0.0, 0.0)
@@ -36,11 +36,19 @@ class Body(NamedTuple):
 
 
 def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model.Scene:
-    """The scene as named tuples of float64; a table the file leaves out becomes None.
+    """Return the scene as named tuples of float64; a missing table becomes None.
 
-    before  what was built with other parameters: the bodies of its world go on in this one
+    Parameters
+    ----------
+    scene
+        Validated scene.
+    before
+        Scene built earlier with other parameters: the bodies of its world continue in the new one.
 
-    Raises ConfigError if the file of a texture or a height map cannot be used.
+    Raises
+    ------
+    ConfigError
+        If the file of a texture or a height map cannot be used.
     """
     materials, rigid = _materials(scene), bodies_of(scene, before)
     bodies = list[model.Object]()
@@ -79,7 +87,7 @@ def _count(scene: model.Scene) -> float:
 
 
 def other_model(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
-    """Which of the changes to a scene, that together make another model than its own, do so; for a message."""
+    """Return a message that names the changes to a scene that require another compiled model."""
     built = build_scene(scene)
     alone = [key for key, value in changes.items() if not _same_with(scene, built, {key: value})]
     return f"{', '.join(alone or changes)}: that is another model, to be compiled"
@@ -110,7 +118,7 @@ def _finger(given: schema.FingerParts, rolling: schema.Rolling | None) -> model.
 
 
 def start_state(scene: model.Scene) -> model.State:
-    """State before the first pose."""
+    """Return the state before the first pose."""
     effects = (start_states(scene.effects), tuple(start_states(each.effects) for each in scene.objects.effects))
     finger = model.FingerState(
         started=0.0,
@@ -136,15 +144,15 @@ def _memory(objects: model.Single | model.Many) -> Any:
 
 
 def patches_of(objects: model.Single | model.Many) -> int:
-    """How many patches of contact a fingertip can have at once: one body is touched in one place, a mesh in several."""
+    """Return the largest number of contacts of a fingertip: 1 with one object that is not a mesh, otherwise 3."""
     return 1 if isinstance(objects, model.Single) and not isinstance(objects.body.shape, model.Mesh) else 3
 
 
 def _placed(
     shape: Any, thing: schema.Object, position: model.Vec3, orientation: model.Quaternion, fixed: bool
 ) -> tuple[Any, Any]:
-    """A shape and the least pose it needs: none for what is `fixed` and can be given in the world."""
-    turn = thing.orientation_wxyz  # parts are moved against their object, not turned
+    """Return a shape and its simplest pose: none if it is `fixed` and can be expressed in the world frame."""
+    turn = thing.orientation_wxyz  # parts are translated relative to their object, not rotated
     moved = _rotated(thing.orientation_wxyz, position)
     at = (moved[0] + thing.position_m[0], moved[1] + thing.position_m[1], moved[2] + thing.position_m[2])
     if not fixed:
@@ -158,7 +166,7 @@ def _placed(
 
 
 def _rotated(q: model.Quaternion, v: model.Vec3) -> model.Vec3:
-    """`v` (3,) turned by the unit quaternion `q`; in Python, since compiling a kernel for it would delay the start."""
+    """Rotate `v` (3,) by the unit quaternion `q`; in Python, because compiling a kernel would delay the start."""
     w, x, y, z = q
     rows = (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
@@ -170,7 +178,7 @@ def _rotated(q: model.Quaternion, v: model.Vec3) -> model.Vec3:
 
 
 def _facing(material: model.Material, turn: model.Quaternion) -> model.Material:
-    """The material of a shape that is given in the world: its directions are given there too."""
+    """Return the material of a shape expressed in the world frame, with its directions rotated there, too."""
     law = material.friction
     if not isinstance(law, model.Anisotropic):
         return material
@@ -178,7 +186,7 @@ def _facing(material: model.Material, turn: model.Quaternion) -> model.Material:
 
 
 def _materials(scene: schema.Scene) -> list[model.Material]:
-    """A material for each object, all of the same parts."""
+    """Return a material for each object, all with the same types of laws."""
     return [
         model.Material(*laws)
         for laws in zip(
@@ -189,10 +197,10 @@ def _materials(scene: schema.Scene) -> list[model.Material]:
 
 @singledispatch
 def shape_bodies(thing: Any) -> list[Body]:
-    """What an object's shape is made of. A shape from another package registers what serves its table.
+    """Return the bodies of an object's shape. Another package registers a function for the table of its shape.
 
-    Most shapes are one body. The inside of a box or of a cylinder with ends is several walls that
-    hold the fingertip at once, one body each.
+    Most shapes are one body. The inside of a box or of a cylinder with ends consists of several walls that
+    can support the fingertip simultaneously, one body each.
     """
     raise TypeError(f"{type(thing).__name__} is no shape: nothing is registered with shape_bodies for it")
 
@@ -246,7 +254,7 @@ def _heightmap(thing: schema.Heightmap) -> list[Body]:
 
 @shape_bodies.register
 def _mesh(thing: schema.Mesh) -> list[Body]:
-    from softfinger.proxy.meshes.tree import Tree, build_tree  # its kernels are for scenes with a mesh alone
+    from softfinger.proxy.meshes.tree import Tree, build_tree  # its kernels are only for scenes with a mesh
 
     tree = tree_of(thing, Builder(build_tree, Tree))
     x, y, z = tree.center.tolist()
@@ -272,7 +280,7 @@ def _side(inside: bool) -> float:
 
 
 def _walls(axis: int, half: float) -> list[Body]:
-    """Two planes at +-half along an axis, facing each other."""
+    """Return two planes at +-half along an axis, facing each other."""
     return [
         Body(
             model.Plane(
@@ -284,7 +292,6 @@ def _walls(axis: int, half: float) -> list[Body]:
 
 
 def _rolling(scene: schema.Scene) -> Any:
-    """The rolling method; None without one."""
     rolling = scene.rolling
     if rolling is None:
         return None
@@ -304,7 +311,7 @@ def _rolling(scene: schema.Scene) -> Any:
 
 
 def explain(scene: schema.Scene) -> str:
-    """What is modelled and what is left out, in a line."""
+    """Return one line that lists the modelled and the omitted parts."""
     materials = [thing.material for thing in scene.object]
     parts = {
         "rolling" if scene.rolling is None else f"rolling ({scene.rolling.method})": scene.rolling is not None,

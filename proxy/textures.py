@@ -1,12 +1,12 @@
-"""A scene's texture as the numbers that its kernel takes: from its file, without what 1 kHz cannot carry.
+"""Conversion of a scene's texture to the arrays of its kernel: from its file, without wavelengths too short for 1 kHz.
 
-A hand that strokes at v feels what has the wavelength L at the frequency v / L. What comes at more than half the tick
-rate would come out as something else, coarser: it is removed beforehand by a filter on the array.
+A hand that strokes at the speed v feels the wavelength L as the frequency v / L. Frequencies above half the tick
+rate would alias to lower ones, so a filter removes them from the array in advance.
 
-The filter is Gaussian, in the frequency domain, alike in all directions: what has the wavelength L keeps the share
-REST^((CUTOFF / L)^2), and at the cutoff v / (tick rate / 2) that is REST. A Gaussian has no side lobes, so what is
-filtered does not overshoot: heights stay between those of the file, and factors of friction between those of the
-scene. The same is true of the spline between the filtered numbers.
+The filter is an isotropic Gaussian in the frequency domain: the amplitude of a wavelength L is multiplied by
+REST^((CUTOFF / L)^2); at the cutoff v / (tick rate / 2) that is REST. A Gaussian has no side lobes, so the result does
+not overshoot: heights remain in the range of the file, and factors of friction in the range of the scene. The same is
+true of the spline between the filtered numbers.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from softfinger.proxy.kernels.jit.arrays import ReadOnly
 FREQUENCY_MAX_HZ: Final = limits.FREQUENCY_HZ.high
 """Half of the usual 1 kHz."""
 REST: Final = 0.01
-"""Share of an amplitude at the cutoff that is left."""
+"""Fraction of an amplitude that remains at the cutoff."""
 
 
 class Made(NamedTuple):
-    """A texture as it is rendered.
+    """Texture as rendered.
 
     values   (rows, columns)  in [0, 1], filtered: coefficients of the spline
-    size     m                of the array on the surface; round a cylinder such that it meets itself
-    around   whether it goes round a cylinder
+    size     m                of the array on the surface; around a cylinder adjusted such that its ends meet
+    around   True if it extends around a cylinder
     """
 
     values: Grid
@@ -42,12 +42,12 @@ class Made(NamedTuple):
 
 
 def cutoff_m(texture: schema.Texture) -> float:
-    """Wavelength at which REST is left, m."""
+    """Return the cutoff wavelength, m."""
     return texture.speed_m_per_s / FREQUENCY_MAX_HZ
 
 
 def make(thing: schema.Textured) -> Made:
-    """The texture that an object has, from its file. Raises ConfigError for a file that cannot be used."""
+    """Return the texture of an object from its file. Raises ConfigError if the file cannot be used."""
     texture = thing.texture
     assert texture is not None
     try:
@@ -68,11 +68,11 @@ def make(thing: schema.Textured) -> Made:
 
 
 def bounds(thing: schema.Textured) -> tuple[float, float, float]:
-    """Of the heights as rendered: lowest to highest, m; steepest slope at most, 1; sharpest bend at most, 1/m.
+    """Return bounds of the heights as rendered: range, m; largest slope, 1; largest curvature, 1/m.
 
-    Derivatives of a B-spline are B-splines of differences of its coefficients, and stay between those. The bend is that
-    in the direction in which it is sharpest: of the second derivatives h_uu, h_vv, h_uv no more than the larger of the
-    first two and the third together.
+    Derivatives of a B-spline are B-splines of differences of its coefficients, and bounded by their range. The
+    curvature is that of the direction where it is largest: from the second derivatives h_uu, h_vv, h_uv, at most the
+    larger of the first two plus the third.
     """
     assert thing.texture is not None and thing.texture.height_m is not None
     values, size, around = make(thing)
@@ -92,10 +92,10 @@ def bounds(thing: schema.Textured) -> tuple[float, float, float]:
 
 
 def filtered(grid: Grid, pitch: tuple[float, float], cutoff: float, repeats: tuple[bool, bool]) -> Grid:
-    """The numbers (rows, columns) without what has a wavelength below `cutoff` (m).
+    """Return the numbers (rows, columns) without wavelengths below `cutoff` (m).
 
     pitch    m  between columns and between rows
-    repeats     along the columns and the rows; what does not repeat is mirrored at its border, so that it ends level
+    repeats     along the columns and the rows; otherwise the array is mirrored at its border, for zero slope there
     """
     rows, columns = grid.shape
     pads = ((0, 0 if repeats[1] else rows), (0, 0 if repeats[0] else columns))
@@ -104,12 +104,12 @@ def filtered(grid: Grid, pitch: tuple[float, float], cutoff: float, repeats: tup
     v = np.fft.fftfreq(wide.shape[0], pitch[1])[:, None]
     spectrum = np.fft.rfft2(wide) * REST ** (cutoff**2 * (u**2 + v**2))
     smooth = np.fft.irfft2(spectrum, s=wide.shape)[:rows, :columns]
-    # Where the array is too coarse for the filter it is cut off at the array's own limit, and rings by a little.
+    # If the array is too coarse for the filter, the array's resolution is the cutoff, with a little ringing.
     return np.clip(smooth, grid.min(), grid.max())
 
 
 def kernel_texture(thing: schema.Object) -> model.Texture | None:
-    """The texture of an object for its kernels; None without one. Raises ConfigError as `make` does."""
+    """Return the texture of an object for its kernels; None without one. Raises ConfigError as `make` does."""
     texture = getattr(thing, "texture", None)
     if texture is None:
         return None

@@ -1,4 +1,4 @@
-"""The program: the command line, the daemon, and the loop that renders.
+"""Command line, daemon and servo loop.
 
-No physics and no vendor's protocol: those are in `proxy` and `drivers`. Nothing here imports `tools`.
+Contains no physics and no device protocol: these are in `proxy` and `drivers`. Imports nothing from `tools`.
 """

@@ -1,4 +1,4 @@
-"""The daemon: a list of services around one servo, from start to the last zero force."""
+"""Daemon: starts and stops the services around one servo, until its last write of zero force."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.server.loop import realtime, shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.publishing.setup import Shown
+from softfinger.server.publishing.setup import StateInfo
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.blackbox import BlackBoxes
-from softfinger.server.services.commands import Commands, Doing
-from softfinger.server.services.description import described
+from softfinger.server.services.commands import Commands, DaemonInterface
+from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.device_warnings import DeviceWarnings
 from softfinger.server.services.hotplug import Hotplug, HotplugWatch
 from softfinger.server.services.notify import Notify
@@ -33,34 +33,45 @@ from softfinger.server.services.supervisor import Supervisor
 from softfinger.server.services.swapping import Swapping
 from softfinger.server.services.telemetry import Telemetry
 from softfinger.server.services.world import WorldState
-from softfinger.server.states import State, States, Trigger
-from softfinger.server.wire.doors import doors_of
+from softfinger.server.states import DaemonState, States, Trigger
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.events import event_map
+from softfinger.server.wire.native.switch import SharedSwitch
 from softfinger.server.wire.publisher import Publisher
+from softfinger.server.wire.rig_endpoints import Endpoints, bind_rig
 
 if TYPE_CHECKING:  # an HTTP server takes time to import, and is off by default
     from softfinger.server.metrics.service import Metrics
 
 STUCK_S: Final = 1.0
-"""A servo that was told to end because something failed, and has not within this, is stuck in its device: nobody waits
-for it any more."""
+"""Time that the servo has to end after an error. Past it, the servo is stuck in its device, and `wait` raises."""
 WAIT_POLL_S: Final = 0.25
 PUBLISHER_PRIORITY: Final = 1
-"""The lowest there is: above what has none, and below all that a tick waits for."""
+"""Lowest real-time priority: above normal threads, below all threads that a tick depends on."""
 
 
 class Daemon:
-    """A running server. Construct (opens everything), `start`, `wait`, `close`; or use as a context.
+    """Running server. Construct (opens everything), `start`, `wait`, `close`; also a context manager.
 
-    rig, scene   validated configuration
-    ticks        how many ticks to run, None until stopped
-    report       called from the servo thread with the outcome of each real-time setting
-    sinks        take every record besides the publisher
-    scene_name   what the scene is called
-    faults       to be injected between the devices and the loop
+    Parameters
+    ----------
+    rig, scene
+        Validated configuration.
+    ticks
+        Number of ticks to run; None: until stopped.
+    report
+        Called from the servo thread with the result of each real-time setting.
+    sinks
+        Receivers of all records, in addition to the publisher.
+    scene_name
+        Name of the scene.
+    faults
+        Faults to inject between the devices and the loop.
 
-    Raises what opening a device or binding an endpoint raises; nothing stays open then.
+    Raises
+    ------
+    HapticError
+        If a device cannot be opened or an endpoint cannot be bound; everything opened before is closed.
     """
 
     def __init__(
@@ -79,108 +90,122 @@ class Daemon:
         self._rig = rig
         self._failure: HapticError | None = None
         self._failed_at = math.inf
-        self._told: Final[set[str]] = set()
-        """Messages of faults that were published."""
-        # First: what is plugged in or pulled out from here on is news, however late its first look comes.
+        self._published_faults: Final[set[str]] = set()
+        """Messages of published faults."""
+        # Created first, so that each later change of the attached devices is reported, even if the first poll is late.
         hotplug = Hotplug()
         fingers = [finger.name for finger in scene.fingers] if len(scene.fingers) > 1 else [""]
         self._fingers: Final = fingers
-        """Names of several fingers, by which messages tell them apart; a single one needs none."""
-        self.states: Final = States(self._tell_state)
-        doors = doors_of(rig)
-        opened: list[Callable[[], None]] = [doors.close]
+        """Names of several fingers, used in messages; [""] for a single finger."""
+        self.states: Final = States(self._publish_state)
+        endpoints = bind_rig(rig)
+        cleanups: list[Callable[[], None]] = [endpoints.close]
         try:
-            self.publisher: Final = Publisher(
-                doors,
-                rig.telemetry.every,
-                guard_names=GUARD_NAMES,
-                fingers=fingers,
-                priority=0 if rig.servo.realtime == "off" else PUBLISHER_PRIORITY,
-                bodies=scene.world is not None,
-            )
-            opened.append(self.publisher.close)
-            metrics = None
-            if rig.metrics.endpoint is not None:
-                metrics = self._metrics(rig.metrics.endpoint)
-                opened.append(metrics.stop)
-            self.rendering: Final = Rendering(rig, scene, ticks, self._prepare, faults, self.states)
+            switch = SharedSwitch()
+            self.publisher: Final = self._open_publisher(endpoints, scene, switch)
+            cleanups.append(self.publisher.close)
+            metrics = self._open_metrics()
+            if metrics is not None:
+                cleanups.append(metrics.stop)
+            self.rendering: Final = Rendering(rig, scene, ticks, self._prepare, faults, self.states, switch.words)
         except BaseException as error:
-            shutdown.every(*reversed(opened), first=error)
+            shutdown.run_all_steps(*reversed(cleanups), first=error)
             raise
-        self.public: Final = doors.public
-        """Endpoints that other machines reach, by the name of their table."""
+        self.public: Final = endpoints.public
+        """Endpoints reachable from other machines, by table of the rig."""
         self.servo: Final = self.rendering.servo
-        self._show(scene_name)
+        self._publish_scene_info(scene_name)
         self.recordings: Final = Recordings(self.rendering, fingers, self._event)
-        self.blackbox: Final = BlackBoxes(self.servo, fingers, lambda: described(self.rendering, self._scene_name))
-        self.publisher.tell = self._event
+        self.blackbox: Final = BlackBoxes(
+            self.servo, fingers, lambda: describe_daemon(self.rendering, self._scene_name)
+        )
+        self.publisher.report_event = self._event
         self.supervisor: Final = Supervisor(self.servo, self.fail, self._event)
-        self.commands_endpoint: Final = doors.commands
-        """Where commands are taken, None where they are off."""
+        self.commands_endpoint: Final = endpoints.commands
+        """Endpoint of the commands; None if they are off."""
         self.metrics_endpoint: Final = None if metrics is None else metrics.endpoint
-        """Where Prometheus may look; None: nowhere."""
+        """Endpoint of the metrics for Prometheus; None if they are off."""
         self.services: Final = self._services(scene_name, hotplug, metrics, sinks)
-        """In the order of their start; the servo comes last, and is the first to be stopped."""
+        """In order of start; the servo is started last and stopped first."""
 
     @property
     def devices(self) -> tuple[base.Device, ...]:
-        """The devices that are rendered on, one for each of the scene's fingers."""
+        """Devices that are rendered on, one per finger of the scene."""
         return self.servo.devices
 
     def start(self) -> None:
-        """Compile what is not compiled yet, then start the services, the servo last; returns when that one is started.
+        """Compile the kernels if needed, then start the services, the servo last.
 
-        The servo's thread makes its settings and arms the devices as its last act before the first tick.
+        The servo thread applies its real-time settings, and arms the devices immediately before the first tick.
         """
         self.servo.compile()
         for service in self.services:
             service.start()
 
     def stop(self) -> None:
-        """Ask the servo to end; from any thread or signal handler."""
+        """Stop the servo; from any thread or signal handler."""
         self.servo.stop()
 
     def pause(self) -> Callable[[], None]:
-        """Take the force off (`Rendering.pause`); from the main thread or its signal handlers."""
+        """Remove the force (`Rendering.pause`); from the main thread or its signal handlers."""
         return self.rendering.pause()
 
     def replace(
         self, scene: schema.Scene | None = None, rig: schema.Rig | None = None, scene_name: str = "unnamed"
     ) -> int:
-        """Go on with another scene or rig from zero force, without an end of the process (`Rendering.replace`).
+        """Replace the scene or the rig, starting at zero force, without ending the process (`Rendering.replace`).
 
-        Subscribers stay, and are told; ticks, misses and times go on. `scene_name` is what a new scene is called.
-        Returns the number of the first tick with it.
+        Subscribers stay connected and receive an event; the counts of ticks and misses and the time continue.
+
+        Parameters
+        ----------
+        scene, rig
+            New configuration; None: unchanged.
+        scene_name
+            Name of the new scene.
+
+        Returns
+        -------
+        int
+            Number of the first tick with the new configuration.
         """
         first = self.rendering.replace(scene, rig)
-        self._show(self._scene_name if scene is None else scene_name)
+        self._publish_scene_info(self._scene_name if scene is None else scene_name)
         self._event("lifecycle", "replaced", device=base.names(self.devices), first=first)
         return first
 
     def _replace_scene(self, scene: schema.Scene, name: str) -> int:
         return self.replace(scene, scene_name=name)
 
-    def _show(self, scene_name: str) -> None:
+    def _publish_scene_info(self, scene_name: str) -> None:
         self._scene_name = scene_name
-        self.publisher.show(Shown(scene_name, NS_PER_S / self.servo.period_ns, self.servo.epoch_s))
+        self.publisher.set_state_info(StateInfo(scene_name, NS_PER_S / self.servo.period_ns, self.servo.epoch_s))
 
     def fail(self, error: HapticError) -> None:
-        """End the run with an error, the first that comes; from any thread."""
+        """End the run with an error; only the first error counts. From any thread."""
         if self._failure is None:
             self._failure, self._failed_at = error, time.monotonic()
         self.servo.stop()
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Wait for the servo's end; True when it has ended.
+        """Wait for the end of the servo; return False on timeout.
 
-        Raises what ended it, if that was not a stop, the last tick or the end of a recording:
-        a DeviceError, SafetyStop, RealtimeError or a programming error.
+        Parameters
+        ----------
+        timeout_s
+            Maximum time to wait; None: no limit.
+
+        Raises
+        ------
+        DeviceError, SafetyStop, RealtimeError
+            If the cause was neither a stop, nor the last tick, nor the end of a recording. Exceptions from
+            defects of the program are raised unchanged.
         """
         try:
             return self._wait(timeout_s)
         except Exception as error:
             self.states.fail(str(error))
-            self._tell_failure(error)
+            self._publish_failure(error)
             raise
 
     def _wait(self, timeout_s: float | None) -> bool:
@@ -201,12 +226,16 @@ class Daemon:
         return True
 
     def close(self, first: BaseException | None = None) -> None:
-        """Stop every service, so the servo, release the devices, send what is left. Any number of times.
+        """Stop all services and the servo, release the devices, send pending messages; may be called repeatedly.
 
-        Every step is taken, whatever became of the one before; the first error is raised at the end, the others are
-        logged. `first`: an error that is on its way already; then all of them are.
+        Each step runs even if an earlier one failed. The first error is raised at the end, later ones are logged.
+
+        Parameters
+        ----------
+        first
+            Exception that is already propagating: all errors are logged and none is raised.
         """
-        failed = shutdown.every(lambda: self.states.fire(Trigger.END, "asked to, or done"), first=first)
+        failed = shutdown.run_all_steps(lambda: self.states.fire(Trigger.END, "by request, or complete"), first=first)
         failed = stop_all(self.services, failed)
         if failed is not None and failed is not first:
             raise failed
@@ -220,91 +249,105 @@ class Daemon:
         self.close(error)
 
     def _event(self, kind: str, name: str, **fields: Any) -> None:
-        """Publish an event, and record it; of a fault it names the file of the black box."""
+        """Publish and record an event; a fault also gets the file name of its black box."""
         if kind == "fault":
-            self._told.add(str(fields.get("message", "")))
-            fields["blackbox"] = self.blackbox.due(name)
+            self._published_faults.add(str(fields.get("message", "")))
+            fields["blackbox"] = self.blackbox.schedule_file(name)
         self._send(kind, name, fields)
 
-    def page_ended(self, said: str) -> None:
-        """Publish that the page beside this daemon has ended, which nobody asked for."""
-        self._event("fault", "page", message=said)
+    def publish_page_exit(self, text: str) -> None:
+        """Publish the unexpected exit of the page process of this daemon."""
+        self._event("fault", "page", message=text)
 
     def _send(self, kind: str, name: str, fields: dict[str, Any]) -> None:
-        """An event of now: the same tick and time for everybody."""
-        event = event_map(self.servo.moment(), kind, name, fields)
-        for taking in (self.publisher.send_event, self.recordings.tell, self.blackbox.tell):
-            taking(event)
+        """Send an event with the present tick and time to the publisher, the recordings and the black box."""
+        event = event_map(self.servo.last_tick_and_time(), kind, name, fields)
+        for receive in (self.publisher.send_event, self.recordings.record_event, self.blackbox.record_event):
+            receive(event)
 
-    def _tell_failure(self, error: Exception) -> None:
-        """Publish what ended the run, named by the error's kind, unless whoever found it has."""
-        if str(error) not in self._told:
+    def _publish_failure(self, error: Exception) -> None:
+        """Publish the error of the run, named by its class, unless a fault with this message was published."""
+        if str(error) not in self._published_faults:
             self._event("fault", fault_name(error), message=str(error))
 
-    def _tell_state(self, before: State, now: State, cause: str) -> None:
-        """Publish a state, and record it."""
+    def _publish_state(self, before: DaemonState, now: DaemonState, cause: str) -> None:
+        """Publish and record a change of state."""
         self._send("state", now.value, {"before": before.value, "cause": cause})
 
     def _world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
-        """Publish where bodies are, and record it."""
+        """Publish and record the poses of bodies."""
         self.publisher.world(tick, bodies)
         self.recordings.world(tick, bodies)
+
+    def _open_publisher(self, endpoints: Endpoints, scene: schema.Scene, switch: SharedSwitch) -> Publisher:
+        return Publisher(
+            endpoints,
+            self._rig.telemetry.every,
+            guard_names=GUARD_NAMES,
+            fingers=self._fingers,
+            priority=0 if self._rig.servo.realtime == "off" else PUBLISHER_PRIORITY,
+            bodies=scene.world is not None,
+            switch=switch,
+        )
+
+    def _open_metrics(self) -> Metrics | None:
+        endpoint = self._rig.metrics.endpoint
+        if endpoint is None:
+            return None
+        from softfinger.server.metrics.counts import MetricsCollector, PublisherCounts
+        from softfinger.server.metrics.service import KEY, Metrics
+
+        def wire() -> PublisherCounts:
+            figures = self.publisher.figures
+            return PublisherCounts(figures.subscribers, figures.lost, figures.refused, self.publisher.restarts)
+
+        counts = MetricsCollector(self._fingers, wire, lambda: self.recordings.written(), lambda: self.states.now)
+        return Metrics(listen(f"tcp://{endpoint}", KEY), counts, self._event)
 
     def _services(
         self, scene_name: str, hotplug: Hotplug, metrics: Metrics | None, sinks: Sequence[Sink]
     ) -> list[Service]:
         telemetry = Telemetry(self.publisher, self.servo)
-        others: list[Commands | Metrics] = []
+        optional_services: list[Commands | Metrics] = []
         if self.commands_endpoint is not None:
-            doing = Doing(
+            interface = DaemonInterface(
                 self._replace_scene, self.publisher.ring, self.publisher.endpoint, self.publisher.serve,
                 self.publisher.reply, self._event, self.stop, self.fail, self.recordings,
             )  # fmt: skip
-            others.append(Commands(self.commands_endpoint, self.rendering, doing, scene_name))
+            optional_services.append(Commands(self.commands_endpoint, self.rendering, interface, scene_name))
         if metrics is not None:
-            others.append(metrics)
+            optional_services.append(metrics)
         arming = Arming(self.rendering, self.states)
-        taking = [
+        record_sinks = [
             telemetry.sink,
             self.recordings.sink,
             self.blackbox.sink,
             arming.sink,
             *sinks,
-            *(service.sink for service in others),
+            *(service.sink for service in optional_services),
         ]
         return [
             telemetry,
             self.recordings,
             self.blackbox,
-            Records(self.servo, self.publisher.tap, taking, self.fail, self._event),
+            Records(self.servo, self.publisher.tap, record_sinks, self.fail, self._event),
             self.supervisor,
             HotplugWatch(hotplug, self._event),
             DeviceWarnings(lambda: self.devices, self._event),
             Swapping(self._event),
             WorldState(self.servo, self._world, self._event),
-            *others,
+            *optional_services,
             *([Notify(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
             self.rendering,
         ]
 
-    def _metrics(self, endpoint: str) -> Metrics:
-        from softfinger.server.metrics.counts import Counts, Wire
-        from softfinger.server.metrics.service import KEY, Metrics
-
-        def wire() -> Wire:
-            seen = self.publisher.figures
-            return Wire(seen.subscribers, seen.lost, seen.refused, self.publisher.restarts)
-
-        counts = Counts(self._fingers, wire, lambda: self.recordings.written(), lambda: self.states.now)
-        return Metrics(listen(f"tcp://{endpoint}", KEY), counts, self._event)
-
     def _prepare(self) -> Callable[[], None]:
-        wanted = self._rig.servo
-        settings = realtime.apply(wanted.realtime, wanted.priority, wanted.cpu)
-        if wanted.realtime != "off":
+        servo_config = self._rig.servo
+        settings = realtime.apply(servo_config.realtime, servo_config.priority, servo_config.cpu)
+        if servo_config.realtime != "off":
             settings.settings += [
-                realtime.lift("supervisor", self.supervisor.native_id, wanted.priority + 1),
-                realtime.lift("relay", self.publisher.native_id, wanted.priority - 1),
+                realtime.raise_priority("supervisor", self.supervisor.native_id, servo_config.priority + 1),
+                realtime.raise_priority("relay", self.publisher.native_id, servo_config.priority - 1),
             ]
         self.recordings.note_settings([setting._asdict() for setting in settings.settings])
         if self._report is not None:
@@ -313,5 +356,5 @@ class Daemon:
 
 
 def fault_name(error: Exception) -> str:
-    """What the event of an error is called: the words of its class, such as `device_lost`."""
+    """Return the event name of an error: its class name in snake case, such as `device_lost`."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(error).__name__).lower()

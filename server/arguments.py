@@ -1,42 +1,43 @@
-"""The parser of every verb, and types of arguments that several take: refused before the work and not after it."""
+"""Argument parser of all verbs, and argument types that several verbs share; refuses bad values before work starts."""
 
 import argparse
 import re
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from softfinger.config.errors import ConfigError
 
-_NAMED: Final = re.compile(r"([A-Za-z0-9_-]+)=(.+)", re.DOTALL)
+_NAMED_FILE: Final = re.compile(r"([A-Za-z0-9_-]+)=(.+)", re.DOTALL)
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse's, that takes -v and -q before a verb and behind it, and says which name is near a misspelt one.
+    """ArgumentParser that accepts -v and -q before and after the verb and suggests names similar to a misspelt one.
 
-    Parsers of verbs, and of what is below these, are of the same class: argparse sees to that.
+    argparse creates the parsers of verbs and of their sub-commands from the same class.
     """
 
-    def __init__(self, *given: Any, **options: Any) -> None:
-        super().__init__(*given, **options)
-        # Without a default: one of a verb would undo what stood before it.
-        how_much = self.add_mutually_exclusive_group()
-        for flags, help in ((("-v", "--verbose"), "log more"), (("-q", "--quiet"), "log warnings and errors alone")):
-            how_much.add_argument(*flags, action="store_true", default=argparse.SUPPRESS, help=help)
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        # SUPPRESS: a default of the verb's parser would overwrite the value parsed before the verb.
+        verbosity = self.add_mutually_exclusive_group()
+        for flags, help in ((("-v", "--verbose"), "log more"), (("-q", "--quiet"), "log only warnings and errors")):
+            verbosity.add_argument(*flags, action="store_true", default=argparse.SUPPRESS, help=help)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Refuse what no parser knows here, where its near names are known, and not in the parser above."""
-        found, left = super().parse_known_args(args, namespace)
-        if left:
-            self._refuse(left)
-        return found, left
+        """Refuse unknown arguments here, where similar option names are known, and not in the parent parser."""
+        namespace, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self._refuse(unknown)
+        return namespace, unknown
 
     def _refuse(self, words: Sequence[str]) -> NoReturn:
-        from softfinger.config.words import near  # takes longer to import than a command line to parse
+        from softfinger.config.words import near  # importing it takes longer than parsing a command line
 
-        known = [flag for action in self._actions for flag in action.option_strings]
-        told = [word + (near(word.partition("=")[0], known) if word.startswith("--") else "") for word in words]
-        self.error(f"unrecognized arguments: {' '.join(told)}")
+        flags = [flag for action in self._actions for flag in action.option_strings]
+        suggestions = [word + (near(word.partition("=")[0], flags) if word.startswith("--") else "") for word in words]
+        self.error(f"unrecognized arguments: {' '.join(suggestions)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         try:
@@ -48,14 +49,29 @@ class Parser(argparse.ArgumentParser):
             raise
 
 
-def by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
-    """Files of an option that is given once, FILE, or for each of several fingers, NAME=FILE, by name.
+def files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
+    """Return the files of a repeatable option by finger name.
 
-    A FILE alone has the name "". Raises ConfigError for what is neither.
+    Parameters
+    ----------
+    values
+        FILE, given once, or NAME=FILE for each of several fingers.
+    flag
+        Name of the option, for the message.
+
+    Returns
+    -------
+    dict
+        File by name; a FILE without a name has the key "".
+
+    Raises
+    ------
+    ConfigError
+        If a name is repeated, or if values with and without a name are mixed.
     """
     files: dict[str, str] = {}
     for value in values:
-        match = _NAMED.fullmatch(value)
+        match = _NAMED_FILE.fullmatch(value)
         name, file = (match[1], match[2]) if match else ("", value)
         if name in files or (files and "" in (name, *files)):
             raise ConfigError(f"{flag} {value}: give it once, or {flag} NAME=FILE for each of several fingers")
@@ -63,8 +79,8 @@ def by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
     return files
 
 
-def keep_apart(flag: str, written: str | Path, read: Iterable[str | Path]) -> None:
-    """Raise ConfigError where what an option has written is what is read: it would be lost."""
+def check_distinct(flag: str, written: str | Path, read: Iterable[str | Path]) -> None:
+    """Raise ConfigError if an output option names an input file, which would be lost."""
     from softfinger.config.files import is_same_file
 
     for each in read:
@@ -72,18 +88,39 @@ def keep_apart(flag: str, written: str | Path, read: Iterable[str | Path]) -> No
             raise ConfigError(f"{flag} {written}: is {each}, which is read: name another file")
 
 
-def default_rig(scene: str, otherwise: str) -> str:
-    """The rig of a run that names none: the shipped one of its scene, else another."""
+def default_rig(scene: str, fallback: str) -> str:
+    """Return the default rig of a run: the shipped rig `simulated-<scene>` if it exists, else `fallback`."""
     from softfinger.config.load import shipped
     from softfinger.config.schema import Rig
 
-    own = f"simulated-{scene}"
-    return own if own in shipped(Rig) else otherwise
+    name = f"simulated-{scene}"
+    return name if name in shipped(Rig) else fallback
 
 
 def duration(text: str) -> float:
-    """A time of the command line, s."""
+    """Parse a duration in seconds from a command line argument."""
     seconds = float(text)
     if not 0.0 < seconds < 1e9:
         raise argparse.ArgumentTypeError(f"{text}: a duration is more than 0 s and less than 1e9 s")
     return seconds
+
+
+def parse_parameter(word: str) -> tuple[str, Any]:
+    """Parse an argument key=value; the value is JSON, a TOML value, or else a text."""
+    key, equals, text = word.partition("=")
+    if not equals or not key:
+        from softfinger.config.words import shown
+
+        raise ConfigError(f"{shown(word)} is no parameter: write key=value")
+    return key, _parse_value(text)
+
+
+def _parse_value(text: str) -> Any:
+    import json
+    import tomllib
+
+    with suppress(ValueError, RecursionError):
+        return json.loads(text)
+    with suppress(ValueError, RecursionError):
+        return tomllib.loads(f"value = {text}")["value"]
+    return text

@@ -1,4 +1,4 @@
-"""The command line: one program, a verb each, imported when it is asked for.
+"""Command line: one program with verbs; the module of a verb is imported when it is used.
 
 Exit codes: 0 done or stopped in order, 1 a defect in this program, 2 a bad command line or configuration,
 3 a recording that cannot be used, 4 a device, 5 real-time settings refused, 6 a safety stop, 7 an address
@@ -21,16 +21,16 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from softfinger.config.errors import Exhausted, HapticError
 from softfinger.server import signals
 
-if TYPE_CHECKING:  # what is imported before `main` has its handlers, Ctrl-C ends with a traceback
+if TYPE_CHECKING:  # before `main` installs its handlers, Ctrl-C during an import ends with a traceback
     import argparse
     import logging
 
 DESCRIPTORS_MIN: Final = 64
-"""Files a process needs that loads a compiler, opens a device and publishes; ZeroMQ aborts when it gets none."""
+"""File descriptors needed to load a compiler, open a device and publish; ZeroMQ aborts if it gets none."""
 
 
 class Verb(NamedTuple):
-    """Module with `configure(parser)` and `run(args) -> exit code`, and what the verb does."""
+    """Module with `configure(parser)` and `run(args) -> exit code`, and the help text of the verb."""
 
     module: str
     help: str
@@ -42,7 +42,7 @@ VERBS: Final = {
     "monitor": Verb("softfinger.server.verbs.monitor", "live dashboard of a running daemon"),
     "view": Verb("softfinger.server.verbs.view", "a page in the browser: the picture, and a mouse for a hand"),
     "record": Verb("softfinger.server.verbs.record", "a running daemon into a file: everything, or the poses"),
-    "info": Verb("softfinger.server.recording.verbs.info", "what is in a recording"),
+    "info": Verb("softfinger.server.recording.verbs.info", "content of a recording"),
     "export": Verb("softfinger.server.recording.verbs.export", "a recording as CSV, Parquet or npz"),
     "import": Verb("softfinger.server.recording.verbs.tables", "poses of another program, from any table of numbers"),
     "replay": Verb("softfinger.server.recording.verbs.replay", "a recording as a test: its poses through today's code"),
@@ -52,11 +52,9 @@ VERBS: Final = {
     ),
     "bridge": Verb("softfinger.server.bridges.verb", "a daemon or a recording in Foxglove or Rerun"),
     "keys": Verb("softfinger.server.gateway.verbs.keys", "CURVE keys, by which daemon and clients know each other"),
-    "devices": Verb("softfinger.tools.devices", "what is attached, and why it cannot be opened"),
+    "devices": Verb("softfinger.tools.devices", "attached devices, and why one cannot be opened"),
     "doctor": Verb("softfinger.tools.doctor.verb", "is this machine good enough; a report of an attached device"),
-    "report": Verb(
-        "softfinger.tools.report", "what an issue needs, in an archive: black boxes, log, doctor, rig, scene"
-    ),
+    "report": Verb("softfinger.tools.report", "archive for an issue: black boxes, log, doctor, rig, scene"),
     "scenes": Verb("softfinger.server.verbs.shipped", "the scenes that are shipped, a line each"),
     "rigs": Verb("softfinger.server.verbs.shipped", "the rigs that are shipped, a line each"),
     "recordings": Verb("softfinger.server.verbs.shipped", "the recordings that are shipped, a line each"),
@@ -76,15 +74,15 @@ VERBS: Final = {
     "calibrate": Verb("softfinger.tools.calibrate", "measure: a Falcon's motor counts per N m, with a known weight"),
     "bench": Verb("softfinger.tools.bench.verb", "measure: cost per step, wake-up lateness, telemetry latency"),
 }
-"""Every verb. A verb of `tools` is named, not imported: the server does not depend on the tools."""
+"""All verbs. Verbs of `tools` are named, not imported: the server does not depend on the tools."""
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line and return the exit code."""
     if argv is None:
         set_up_process()
     open_streams()
-    with signals.handled(to_the_end=argv is None):
+    with signals.handle_signals(ignore_after=argv is None):
         try:
             code = run_verb(sys.argv[1:] if argv is None else argv)
             sys.stdout.flush()
@@ -92,21 +90,21 @@ def main(argv: list[str] | None = None) -> int:
         except HapticError as error:
             return failed(str(error), error.exit_code)
         except signals.Interrupted as error:
-            code = failed(f"ended by {signals.named(error.number)}", signals.code_of(error.number))
-            if argv is None:  # everything is closed; to take a half-done compilation apart takes seconds
+            code = failed(f"ended by {signals.signal_name(error.number)}", signals.exit_code(error.number))
+            if argv is None:  # all is closed; freeing an unfinished compilation would take seconds
                 flush_or_discard(sys.stdout)
                 os._exit(code)
             return code
         except KeyboardInterrupt:
-            return signals.code_of(signal.SIGINT)
+            return signals.exit_code(signal.SIGINT)
         except BrokenPipeError:
-            # The reader of our output has left (`| head`): no complaint, and none while closing either.
+            # The reader of stdout has closed the pipe (`| head`): this is no error, nor while closing.
             discard(sys.stdout)
             return 0
         except (OSError, MemoryError) as error:
             if {"-v", "--verbose"} & set(sys.argv):
                 raise
-            discard(sys.stdout)  # what could not be written is not tried again while closing
+            discard(sys.stdout)  # Python would retry the failed write at exit
             return failed(reason(error), Exhausted.exit_code)
         finally:
             flush_or_discard(sys.stdout)
@@ -114,13 +112,13 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def run_verb(words: list[str]) -> int:
-    """Parse the command line and run its verb; returns the exit code."""
+    """Parse the command line, run its verb and return the exit code."""
     import logging
 
     from softfinger.server import progress
 
     check_descriptors()
-    # Only the verb that was asked for is imported: another verb's plotting library must not delay the first tick.
+    # Import only the requested verb: the plotting library of another verb must not delay the first tick.
     parser = make_parser([word for word in words if word in VERBS][:1])
     args = parser.parse_args(words)
     logging.basicConfig(
@@ -128,9 +126,9 @@ def run_verb(words: list[str]) -> int:
         format="%(message)s" if sys.stderr.isatty() else "%(levelname)s %(message)s",
         handlers=[to_stderr()],
     )
-    progress.show(not args.quiet)
-    signals.imported()
-    if not gc.isenabled():  # what is imported by now stays, and is not looked through any more
+    progress.set_enabled(not args.quiet)
+    signals.mark_imported()
+    if not gc.isenabled():  # imported objects are never garbage: exclude them from collections
         gc.freeze()
         gc.enable()
     code: int = args.run(args)
@@ -138,15 +136,15 @@ def run_verb(words: list[str]) -> int:
 
 
 def set_up_process() -> None:
-    """What makes a start shorter, before anything large is imported; `run_verb` puts the garbage collector back."""
-    gc.disable()  # nothing that an import makes is garbage, and it would be looked through again and again
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no matrix here is large enough for two
-    if isinstance(sys.stdout, io.TextIOWrapper):  # names in a scene may be of letters that the terminal has not
+    """Set up the process for a fast start, before large imports; `run_verb` enables the garbage collector again."""
+    gc.disable()  # imports create no garbage, and each collection would scan their objects
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no matrix here is large enough for two threads
+    if isinstance(sys.stdout, io.TextIOWrapper):  # names in a scene may have characters that the terminal cannot encode
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def to_stderr() -> logging.Handler:
-    """Logs to what standard error is at the time: while a progress line is shown, that keeps clear of it."""
+    """Return a log handler that always writes to the current `sys.stderr`, which a progress line replaces."""
     import logging
 
     class ToStderr(logging.StreamHandler[Any]):
@@ -162,33 +160,33 @@ def to_stderr() -> logging.Handler:
 
 
 def failed(message: str, code: int) -> int:
-    """Say what ended the program; returns `code`."""
-    with contextlib.suppress(OSError):  # standard error has gone as well
+    """Print the error that stops the program; return `code`."""
+    with contextlib.suppress(OSError):  # standard error may be closed, too
         print(f"softfinger: {message}", file=sys.stderr, flush=True)
     return code
 
 
 def reason(error: OSError | MemoryError) -> str:
-    """What the system refused, and how to look further."""
-    said = "out of memory"
+    """Return a message with the error of the system and a hint."""
+    reason = "out of memory"
     if isinstance(error, OSError):
-        said = f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
-    return f"the system refused: {said} (with --verbose: where)"
+        reason = f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
+    return f"the system refused: {reason} (with --verbose: where)"
 
 
 def open_streams() -> None:
-    """Put the null device where a standard stream was closed (`>&-`), else a device or socket would become it."""
+    """Replace closed standard streams (`>&-`) by the null device; otherwise a device would get their numbers."""
     for fd, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(fd)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # the lowest that is free, which is this one
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor, which is this one
         if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w" if fd else "r"))  # noqa: SIM115 - for as long as the process
+            setattr(sys, name, open(os.devnull, "w" if fd else "r"))  # noqa: SIM115 - open until the process exits
 
 
 def flush_or_discard(stream: Any) -> None:
-    """Leave nothing to be written while Python ends: where nobody reads it, the exit code would be 120."""
+    """Flush a stream before Python exits; discard its data if it is closed, because Python would exit with code 120."""
     try:
         stream.flush()
     except OSError:
@@ -196,14 +194,14 @@ def flush_or_discard(stream: Any) -> None:
 
 
 def discard(stream: Any) -> None:
-    """Let what a stream still holds go nowhere."""
+    """Redirect a stream to the null device, which discards its buffered data."""
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, stream.fileno())
     os.close(null)
 
 
 def check_descriptors() -> None:
-    """Raise Exhausted where this process may not open the files that it needs."""
+    """Raise the limit of open files to DESCRIPTORS_MIN if needed; raises Exhausted if that is not allowed."""
     try:
         import resource
     except ImportError:  # Windows
@@ -217,7 +215,7 @@ def check_descriptors() -> None:
 
 
 def make_parser(verbs: list[str] | None = None) -> argparse.ArgumentParser:
-    """The parser, with the options of the named verbs, or of all."""
+    """Return the parser with the options of the named verbs, or of all."""
     from importlib.metadata import version
 
     from softfinger.server.arguments import Parser
@@ -241,7 +239,7 @@ def make_parser(verbs: list[str] | None = None) -> argparse.ArgumentParser:
 
 
 def add_completion(parser: argparse.ArgumentParser) -> None:
-    """`--print-completion SHELL`: the completion script, made from the options of every verb."""
+    """Add `--print-completion SHELL`, which prints the completion script for the options of all verbs."""
     import argparse
 
     class Print(argparse.Action):
@@ -255,7 +253,7 @@ def add_completion(parser: argparse.ArgumentParser) -> None:
 
 
 def completion(shell: str) -> str:
-    """The completion script for bash, zsh or tcsh."""
+    """Return the completion script for bash, zsh or tcsh."""
     import shtab
 
     from softfinger.server.verbs.shipped import offer_names

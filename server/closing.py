@@ -1,4 +1,4 @@
-"""What is open until it is closed, by itself at the end of a `with` block."""
+"""Base class of objects with a `close` method that are context managers."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from types import TracebackType
 from typing import Self
 
 
-class Closing(ABC):
-    """`with` gives the object itself, and closes it whatever happens."""
+class Closeable(ABC):
+    """Context manager that returns the object and closes it at the end of the block, also after an error."""
 
     @abstractmethod
     def close(self) -> None:
-        """Any number of times."""
+        """Release all resources; may be called repeatedly."""
 
     def __enter__(self) -> Self:
         return self

@@ -1,8 +1,8 @@
-"""What every driver must keep, as one class of tests for pytest; of this package's drivers and of any other's.
+"""Requirements of every driver as one class of pytest tests, for the drivers of this package and of other packages.
 
-A test module subclasses `DriverContract` and gives it a fixture `bench`: what stands behind the driver, which opens
-the device and does to it what happens to devices. The C functions are called as the servo calls them.
-docs/devices/writing-a-driver.md has an example. Only tests import this module: pytest is no requirement of the package.
+A test module subclasses `DriverContract` and defines a fixture `bench`. The bench stands in for the hardware: it opens
+the device and causes its failures. The tests call the C functions as the servo does. docs/devices/writing-a-driver.md
+has an example. Only tests import this module: the package does not require pytest.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ REFUSALS: Final[Mapping[str, type[HapticError]]] = {
     "busy": DeviceBusy,
     "permission": DevicePermission,
 }
-"""What may keep a device from opening, and the error that says so."""
+"""Reasons why a device cannot be opened, and the error for each."""
 
 FAULTS: Final[Mapping[str, int]] = {"lost": LOST, "timeout": TIMEOUT}
-"""What may happen to an open device, and the status of the next read."""
+"""Failures of an open device, and the status that the next read returns."""
 
 
 class Servo:
-    """Calls a device's C functions, after arming it unless the case is about the time before."""
+    """Caller of a device's C functions; arms the device first, unless `arm` is false."""
 
     def __init__(self, device: Device, arm: bool = True) -> None:
         if arm:
@@ -61,29 +61,29 @@ class Servo:
 
 
 class Bench(ABC):
-    """What stands behind a driver. `cannot` gives the reason for each case of REFUSALS and FAULTS that there is not."""
+    """Hardware or emulator under a driver. `cannot` has the reason for each of REFUSALS and FAULTS it cannot cause."""
 
     cannot: ClassVar[Mapping[str, str]] = {}
     refusals: ClassVar[Mapping[str, type[HapticError]]] = REFUSALS
     force_step_n: ClassVar[float] = 1e-12
-    """How far a displayed force may be from the one written: a device's own steps; here rounding alone."""
+    """Largest difference between displayed and written force: one step of the device; rounding by default."""
     patience_s: ClassVar[float] = 0.0
-    """Time in which a failure has to be told; 0: by the next read. More for a device that is not waited for."""
+    """Time limit for a failure to be reported; 0: the next read. Longer for devices that are read without waiting."""
 
     @abstractmethod
     def open(self) -> Device:
-        """Open a device; whoever exchanges with it arms it."""
+        """Open a device; the caller arms it before the exchange."""
 
     @abstractmethod
     def displayed(self) -> tuple[float, ...]:
-        """The wrench on the hand now, world frame, as the device has it and not as the driver says."""
+        """Return the wrench on the hand in the world frame, measured at the device and not reported by the driver."""
 
     def part(self, *force: float) -> tuple[float, ...]:
-        """Of a force (3,) N what the device has motors for: all of it, but for one with fewer than three."""
+        """Return the part of a force (3,) N that the device has motors for: all of it, if it has three or more."""
         return force
 
     def make(self, case: str) -> None:
-        """From now on: a case of REFUSALS or FAULTS."""
+        """Cause a case of REFUSALS or FAULTS until `mend`."""
         raise NotImplementedError(case)
 
     def mend(self) -> None:
@@ -96,16 +96,16 @@ PULL: Final = {
     "object": [{"name": "floor", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}],
     "effect": [{"kind": "constant_force", "force_n": [0.6, 0.0, 0.8]}],
 }
-"""A scene that pulls with 1 N wherever the finger is, and pushes up from below z = 0."""
+"""Scene that pulls with 1 N at every position and pushes upwards below z = 0."""
 
 
 def pulling() -> Tuning:
-    """The scene of `PULL`, and a guard that ramps in within 10 ms."""
+    """Return the tuning of the scene `PULL`, with a guard that ramps in within 10 ms."""
     return make_tuning(load_scene(PULL), load_rig("replay", {"guard.ramp_s": 0.01}).guard)
 
 
 class DriverContract:
-    """Run by every driver over a device that answers, and then over one that does not."""
+    """Tests of a driver: first with a device that answers, then with one that does not."""
 
     @pytest.fixture
     def device(self, bench: Bench) -> Iterator[Device]:
@@ -113,14 +113,14 @@ class DriverContract:
             yield opened
 
     def test_every_case_is_answered(self, bench: Bench) -> None:
-        """For each way to be refused or to fail, the bench can make it or says why it cannot be."""
+        """The bench can cause each case, or gives the reason why the case cannot occur."""
         assert set(bench.cannot) <= {*REFUSALS, *FAULTS}
         assert set(bench.refusals) <= set(REFUSALS)
         assert all(len(reason) > 10 for reason in bench.cannot.values())
         assert {*bench.refusals} - {*bench.cannot} == {*REFUSALS} - {*bench.cannot}
 
     def test_info_is_usable(self, device: Device) -> None:
-        """The limits are finite and not negative, and the workspace is not inside out."""
+        """Limits are finite and not negative, and the workspace has min <= max."""
         info = device.info
         assert info.name
         assert 1 <= info.sensed_dof <= 6
@@ -131,26 +131,25 @@ class DriverContract:
         assert all(low <= high for low, high in zip(info.workspace_min_m, info.workspace_max_m, strict=True))
 
     def test_addresses_stay(self, device: Device) -> None:
-        """However often they are asked for, the addresses are the same, and there are three."""
+        """`io` returns the same three addresses on each call."""
         assert device.io() == device.io()
         assert all(device.io())
 
     def test_read_fills_the_whole_sample(self, device: Device) -> None:
-        """A good read leaves finite numbers in every place and a unit quaternion."""
+        """A good read writes all values of the sample: finite numbers and a unit quaternion."""
         status, sample = Servo(device).read()
         assert status in (OK, STALE)
         assert all(math.isfinite(value) for value in sample)
         assert math.hypot(*sample[3:7]) == pytest.approx(1.0, abs=1e-9)  # rounding of a normalisation
 
     def test_device_time_does_not_run_back(self, device: Device) -> None:
-        """Device time never decreases from read to read."""
+        """Device time never decreases between reads."""
         servo = Servo(device)
         times = [servo.read()[1][7] for _ in range(20)]
         assert times == sorted(times)
 
     def test_counts_never_fall(self, device: Device) -> None:
-        """Counters have names, are whole numbers from 0 up, and only ever rise; where there are any, one follows
-        the exchanges."""
+        """Counters are named integers from 0 that never decrease; if there are any, one counts the exchanges."""
         servo = Servo(device)
         before = device.counts()
         for _ in range(20):
@@ -163,15 +162,17 @@ class DriverContract:
         assert not after or after != before
 
     def test_write_is_taken_while_armed(self, device: Device, bench: Bench) -> None:
-        """An open device takes a small force, and displays it in the world frame."""
+        """An armed device accepts a small force and displays it in the world frame."""
         servo = Servo(device)
         servo.read()
         assert servo.write(0.1, 0.2, 0.3, 0.0, 0.0, 0.0) in (OK, STALE)
         assert bench.displayed()[:3] == pytest.approx(bench.part(0.1, 0.2, 0.3), abs=bench.force_step_n)
 
     def test_arming_is_the_last_act_before_the_first_tick(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-        """A device waits as long as it takes until the servo's thread arms it, once, and is exchanged with at once; it
-        fails neither before nor after, and the force comes."""
+        """The servo thread arms the device once, immediately before the first exchange, even after a long wait.
+
+        The device fails neither before nor after, and displays the force.
+        """
         with bench.open() as device:
             arm, acts = device.arm, []
 
@@ -180,7 +181,7 @@ class DriverContract:
                 acts.append(("armed", threading.get_native_id()))
 
             def slow() -> Callable[[], None]:
-                time.sleep(1.0)  # as long as real-time settings take, and longer than any watchdog
+                time.sleep(1.0)  # as long as real-time settings may take, and longer than any watchdog
                 acts.append(("prepared", threading.get_native_id()))
                 return lambda: None
 
@@ -193,17 +194,17 @@ class DriverContract:
             assert (ended.ending, ended.error) == (FINISHED, None)
             assert [act for act, _ in acts] == ["prepared", "armed"]
             assert acts[0][1] == acts[1][1]
-            assert last_force(servo) > 0.0  # of 1 N; where the machine stood still, along the ramp anew
+            assert last_force(servo) > 0.0  # of 1 N; after a stall of the machine the ramp has restarted
             servo.close()
 
     def test_a_device_that_is_not_armed_displays_nothing(self, bench: Bench) -> None:
-        """Opened and stopped without ever having been armed: no force, and no error."""
+        """A device that was never armed displays no force after `stop`, which raises nothing."""
         with bench.open() as device:
             device.stop()
             assert not any(bench.displayed())
 
     def test_stop_may_be_repeated_and_disarms(self, device: Device) -> None:
-        """After stop, however often, a force is not taken in full and reads go on."""
+        """After repeated `stop`, a write does not apply the full force and reads still work."""
         servo = Servo(device)
         servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
         device.stop()
@@ -213,13 +214,13 @@ class DriverContract:
         assert servo.read()[0] in (OK, STALE, END, WITHHELD)
 
     def test_close_may_be_repeated(self, device: Device) -> None:
-        """Close after stop and after close does nothing and raises nothing."""
+        """`close` after `stop` and after `close` does nothing and raises nothing."""
         device.stop()
         device.close()
         device.close()
 
     def test_a_closed_device_can_be_opened_again(self, device: Device, bench: Bench) -> None:
-        """Closing lets go of the device: it opens again, armed."""
+        """A closed device can be opened again and armed."""
         device.close()
         with bench.open() as again:
             servo = Servo(again)
@@ -229,7 +230,7 @@ class DriverContract:
 
     @pytest.mark.parametrize("way", ["stop", "close", "error"])
     def test_no_force_is_left_without_a_servo(self, way: str, bench: Bench) -> None:
-        """Stopped, closed or left by an exception, which goes through unchanged: the force that was on is off."""
+        """`stop`, `close` and an exception in the context, which propagates unchanged, all remove an applied force."""
         device = bench.open()
         servo = Servo(device)
         servo.read()
@@ -247,13 +248,13 @@ class DriverContract:
 
     @pytest.mark.parametrize("way", ["last_tick", "stop_word", "crash"])
     def test_no_force_is_left_after_a_servo(self, way: str, bench: Bench) -> None:
-        """After the last tick, a stop, or an exception in the servo's thread, the force that was on is off."""
+        """The force is removed after the last tick, after a stop, and after an exception in the servo thread."""
         with bench.open() as device:
             servo = Loop(
                 [device], pulling(), RATE_HZ, 100 if way == "last_tick" else None, failing if way == "crash" else None
             )
             servo.compile()
-            if way == "crash":  # there is no tick, so the force comes from before
+            if way == "crash":  # without a tick of the loop, apply a force first
                 Servo(device).write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
             servo.start()
             if way == "stop_word":
@@ -265,23 +266,25 @@ class DriverContract:
             assert ended.ending == {"last_tick": FINISHED, "stop_word": STOPPED, "crash": CRASHED}[way]
             assert not any(bench.displayed())
             if way != "crash":
-                assert last_force(servo) > 0.0  # of 1 N; where the machine stood still, along the ramp anew
+                assert last_force(servo) > 0.0  # of 1 N; after a stall of the machine the ramp has restarted
             servo.close()
 
     def test_opening_is_refused_by_name(self, bench: Bench) -> None:
-        """A device that is absent, held or forbidden gives its own error, and opens once that is over."""
+        """A device that is absent, busy or forbidden raises its error, and opens after the cause is removed."""
         for case in set(REFUSALS) - set(bench.cannot):
             bench.make(case)
             with pytest.raises(bench.refusals[case]) as caught:
                 bench.open()
-            assert len(str(caught.value)) > 20, "says what is wrong and what to do"
+            assert len(str(caught.value)) > 20, "names the fault and the remedy"
             assert type(caught.value) is bench.refusals[case], case
             bench.mend()
             bench.open().close()
 
     def test_failure_in_use_is_told_and_survived(self, bench: Bench) -> None:
-        """A read of a device that fails gives its status, within the bench's patience; stop and close raise nothing, no
-        force is left, and the device opens again once it is back."""
+        """A read of a failed device returns the failure's status within `patience_s`.
+
+        `stop` and `close` raise nothing and remove the force, and the device opens again after it is mended.
+        """
         for case in set(FAULTS) - set(bench.cannot):
             device = bench.open()
             servo = Servo(device)
@@ -297,7 +300,7 @@ class DriverContract:
                 assert Servo(again).read()[0] in (OK, STALE)
 
     def test_servo_ends_with_a_failing_device(self, bench: Bench) -> None:
-        """A device that fails under the servo ends the loop with its status and without force."""
+        """A device that fails under the servo ends the loop with its status and zero force."""
         for case in set(FAULTS) - set(bench.cannot):
             with bench.open() as device:
                 servo = Loop([device], pulling(), RATE_HZ)
@@ -319,14 +322,14 @@ class DriverContract:
 
 
 def run_for(servo: Loop, ticks: int) -> None:
-    """Wait until a loop has done so many ticks; fails where it ends before, after which no record comes."""
+    """Wait until a loop has run `ticks` ticks; fail if it ends before, because no further record would arrive."""
     while servo.ticks < ticks:
         assert servo.running, f"the loop ended after {servo.ticks} ticks of {ticks}"
         servo.records.wait()
 
 
 def first_failure(servo: Servo, patience_s: float) -> int:
-    """Status of the first read that fails, or of the last one in that time."""
+    """Return the status of the first failed read, or of the last read within `patience_s`."""
     until = time.monotonic() + patience_s
     while (status := servo.read()[0]) >= 0 and time.monotonic() < until:
         pass
@@ -338,7 +341,7 @@ def failing() -> Callable[[], None]:
 
 
 def last_force(servo: Loop) -> float:
-    """Norm (N) of the force of the last tick."""
+    """Return the norm (N) of the force in the last tick."""
     out = np.empty((4096, RECORD_SIZE))
     records = out[: servo.records.take(out)]
     return float(np.linalg.norm(records[-1, AT.force : AT.force + 3]))

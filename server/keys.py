@@ -1,7 +1,7 @@
-"""CURVE keys: pairs in files as ZeroMQ has them, read with care, put on a client's socket.
+"""CURVE keys: reading, writing and using key pairs in ZeroMQ's certificate files.
 
-A pair is NAME.key, for others, and NAME.key_secret, for nobody else. Any program with libzmq's certificates reads and
-makes the same files.
+A pair consists of NAME.key, which is public, and NAME.key_secret. Other programs with libzmq's certificates can read
+and write the same files.
 """
 
 from __future__ import annotations
@@ -20,36 +20,44 @@ from softfinger.config.files import check_owner, open_input
 from softfinger.config.words import shown
 
 SIZE_MAX: Final = 4096
-"""Bytes of a file: one that is made here has some 200."""
+"""Maximum size of a key file, bytes; files written here have about 200."""
 _NAME: Final = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}")
 _LINE: Final = re.compile(
     rb'^\s*(public|secret)-key\s*=\s*"([0-9A-Za-z.:+=^!/*?&<>()\[\]{}@%$#-]{40})"\s*$', re.MULTILINE
 )
-_OTHERS_MAY: Final = stat.S_IRWXG | stat.S_IRWXO
+_OTHERS_ACCESS: Final = stat.S_IRWXG | stat.S_IRWXO
 
 
-class Pair(NamedTuple):
-    """A public key and its secret one, Z85."""
+class KeyPair(NamedTuple):
+    """Public key and secret key, Z85."""
 
     public: bytes
     secret: bytes
 
 
 class ClientKeys(NamedTuple):
-    """A client's pair, and the public key of the server that it wants to meet, Z85."""
+    """Key pair of a client and public key of its server, Z85."""
 
-    own: Pair
+    client: KeyPair
     server: bytes
 
-    def put_on(self, socket: zmq.Socket[Any]) -> None:
-        """Before it is connected."""
-        socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = *self.own, self.server
+    def apply_to(self, socket: zmq.Socket[Any]) -> None:
+        """Set the keys of a socket; call before it is connected."""
+        socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = *self.client, self.server
 
 
 def make_pair(folder: Path, name: str) -> tuple[Path, Path]:
-    """Write a new pair, the secret with mode 600; returns its files, public and secret.
+    """Write a new key pair, the secret file with mode 600.
 
-    Raises ConfigError for a name that is none, and where one of the files is there already.
+    Returns
+    -------
+    tuple
+        Public file, secret file.
+
+    Raises
+    ------
+    ConfigError
+        If the name is not allowed or one of the files exists.
     """
     if not _NAME.fullmatch(name):
         raise ConfigError(f"{shown(name)} is no name of a key: up to 64 letters, digits, dots, - and _")
@@ -71,65 +79,65 @@ def make_pair(folder: Path, name: str) -> tuple[Path, Path]:
 def _write(path: Path, text: str, mode: int) -> None:
     fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
     with open(fd, "w", encoding="ascii") as file:
-        os.fchmod(fd, mode)  # whatever the umask took away
+        os.fchmod(fd, mode)  # undo the umask
         file.write(text)
 
 
 def read_public(path: str | Path) -> bytes:
-    """The public key of a file; ConfigError where there is none."""
-    found, _ = _read(path)
-    return found["public"]
+    """Return the public key of a file; raises ConfigError if it has none."""
+    keys, _ = _read(path)
+    return keys["public"]
 
 
-def read_pair(path: str | Path) -> Pair:
-    """The pair of a secret file; ConfigError where there is none, and where others may read it."""
-    found, mode = _read(path)
-    if mode & _OTHERS_MAY:
+def read_pair(path: str | Path) -> KeyPair:
+    """Return the pair of a secret file; raises ConfigError if it has none or if other users may read it."""
+    keys, mode = _read(path)
+    if mode & _OTHERS_ACCESS:
         raise ConfigError(
-            f"{path}: a secret key that others may read (mode {stat.S_IMODE(mode):o}): chmod 600 it, and make new "
+            f"{path}: a secret key that other users may read (mode {stat.S_IMODE(mode):o}): chmod 600 it, and make new "
             "keys if somebody has"
         )
-    if "secret" not in found:
-        raise ConfigError(f"{path}: a public key: the secret one is beside it in a file .key_secret")
-    if zmq.curve_public(found["secret"]) != found["public"]:
+    if "secret" not in keys:
+        raise ConfigError(f"{path}: a public key: the secret one is in the same folder, in a file .key_secret")
+    if zmq.curve_public(keys["secret"]) != keys["public"]:
         raise ConfigError(f"{path}: the public key in it is not that of the secret one: make new ones")
-    return Pair(found["public"], found["secret"])
+    return KeyPair(keys["public"], keys["secret"])
 
 
-def client_keys(own: str | Path, server: str | Path) -> ClientKeys:
-    """A client's secret file, and the server's public one; ConfigError for what they should not be."""
-    return ClientKeys(read_pair(own), read_public(server))
+def client_keys(client: str | Path, server: str | Path) -> ClientKeys:
+    """Read a client's secret file and the server's public file; raises ConfigError if either is unusable."""
+    return ClientKeys(read_pair(client), read_public(server))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Options of a client of a server that wants keys."""
-    parser.add_argument("--keys", metavar="FILE", help="your secret key, where the server wants one")
+    """Add the options for the keys of a client and of its server."""
+    parser.add_argument("--keys", metavar="FILE", help="your secret key, if the server requires one")
     parser.add_argument("--server-key", metavar="FILE", help="the server's public key")
 
 
-def of_options(args: argparse.Namespace) -> ClientKeys | None:
-    """The keys that these options name; None where the server is to be met without."""
+def keys_from_options(args: argparse.Namespace) -> ClientKeys | None:
+    """Return the keys named by these options; None without options. Raises ConfigError if only one is given."""
     if args.server_key is None and args.keys is None:
         return None
     if args.keys is None:
-        raise ConfigError("--server-key goes with --keys FILE, your own secret key: softfinger keys makes one")
+        raise ConfigError("--server-key requires --keys FILE, your secret key: softfinger keys makes one")
     if args.server_key is None:
-        raise ConfigError(f"--keys {args.keys} goes with --server-key FILE, by which the server is known")
+        raise ConfigError(f"--keys {args.keys} requires --server-key FILE, the public key of the server")
     return client_keys(args.keys, args.server_key)
 
 
 def _read(path: str | Path) -> tuple[dict[str, bytes], int]:
-    """Keys of a file by their kind, and its mode."""
+    """Return the keys of a file by kind, and the mode of the file."""
     try:
         with open_input(path, SIZE_MAX) as file:
             status, text = os.fstat(file.fileno()), file.read(SIZE_MAX)
         folder = Path(path).resolve().parent
-        for each, its in ((path, status), (folder, folder.stat())):
-            check_owner(each, its, "could put another key in the place of this")
+        for each, each_status in ((path, status), (folder, folder.stat())):
+            check_owner(each, each_status, "could put another key in the place of this")
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError(f"{path}: no key can be read: {reason}; softfinger keys makes them") from error
-    found = {kind.decode(): key for kind, key in _LINE.findall(text)}
-    if "public" not in found:
+    keys = {kind.decode(): key for kind, key in _LINE.findall(text)}
+    if "public" not in keys:
         raise ConfigError(f"{path}: no CURVE certificate: it has no line public-key; softfinger keys makes them")
-    return found, status.st_mode
+    return keys, status.st_mode

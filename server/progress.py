@@ -1,6 +1,6 @@
-"""Progress of what takes long: on a terminal a line that keeps clear of the log, elsewhere a line every few seconds.
+"""Progress display of long operations: a line below the log on a terminal, otherwise a line every few seconds.
 
-Whatever is waited for may have to compile kernels first, or load those that are kept: while it does, the line says so.
+The line also shows that kernels are being compiled or loaded, which any long operation may have to do first.
 """
 
 from __future__ import annotations
@@ -14,62 +14,64 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
-from softfinger.proxy.kernels.jit.compiler.doing import DOING
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
-if TYPE_CHECKING:  # rich takes 50 ms to import, and only a terminal needs it
+if TYPE_CHECKING:  # importing rich takes 50 ms, and only terminals need it
     from rich.progress import Progress, Task
 
 QUIET_S: Final = 0.5
-"""What is done sooner shows nothing."""
+"""Shorter operations show nothing."""
 PLAIN_PERIOD_S: Final = 5.0
 
 CHUNK: Final = 16384
-"""Ticks that an offline run does between two reports, and hands on at once: 12 MB of records."""
+"""Ticks per progress report of an offline run, which passes on 12 MB of records at a time."""
 
-_shown: Final = threading.Lock()
-"""There is one display: of what is reported within something reported, nothing is shown."""
+_display_lock: Final = threading.Lock()
+"""Held by the only display; operations nested in another show nothing."""
 
 
 _quiet: Final = threading.Event()
 
 
-def show(wanted: bool) -> None:
-    """Whether anything is shown from now on."""
-    if wanted:
+def set_enabled(enabled: bool) -> None:
+    """Turn the progress display on or off."""
+    if enabled:
         _quiet.clear()
     else:
         _quiet.set()
 
 
 def on_terminal() -> bool:
-    """Whether there is a terminal to draw on."""
+    """Return whether standard error is a terminal that can redraw a line."""
     return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
 @contextmanager
 def progress(what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
-    """Report on `what` to stderr while the block runs; call the result with how many of `total` are done."""
-    if _quiet.is_set() or not _shown.acquire(blocking=False):
+    """Report progress of `what` to stderr during the block; call the result with the number done, out of `total`."""
+    if _quiet.is_set() or not _display_lock.acquire(blocking=False):
         yield lambda number: None
         return
     try:
         with _bar(what, total) if on_terminal() else _lines(what, total) as done:
             yield done
     finally:
-        _shown.release()
+        _display_lock.release()
 
 
-def described(what: str, count: int = 0, total: int | None = None) -> str:
-    """What is waited for: `simulating: compiling kernel 1`, and when that is done `simulating 40%`."""
-    if doing := str(DOING):
-        return f"{what}: {doing}"
+def progress_text(what: str, count: int = 0, total: int | None = None) -> str:
+    """Return the text of the progress line: `simulating: compiling kernel 1`, after that `simulating 40%`."""
+    if compilation := str(COMPILE_PROGRESS):
+        return f"{what}: {compilation}"
     return f"{what} {count / total:.0%}" if total else what
 
 
 @contextmanager
-def making(kernels: str) -> Iterator[None]:
-    """Report on `kernels` that are compiled or loaded; the garbage collector, which would take a tenth of the time of
-    a compilation, comes behind it."""
+def report_compilation(kernels: str) -> Iterator[None]:
+    """Report the compilation or loading of `kernels` during the block.
+
+    The garbage collector is off until the end: it would take a tenth of the time of a compilation.
+    """
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -82,11 +84,11 @@ def making(kernels: str) -> Iterator[None]:
 
 @contextmanager
 def counter() -> Iterator[Callable[[str], None] | None]:
-    """On a terminal: call the result with a text, to show it in the last line. Elsewhere None."""
+    """Yield a function that shows a text in the last line of the terminal; None without a terminal."""
     if _quiet.is_set() or not on_terminal():
         yield None
         return
-    with _shown:
+    with _display_lock:
         display = _display(bar=False)
         task = display.add_task("")
         with display:
@@ -115,22 +117,22 @@ def _display(bar: bool) -> Progress:
     from rich.text import Text
 
     class Visible(Console):
-        """The cursor stays: a process that is stopped or killed would leave the terminal without one."""
+        """Console that never hides the cursor: a stopped or killed process could not show it again."""
 
         def show_cursor(self, show: bool = True) -> bool:
             return False
 
     class What(TextColumn):
-        """Asked for ten times a second, so it says what is done with kernels just now."""
+        """Column evaluated ten times a second, so it shows the current kernel compilation."""
 
         def render(self, task: Task) -> Text:
-            return Text(described(task.description), no_wrap=True, overflow="ellipsis")
+            return Text(progress_text(task.description), no_wrap=True, overflow="ellipsis")
 
     class Share(TaskProgressColumn):
-        """Nothing while kernels are made: 0 % would be what is not begun."""
+        """Percentage that is empty during a compilation, when the operation has not started yet."""
 
         def render(self, task: Task) -> Text:
-            return Text() if str(DOING) else super().render(task)
+            return Text() if str(COMPILE_PROGRESS) else super().render(task)
 
     text = Column(no_wrap=True, overflow="ellipsis")
     columns: list[ProgressColumn] = [
@@ -139,14 +141,14 @@ def _display(bar: bool) -> Progress:
     ]
     if bar:
         columns += [BarColumn(), Share()]
-    # Long lines of the log are left to the terminal to wrap. Results for a pipe do not go to the terminal.
+    # The terminal wraps long log lines. Redirected output does not go to the terminal.
     console = Visible(stderr=True, soft_wrap=True, highlight=False)
     return Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty())
 
 
 @contextmanager
 def _lines(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    begun, finished, count = time.monotonic(), threading.Event(), 0
+    start_s, finished, count = time.monotonic(), threading.Event(), 0
 
     def done(number: int) -> None:
         nonlocal count
@@ -155,8 +157,8 @@ def _lines(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
     def report() -> None:
         wait = QUIET_S
         while not finished.wait(wait):
-            said = described(what, count, total)
-            print(f"{said} ... {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
+            text = progress_text(what, count, total)
+            print(f"{text} ... {time.monotonic() - start_s:.0f} s", file=sys.stderr, flush=True)
             wait = PLAIN_PERIOD_S
 
     reporter = threading.Thread(target=report, daemon=True)

@@ -1,8 +1,8 @@
-"""Fixtures for tests of programs that use the daemon: it is started for a test, and its log is in the report.
+"""Pytest fixtures for programs that use the daemon: start it for a test and add its log to the report.
 
-Installed with the package (entry point `pytest11`); docs/operate/recordings.md shows its use. Every pytest in the same
-environment imports this module, so it imports nothing of weight before a fixture is asked for. The tests for drivers of
-other packages are in `softfinger.server.driver_contract`.
+The package installs this plugin (entry point `pytest11`); docs/operate/recordings.md shows its use. Every pytest run in
+the same environment imports this module, so it imports large modules only when a fixture is used. The tests for drivers
+of other packages are in `softfinger.server.driver_contract`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 pytest.register_assert_rewrite("softfinger.server.driver_contract")  # a failed case shows both sides
 
 READY_S = 600.0
-"""The first run of a scene compiles it, which takes minutes on a busy machine."""
+"""The first run of a scene compiles its kernels, which takes minutes on a busy machine."""
 STOP_S = 20.0
 _POLL_S = 0.02
 _ASK_S = 2.0
@@ -39,7 +39,7 @@ _LOGS = pytest.StashKey[list["SoftfingerDaemon"]]()
 
 
 class SoftfingerDaemon:
-    """A daemon in a process of its own, on ports that were free; made by the fixture `softfinger_daemon`."""
+    """Daemon in a separate process on free ports; created by the fixture `softfinger_daemon`."""
 
     def __init__(self, words: Sequence[str], log: Path) -> None:
         command = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", *words]
@@ -52,12 +52,12 @@ class SoftfingerDaemon:
 
     @property
     def log(self) -> str:
-        """What it has said so far."""
+        """Log of the daemon so far."""
         return self._log.read_text("utf-8", "replace")
 
     @property
     def control(self) -> Control:
-        """A client that commands it."""
+        """New client for the daemon's commands, closed by `stop`."""
         from softfinger.server.wire.control import Control
 
         client = Control(self.commands)
@@ -65,7 +65,7 @@ class SoftfingerDaemon:
         return client
 
     def subscribe(self, topics: Sequence[str] = ("contact",), timeout_s: float = 10.0) -> Subscription:
-        """A client of its telemetry; iterating raises NoTelemetry after so long without a message."""
+        """Return a telemetry client; its iterator raises NoTelemetry after `timeout_s` without a message."""
         from softfinger.server.wire.client import subscribe
 
         client = subscribe(self.endpoint, topics, timeout_s)
@@ -73,12 +73,12 @@ class SoftfingerDaemon:
         return client
 
     def wait(self, timeout_s: float = READY_S) -> int:
-        """Wait for its end, such as that of a recording; returns the exit code."""
+        """Wait until the daemon ends, such as at the end of a recording; return the exit code."""
         self._stopped = True
         return self.process.wait(timeout_s)
 
     def stop(self) -> int:
-        """End it in order, if it has not ended; returns the exit code."""
+        """Stop the daemon in an orderly way if it still runs; return the exit code."""
         self._stopped = True
         for client in self._open:
             client.close()
@@ -91,7 +91,7 @@ class SoftfingerDaemon:
             return self.process.wait()
 
     def wait_ready(self, timeout_s: float) -> None:
-        """Wait for the first tick; fails the test with the log where the daemon ends before, or takes too long."""
+        """Wait for the first tick; fail the test with the log if the daemon ends before or takes too long."""
         until = time.monotonic() + timeout_s
         while not self._ticks():
             if self.process.poll() is not None:
@@ -103,14 +103,14 @@ class SoftfingerDaemon:
 
     @property
     def failed(self) -> str:
-        """How it ended though nobody asked it to; empty if it did not."""
+        """Message about an unexpected end; empty if there was none."""
         code = self.process.poll()
         return "" if self._stopped or not code else f"the daemon ended with exit code {code}"
 
     def _ticks(self) -> bool:
         if not self.commands:
-            said = self.log
-            telemetry, commands = _TELEMETRY.search(said), _COMMANDS.search(said)
+            text = self.log
+            telemetry, commands = _TELEMETRY.search(text), _COMMANDS.search(text)
             if telemetry is None or commands is None:
                 return False
             self.endpoint, self.commands = telemetry[1], commands[1]
@@ -130,16 +130,24 @@ class SoftfingerDaemon:
 
 @pytest.fixture
 def softfinger_daemon(request: pytest.FixtureRequest) -> Iterator[Callable[..., SoftfingerDaemon]]:
-    """Starts daemons: `softfinger_daemon(scene=..., recording=...)`, ready when it returns, stopped after the test.
+    """Start daemons: `softfinger_daemon(scene=..., recording=...)` returns a ready one, stopped after the test.
 
-    scene      shipped name or file
-    recording  poses to replay; None: what the rig has
-    device     driver in place of the rig's, such as "simulated"
-    rig        shipped name or file
-    words      further words of `softfinger run`, such as ["--once"]
-    ready_s    how long to wait for the first tick
+    A daemon that ends with an error fails the test. The report of a failed test has the log of each daemon.
 
-    A daemon that ends with an error fails the test; the log of each is in the report of a test that fails.
+    Parameters
+    ----------
+    scene
+        Shipped name or file.
+    recording
+        Poses to replay; None: as in the rig.
+    device
+        Driver that replaces the rig's, such as "simulated".
+    rig
+        Shipped name or file.
+    words
+        Further arguments of `softfinger run`, such as ["--once"].
+    ready_s
+        Time limit for the first tick.
     """
     daemons = request.node.stash.setdefault(_LOGS, [])
 
@@ -152,10 +160,10 @@ def softfinger_daemon(request: pytest.FixtureRequest) -> Iterator[Callable[..., 
         words: Sequence[str] = (),
         ready_s: float = READY_S,
     ) -> SoftfingerDaemon:
-        given = {"--scene": scene, "--recording": recording, "--device": device, "--rig": rig}
-        said = [word for flag, value in given.items() if value is not None for word in (flag, str(value))]
+        options = {"--scene": scene, "--recording": recording, "--device": device, "--rig": rig}
+        arguments = [word for flag, value in options.items() if value is not None for word in (flag, str(value))]
         log = Path(folder) / f"{len(daemons)}.log"
-        daemon = SoftfingerDaemon([*said, "--realtime", "off", *words], log)
+        daemon = SoftfingerDaemon([*arguments, "--realtime", "off", *words], log)
         daemons.append(daemon)
         daemon.wait_ready(ready_s)
         return daemon
@@ -172,7 +180,7 @@ def softfinger_daemon(request: pytest.FixtureRequest) -> Iterator[Callable[..., 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
-    """Put the daemons' logs into the report of a test that failed."""
+    """Add the logs of the daemons to the report of a failed test."""
     report = yield
     if report.when == "call" and report.failed:
         for daemon in item.stash.get(_LOGS, []):

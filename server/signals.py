@@ -1,14 +1,14 @@
-"""How a program ends by a signal: in order, by the first one, within a second; and how Ctrl-Z leaves no force behind.
+"""Signal handling: the first signal ends the program in an orderly way within a second; Ctrl-Z removes all forces.
 
-`cli.main` has every signal that would end the process handled here. What becomes of one depends on what is going on:
+`cli.main` installs these handlers for every signal that would end the process. Their effect depends on the context:
 
-    while modules are imported    the process leaves at once: nothing is open yet
-    in any verb                   `Interrupted` is raised in the main thread, once: contexts close what they opened
-    inside `asked`                a function is called and nothing raised: a servo or a recording ends in order
-    inside `held`                 it is only noted: a closing is not interrupted
+    during imports            the process exits at once, because nothing is open yet
+    in any verb               `Interrupted` is raised in the main thread, once, and contexts close their resources
+    inside `stop_on_signal`   a function is called and nothing is raised: a servo or a recording ends in an orderly way
+    inside `defer_signals`    the signal is only stored: closing is not interrupted
 
-A main thread that is in a compiler of half a minute takes no exception. Then the devices are closed from another
-thread and the process leaves from there.
+A main thread inside a compiler may not raise the exception for half a minute. In that case another thread closes the
+devices and exits the process.
 """
 
 from __future__ import annotations
@@ -23,93 +23,96 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Final
 
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 
 STOPPING: Final = frozenset({signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU})
-"""Stop the process until SIGCONT."""
+"""Signals that stop the process until SIGCONT."""
 _HARMLESS: Final = frozenset({signal.SIGCHLD, signal.SIGCONT, signal.SIGURG, signal.SIGWINCH})
 _NOT_CAUGHT: Final = frozenset({signal.SIGKILL, signal.SIGSTOP})
 _FAULTS: Final = frozenset({signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP})
-"""A handler of these would return to the instruction that failed."""
+"""A handler would return to the instruction that failed."""
 ENDING: Final = frozenset(signal.valid_signals()) - STOPPING - _HARMLESS - _NOT_CAUGHT - _FAULTS
-"""Every signal that would end the process and can be caught."""
+"""All signals that end the process and can be caught."""
 USUAL: Final = frozenset({signal.SIGINT, signal.SIGTERM})
-"""The ways of asking a daemon to stop, so no failure."""
+"""Normal requests to stop a daemon; they give exit code 0."""
 
 GRACE_S: Final = 0.5
-"""How long the main thread has to take a signal. Python's own code takes it in a switch interval."""
+"""Time for the main thread to handle a signal. Python code does so within one switch interval."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal asks for the end. As with KeyboardInterrupt, `except Exception` does not catch it."""
+    """A signal requested the end. As for KeyboardInterrupt, `except Exception` does not catch it."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
         self.number = number
 
 
-class _State:
+class _SignalState:
     def __init__(self) -> None:
         self.number = 0
-        """The first signal that asked for the end; 0 before there is one."""
+        """First signal that requested the end; 0 if there is none."""
         self.importing = False
-        self.held = 0
+        self.deferrals = 0
         self.stop: Callable[[], None] | None = None
         self.pause: Callable[[], Callable[[], None]] | None = None
-        self.arrived = threading.Event()
+        self.was_handled = threading.Event()
 
 
-_state = _State()
+_state = _SignalState()
 
 
-def named(number: int) -> str:
-    """Name of a signal; the real-time ones between the first and the last have none."""
+def signal_name(number: int) -> str:
+    """Return the name of a signal; real-time signals other than the first and last have none."""
     try:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
 
 
-def code_of(number: int) -> int:
-    """Exit code of a process that a signal ended, as a shell has it."""
+def exit_code(number: int) -> int:
+    """Return the exit code that shells use for a process killed by a signal."""
     return 128 + number
 
 
-def code_of_stop() -> int:
-    """Exit code of what was asked to stop and did in order: 0 after the usual signals and after none."""
-    return 0 if _state.number in USUAL else code_of(_state.number) if _state.number else 0
+def stop_exit_code() -> int:
+    """Return the exit code after an orderly stop: 0 without a signal and after the usual ones."""
+    return 0 if _state.number in USUAL else exit_code(_state.number) if _state.number else 0
 
 
 @contextmanager
-def handled(to_the_end: bool = False) -> Iterator[None]:
-    """Signals are handled as this module says. Where they cannot be, outside the main thread, nothing changes.
+def handle_signals(ignore_after: bool = False) -> Iterator[None]:
+    """Handle signals in the block as described above; has no effect outside the main thread.
 
-    to_the_end  the process ends behind the block: signals are ignored from there on, and change no exit code
+    Parameters
+    ----------
+    ignore_after
+        The process exits after the block: ignore signals from there on, so that none changes the exit code.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     global _state
-    outer, _state = _state, _State()
+    outer, _state = _state, _SignalState()
     _state.importing = True
     receiver, sender = os.pipe()
     os.set_blocking(sender, False)
-    hook, sys.unraisablehook = sys.unraisablehook, _unraisable(sys.unraisablehook)
+    hook, sys.unraisablehook = sys.unraisablehook, _make_unraisable_hook(sys.unraisablehook)
     wakeup = signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
-    before = {}
+    previous_handlers = {}
     for number in sorted(ENDING | STOPPING):
-        # nohup, and a shell in the background, have had some ignored for us; Python itself SIGPIPE.
+        # nohup and shells set some signals to ignored for background processes, and Python ignores SIGPIPE.
         if number in USUAL or signal.getsignal(number) is not signal.SIG_IGN:
-            before[number] = signal.signal(number, _pause if number in STOPPING else _end)
+            previous_handlers[number] = signal.signal(number, _handle_stop if number in STOPPING else _handle_end)
     watch = threading.Thread(target=_watch_main, args=(receiver, _state), name="signals", daemon=True)
     watch.start()
     try:
         yield
     finally:
-        with held():
-            _stop_all()  # what an interrupt left between its opening and its context
-            for number, handler in before.items():
-                signal.signal(number, signal.SIG_IGN if to_the_end else handler)
+        with defer_signals():
+            _stop_all()  # devices opened by an interrupted call, before their context started
+            for number, handler in previous_handlers.items():
+                signal.signal(number, signal.SIG_IGN if ignore_after else handler)
         signal.set_wakeup_fd(wakeup)
         os.close(sender)
         watch.join()
@@ -118,21 +121,26 @@ def handled(to_the_end: bool = False) -> Iterator[None]:
         _state = outer
 
 
-def imported() -> None:
-    """Imports are done: from here on a signal raises `Interrupted`."""
+def mark_imported() -> None:
+    """Mark the imports as complete: signals raise `Interrupted` from now on."""
     _state.importing = False
 
 
 @contextmanager
-def asked(stop: Callable[[], None], pause: Callable[[], Callable[[], None]] | None = None) -> Iterator[None]:
-    """Inside, a signal calls `stop`, as often as one comes, and raises nothing.
+def stop_on_signal(stop: Callable[[], None], pause: Callable[[], Callable[[], None]] | None = None) -> Iterator[None]:
+    """Call `stop` on each signal in the block instead of raising an exception.
 
-    pause  called before the process stops (Ctrl-Z): takes the force off, and returns what puts it back
+    Parameters
+    ----------
+    stop
+        Requests the end; may be called repeatedly, from a signal handler or another thread.
+    pause
+        Called before the process is stopped (Ctrl-Z): removes the force and returns a function that restores it.
     """
     state = _state
     before = state.stop, state.pause
     state.stop, state.pause = stop, pause
-    if state.number:  # what it raised was swallowed: some libraries import others and take whatever comes of it
+    if state.number:  # the exception was swallowed: some libraries ignore every exception of an optional import
         stop()
     try:
         yield
@@ -141,84 +149,84 @@ def asked(stop: Callable[[], None], pause: Callable[[], Callable[[], None]] | No
 
 
 @contextmanager
-def held() -> Iterator[None]:
-    """Inside, a signal is noted and nothing else."""
+def defer_signals() -> Iterator[None]:
+    """Store signals during the block without acting on them."""
     state = _state
-    state.held += 1
+    state.deferrals += 1
     try:
         yield
     finally:
-        state.held -= 1
+        state.deferrals -= 1
 
 
-def _end(number: int, _: FrameType | None) -> None:
+def _handle_end(number: int, _: FrameType | None) -> None:
     state = _state
-    state.arrived.set()
+    state.was_handled.set()
     first = not state.number
     state.number = state.number or number
     if state.stop is not None:
         state.stop()
     elif state.importing:
-        _leave(number)
-    elif first and not state.held:
+        _exit(number)
+    elif first and not state.deferrals:
         raise Interrupted(number)
 
 
-def _pause(number: int, _: FrameType | None) -> None:
-    """No force while the process is stopped. What does not pause is ended after it, in order."""
+def _handle_stop(number: int, _: FrameType | None) -> None:
+    """Remove all forces before the process is stopped; a verb without `pause` exits after it resumes."""
     state = _state
-    if state.held:
+    if state.deferrals:
         return
-    devices = [] if state.pause is not None else list(opened.devices)
-    go_on = None if state.pause is None else state.pause()
+    devices = [] if state.pause is not None else list(open_devices.devices)
+    restore_force = None if state.pause is None else state.pause()
     if devices:
         _stop_all()
-    # The system's own action, so that shells see what they know, and a group of processes without a shell goes on.
+    # The system's own action, so that shells notice the stop and an orphaned process group continues.
     signal.signal(number, signal.SIG_DFL)
     signal.raise_signal(number)
-    signal.signal(number, _pause)
-    if go_on is not None:
-        go_on()
+    signal.signal(number, _handle_stop)
+    if restore_force is not None:
+        restore_force()
     if devices:
-        _end(number, None)
+        _handle_end(number, None)
 
 
-def _watch_main(receiver: int, state: _State) -> None:
-    """See to it that a signal is taken, wherever the main thread is."""
+def _watch_main(receiver: int, state: _SignalState) -> None:
+    """End the process if the main thread has not handled a signal within GRACE_S."""
     while numbers := os.read(receiver, 64):
         for number in numbers:
-            if number in ENDING and not state.arrived.wait(GRACE_S):
+            if number in ENDING and not state.was_handled.wait(GRACE_S):
                 if state.stop is not None:
                     state.stop()
                 else:
-                    _leave(number)
+                    _exit(number)
 
 
-def _leave(number: int) -> None:
-    """End the process from any thread, with the devices closed."""
-    opened.close_all()
-    _say(f"ended by {named(number)}")
-    os._exit(code_of(number))
+def _exit(number: int) -> None:
+    """Close the devices and exit the process, from any thread."""
+    open_devices.close_all()
+    _print(f"ended by {signal_name(number)}")
+    os._exit(exit_code(number))
 
 
 def _stop_all() -> None:
-    """Zero what is open. One that refuses is named and changes nothing else: not the shutdown, not the exit code."""
-    for error in opened.stop_all():
-        _say(f"a device could not be stopped ({type(error).__name__}: {error}): it may still push, switch it off")
+    """Zero all open devices; a failure is printed and changes neither the shutdown nor the exit code."""
+    for error in open_devices.stop_all():
+        _print(f"a device could not be stopped ({type(error).__name__}: {error}): it may still push, switch it off")
 
 
-def _say(line: str) -> None:
-    """A line on standard error from wherever this is: a signal may have come while another was being written."""
+def _print(line: str) -> None:
+    """Write a line to standard error without a lock: a signal may have interrupted another write."""
     with contextlib.suppress(OSError):
         os.write(2, (b"\r\x1b[K" if os.isatty(2) else b"") + f"softfinger: {line}\n".encode())
 
 
-def _unraisable(otherwise: Callable[[Any], Any]) -> Callable[[Any], None]:
-    """An `Interrupted` that was raised where nothing can be, in a callback of C or a finalizer, ends the process."""
+def _make_unraisable_hook(default_hook: Callable[[Any], Any]) -> Callable[[Any], None]:
+    """Return a hook that exits the process if `Interrupted` was raised in a C callback or a finalizer."""
 
-    def hook(seen: Any) -> None:
-        if isinstance(seen.exc_value, Interrupted):
-            _leave(seen.exc_value.number)
-        otherwise(seen)
+    def hook(unraisable: Any) -> None:
+        if isinstance(unraisable.exc_value, Interrupted):
+            _exit(unraisable.exc_value.number)
+        default_hook(unraisable)
 
     return hook

@@ -1,6 +1,6 @@
-"""The states of the daemon, and every way from one to another: the table TRANSITIONS, and nothing besides.
+"""States of the daemon and all transitions between them, in the table TRANSITIONS.
 
-`docs/reference/states.md` and its figure are made from it.
+`docs/reference/states.md` and its figure are generated from this file.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from enum import StrEnum
 from typing import Final
 
 
-class State(StrEnum):
-    """What the daemon is in: `health.state`, `describe`, events of kind `state`."""
+class DaemonState(StrEnum):
+    """State of the daemon: `health.state`, `describe` and events of kind `state`."""
 
     STARTING = "starting"
     READY = "ready"
@@ -22,16 +22,16 @@ class State(StrEnum):
 
 
 MEANINGS: Final = {
-    State.STARTING: "devices and kernels are made ready; there is no tick yet",
-    State.READY: "ticks go on, and every device has zero force",
-    State.ARMED: "forces are rendered, or fade in",
-    State.FAULTED: "a fault has removed the force",
-    State.STOPPING: "the run ends with zero force",
+    DaemonState.STARTING: "devices and kernels are made ready; there is no tick yet",
+    DaemonState.READY: "ticks go on, and every device has zero force",
+    DaemonState.ARMED: "forces are rendered, or fade in",
+    DaemonState.FAULTED: "a fault has removed the force",
+    DaemonState.STOPPING: "the run ends with zero force",
 }
 
 
 class Trigger(StrEnum):
-    """What leads from one state to another."""
+    """Cause of a transition."""
 
     TICK = "tick"
     ARM = "arm"
@@ -43,7 +43,7 @@ class Trigger(StrEnum):
 
 CAUSES: Final = {
     Trigger.TICK: "the first tick",
-    Trigger.ARM: "nothing keeps the force off: the rig arms by itself, `arm`, or a button where the rig has that",
+    Trigger.ARM: "the force may be switched on: automatically, by `arm`, or by a button, as in the rig",
     Trigger.DISARM: "`disarm`",
     Trigger.FAULT: "a handle too fast, a missed heartbeat, or an error that ends the run",
     Trigger.CLEAR: "the handle is slow again, the next heartbeat, `arm`, or a button",
@@ -51,70 +51,75 @@ CAUSES: Final = {
 }
 
 TRANSITIONS: Final = {
-    (State.STARTING, Trigger.TICK): State.READY,
-    (State.STARTING, Trigger.FAULT): State.FAULTED,
-    (State.STARTING, Trigger.END): State.STOPPING,
-    (State.READY, Trigger.ARM): State.ARMED,
-    (State.READY, Trigger.FAULT): State.FAULTED,
-    (State.READY, Trigger.END): State.STOPPING,
-    (State.ARMED, Trigger.DISARM): State.READY,
-    (State.ARMED, Trigger.FAULT): State.FAULTED,
-    (State.ARMED, Trigger.END): State.STOPPING,
-    (State.FAULTED, Trigger.CLEAR): State.READY,
-    (State.FAULTED, Trigger.END): State.STOPPING,
+    (DaemonState.STARTING, Trigger.TICK): DaemonState.READY,
+    (DaemonState.STARTING, Trigger.FAULT): DaemonState.FAULTED,
+    (DaemonState.STARTING, Trigger.END): DaemonState.STOPPING,
+    (DaemonState.READY, Trigger.ARM): DaemonState.ARMED,
+    (DaemonState.READY, Trigger.FAULT): DaemonState.FAULTED,
+    (DaemonState.READY, Trigger.END): DaemonState.STOPPING,
+    (DaemonState.ARMED, Trigger.DISARM): DaemonState.READY,
+    (DaemonState.ARMED, Trigger.FAULT): DaemonState.FAULTED,
+    (DaemonState.ARMED, Trigger.END): DaemonState.STOPPING,
+    (DaemonState.FAULTED, Trigger.CLEAR): DaemonState.READY,
+    (DaemonState.FAULTED, Trigger.END): DaemonState.STOPPING,
 }
-"""The state after a trigger; what is not here changes nothing."""
+"""Next state by state and trigger; all other triggers are ignored."""
 
 UNARMED: Final = "not armed yet"
 COMMANDED: Final = "disarmed by command"
 SILENT: Final = "no heartbeat"
 FAST: Final = "the handle was too fast"
-"""Why there is no force."""
+"""Reasons for zero force."""
 FAULTS: Final = frozenset({SILENT, FAST})
-"""Those of them that are faults."""
+"""Reasons for zero force that are faults."""
 
 
 class States:
-    """The state of a daemon; from any thread.
+    """State machine of a daemon; thread-safe.
 
-    tell  is given the state before, the new one, and its cause, in order
+    Parameters
+    ----------
+    report
+        Called on each transition, in order, with the previous state, the new state and the cause.
     """
 
-    def __init__(self, tell: Callable[[State, State, str], None] = lambda before, after, cause: None) -> None:
-        self._tell = tell
+    def __init__(
+        self, report: Callable[[DaemonState, DaemonState, str], None] = lambda before, after, cause: None
+    ) -> None:
+        self._report = report
         self._lock = threading.RLock()
-        self._now = State.STARTING
+        self._now = DaemonState.STARTING
         self._failed = False
 
     @property
-    def now(self) -> State:
-        """The present state."""
+    def now(self) -> DaemonState:
+        """Current state."""
         return self._now
 
     def fire(self, trigger: Trigger, cause: str) -> bool:
-        """Go where TRANSITIONS leads; False where it leads nowhere, and nothing has changed."""
+        """Change to the state given by TRANSITIONS; return False if there is none, which changes nothing."""
         with self._lock:
             after = TRANSITIONS.get((self._now, trigger))
             if after is None:
                 return False
             before, self._now = self._now, after
-            self._tell(before, after, cause)
+            self._report(before, after, cause)
             return True
 
     def fail(self, cause: str) -> None:
-        """An error ends the run: nothing clears it any more."""
+        """Enter FAULTED because an error ends the run; the fault cannot be cleared."""
         with self._lock:
             self._failed = True
             self.fire(Trigger.FAULT, cause)
 
     def follow(self, reasons: Set[str]) -> None:
-        """Go by why there is no force, none of them where there is."""
+        """Update the state from the reasons for zero force; an empty set means that forces are rendered."""
         with self._lock:
-            if self._now is State.STARTING or self._failed:
+            if self._now is DaemonState.STARTING or self._failed:
                 return
             cause = ", ".join(sorted(reasons))
             if reasons & FAULTS:
                 self.fire(Trigger.FAULT, cause)
                 return
             self.fire(Trigger.CLEAR, cause)
-            self.fire(*((Trigger.DISARM, cause) if reasons else (Trigger.ARM, "nothing keeps the force off")))
+            self.fire(*((Trigger.DISARM, cause) if reasons else (Trigger.ARM, "the force may be switched on")))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.compiling import CompilationReport
+from helpers.cpu_report import CpuReport
 from helpers.faults_seen import FaultsSeen
 from helpers.stalls import Patience
 from hypothesis import HealthCheck, settings
@@ -19,7 +20,7 @@ from hypothesis import HealthCheck, settings
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.config.schema.addresses import IPC_PATH_MAX
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 
 pytest_plugins = ["helpers.pages"]
 collect_ignore = ["outside_driver"]
@@ -67,12 +68,12 @@ def tmp_path(tmp_path: Path) -> Iterator[Path]:
 def _no_device_of_another_test() -> Iterator[None]:
     """A device that a test left hanging, so that somebody still holds it, is not stopped by the next one's program."""
     yield
-    opened.devices.clear()
+    open_devices.devices.clear()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("softfinger")
-    group.addoption("--compiled", action="store_true", help="list every file whose tests compile kernels")
+    group.addoption("--cpu-report", metavar="FILE", help="write the CPU seconds of each test here, as JSON")
     group.addoption("--exhaustive", action="store_true", help="all cases of tests marked `scaled`")
     group.addoption("--faults-seen", metavar="FILE", help="write what tests of injected faults saw here")
     group.addoption("--put-off", metavar="FILE", help="name tests of real time here that failed")
@@ -81,7 +82,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Where only tests of one mark are asked for, files that do not name it are not imported: all of them take 5 s."""
     mark = str(config.option.markexpr).partition(" ")[0]
-    if mark not in ("plain", "real_time") or not collection_path.match("test_*.py"):
+    if mark not in ("plain", "real_time", "system") or not collection_path.match("test_*.py"):
         return None
     return True if mark not in collection_path.read_text(encoding="utf-8") else None
 
@@ -92,12 +93,43 @@ def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
         os.environ.pop("NUMBA_DISABLE_JIT", None)
     config.pluginmanager.register(Patience(config.getoption("--put-off")))
-    config.pluginmanager.register(CompilationReport())
+    if file := config.getoption("--cpu-report"):
+        config.pluginmanager.register(CpuReport(file))
     if file := config.getoption("--faults-seen"):
         config.pluginmanager.register(FaultsSeen(file))
 
 
+def pytest_collection_finish() -> None:
+    """Collect garbage less often: visiting every test and module took a fifth of the CPU time of plain tests."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by mark
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave all but some cases of tests marked `sampled` to `make test-all`; skip servo loops in plain Python."""
+    sample_cases(items)
+    skip_servo_loops(items)
+
+
+def sample_cases(items: list[pytest.Item]) -> None:
+    """Mark as `exhaustive` all cases but n, evenly spaced, of each test marked `sampled(n)`."""
+    tests: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("sampled") and not item.get_closest_marker("exhaustive"):
+            tests.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for of_test in tests.values():
+        marker = of_test[0].get_closest_marker("sampled")
+        assert marker is not None
+        (count,) = marker.args
+        chosen = {round((i + 0.5) * len(of_test) / count - 0.5) for i in range(count)}
+        for i, item in enumerate(of_test):
+            if i not in chosen:
+                item.add_marker("exhaustive")
+
+
+def skip_servo_loops(items: list[pytest.Item]) -> None:
     """A servo loop needs machine code: with kernels as plain Python tests that run one are skipped, with this reason.
     `make test` runs them in a process of their own."""
     if "numba" not in sys.modules or not sys.modules["numba"].config.DISABLE_JIT:

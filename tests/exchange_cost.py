@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import DeviceTimeout, HapticError
 from softfinger.drivers.base import OK, SAMPLE_SIZE, DeviceIO
-from softfinger.drivers.conversation import TALK
+from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.device import open_device as open_falcon
 from softfinger.drivers.forcedimension import device as forcedimension
@@ -49,7 +49,7 @@ from softfinger.drivers.hid.device import HidDevice
 from softfinger.drivers.openhaptics.device import open_device as open_touch
 from softfinger.drivers.openhaptics.options import Options as TouchOptions
 from softfinger.drivers.serial.device import SerialDevice
-from softfinger.drivers.serial.packets import finish_once, shape_of
+from softfinger.drivers.serial.packets import complete_frame_once, make_shape
 from softfinger.drivers.spacemouse.device import SpaceMouse
 from softfinger.drivers.spacemouse.puck import Options as PuckOptions
 from softfinger.drivers.system.libc import IO_SIGNATURE, read_fd, write_fd
@@ -254,7 +254,7 @@ def serial(_: Path) -> Iterator[Case]:
     frame, buffer = Board(lambda _: (0.01, 0.02, -0.015)).frame(), np.zeros(BUFFER, np.uint8)
 
     with far, answered(far, frame, lambda: SerialDevice(serial_options(), near.detach(), "a socket")) as device:
-        fd = int(device._block.word[TALK.fd])
+        fd = int(device._block.word[BOARD.fd])
         words = np.array([fd, buffer.ctypes.data, FRAME_BYTES])
         bare = DeviceIO(_stream_read.address, _socket_write.address, words.ctypes.data)
         yield Case(device.io(), bare, far.fileno(), frame, lambda: answered(far, frame, Servo(device, arm=False).read))
@@ -268,11 +268,11 @@ def described(_: Path) -> Iterator[Case]:
     near, far = socket.socketpair()
     near.setblocking(False)
     frame, buffer = np.zeros(given.frames.input.bytes, np.uint8), np.zeros(BUFFER, np.uint8)
-    finish_once(frame, shape_of(given.frames.input, False))
+    complete_frame_once(frame, make_shape(given.frames.input, False))
     answer = frame.tobytes()
 
     with far, answered(far, answer, lambda: SerialDevice(given, near.detach(), "a socket")) as device:
-        fd = int(device._block.word[TALK.fd])
+        fd = int(device._block.word[BOARD.fd])
         words = np.array([fd, buffer.ctypes.data, given.frames.output.bytes])
         bare = DeviceIO(_stream_read.address, _socket_write.address, words.ctypes.data)
         yield Case(

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.server.faults import HAZARDS, SEEN_IN
+from softfinger.tools.pages.hazards import HAZARDS, SEEN_IN
 
 ROOT: Final = Path(__file__).parents[1]
 FILE: Final = ROOT / "build" / "faults-seen.json"

@@ -1,5 +1,6 @@
 """The suite in parts that run beside each other. Words go to pytest, but for the first, where it is one of these.
 
+    --system    tests that need Debian packages: emulated USB devices, a browser
     --rest      what `make test` leaves to `make test-all`
     --coverage  `make test` with the lines and branches of the program counted
 
@@ -16,6 +17,7 @@ Parts:
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import queue
 import re
@@ -42,6 +44,17 @@ WELL: Final = (0, 5)
 ENVIRONMENT: Final = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 """Some machines for builds keep no bytecode; the tests start hundreds of programs, and would compile them anew each."""
 
+CPU_FOLDER: Final = HERE.parent / "build" / "cpu-seconds"
+"""CPU seconds of each test of the last run, a JSON file for each part."""
+MOST_EXPENSIVE: Final = 20
+
+HANG_S: Final = 300.0
+SAMPLE_S: Final = 0.3
+"""CPU seconds of the measurement of `hang_limit`; three periods of a quota of Linux, 0.1 s each."""
+
+DRIVERS: Final = (("serial",), ("falcon", "forcedimension", "haply", "hid", "openhaptics", "simulated", "spacemouse"))
+"""Drivers whose exchanges two processes compile, in about the same time."""
+
 Lines = queue.SimpleQueue[tuple[Any, str | None]]
 """Of what is running: each with the part that wrote it, None at its end."""
 
@@ -59,19 +72,23 @@ class Part(NamedTuple):
 BY_FILE: Final = ("--max-worker-restart=0", "--dist", "loadfile", "-n")
 """Files shared out among so many processes. One that has died is not replaced: the run would never end (pytest-xdist
 3.8, issue 1378). The test that it died in has failed, and the others do the rest."""
+QUICKLY: Final = "not exhaustive and not system"
 QUICK: Final = (
-    Part("logic", "plain and not exhaustive", (*BY_FILE, "2"), environment=(("NUMBA_DISABLE_JIT", "1"),)),
-    Part("compiled", "not plain and not real_time and not exhaustive", nice=LESS_NICE),
+    Part("logic", f"plain and {QUICKLY}", (*BY_FILE, "2"), environment=(("NUMBA_DISABLE_JIT", "1"),)),
+    Part("compiled", f"not plain and not real_time and {QUICKLY}", nice=LESS_NICE),
 )
-REAL_TIME: Final = Part("real time", "real_time and not exhaustive", (*BY_FILE, "2"), nice=0)
+REAL_TIME: Final = Part("real time", f"real_time and {QUICKLY}", (*BY_FILE, "2"), nice=0)
 """Beside those and each other. What keeps time waits two thirds of its time, so two processes do it in half of that."""
 PUT_OFF: Final = Part("put off", "real_time", nice=0)
 """Behind those: each test that the one before has named."""
 
+SYSTEM: Final = (Part("system", "system and not exhaustive", nice=0),)
+"""Alone: a browser that draws without a graphics card needs both processors."""
+
 MORE: Final = ("--exhaustive", "--hypothesis-profile=full")
 REST: Final = (
-    Part("compiled", "(plain or exhaustive or scaled or system) and not real_time", (*MORE, *BY_FILE, "logical")),
-    Part("real time", "(exhaustive or scaled or system) and real_time", MORE, nice=0),
+    Part("compiled", "(plain or exhaustive or scaled) and not real_time", (*MORE, *BY_FILE, "logical")),
+    Part("real time", "(exhaustive or scaled) and real_time", MORE, nice=0),
 )
 """One after the other: the first keeps all processors busy."""
 
@@ -81,13 +98,15 @@ class Running:
 
     def __init__(self, part: Part, words: Sequence[str], lines: Lines, covered: bool = False) -> None:
         self.part = part
+        self.cpu_file = CPU_FOLDER / f"{part.name.replace(' ', '-')}.json"
+        self.cpu_file.unlink(missing_ok=True)
         self.report: list[str] = []
         """Everything from the first line of a section on."""
         self.beside: list[str] = []
         """What is neither that nor progress: a heading, or what a process that crashed has said."""
         pytest = [*(["coverage", "run", "-m"] if covered else []), "pytest"]
         self.process = subprocess.Popen(
-            [sys.executable, "-m", *pytest, "-m", part.marks, *part.words, *words],
+            [sys.executable, "-m", *pytest, "-m", part.marks, f"--cpu-report={self.cpu_file}", *part.words, *words],
             cwd=HERE.parent,
             env=ENVIRONMENT | dict(part.environment),
             stdout=subprocess.PIPE,
@@ -140,8 +159,29 @@ def run(parts: Sequence[Part], words: Sequence[str], covered: bool = False) -> l
     return running
 
 
+def hang_limit() -> str:
+    """Return pytest's option for the time after which a test counts as hung.
+
+    It is five minutes times the seconds that a CPU second takes here: 3 under a quota of 35 %.
+    """
+    wall, cpu = time.monotonic(), time.process_time()
+    while time.process_time() - cpu < SAMPLE_S:
+        pass
+    seconds_per_cpu_second = max((time.monotonic() - wall) / SAMPLE_S, 1.0)
+    return f"-o faulthandler_timeout={HANG_S * seconds_per_cpu_second:.0f}"
+
+
+def compile_drivers() -> None:
+    """Compile the exchanges of all drivers: each pytest process would otherwise do it when it imports them."""
+    programs = ["; ".join(f"import softfinger.drivers.{name}.device" for name in names) for names in DRIVERS]
+    compiling = [subprocess.Popen([sys.executable, "-c", program], env=ENVIRONMENT) for program in programs]
+    for process in compiling:
+        process.wait()  # an error of an import is reported by the tests
+
+
 def quick(words: Sequence[str], covered: bool) -> list[Running]:
     """All of `make test`; last, with nothing beside them, the tests of real time that failed beside others."""
+    compile_drivers()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "put-off"
         ended = run([*QUICK, REAL_TIME._replace(words=(*REAL_TIME.words, f"--put-off={file}"))], words, covered)
@@ -160,15 +200,39 @@ def outcome(ended: Sequence[Running]) -> tuple[dict[str, int], bool]:
     return counts, all(part.process.returncode in WELL for part in ended)
 
 
+def print_cpu_table(ended: Sequence[Running]) -> None:
+    """Print the CPU seconds of the run, and the most expensive tests."""
+    tests: list[tuple[list[float], str, str]] = []
+    for part in ended:
+        if part.cpu_file.exists():
+            cpu = json.loads(part.cpu_file.read_text("utf-8"))
+            tests += [(seconds, part.part.name, test) for test, seconds in cpu.items()]
+    used = os.times()
+    total = used.children_user + used.children_system
+    process, compile, programs = (sum(seconds[i] for seconds, _, _ in tests) for i in range(3))
+    print("\nCPU seconds:")
+    print(f"{total:8.1f}  in all")
+    print(f"{process - compile:8.1f}  tests in their own process, without compiling")
+    print(f"{compile:8.1f}  compiling in that process")
+    print(f"{programs:8.1f}  programs that tests started")
+    print(f"{total - process - programs:8.1f}  starting pytest, collecting")
+    print(f"\nThe {MOST_EXPENSIVE} most expensive tests: process, of which compiling, programs (all: {CPU_FOLDER}):")
+    for seconds, part_name, test in sorted(tests, key=lambda each: -each[0][0] - each[0][2])[:MOST_EXPENSIVE]:
+        print("".join(f"{value:7.1f}" for value in seconds), f" {part_name:>9} | {test}")
+
+
 def main(words: list[str]) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    CPU_FOLDER.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
-    wanted = words.pop(0) if words and words[0] in ("--rest", "--coverage") else ""
-    if wanted == "--rest":
-        ended = [part for one in REST for part in run([one], words)]
+    ENVIRONMENT["PYTEST_ADDOPTS"] = f"{os.environ.get('PYTEST_ADDOPTS', '')} {hang_limit()}".strip()
+    wanted = words.pop(0) if words and words[0] in ("--rest", "--system", "--coverage") else ""
+    if wanted in ("--rest", "--system"):
+        ended = [part for one in (REST if wanted == "--rest" else SYSTEM) for part in run([one], words)]
     else:
         ended = quick(words, covered=wanted == "--coverage")
     counts, well = outcome(ended)
+    print_cpu_table(ended)
     print(f"\nin {time.monotonic() - began:.0f} s:")
     print(f"{counts['passed']} passed, {counts['failed']} failed, {counts['skipped']} skipped")
     return 0 if well else 1

@@ -48,15 +48,20 @@ PARTS: Final = {
     "guard": Part(("server/loop/guard.py",), ("server/test_guard",)),
     "limits": Part(("server/loop/limits.py", "server/loop/output.py"), ("server/test_limits",)),
     "shutdown": Part(
-        ("server/closing.py", "drivers/opened.py", "server/loop/shutdown.py"),
+        ("server/closing.py", "drivers/open_devices.py", "server/loop/shutdown.py"),
         ("server/test_shutdown", "server/test_supervisor"),
     ),
     "supervisor": Part(("server/services/supervisor.py",), ("server/test_supervisor",)),
     "states": Part(("server/states.py",), ("server/test_states",)),
     "arming": Part(("server/services/arming.py",), ("server/test_arming_by_record",)),
     "conversation": Part(
-        ("drivers/conversation.py",),
-        ("drivers/test_conversation", "drivers/test_serial_device", "drivers/test_hid_device", "drivers/test_withheld"),
+        ("drivers/board_exchange.py",),
+        (
+            "drivers/test_board_exchange",
+            "drivers/test_serial_device",
+            "drivers/test_hid_device",
+            "drivers/test_withheld",
+        ),
     ),
     "serial": Part(
         ("drivers/serial/exchange.py",),

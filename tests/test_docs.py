@@ -44,7 +44,7 @@ def table(text: str, heading: str) -> list[list[str]]:
 def test_exit_codes_are_those_of_the_errors():
     """docs/operate/running.md lists exactly the exit codes the program can return."""
     listed = {int(row[0]) for row in table(RUNNING, "Exit codes") if row[0] != "128 + n"}
-    assert signals.code_of(15) == 128 + 15
+    assert signals.exit_code(15) == 128 + 15
     tree = [errors.HapticError, protocol.ProtocolError, client.NoTelemetry]
     for kind in tree:
         tree.extend(kind.__subclasses__())

@@ -18,8 +18,8 @@ from nbclient import NotebookClient
 
 from softfinger.drivers.base import PROTOCOL
 from softfinger.server.driver_contract import Servo
-from softfinger.server.experiment.analysis import PowerLaw, analysed
-from softfinger.server.experiment.experiment import Experiment, Running
+from softfinger.server.experiment.analysis import PowerLaw, fit_groups
+from softfinger.server.experiment.experiment import Experiment, RunOptions
 from softfinger.server.experiment.folder import load, write_csv
 from softfinger.server.experiment.psychometric import Fit
 
@@ -119,9 +119,9 @@ def printed(out: str, row: str) -> dict[str, float]:
 @pytest.mark.exhaustive
 def test_an_experiment_s_folder_with_pandas_and_scipy(tmp_path: Path) -> None:
     """Thresholds, slopes and intervals are those of `softfinger figure`, to the steps of the two grids."""
-    Experiment("curvature-by-rolling").run(tmp_path, 1, Running(dry_run=True, no_daemon=True))
+    Experiment("curvature-by-rolling").run(tmp_path, 1, RunOptions(dry_run=True, no_daemon=True))
     out = run_notebook("analyse_experiment.ipynb", tmp_path)
-    for group in analysed(*load(tmp_path)):
+    for group in fit_groups(*load(tmp_path)):
         row, fit = printed(out, group.condition), group.fit
         assert isinstance(fit, Fit) and row["trials"] == group.trials
         # A step of a slope is 8 % there (40 from 0.5 to 12) and 2.6 % here (120 of them); of a threshold 2.3 % and 6 %
@@ -136,7 +136,7 @@ def test_an_experiment_s_folder_with_pandas_and_scipy(tmp_path: Path) -> None:
 @pytest.mark.exhaustive
 def test_the_notebook_shows_numbers_and_what_was_felt(tmp_path: Path) -> None:
     """A power law's exponent to the digits printed; means and paths of a folder in which somebody felt something."""
-    Experiment("friction-magnitude").run(tmp_path, 1, Running(dry_run=True, no_daemon=True))
+    Experiment("friction-magnitude").run(tmp_path, 1, RunOptions(dry_run=True, no_daemon=True))
     rows = list(csv.DictReader((tmp_path / "trials.csv").read_text().splitlines()))
     forces = [2.0 + 0.01 * place for place in range(len(rows))]
     write_csv(tmp_path / "trials.csv", [row | {"peak_force_n": force} for row, force in zip(rows, forces, strict=True)])
@@ -145,7 +145,7 @@ def test_the_notebook_shows_numbers_and_what_was_felt(tmp_path: Path) -> None:
     felt = tmp_path / "sub-01" / "trials" / f"sub-01_trial-{counted[0] + 1:04d}.csv"
     write_csv(felt, [tick, tick | {"timestamp": 0.1}])
     out = run_notebook("analyse_experiment.ipynb", tmp_path)
-    (group,) = analysed(*load(tmp_path))
+    (group,) = fit_groups(*load(tmp_path))
     assert isinstance(group.fit, PowerLaw)
     row = printed(out, "all")
     assert row["exponent"] == pytest.approx(group.fit.exponent, abs=6e-5)  # four digits are printed
@@ -171,6 +171,7 @@ def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
 
 
 @pytest.mark.real_time
+@pytest.mark.exhaustive  # 8 s; `make test` runs the numba driver on a daemon, and this one without
 def test_my_driver_python(tmp_path: Path) -> None:
     """1 mm into 1000 N/m, held with 3000 N/m: both give way, and 0.75 N are left; every tick of both runs was done."""
     out = said("my_driver_python.py", "1300", cwd=tmp_path)

@@ -25,8 +25,8 @@ from softfinger.proxy.engine import Engine, PoseError, step_many
 from softfinger.proxy.record import AT, FIELDS, MODE_NAMES, RECORD_SIZE, columns
 from softfinger.proxy.records import Records
 from softfinger.server.cli import main
-from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
+from softfinger.server.recording.results import write_results
 from softfinger.server.remote import Client
 from softfinger.server.verbs.shipped import FOLDER_OF
 from softfinger.server.wire.control import Control
@@ -67,7 +67,14 @@ def test_every_name_is_there_and_none_more() -> None:
 
 def test_every_error_of_the_door_is_at_the_door() -> None:
     """What its functions raise on purpose can be caught by a name of the package."""
-    for home in ("config.errors", "proxy.engine", "proxy.records", "wire.client", "wire.asking", "wire.protocol"):
+    for home in (
+        "config.errors",
+        "proxy.engine",
+        "proxy.records",
+        "wire.client",
+        "wire.client_requests",
+        "wire.protocol",
+    ):
         module = importlib.import_module(f"softfinger.{'server.' if home.startswith('wire') else ''}{home}")
         raised = [
             name for name, kind in vars(module).items() if isinstance(kind, type) and issubclass(kind, HapticError)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -43,10 +46,11 @@ def test_a_worked_example_gives_what_is_printed(page: Path, tmp_path: Path, monk
     assert said.getvalue() == printed
 
 
-@pytest.mark.skipif(not config.DISABLE_JIT, reason="would compile a scene for each figure; `make test` draws them")
+@pytest.mark.exhaustive
 def test_every_figure_is_drawn(tmp_path: Path) -> None:
     """The command of `make figures` draws all that the pages show."""
     pytest.importorskip("matplotlib", reason="an extra")
-    assert figures.main([str(tmp_path)]) == 0
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}  # else it compiles a scene for each figure
+    subprocess.run([sys.executable, "-m", figures.__name__, str(tmp_path)], env=environment, check=True, timeout=600)
     shown = {path.name for path in (DOCS / "figures").glob("model-*.svg")} | {"states.svg", "lift-a-box.svg"}
     assert {path.name for path in tmp_path.iterdir()} == shown

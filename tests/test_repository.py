@@ -63,8 +63,8 @@ def test_ci_runs_what_is_supported() -> None:
     run = "\n".join(step.get("run", "") for step in steps(workflow))
     called = set(re.findall(r"make ([a-z-]+)", run))
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    assert {"lint", "docs", "test", "test-all", "wheel"} <= called <= targets
-    assert run.index("make test ") < run.index("make emulators") < run.index("make test-all")  # as .ci/run does
+    assert {"lint", "docs", "test", "test-system", "wheel"} <= called <= targets
+    assert run.index("make test ") < run.index("make emulators") < run.index("make test-system")  # as .ci/run does
 
 
 def test_a_release_is_tested_attested_and_of_its_tag() -> None:
@@ -72,7 +72,8 @@ def test_a_release_is_tested_attested_and_of_its_tag() -> None:
     path = ROOT / ".github" / "workflows" / "release.yml"
     jobs = read(path)["jobs"]
     assert jobs["ci"]["uses"] == "./.github/workflows/ci.yml"
-    assert jobs["attest"]["needs"] == "ci" and jobs["publish"]["needs"] == "attest"
+    assert jobs["nightly"]["uses"] == "./.github/workflows/nightly.yml"
+    assert jobs["attest"]["needs"] == ["ci", "nightly"] and jobs["publish"]["needs"] == "attest"
     assert {"attestations": "write", "id-token": "write"}.items() <= jobs["attest"]["permissions"].items()
     assert jobs["publish"]["permissions"] == {"id-token": "write"}
     assert "secrets." not in path.read_text()

@@ -1,4 +1,4 @@
-"""What an engineer runs by hand: measurements, the doctor, recordings, the study.
+"""Programs that an engineer runs by hand: measurements, doctor, recordings, study, and the pages of docs/.
 
-Nothing that the daemon needs.
+Contains no code that the daemon needs.
 """

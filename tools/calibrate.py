@@ -1,10 +1,10 @@
-"""How many motor counts a Falcon takes for a N m, from a weight of known mass.
+"""Calibration of a Falcon's motor counts per N m, with a weight of known mass.
 
-The knob is held where it is, by spring, damper and an integral that leaves no error. The change of the vertical force
-that holding takes when the weight is hung on the knob, in the counts that were sent, is the weight: with m g the true
-force and F the one that was meant, the true number of counts is F / (m g) times the one in use.
+A spring, a damper and an integral without steady-state error hold the knob. When the weight is hung on the knob, the
+vertical holding force changes by the weight, expressed in the counts that were sent. With the true force m g and the
+commanded force F, the true number of counts is F / (m g) times the number in use.
 
-Friction of the legs holds a part of the weight, one time more, another less: repeat, and take the mean.
+Friction of the legs carries a varying part of the weight: repeat the measurement and use the mean.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ from softfinger.tools import measure
 
 GRAVITY: Final = 9.80665
 MASS_KG: Final = (0.02, 0.4)
-"""Lighter is lost in friction, heavier is more than some Falcons hold with an unknown gain."""
+"""Lighter weights are lost in friction; heavier ones exceed the force of some Falcons with an unknown gain."""
 SPRING_N_PER_M: Final = 150.0
 DAMPER_NS_PER_M: Final = 3.0
 INTEGRAL_N_PER_MS: Final = 300.0
-"""A hold soft enough for a gain that is five times too small or too large."""
+"""Soft enough for a gain that is five times too small or too large."""
 FORCE_MAX_N: Final = 6.0
 ESCAPE_M: Final = 0.03
-"""A knob this far from where it is held runs away: the force has the wrong sign, or is much too small."""
+"""A knob this far from its place runs away: the force has the wrong sign or is much too small."""
 PAUSE_S: Final = 0.001
 WINDOW_S: Final = 1.0
 SETTLE_S: Final = 1.0
 STEADY_N: Final = 0.05
-"""Largest change of the holding force between two windows that counts as rest."""
+"""Largest change of the holding force between two windows that counts as steady."""
 HUNG: Final = 0.1
-"""Share of the weight, as the gain in use has it, that the holding force has to change by for it to be hung."""
+"""Fraction of the weight, at the gain in use, by which the holding force changes when the weight is hung."""
 
 Array = NDArray[np.float64]
 
 
 class Hold:
-    """Holds the knob; keeps time (s) and vertical force (N) of every exchange."""
+    """Controller that holds the knob and records time (s) and vertical force (N) of every exchange."""
 
     def __init__(self, device: Device) -> None:
         io = device.io()
@@ -65,14 +65,14 @@ class Hold:
         self.record: list[tuple[float, float]] = []
 
     def tick(self) -> None:
-        """One exchange. Raises DeviceLost, or DeviceError when the knob runs away."""
+        """Run one exchange. Raises DeviceLost, or DeviceError if the knob runs away."""
         time.sleep(PAUSE_S)
         self._exchange(self._read, self._sample, "read")
         now, place = time.monotonic(), self._sample[:3].copy()
         if not np.isfinite(place).all():
             place = self._last
         dt = now - self._then
-        self._speed += 0.3 * ((place - self._last) / dt - self._speed)  # encoder counts make a rough slope
+        self._speed += 0.3 * ((place - self._last) / dt - self._speed)  # encoder counts give a noisy slope
         off = self._place - place
         if np.linalg.norm(off) > ESCAPE_M:
             raise DeviceError(
@@ -92,12 +92,12 @@ class Hold:
             self.tick()
 
     def window(self, back: int = 0) -> float:
-        """Mean force (N) of the last window, or of the one so many windows back."""
+        """Return the mean force (N) of the last window, or of an earlier one that is `back` windows before it."""
         end = self.record[-1][0] - back * WINDOW_S
         return float(np.mean([force for at, force in self.record if end - WINDOW_S < at <= end]))
 
     def rest(self, seconds: float, far: Callable[[float], bool]) -> float | None:
-        """Wait until the holding force is steady and `far` is true of it; that force, or None after `seconds`."""
+        """Wait until the holding force is steady and satisfies `far`; returns the force, or None after `seconds`."""
         until = time.monotonic() + seconds
         while time.monotonic() < until:
             self.run(WINDOW_S / 4)
@@ -110,7 +110,7 @@ class Hold:
     def _exchange(self, function: Any, values: Array, what: str) -> None:
         status = function(self._handle, values.ctypes.data)
         if status < 0:
-            raise DeviceLost(f"the Falcon has gone during calibration (status {status} on {what}): start again")
+            raise DeviceLost(f"the Falcon was lost during calibration (status {status} on {what}): start again")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -133,11 +133,11 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"--rig {args.rig}: its driver is '{config.driver}': name a rig with driver 'falcon'")
         device.arm()
         hold = Hold(device)
-        print("hold the knob where you want it, and let it go: it is held there", file=sys.stderr)
+        print("hold the knob at a position, and release it: it stays there", file=sys.stderr)
         hold.run(SETTLE_S)
         bare = hold.rest(args.hang, lambda _: True)
         if bare is None:
-            raise DeviceError(f"the knob does not come to rest in {args.hang:g} s: let it hang free")
+            raise DeviceError(f"the knob does not stop within {args.hang:g} s: let it hang free")
         print(f"hang {args.mass:g} kg on the knob, within {args.hang:g} s", file=sys.stderr)
         weight = args.mass * GRAVITY
         loaded = hold.rest(args.hang, lambda force: abs(force - bare) > HUNG * weight)
@@ -158,7 +158,7 @@ def run(args: argparse.Namespace) -> int:
         [
             f"holding took {bare:.3f} N, with the weight {loaded:.3f} N, at {used:g} counts per N m",
             f"put this into the rig's [device] table: counts_per_nm = {result['counts_per_nm']:.0f}",
-            "repeat, and take the mean: friction of the legs holds some of the weight",
+            "repeat, and take the mean: friction of the legs carries a part of the weight",
         ],
     )
     return 0

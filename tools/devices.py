@@ -1,4 +1,4 @@
-"""`softfinger devices`: the list of `server.verbs.devices`, or a probe of a device."""
+"""`softfinger devices`: list of devices from `server.verbs.devices`, or a probe of a device."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.server.verbs import devices
 
 PUSH_N: Final = 0.2
-"""A tenth of what most devices display, and more than the friction of a good one."""
+"""A tenth of the force of most devices, and more than the friction of a good one."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """List, or probe; returns the exit code."""
+    """List the devices or probe one; returns the exit code."""
     if args.probe is not None:
         from softfinger.tools.doctor import probe  # compiles the exchange's loop, which a list does without
 

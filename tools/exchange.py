@@ -1,9 +1,10 @@
-"""A device's exchange alone, in a nopython loop like the servo's: no scene, and zero force unless a push is asked for.
+"""Exchange with a device in a nopython loop like the servo's, without a scene; zero force unless a push is requested.
 
-A thread exchanges with the device from the first moment to the last, because a device that is left alone may turn its
-force off or lose its place. In between, parts are recorded: at the rig's rate, or as fast as it goes.
+A thread exchanges with the device all the time, because an idle device may switch its force off or lose its position.
+In between, parts are recorded: at the rig's rate, or as fast as possible.
 
-The compiled loop, its memory and the thread that runs it stay in one file: each depends on the layout of the others.
+The compiled loop, its memory and the thread that runs it are in one file, since each depends on the layout of the
+others.
 """
 
 from __future__ import annotations
@@ -37,18 +38,18 @@ from softfinger.server.loop.clock import (
     sleep_until,
     with_suspension,
 )
-from softfinger.server.loop.guard import DISENGAGED, Guard, Guarded, guard_wrench
+from softfinger.server.loop.guard import INITIAL_GUARD_STATE, Guard, GuardState, guard_wrench
 from softfinger.server.loop.health import STALL_POLL_S, Watchdog
 from softfinger.server.progress import progress
 
 Array = NDArray[np.float64]
 
 # Columns of a row; times in s.
-START: Final = 0  # since the part began
+START: Final = 0  # since the start of the part
 LATE: Final = 1  # wake-up after the deadline
 READ: Final = 2
 WRITE: Final = 3
-EMPTY_READ: Final = 4  # the same calls of functions that do nothing, in the same tick
+EMPTY_READ: Final = 4  # the same calls of empty functions, in the same tick
 EMPTY_WRITE: Final = 5
 READ_STATUS: Final = 6
 WRITE_STATUS: Final = 7
@@ -58,15 +59,18 @@ ROW_SIZE: Final = SAMPLE + SAMPLE_SIZE
 
 BURST_ROWS: Final = 20_000
 BURST_NS: Final = 300_000_000
-"""Ends of a part without pauses. A third of a second is short of the 0.95 s after which the kernel holds back a thread
-of SCHED_FIFO that never sleeps, and of what anything else on a machine with one processor bears."""
-FORCE_CYCLES: Final = 3.0
-"""Sine cycles in a push, under an envelope that begins and ends at zero."""
-SECONDS: Final = Range(0.1, 60.0, "a row of every tick is kept in memory")
-JOIN_S: Final = 2.0
-"""An exchange that takes longer than this to end hangs; the device is stopped over it."""
+"""End of a part without pauses.
 
-# Words shared with the loop.
+A third of a second is shorter than the 0.95 s after which the kernel throttles a SCHED_FIFO thread that never sleeps,
+and than the time that other programs tolerate on a machine with one processor.
+"""
+FORCE_CYCLES: Final = 3.0
+"""Sine cycles in a push, under an envelope that starts and ends at zero."""
+SECONDS: Final = Range(0.1, 60.0, "a row of every tick is stored in memory")
+JOIN_S: Final = 2.0
+"""An exchange that takes longer than this to end hangs; the device is then stopped by the caller's thread."""
+
+# Indices of the words shared with the loop.
 _ENOUGH: Final = 0  # ends everything
 _NEXT: Final = 1  # ends waiting, for the next part
 _TICKS: Final = 2
@@ -81,7 +85,12 @@ class Io(NamedTuple):
 
 
 class Span(NamedTuple):
-    """period_ns 0: without pauses; limit_ns: a part ends after so long, -1 for no end; waiting 1: until the next."""
+    """Timing of a part.
+
+    period_ns  0: without pauses
+    limit_ns   duration after which a part ends; -1: no end
+    waiting    1: exchange until the next part
+    """
 
     period_ns: int
     limit_ns: int
@@ -89,7 +98,7 @@ class Span(NamedTuple):
 
 
 class Push(NamedTuple):
-    """A sine of `force` (3,) N at its largest, of `frequency` Hz, under an envelope of `duration` s."""
+    """Sine of the amplitude `force` (3,) N and `frequency` Hz, under an envelope of `duration` s."""
 
     force: Vec3
     frequency: float
@@ -97,7 +106,7 @@ class Push(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Memory of the loop alone: (2,) int64 for the clock, (SAMPLE_SIZE,) and (6,) float64 for the device."""
+    """Memory of the loop: (2,) int64 for the clock, (SAMPLE_SIZE,) and (6,) float64 for the device."""
 
     timespec: NDArray[np.int64]
     sample: Array
@@ -114,7 +123,7 @@ def _nothing(handle: int, values: Any) -> int:
 
 @jit
 def pushed(push: Push, t: float) -> Vec3:
-    """Force (3,) N of a push at `t` (s) after its beginning."""
+    """Return the force (3,) N of a push at `t` (s) after its start."""
     share = t / push.duration
     if not 0.0 <= share <= 1.0:
         return (0.0, 0.0, 0.0)
@@ -123,10 +132,15 @@ def pushed(push: Push, t: float) -> Vec3:
 
 
 class Exchanged(NamedTuple):
-    """One exchange: the guard's memory of what the hand feels, zero where it was withheld, what the device said of the
-    read and of the write, and when (ns) it had said so; then the same of a device that is none."""
+    """Result of one exchange.
 
-    guarded: Guarded
+    guarded                   state of the guard; zero force if the force was withheld
+    status, status_out        status of the read and of the write
+    read, before, wrote       ns, after the read, before the write, after the write
+    empty_read, empty_wrote   ns, the same for the empty device
+    """
+
+    guarded: GuardState
     status: int
     status_out: int
     read: int
@@ -138,17 +152,16 @@ class Exchanged(NamedTuple):
 
 @jit
 def exchange_once(
-    io: Io, empty: Io, guard: Guard, guarded: Guarded, force: Vec3, dt: float, period: float, scratch: Scratch
+    io: Io, empty: Io, guard: Guard, guarded: GuardState, force: Vec3, dt: float, period: float, scratch: Scratch
 ) -> Exchanged:
-    """Read, write a force (3,) N through the guard, and do the same with the empty device. What has failed is the last
-    thing that is done."""
+    """Read, write a force (3,) N through the guard, and do the same with the empty device; stop at a failure."""
     timespec, sample, wrench = scratch
     status = call_device(io.read, io.handle, sample)
     read = now_ns(timespec)
     if status < 0 or status == END:
         return Exchanged(guarded, status, OK, read, read, read, read, read)
     if status == WITHHELD:
-        guarded = DISENGAGED
+        guarded = INITIAL_GUARD_STATE
     held = guarded
     guarded, _ = guard_wrench(guard, guarded, force, (0.0, 0.0, 0.0), dt, period)
     put_wrench(wrench, guarded.force, guarded.torque)
@@ -158,9 +171,9 @@ def exchange_once(
     if status_out < 0:
         return Exchanged(guarded, status, status_out, read, before, wrote, wrote, wrote)
     if status_out == WITHHELD:
-        guarded = DISENGAGED
+        guarded = INITIAL_GUARD_STATE
     elif status_out == HELD:
-        guarded = Guarded(held.force, held.torque, guarded.gain)
+        guarded = GuardState(held.force, held.torque, guarded.gain)
     call_device(empty.read, empty.handle, sample)
     empty_read = now_ns(timespec)
     call_device(empty.write, empty.handle, wrench)
@@ -169,7 +182,7 @@ def exchange_once(
 
 @jit
 def fill_row(row: Array, begun: int, woke: int, late: int, done: Exchanged, sample: Array) -> None:
-    """What a tick took, what the device said and was told, and its sample."""
+    """Store the times of a tick, the status of the device, the force and the sample."""
     row[START], row[LATE] = (woke - begun) / NS_PER_S, late / NS_PER_S
     row[READ], row[WRITE] = (done.read - woke) / NS_PER_S, (done.wrote - done.before) / NS_PER_S
     row[EMPTY_READ] = (done.empty_read - done.wrote) / NS_PER_S
@@ -192,17 +205,17 @@ def exchange_loop(
     scratch: Scratch,
     rows: Array,
 ) -> tuple[int, int, int]:
-    """Exchange until the rows are full, or as `span` says; returns how it ended (server.loop.shutdown), the device's
-    last status, and how many rows there are.
+    """Exchange until the rows are full, or as `span` requires.
 
     words  (8,)           shared with Python
     rows   (n, ROW_SIZE)  a row a tick
 
-    Whatever the end, the last thing written to the device is zero.
+    Returns the reason of the end (server.loop.shutdown), the last status of the device, and the number of rows. In
+    every case the last value written to the device is zero.
     """
     timespec, sample, wrench = scratch
     nominal = span.period_ns / NS_PER_S
-    guarded, number, ending, status = DISENGAGED, 0, shutdown.FINISHED, 0
+    guarded, number, ending, status = INITIAL_GUARD_STATE, 0, shutdown.FINISHED, 0
     ticks = load_acquire(words, _TICKS)
     begun = now_ns(timespec)
     pace = first_pace(begun, span.period_ns, 0, timespec)
@@ -248,31 +261,31 @@ def compile_exchange() -> None:
 
 
 class _Part:
-    """A part to record: what the loop is given, and what became of it."""
+    """Part to record: input of the loop, and its result."""
 
     def __init__(self, span: Span, push: Push, count: int) -> None:
         self.span, self.push = span, push
         self.rows = np.empty((count, ROW_SIZE))
-        self.rows.fill(0.0)  # so that the loop meets no first-touch page fault
+        self.rows.fill(0.0)  # avoids first-touch page faults in the loop
         self.done = threading.Event()
 
 
 class Exchange:
-    """The thread that exchanges with an open device, zero force from beginning to end but for pushes.
+    """Thread that exchanges with an open device, at zero force except for pushes.
 
-    device   is stopped when the loop hangs, and left open
-    rig      whose rate and real-time settings it has
-    guard    every force passes it; disarmed, none leaves it
+    device   is stopped if the loop hangs, and remains open
+    rig      provides rate and real-time settings
+    guard    limits every force; a disarmed guard passes none
 
-    The device is armed by the thread, right before its first exchange. As a context: it runs inside. Raises what
-    real-time settings raise where the rig requires them, and what arming raises.
+    The thread arms the device directly before its first exchange. It runs inside the context. Raises the errors of
+    real-time settings if the rig requires them, and the errors of arming.
     """
 
     def __init__(self, device: Device, rig: Rig, guard: Guard) -> None:
         self.device, self.rate_hz = device, rig.servo.rate_hz
         self.settings: list[realtime.Setting] = []
-        self.ended: shutdown.Ended | None = None
-        """How the device's exchange has ended by itself; None while it goes on."""
+        self.ended: shutdown.LoopEnd | None = None
+        """How the exchange has ended by itself; None while it runs."""
         self._servo, self._guard = rig.servo, guard
         self._period = period_ns(rig.servo.rate_hz)
         self._words = np.zeros(8, np.int64)
@@ -286,18 +299,18 @@ class Exchange:
         self._thread = threading.Thread(target=self._run, name="exchange", daemon=True)
 
     def record(self, seconds: float, push: Push = NO_PUSH) -> Array:
-        """Rows (n, ROW_SIZE) of so many seconds at the rig's rate; fewer where the device has ended meanwhile.
+        """Return rows (n, ROW_SIZE) of `seconds` at the rig's rate; fewer if the device has ended.
 
-        Raises SafetyStop when the exchange hangs.
+        Raises SafetyStop if the exchange hangs.
         """
         return self._record(_Part(Span(self._period, -1, 0), push, max(1, round(seconds * self.rate_hz))))
 
     def burst(self) -> Array:
-        """Rows of exchanges without pauses, at most BURST_ROWS and BURST_NS."""
+        """Return rows of exchanges without pauses, at most BURST_ROWS and BURST_NS."""
         return self._record(_Part(Span(0, BURST_NS, 0), NO_PUSH, BURST_ROWS))
 
     def failure(self) -> Exception | None:
-        """The error of a device that failed; None while it goes on, and at the end of a recording."""
+        """Return the error of a device that failed; None while it runs, and at the end of a recording."""
         return None if self.ended is None else shutdown.device_failure(self.device, self.ended)
 
     def _record(self, part: _Part) -> Array:
@@ -313,13 +326,13 @@ class Exchange:
                     f"{self.device.info.name}: no exchange for {idle_s:.2f} s after exchange {ticks}: "
                     "zero force was commanded; the device hangs, or this machine starves the thread"
                 )
-                shutdown.every(lambda: shutdown.stop(self.device), first=stalled)
+                shutdown.run_all_steps(lambda: shutdown.stop(self.device), first=stalled)
                 raise stalled
         self._raise_crash()
         return part.rows if part.done.is_set() else part.rows[:0]
 
     def _run(self) -> None:
-        applied: realtime.Applied | None = None
+        applied: realtime.AppliedSettings | None = None
         try:
             applied = realtime.apply(self._servo.realtime, self._servo.priority, self._servo.cpu)
             self.settings = applied.settings
@@ -327,24 +340,26 @@ class Exchange:
             self.device.arm()
             self._armed = True
             while self.ended is None and not self._words[_ENOUGH]:
-                self._words[_NEXT] = 0  # before the look: what comes after it ends the waiting at once
+                self._words[_NEXT] = 0  # before the queue is read: a later part then ends the waiting at once
                 try:
                     part = self._parts.get_nowait()
                 except queue.Empty:
                     part = waiting
                 ending, status, count = exchange_loop(*self._arguments(part))
                 if ending in (shutdown.READ_FAILED, shutdown.WRITE_FAILED) or status == END:
-                    self.ended = shutdown.Ended(ending, status)
+                    self.ended = shutdown.LoopEnd(ending, status)
                 part.rows = part.rows[:count]
                 if part is not waiting:
                     part.done.set()
-        except BaseException as error:  # whatever it was, the device must be zeroed and the caller must learn of it
-            self.ended = shutdown.Ended(shutdown.CRASHED, 0, error)
+        except BaseException as error:  # for any error, the device must be zeroed and the caller informed
+            self.ended = shutdown.LoopEnd(shutdown.CRASHED, 0, error)
         first = None if self.ended is None else self.ended.error
         undo = [] if applied is None else [applied.undo]
-        failed = shutdown.every(lambda: shutdown.stop(self.device), *undo, first=first)
+        failed = shutdown.run_all_steps(
+            lambda: shutdown.stop(self.device), lambda: shutdown.confirm_zero([self.device]), *undo, first=first
+        )
         if self.ended is None and failed is not None:
-            self.ended = shutdown.Ended(shutdown.CRASHED, 0, failed)
+            self.ended = shutdown.LoopEnd(shutdown.CRASHED, 0, failed)
         self._over.set()
 
     def _arguments(self, part: _Part) -> tuple[Any, ...]:
@@ -355,7 +370,7 @@ class Exchange:
             raise self.ended.error
 
     def __enter__(self) -> Self:
-        compile_exchange()  # nothing to do where it was compiled before the device was opened
+        compile_exchange()  # does nothing if it was compiled before the device was opened
         self._thread.start()
         return self
 
@@ -364,18 +379,18 @@ class Exchange:
     ) -> None:
         self._words[_ENOUGH] = 1
         if not self._over.wait(JOIN_S):
-            shutdown.every(lambda: shutdown.stop(self.device), first=error)
+            shutdown.run_all_steps(lambda: shutdown.stop(self.device), first=error)
         elif error is None:
             self._raise_crash()
 
 
 def check_seconds(seconds: float) -> None:
-    """ConfigError for a part that cannot be recorded."""
+    """Raise ConfigError for a part that cannot be recorded."""
     if not SECONDS.low <= seconds <= SECONDS.high:
         raise ConfigError(f"--seconds {seconds:g}: must be from {SECONDS.low:g} to {SECONDS.high:g}: {SECONDS.reason}")
 
 
 def disarmed(rig: Rig) -> Guard:
-    """A guard that lets no force through."""
+    """Return a guard that passes no force."""
     given = rig.guard
     return Guard(0.0, 0.0, given.force_slew_n_per_s, given.torque_slew_nm_per_s, given.ramp_s, 0.0)

@@ -1,4 +1,4 @@
-"""What the rows of an exchange say: how long it takes beside one that does nothing, and how new its samples are."""
+"""Figures of the rows of an exchange: duration relative to an empty exchange, and age of the samples."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from softfinger.tools.exchange import (
 from softfinger.tools.measure import Array, microseconds, quantiles
 
 HISTOGRAM_S: Final = tuple(float(f"{base}e{power}") for power in range(-8, 0) for base in (1, 2, 5))
-"""Edges of the histogram's bins: 10 ns to half a second, three to a decade."""
+"""Edges of the histogram's bins: 10 ns to half a second, three per decade."""
 
 TIMES: Final = ("read", "write", "cycle")
 
 
 def figures(rows: Array, rate_hz: float) -> dict[str, Any]:
-    """Times of a part, s, over the whole and as medians over blocks of a second; ratios to the empty exchange.
+    """Return the times of a part, s, overall and as medians over blocks of a second, and ratios to the empty exchange.
 
     rows  (n, ROW_SIZE), n at least 1
     """
@@ -45,7 +45,7 @@ def figures(rows: Array, rate_hz: float) -> dict[str, Any]:
 
 
 def freshness(rows: Array) -> dict[str, Any]:
-    """Share of reads and writes with status STALE, new samples a second, and steps of the device's time."""
+    """Return the shares of reads and writes with status STALE, new samples a second, and steps of the device's time."""
     stale = rows[:, READ_STATUS] == STALE
     steps = np.diff(rows[~stale, SAMPLE + SAMPLE_TIME])
     fresh = int(np.sum(~stale))
@@ -60,26 +60,26 @@ def freshness(rows: Array) -> dict[str, Any]:
 
 
 def elapsed(rows: Array) -> float:
-    """Time from the first tick to the end of the last one, as if that were as long as the median; s."""
+    """Return the time from the first tick to the end of the last one, s; the last one counts as long as the median."""
     if len(rows) < 2:
         return float(rows[0, READ] + rows[0, WRITE])
     return float(rows[-1, START] - rows[0, START] + np.median(np.diff(rows[:, START])))
 
 
 def burst_figures(rows: Array) -> dict[str, Any]:
-    """The same of a part without pauses: exchanges and new samples a second. The loop's own work is in them."""
+    """Return exchanges and new samples per second of a part without pauses, including the time of the loop itself."""
     return {"exchanges": len(rows), "exchanges_hz": len(rows) / max(elapsed(rows), 1e-9)} | freshness(rows)
 
 
 def histogram(values: Array) -> list[list[float]]:
-    """Pairs of a bin's upper edge (s) and the count in it, for bins that have any; the last bin has no end."""
+    """Return pairs of upper edge (s) and count of the non-empty bins; the last bin has no end."""
     counts = np.bincount(np.searchsorted(HISTOGRAM_S, values), minlength=len(HISTOGRAM_S) + 1)
     edges = (*HISTOGRAM_S, float(values.max()))
     return [[edge, int(count)] for edge, count in zip(edges, counts, strict=True) if count]
 
 
 def table(result: dict[str, Any]) -> list[str]:
-    """The figures of a paced part for people."""
+    """Format the figures of a paced part."""
     lines = [
         "  us; in brackets the median over blocks of 1 s; empty: functions that do nothing, in the same ticks",
         f"  {'':<14}" + "".join(f"{name:>22}" for name in ("p50", "p99", "p999", "max")),
@@ -100,7 +100,7 @@ def table(result: dict[str, Any]) -> list[str]:
 
 
 def burst_line(result: dict[str, Any]) -> str:
-    """The figures of a part without pauses for people."""
+    """Format the figures of a part without pauses."""
     return (
         f"  without pauses: {result['exchanges_hz']:.0f} exchanges a second, "
         f"{result['new_samples_hz']:.0f} with a new sample"

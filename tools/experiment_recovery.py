@@ -1,9 +1,9 @@
-"""How well experiments recover what they measure: bias of the estimate, and how often its interval holds the truth.
+"""Recovery of a simulated observer by experiments: bias of the estimate, and coverage of its interval.
 
     python -m softfinger.tools.experiment_recovery docs/measured/experiments.md
 
-Each shipped experiment is answered by its simulated observer, whose threshold or exponent is the truth, over seeds. The
-table of the page, between its two comments, is replaced.
+Each shipped experiment is answered by its simulated observer with a known threshold or exponent, over several seeds.
+The program replaces the table of the page between its two comments.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
-from softfinger.server.experiment.analysis import PowerLaw, analysed
+from softfinger.server.experiment.analysis import PowerLaw, fit_groups
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.files import shipped
-from softfinger.server.experiment.observer import observer_in
+from softfinger.server.experiment.observer import observer_for
 
 BLOCK: Final = re.compile(r"(<!-- recovery -->\n).*?(<!-- end -->)", re.S)
 PROCEDURES: Final = ("stiffness-discrimination", "texture-roughness", "weight-of-a-box")
-"""A staircase, QUEST+, constant stimuli."""
+"""A staircase, QUEST+, and constant stimuli."""
 OTHER_SLOPES: Final = (1.0, 3.0)
-"""Of observers who differ from what the fit thinks of slopes."""
+"""Slopes of observers that differ from the slope assumed by the fit."""
 
 
 class Recovery(NamedTuple):
-    """Of a condition of an experiment over seeds.
+    """Recovery of a condition of an experiment over seeds.
 
     what      threshold or exponent
-    truth     the observer's
-    bias      mean of the estimate over the truth less 1; of thresholds of their logarithms
+    truth     of the observer
+    bias      mean of the estimate over the truth less 1; for thresholds, of their logarithms
     spread    standard deviation of the same
-    coverage  share of 95 % intervals that hold the truth
+    coverage  share of 95 % intervals that contain the truth
     """
 
     experiment: str
@@ -51,9 +51,9 @@ class Recovery(NamedTuple):
 
 
 def recovery(name: str, seeds: Sequence[int], slope: float | None = None) -> Iterator[Recovery]:
-    """Run a shipped experiment for each seed; a Recovery for each of its conditions.
+    """Run a shipped experiment for each seed and yield a Recovery for each of its conditions.
 
-    slope  of the observer, in place of the file's
+    slope  of the observer, in place of the slope of the file
     """
     found = dict[str, list[tuple[float, bool, int, str, float]]]()
     experiment = Experiment(name, {} if slope is None else {"observer.slope": slope})
@@ -61,9 +61,9 @@ def recovery(name: str, seeds: Sequence[int], slope: float | None = None) -> Ite
         design = msgspec.structs.replace(experiment.file.design, seed=seed)
         experiment.file = msgspec.structs.replace(experiment.file, design=design)  # its scenes are read once
         rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
-        for group in analysed(experiment.file, rows):
+        for group in fit_groups(experiment.file, rows):
             condition = next(each for each in experiment.conditions if each.name == group.condition)
-            who = observer_in(experiment.file, condition)
+            who = observer_for(experiment.file, condition)
             if isinstance(group.fit, PowerLaw):
                 what, truth, estimate, interval = "exponent", who.exponent, group.fit.exponent, group.fit.exponent_95
                 error = estimate / truth - 1.0
@@ -86,7 +86,7 @@ def recovery(name: str, seeds: Sequence[int], slope: float | None = None) -> Ite
 
 
 def table(rows: Sequence[Recovery]) -> str:
-    """As Markdown."""
+    """Return the rows as Markdown."""
     lines = ["| experiment | condition | trials | truth | bias | spread | held by |", "|---|---|---|---|---|---|---|"]
     lines += [
         f"| `{row.experiment}` | {row.condition} | {row.trials} | {row.what} {row.truth:g} | {row.bias:+.1%} | "
@@ -98,7 +98,7 @@ def table(rows: Sequence[Recovery]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="How well the shipped experiments recover a simulated observer.")
-    parser.add_argument("page", nargs="?", type=Path, help="page whose table is replaced (default: print it)")
+    parser.add_argument("page", nargs="?", type=Path, help="page with the table to replace (default: print the table)")
     parser.add_argument("--seeds", type=int, default=50, help="how many (default: %(default)s)")
     args = parser.parse_args()
     seeds = range(args.seeds)

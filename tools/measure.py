@@ -1,4 +1,4 @@
-"""What the measuring verbs share: percentiles, tables, and JSON."""
+"""Common parts of the measuring verbs: percentiles, tables, and JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ QUANTILES: Final = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
-    """`--json` and `--plot`, which every measurement has."""
+    """Add `--json` and `--plot`, which every measurement has."""
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
         "--plot", type=plot_file, metavar="FILE.png", help="draw the result, as .png or .svg (needs the [plots] extra)"
@@ -26,9 +26,9 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
 
 
 def quantiles(values: Array, block: int) -> dict[str, Any]:
-    """Percentiles of `values` (n,), and under `blocks` the median of each over blocks of `block` values.
+    """Return percentiles of `values` (n,) and, under `blocks`, the median of each over blocks of `block` values.
 
-    The median over blocks is what to compare: a stall of the machine under us spoils one block only.
+    Compare the median over blocks: a stall of the machine spoils only one block.
     """
     found: dict[str, Any] = {name: float(np.percentile(values, at)) for name, at in QUANTILES.items()}
     whole = len(values) // block * block
@@ -38,7 +38,7 @@ def quantiles(values: Array, block: int) -> dict[str, Any]:
 
 
 def show(result: Mapping[str, Any], as_json: bool, lines: Sequence[str]) -> None:
-    """Print a result: as JSON for machines, as lines for people."""
+    """Print a result: as JSON for machines, or as lines for people."""
     print(json.dumps(result, indent=2) if as_json else "\n".join(lines))
 
 

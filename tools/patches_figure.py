@@ -1,4 +1,4 @@
-"""Force through a seam, a groove and a pinch, as a picture; and what is wrong with friction in drags, as a table.
+"""Figure of the force through a seam, a groove and a pinch, and table of friction errors in drags.
 
 python -m softfinger.tools.patches_figure docs/figures/patches.svg
 """
@@ -24,24 +24,24 @@ from softfinger.tools.accuracy.report import WIDTH, table
 Array = NDArray[np.float64]
 
 RADIUS_M: Final = 0.01
-"""The paper's fingertip."""
+"""Fingertip of the paper."""
 PRESS_M: Final = 0.001
 GRIP: Final = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
 """Coefficients of the acceptance table; 1 N at a depth of 1 mm."""
 ICE: Final = {"kinetic": 0.0}
-"""What no friction counts as."""
+"""Friction table that stands for no friction."""
 EIGHTH: Final = float(np.pi / 8.0)
 
 
 class Case(NamedTuple):
-    """What is touched, and poses (n, 7)."""
+    """Touched objects, and poses (n, 7)."""
 
     objects: list[dict[str, Any]]
     poses: Array
 
 
 class Drag(NamedTuple):
-    """What is wrong with the friction of a drag, in the ticks behind one that slid: the first to slide bears mu_s f_N.
+    """Friction errors of a drag, in the ticks after a sliding tick; the first sliding tick carries mu_s f_N.
 
     bias     N  tangential force less mu_d f_N, of all patches together, mean
     ripple   N  the largest change of the tangential force from one such tick to the next
@@ -54,37 +54,37 @@ class Drag(NamedTuple):
 
 
 def way(*corners: tuple[float, float, float], ticks: int = 400) -> Array:
-    """Upright poses (n, 7) from corner to corner, in so many ticks each."""
+    """Return upright poses (n, 7) from corner to corner, with `ticks` ticks each."""
     points = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
     return np.hstack([np.vstack(points), np.tile([1.0, 0.0, 0.0, 0.0], (ticks * len(points), 1))])
 
 
 def felt(case: Case) -> Array:
-    """Records of a case."""
+    """Return the records of a case."""
     tables = {"fingertip": {"radius_m": RADIUS_M}, "rolling": {"method": "rotation_vector"}, "object": case.objects}
     return Engine(build(Scene, tables, "the figure of patches")).run(case.poses)
 
 
 def over(objects: list[dict[str, Any]]) -> Case:
-    """Pressed onto z = 0 and dragged by 20 mm along x, at 50 mm/s."""
+    """Return a case that presses onto z = 0 and drags by 20 mm along x, at 50 mm/s."""
     z = RADIUS_M - PRESS_M
     return Case(objects, way((-0.01, 0.0, z + 0.002), (-0.01, 0.0, z), (0.01, 0.0, z)))
 
 
 def plane() -> Case:
-    """What the seam stands for."""
+    """Return the plane that the seam is compared with."""
     return over([{"name": "floor", "shape": "plane", "material": GRIP}])
 
 
 def seam() -> Case:
-    """Two flush boxes, dragged over from one to the other."""
+    """Return two flush boxes, with a drag from one to the other."""
     box = {"shape": "box", "size_m": [0.1, 0.1, 0.1], "material": GRIP}
     boxes = [box | {"name": f"box {i}", "position_m": [x, 0.0, -0.05]} for i, x in enumerate((-0.05, 0.05))]
     return over(boxes)
 
 
 def groove() -> Case:
-    """Two walls at right angles, one of ice; pressed in, and dragged along."""
+    """Return two walls at right angles, one of them without friction, with a press and a drag along them."""
     walls = [
         {
             "name": f"wall {i}",
@@ -99,7 +99,7 @@ def groove() -> Case:
 
 
 def pinch() -> Case:
-    """A finger 1 mm deep in the floor, at rest, and a ceiling that comes down on it."""
+    """Return a finger at rest 1 mm deep in the floor, and a ceiling that descends onto it."""
     down = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.008], "frequency_hz": 0.3}
     floor = {"name": "floor", "shape": "plane", "material": GRIP}
     ceiling = floor | {
@@ -113,7 +113,7 @@ def pinch() -> Case:
 
 
 def drag(case: Case) -> Drag:
-    """Of a case that is pressed and dragged."""
+    """Return the friction errors of a case that is pressed and dragged."""
     records = felt(case)
     kinetic = np.array([thing["material"].get("friction", ICE)["kinetic"] for thing in case.objects])
     size, due, highest = np.zeros(len(records)), np.zeros(len(records)), 0.0
@@ -135,7 +135,7 @@ def drag(case: Case) -> Drag:
 
 
 def drags_table() -> Any:
-    """Plane, seam and groove, and CHAI3D's plane."""
+    """Return the table for plane, seam, groove and CHAI3D's plane."""
     found = {"plane": drag(plane()), "seam": drag(seam()), "groove": drag(groove())}
     rows = [
         (name, f"{1e3 * abs(each.bias):.6f}", f"{1e3 * each.ripple:.6f}", f"{each.highest:.6f}")
@@ -147,7 +147,7 @@ def drags_table() -> Any:
 
 
 def draw_patches(path: Path) -> None:
-    """Draw the three and save them as `path`."""
+    """Draw the three cases and save them as `path`."""
     drawing = figure(8.0, 6.5)
     for axes, (name, case) in zip(
         drawing.subplots(3, 1), {"seam": seam(), "groove": groove(), "pinch": pinch()}.items(), strict=True

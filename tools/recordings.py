@@ -1,14 +1,13 @@
-"""Writes the shipped recordings: scripted motions of a fingertip over the plane z = 0, and of two on a box.
+"""Generator of the shipped recordings: scripted motions of a fingertip over the plane z = 0, and of two on a box.
 
     python -m softfinger.tools.recordings OUTDIR
 
-Each is a chain of minimum-jerk moves, so velocity and acceleration are continuous, sampled at
-100 Hz and rounded to fixed decimals, so that every machine writes the same bytes. The fingertip
-has a radius of 10 mm: its centre touches the plane at z = 0.010 m and presses 1 mm at 0.009 m.
-All start and end at rest in free space, in one pose, and so loop without a return. Those of a pinch are one for each
-of two fingers and of equal length: they press the sides of a box of 40 mm, x = -0.02 m and x = 0.02 m.
-So are those of a lift, whose box stands on z = 0. Each scene with bodies that move has a motion, or two, of its own.
-This list of motions is why the file is long.
+Each recording is a chain of minimum-jerk moves, so velocity and acceleration are continuous. It is sampled at 100 Hz
+and rounded to fixed decimals, so that every machine writes the same bytes. The fingertip has a radius of 10 mm: its
+centre touches the plane at z = 0.010 m and presses 1 mm at 0.009 m. All recordings start and end at rest in free space,
+in one pose, and therefore loop without a return. A pinch has two recordings of equal length, one for each finger, which
+press the sides of a box of 40 mm, x = -0.02 m and x = 0.02 m. So does a lift, with a box that rests on z = 0. Each
+scene with moving bodies has one or two motions. The file is long because of this list of motions.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ Quaternion = tuple[float, float, float, float]
 
 
 class Move(NamedTuple):
-    """One minimum-jerk move: duration (s), travel (m, world), turn (rotation vector, rad, world axes)."""
+    """Minimum-jerk move: duration (s), travel (m, world), turn (rotation vector, rad, world axes)."""
 
     seconds: float
     travel: Vector = (0.0, 0.0, 0.0)
@@ -50,7 +49,7 @@ def release(seconds: float) -> Move:
 
 
 def roll(seconds: float, about_x: float = 0.0, about_y: float = 0.0, followed: float = 1.0) -> Move:
-    """Roll by radians about a world axis; the hand follows that part of the way the contact rolls."""
+    """Roll by radians about a world axis; the hand follows the fraction `followed` of the path of the contact."""
     # without slip the centre travels r (turn x n), n = +z
     return Move(seconds, (followed * RADIUS_M * about_y, -followed * RADIUS_M * about_x, 0.0), (about_x, about_y, 0.0))
 
@@ -60,14 +59,17 @@ def spin(seconds: float, angle: float) -> Move:
 
 
 def drag(distance: float, speed: float) -> Move:
-    """Slide along x, no faster than `speed` (m/s)."""
-    seconds = 1.875 * abs(distance) / speed  # peak of a minimum-jerk move over its mean
+    """Slide along x, at most at `speed` (m/s)."""
+    seconds = 1.875 * abs(distance) / speed  # peak over mean velocity of a minimum-jerk move
     return Move(math.ceil(seconds * RATE_HZ) / RATE_HZ, (distance, 0.0, 0.0))
 
 
 def press_roll_spin_drag() -> list[Move]:
-    """All of it: rolls half followed (rolling must hold), rolls fully followed, spins past the torsional
-    limit, a drag until it slides, its reversal, a stop and a release."""
+    """Return all kinds of motion.
+
+    They are half-followed rolls (which must stick), fully followed rolls, spins past the torsional limit, a drag until
+    it slides, its reversal, a stop and a release.
+    """
     small, large = 0.04, 0.6
     half = [roll(0.4, about_x=small, followed=0.5), roll(0.4, about_x=-small, followed=0.5)]
     half += [roll(0.4, about_y=small, followed=0.5), roll(0.4, about_y=-small, followed=0.5)]
@@ -91,7 +93,7 @@ def press_roll_spin_drag() -> list[Move]:
 
 
 def roll_follow() -> list[Move]:
-    """An honest roll of 1 rad: the hand follows it fully, so nothing may slide; turned back in the air."""
+    """Return a roll of 1 rad that the hand follows fully, so that nothing may slide; it is reversed in the air."""
     return [
         hold(0.2),
         press(0.6),
@@ -105,7 +107,7 @@ def roll_follow() -> list[Move]:
 
 
 def tap() -> list[Move]:
-    """Three taps, each faster than the one before."""
+    """Return three taps of increasing speed."""
     moves = [hold(0.3)]
     for seconds in (0.30, 0.16, 0.08):
         moves += [press(seconds), release(seconds), hold(0.3)]
@@ -113,8 +115,11 @@ def tap() -> list[Move]:
 
 
 def pinch(side: float, slide: float) -> list[Move]:
-    """One finger of a pinch, from `side` -1 or 1 of the box: press; shear and twist the box to and fro as far as it
-    sticks; drag `slide` m along z and back, which at millimetres slides; release."""
+    """Return the motion of one finger of a pinch, from `side` -1 or 1 of the box.
+
+    It presses, shears and twists the box back and forth within the sticking range, drags `slide` m along z and back
+    (which slides at millimetres), and releases.
+    """
 
     def inwards(seconds: float, way: float) -> Move:
         return Move(seconds, (-side * way, 0.0, 0.0))
@@ -137,7 +142,10 @@ def pinch(side: float, slide: float) -> list[Move]:
 
 
 def lift(side: float) -> list[Move]:
-    """One finger of a lift, from `side` -1 or 1 of the box: press; up by 100 mm, hold, down again; release."""
+    """Return the motion of one finger of a lift, from `side` -1 or 1 of the box.
+
+    It presses, moves up by 100 mm, holds, moves down and releases.
+    """
 
     def inwards(seconds: float, way: float) -> Move:
         return Move(seconds, (-side * way, 0.0, 0.0))
@@ -157,7 +165,10 @@ def lift(side: float) -> list[Move]:
 
 
 def turn_a_knob() -> list[Move]:
-    """Press the top of a knob, turn it by 1 rad, let go, and turn back in the air: each round turns it further."""
+    """Return a motion that presses the top of a knob, turns it by 1 rad, releases it, and turns back in the air.
+
+    Each repetition turns the knob further.
+    """
     down = (0.0, 0.0, PRESSED_M - ABOVE_M - 0.002)
     return [
         hold(0.3),
@@ -172,7 +183,7 @@ def turn_a_knob() -> list[Move]:
 
 
 def open_a_drawer() -> list[Move]:
-    """Down behind the handle, 100 mm towards the hand; the other way, on the front, until it is shut; up."""
+    """Return a motion down behind the handle, 100 mm towards the hand, back on the front until it is shut, and up."""
     down, pull, clearance = (0.0, 0.0, -0.045), 0.1, 0.006
     return [
         hold(0.3),
@@ -189,13 +200,13 @@ def open_a_drawer() -> list[Move]:
 
 
 def open_a_door() -> list[Move]:
-    """Straight on against the door, wait, and back: it follows."""
+    """Return a motion straight against the door, a wait, and the way back; the door follows."""
     push = (0.0, 0.085, 0.0)
     return [hold(0.3), Move(1.4, push), hold(0.6), Move(1.4, _back(push)), hold(1.0)]
 
 
 def press_a_button() -> list[Move]:
-    """Down to the cap, slowly through the click, wait, and slowly back through the other one."""
+    """Return a motion down to the cap, slowly through the click, a wait, and slowly back through the other click."""
     near, through = (0.0, 0.0, -0.0095), (0.0, 0.0, -0.005)
     return [
         hold(0.3),
@@ -208,7 +219,7 @@ def press_a_button() -> list[Move]:
 
 
 def roll_a_pencil() -> list[Move]:
-    """On the pencil, 10 mm across it, and back."""
+    """Return a motion onto the pencil, 10 mm across it, and back."""
     down, across = (0.0, 0.0, PRESSED_M - ABOVE_M - 0.001), (PENCIL_WAY_M, 0.0, 0.0)
     return [
         hold(0.3),
@@ -224,7 +235,7 @@ def roll_a_pencil() -> list[Move]:
 
 
 def push_a_ball() -> list[Move]:
-    """Behind the ball, push it up the side of its bowl, and away: it rolls back and swings."""
+    """Return a motion behind the ball, up the side of its bowl, and away; the ball rolls back and swings."""
     down, along, away = (0.0, 0.0, -0.026), (0.04, 0.0, 0.0), (-0.005, 0.0, 0.026)
     return [
         hold(0.3),
@@ -239,8 +250,10 @@ def push_a_ball() -> list[Move]:
 
 
 def stack(side: float) -> list[Move]:
-    """One finger of two that put a box on a stack, from `side` -1 or 1 of it: take, lift, carry, set down, let go;
-    and all of it backwards."""
+    """Return the motion of one of two fingers that put a box on a stack, from `side` -1 or 1 of it.
+
+    It grips, lifts, carries, sets down and releases the box, then does the same in reverse.
+    """
     take = (-side * (ABOVE_M - RADIUS_M + 0.004), 0.0, 0.0)
     lift_m, lower_m, carry = (0.0, 0.0, 0.064), (0.0, 0.0, -0.0045), (0.0, 0.06, 0.0)
     there = [
@@ -258,7 +271,7 @@ def stack(side: float) -> list[Move]:
 
 
 def plates() -> list[Move]:
-    """On each of a row of plates: down, a stroke and back, up; then back to the first."""
+    """Return a motion over a row of plates: on each one down, a stroke and back, up; then back to the first."""
     down, stroke, on = (0.0, 0.0, PRESSED_M - 0.001 - ABOVE_M), (0.0, 0.015, 0.0), (PLATE_PITCH_M, 0.0, 0.0)
     one = [Move(0.5, down), hold(0.2), Move(0.5, stroke), Move(0.5, _back(stroke)), hold(0.1), Move(0.3, _back(down))]
     row = [*one, *((PLATES - 1) * [Move(0.4, on), *one])]
@@ -271,7 +284,7 @@ def _back(travel: Vector) -> Vector:
 
 
 class Script(NamedTuple):
-    """Where a recording starts and ends (m), upright, and what it does in between."""
+    """Upright start and end of a recording (m), and its moves."""
 
     start: Vector
     moves: Callable[[], list[Move]]
@@ -280,17 +293,17 @@ class Script(NamedTuple):
 OVER_THE_PLANE: Final = (0.0, 0.0, ABOVE_M)
 HALF_BOX_M: Final = 0.020
 SQUEEZE_M: Final = 0.006
-"""How far the hands of a lift mean to press into the box: with a hand as stiff as the box 3 N, half of it each."""
+"""Intended depth of the hands of a lift; a hand as stiff as the box presses half of it, with 3 N."""
 OFF_CENTRE_M: Final = 0.008
-"""How far beside the centre of mass they take it: the box hangs by the torsion of the contacts."""
+"""Distance of the grip from the centre of mass; the box hangs by the torsion of the contacts."""
 PENCIL_WAY_M: Final = 0.01
 PLATES: Final = 7
 PLATE_PITCH_M: Final = 0.02
-"""Of the scene `plates`: how many, and from one to the next."""
+"""Number and pitch of the plates in the scene `plates`."""
 HALF_SMALL_BOX_M: Final = 0.015
-"""Of a box of the scene `stack-boxes`."""
+"""Half edge of a box of the scene `stack-boxes`."""
 INDEX_THINNER_M: Final = 0.002
-"""Of the scene `pinch`: the index finger's radius is so much less, and it starts nearer by it."""
+"""Difference of the finger radii in the scene `pinch`; the thinner index finger starts closer by it."""
 
 RECORDINGS: Final[dict[str, Script]] = {
     "press-roll-spin-drag": Script(OVER_THE_PLANE, press_roll_spin_drag),
@@ -313,7 +326,7 @@ RECORDINGS: Final[dict[str, Script]] = {
 
 
 def to_csv(script: Script) -> str:
-    """The poses of a script as CSV text."""
+    """Return the poses of a script as CSV text."""
     position, moves = script.start, script.moves()
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
     lines, row = [HEADER], 0
@@ -328,7 +341,7 @@ def to_csv(script: Script) -> str:
 
 
 def write(folder: Path) -> list[Path]:
-    """Write every recording into `folder`, which is made if need be."""
+    """Write every recording into `folder`, which is created if necessary."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{name}.csv" for name in RECORDINGS]
     for path, script in zip(paths, RECORDINGS.values(), strict=True):

@@ -1,9 +1,9 @@
-"""`softfinger report`: what somebody needs who is to find out what went wrong, in one archive, without private words.
+"""`softfinger report`: archive for an issue, without names, folders and serial numbers.
 
-report.json   versions, system, what `doctor` says
+report.json   versions, system, results of `doctor`
 rig.json, scene.json
-log.txt       lines of the log that the black boxes have
-blackbox/     the newest black boxes, written anew with their texts cleaned
+log.txt       lines of the log in the black boxes
+blackbox/     the latest black boxes, rewritten with cleaned texts
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.drivers.containers import mcap_messages
 from softfinger.drivers.system import discovery
 from softfinger.server.recording import blackbox
-from softfinger.server.recording.reader import Event, Note, Ticks, contents
-from softfinger.server.recording.schemas import class_of
+from softfinger.server.recording.reader import Event, Note, Ticks, read_contents
+from softfinger.server.recording.schemas import load_message_class
 from softfinger.server.recording.writer import LOG_TOPIC, RecordingFile
 from softfinger.tools.doctor import machine, privacy
 from softfinger.tools.doctor.verb import examine
@@ -38,7 +38,7 @@ log: Final = logging.getLogger(__name__)
 BOXES: Final = 3
 OUT: Final = "softfinger-report.tar.gz"
 LEVEL_STEP: Final = 10
-"""Between levels of `logging`; Foxglove's are numbered from 1."""
+"""Difference between levels of `logging`; Foxglove numbers them from 1."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -55,25 +55,28 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=BOXES,
         metavar="N",
-        help="how many black boxes, newest first (default: %(default)s)",
+        help="number of black boxes, latest first (default: %(default)s)",
     )
     parser.add_argument("--seconds", type=float, default=1.0, help="of each loop of doctor (default: %(default)s)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the archive, whole or not at all; returns 0. Raises ConfigError where it cannot be written."""
+    """Write the archive, completely or not at all; returns 0. Raises ConfigError if it cannot be written."""
     check_seconds(args.seconds)
     if args.boxes < 0:
         raise ConfigError(f"--boxes {args.boxes}: must be 0 or more")
     rig, scene = load_rig(args.rig), load_scene(args.scene)
-    found = blackbox.files(blackbox.folder())
+    place = blackbox.folder()
+    if place is None:
+        log.warning("no black boxes: this user has no home folder; set HOME or SOFTFINGER_BLACKBOX_DIR")
+    found = [] if place is None else blackbox.files(place)
     boxes = found[len(found) - min(args.boxes, len(found)) :]
     cleaner = privacy.Privacy(device.serial for device in discovery.attached())
     told = {
         "softfinger": version("softfinger"),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "packages": machine.versions(),
-        "doctor": examine(rig, Path(args.rig).name, Path(args.scene).name, args.seconds, None),
+        "doctor": examine(rig, scene, Path(args.rig).name, Path(args.scene).name, args.seconds, None),
     }
     parts = {
         "report.json": _json(cleaner.clean(told)),
@@ -84,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     for path in boxes:
         try:
             parts[f"blackbox/{path.name}"] = cleaned(path, cleaner)
-        except RecordingError as error:  # cut short by a kill, or another version's
+        except RecordingError as error:  # cut short by a kill, or of another version
             log.warning("left out: %s", error)
             continue
         lines += [f"--- {path.name}", *(f"{line.text}" for line in log_lines(path, cleaner))]
@@ -99,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def archive(file: Any, parts: Mapping[str, bytes]) -> None:
-    """A gzipped tar of files by name, with nobody's name and no time."""
+    """Write a gzipped tar of files by name, without owner and time."""
     with tarfile.open(fileobj=file, mode="w:gz") as tar:
         for name, data in parts.items():
             info = tarfile.TarInfo(f"softfinger-report/{name}")
@@ -108,14 +111,14 @@ def archive(file: Any, parts: Mapping[str, bytes]) -> None:
 
 
 def private_rig(rig: dict[str, Any]) -> dict[str, Any]:
-    """A rig as `describe` has it, whose device options name no folder and no whole serial number."""
+    """Return the mapping of a rig without [security], and without folders and serial numbers in device options."""
     named = rig | {key: privacy.options(rig[key]) for key in ("device", "devices") if rig.get(key)}
     return {key: value for key, value in named.items() if key != "security"}
 
 
 def cleaned(path: Path, cleaner: privacy.Privacy) -> bytes:
-    """A file of the black box written anew, its ticks as they were and its texts cleaned. RecordingError."""
-    parts = list(contents(path))
+    """Return a black box file rewritten with the same ticks and cleaned texts. Raises RecordingError."""
+    parts = list(read_contents(path))
     about = {part.name: part.value for part in parts if isinstance(part, Note)}
     if isinstance(about.get("rig"), dict):
         about["rig"] = private_rig(about["rig"])
@@ -136,18 +139,18 @@ def cleaned(path: Path, cleaner: privacy.Privacy) -> bytes:
 
 
 def cleaned_event(event: dict[str, Any], cleaner: privacy.Privacy) -> dict[str, Any]:
-    """An event without private words; a device's serial number is shortened."""
+    """Return an event with cleaned texts and a shortened serial number of the device."""
     clean: dict[str, Any] = cleaner.clean(event)
     return clean | ({"serial": privacy.shortened(str(event["serial"]))} if "serial" in event else {})
 
 
-def log_lines(path: Path, cleaner: privacy.Privacy) -> Iterator[blackbox.Line]:
-    """Lines of the log in a file of the black box, cleaned."""
+def log_lines(path: Path, cleaner: privacy.Privacy) -> Iterator[blackbox.LogLine]:
+    """Yield the cleaned lines of the log in a black box file."""
     with open_input(path) as file:
         for schema, _, message in mcap_messages(file, LOG_TOPIC):
-            line = class_of(schema.data, schema.name).FromString(message.data)
+            line = load_message_class(schema.data, schema.name).FromString(message.data)
             time_s = message.log_time / 1e9
-            yield blackbox.Line(time_s, LEVEL_STEP * line.level, line.name, cleaner.text(line.message))
+            yield blackbox.LogLine(time_s, LEVEL_STEP * line.level, line.name, cleaner.text(line.message))
 
 
 def _json(value: Any) -> bytes:

@@ -33,11 +33,11 @@ BLOCK: Final = re.compile(r"(<!-- study: (?P<name>[a-z-]+) -->\n).*?(<!-- end --
 DRIFT_STEPS: Final = 10_000_000
 PROGRAM: Final = (sys.executable, "-m", "softfinger.server.cli")
 TABLES: Final = ("paper", "bodies")
-"""What the pages show; the other tables of `softfinger accuracy` are in figures/accuracy.txt."""
+"""Tables in the pages; the other tables of `softfinger accuracy` are in figures/accuracy.txt."""
 
 
 def markdown(table: Any) -> str:
-    """A rich table as one of Markdown."""
+    """Convert a rich table to a Markdown table."""
     heads = [str(column.header).replace("\n", "_") for column in table.columns]
     rows = zip(*(column.cells for column in table.columns), strict=True)
     lines = [heads, ["---"] * len(heads), *rows]
@@ -45,7 +45,7 @@ def markdown(table: Any) -> str:
 
 
 def insert(page: str, tables: Mapping[str, str]) -> str:
-    """The page with each marked table replaced; ConfigError for a mark that no table is made for."""
+    """Return the page with each marked table replaced; raises ConfigError for a mark without a table."""
 
     def filled(match: re.Match[str]) -> str:
         name = match["name"]
@@ -57,7 +57,7 @@ def insert(page: str, tables: Mapping[str, str]) -> str:
 
 
 def run(*words: str) -> bytes:
-    """What a command of the program prints, run as its users do; its progress goes to the terminal."""
+    """Return the output of a command of the program, run as by its users; its progress goes to the terminal."""
     print(f"study: softfinger {' '.join(words)}", file=sys.stderr, flush=True)
     done = subprocess.run([*PROGRAM, *words], stdout=subprocess.PIPE, check=False)
     if done.returncode != 0:
@@ -66,20 +66,20 @@ def run(*words: str) -> bytes:
 
 
 def command(*words: str) -> dict[str, Any]:
-    """The result of a command that measures."""
+    """Return the result of a command that measures."""
     found: dict[str, Any] = json.loads(run(*words, "--json"))
     return found
 
 
 def draw_shipped_run(path: Path) -> None:
-    """The recording that `softfinger run` plays, as a picture."""
+    """Draw the recording that `softfinger run` plays."""
     with tempfile.TemporaryDirectory() as folder:
         out = str(Path(folder) / "run.npz")
         run("simulate", "--scene", "paper-plane", "--poses", "press-roll-spin-drag", "--out", out, "--plot", str(path))
 
 
 def make_tables(figures: Path, quick: bool) -> dict[str, str]:
-    """Draw every figure and return every table by its name; `quick` for a short run that shows it works."""
+    """Draw every figure and return every table by its name; `quick` is a short run that only tests the commands."""
     drift, points, short = DRIFT_STEPS, str(POINTS), []
     if quick:
         drift, points, short = 20_000, "3", ["--quick", "--surface", "plane", "torus"]

@@ -1,16 +1,15 @@
-"""Many cases of one computation: in threads here, on a local cluster or on dask workers elsewhere, resumable.
+"""Runner for many cases of one computation: in threads, on a local cluster or on dask workers elsewhere, resumable.
 
     run_cases(function, cases, label="limits")                                   threads of this process
     run_cases(function, cases, label="limits", scheduler="local")                processes of this machine
     run_cases(function, cases, label="limits", scheduler="tcp://127.0.0.1:8786") workers of a dask scheduler
-    run_cases(function, cases, label="limits", results=Path("limits.mcap"))      goes on where the last run ended
+    run_cases(function, cases, label="limits", results=Path("limits.mcap"))      resumes after the last run
 
-A case is plain values, so is its result, and a result depends on nothing but its case: hence the same
-bits from every scheduler, in every block size and after every interruption. Threads serve kernels that
-release the GIL; what computes in Python needs processes.
+Cases and results are plain values, and a result depends only on its case. Therefore it has the same bits with every
+scheduler, in every block size and after every interruption. Threads suit kernels that release the GIL; computation in
+Python needs processes.
 
-A dask scheduler runs whatever it is sent and its traffic is not encrypted: name only one on a network
-you trust.
+A dask scheduler runs any code that it receives, and its traffic is not encrypted: use only one on a trusted network.
 """
 
 from __future__ import annotations
@@ -35,20 +34,22 @@ from softfinger.server.progress import progress
 from softfinger.tools.sweep_results import open_rows
 
 BLOCKS_PER_WORKER: Final = 8
-"""So many blocks for each worker even out cases of unequal cost; dask takes about 1 ms to hand one out."""
+"""Blocks per worker, which balance cases of unequal cost; dask needs about 1 ms to submit one."""
 BLOCK_MAX: Final = 100
-"""Cases in a block at most: what an interruption can cost."""
+"""Largest number of cases in a block, which an interruption can lose."""
 CONNECT_S: Final = 10.0
 
 Compute = Callable[[Sequence[Any]], Sequence[Any]]
-"""Results of some cases, one each, in their order. A function of a module, so that workers can import it."""
+"""Function of a module, so that workers can import it; returns the results of some cases, one each, in their order."""
 
 
 def add_sweep_options(parser: argparse.ArgumentParser) -> None:
-    """`--scheduler` and `--results`, which every command of many cases has."""
-    group = parser.add_argument_group("where it is computed and kept")
+    """Add `--scheduler` and `--results`, which every command of many cases has."""
+    group = parser.add_argument_group("computation and storage")
     group.add_argument("--scheduler", metavar="ADDRESS", help="dask scheduler, or 'local' for processes here")
-    group.add_argument("--results", type=Path, metavar="FILE.mcap", help="keeps finished cases; run again, it goes on")
+    group.add_argument(
+        "--results", type=Path, metavar="FILE.mcap", help="stores finished cases; a second run continues"
+    )
 
 
 def run_cases(
@@ -61,18 +62,18 @@ def run_cases(
     block: int | None = None,
     threads: int | None = None,
 ) -> list[Any]:
-    """Results of all cases, in their order, as msgpack gives them back (a tuple becomes a list).
+    """Return the results of all cases, in their order, as decoded from msgpack (a tuple becomes a list).
 
     function   computes a block of cases
-    cases      what msgspec can encode: mappings, structs, named tuples of numbers and text
-    label      what the progress line calls it
+    cases      values that msgspec can encode: mappings, structs, named tuples of numbers and text
+    label      text of the progress line
     scheduler  None: threads; "local": a cluster of processes here; else the address of a dask scheduler
-    results    MCAP file that keeps finished cases: those in it are not computed again
-    block      cases handed out at once; by default as many as keep the workers evenly busy
-    threads    how many compute at once without a scheduler, by default one on each processor; 1 for what is timed
+    results    MCAP file that stores finished cases; they are not computed again
+    block      cases in a block; default: a size that balances the load of the workers
+    threads    number of threads without a scheduler, default one per processor; 1 for timing
 
-    Raises ConfigError when the scheduler cannot be used, runs another version of this program or is lost, and
-    RecordingError when the file cannot be; what `function` raises comes through, finished blocks are kept.
+    Raises ConfigError if the scheduler cannot be used, runs another version of this program or is lost, and
+    RecordingError if the file cannot be used. Errors of `function` are passed on; finished blocks are stored.
     """
     keys = [case_key(function, case) for case in cases]
     with open_rows(results) as rows:
@@ -90,14 +91,14 @@ def run_cases(
 
 
 def case_key(function: Compute, case: Any) -> str:
-    """What a case is known by in a file of results: the function, its program's sources and the case's values."""
+    """Return the key of a case in a file of results: a hash of the function, the program's sources and the values."""
     digest = hashlib.sha256(f"{function.__module__}.{function.__qualname__} {SOURCE_HASH} ".encode())
     digest.update(msgspec.msgpack.encode(case, order="deterministic"))
     return digest.hexdigest()
 
 
 def _compute(sources: str, function: Compute, cases: Sequence[Any]) -> list[bytes]:
-    """What a worker does. Encoded here, so that a result is the same whether or not it travelled or was stored."""
+    """Compute cases in a worker. Results are encoded here, so that they do not depend on transport or storage."""
     if sources != SOURCE_HASH:
         raise ConfigError(
             f"the dask worker on {os.uname().nodename} runs another version of softfinger: its sources have the hash "
@@ -107,7 +108,7 @@ def _compute(sources: str, function: Compute, cases: Sequence[Any]) -> list[byte
 
 
 class _Workers(NamedTuple):
-    """How many compute at once, how to hand out a call, and how to take its future when it is finished."""
+    """Number of parallel workers, function that submits a call, and function that yields finished futures."""
 
     number: int
     submit: Callable[..., Any]
@@ -117,7 +118,7 @@ class _Workers(NamedTuple):
 def _in_blocks(
     workers: _Workers, function: Compute, todo: Mapping[str, Any], size: int
 ) -> Iterator[tuple[list[str], list[bytes]]]:
-    """Keys and encoded results of each block, in the order they are finished."""
+    """Yield keys and encoded results of each block, in the order of completion."""
     keys = list(todo)
     blocks = {}
     for first in range(0, len(keys), size):
@@ -129,7 +130,7 @@ def _in_blocks(
 
 @contextmanager
 def _workers(scheduler: str | None, threads: int | None) -> Iterator[_Workers]:
-    """What computes, ready to be handed work; what is not finished when the block ends is given up."""
+    """Yield workers that are ready for calls; unfinished calls are cancelled at the end of the block."""
     here = len(os.sched_getaffinity(0))
     if scheduler is None:
         number = threads or here
@@ -143,7 +144,7 @@ def _workers(scheduler: str | None, threads: int | None) -> Iterator[_Workers]:
         distributed: Any = importlib.import_module("distributed")
     except ImportError as error:
         raise ConfigError(f"--scheduler {scheduler}: dask is not installed: pip install 'softfinger[sweep]'") from error
-    logging.getLogger("distributed").setLevel(logging.WARNING)  # it tells of every connection
+    logging.getLogger("distributed").setLevel(logging.WARNING)  # it logs every connection
     with ExitStack() as opened:
         if scheduler == "local":
             address = opened.enter_context(
@@ -166,13 +167,13 @@ def _workers(scheduler: str | None, threads: int | None) -> Iterator[_Workers]:
         number = len(client.scheduler_info(n_workers=-1)["workers"])
         if not number:
             raise ConfigError(f"--scheduler {scheduler}: it has no workers: start one with `dask worker {scheduler}`")
-        # Not pure: dask would look for equal calls by hashing the arguments, which the keys have done already.
+        # Not pure: dask would hash the arguments to find equal calls, which the keys have done already.
         completed = partial(distributed.as_completed, loop=client.loop)
         try:
             yield _Workers(number, partial(client.submit, pure=False), completed)
         except (CancelledError, distributed.KilledWorker, distributed.comm.CommClosedError) as error:
             reason = str(error).partition("\n")[0]
             raise ConfigError(
-                f"--scheduler {scheduler}: lost while it computed ({reason}): see its log; the same command with "
-                "--results FILE goes on where it ended"
+                f"--scheduler {scheduler}: lost during a computation ({reason}): see its log; the same command with "
+                "--results FILE continues from there"
             ) from error

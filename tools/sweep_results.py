@@ -1,8 +1,7 @@
-"""Finished cases of a sweep in an MCAP file: kept block by block, read back to go on.
+"""Finished cases of a sweep in an MCAP file, written block by block and read to resume.
 
-One msgpack message a case on the topic `case`: `{"key", "case", "result"}`. Every message has a chunk and
-a checksum of its own and goes to the system with its block: what a killed run leaves behind is readable
-up to its last block.
+The topic `case` has one msgpack message per case: `{"key", "case", "result"}`. Every message is a chunk with a checksum
+and is flushed with its block, so the file of a killed run is readable up to its last block.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ log: Final = logging.getLogger(__name__)
 
 
 class Rows:
-    """Results by the key of their case: `done`, which holds those of the file, and `append`, which keeps more."""
+    """Results by the key of their case: `done` has those of the file, and `append` adds new ones."""
 
     def __init__(self, done: dict[str, Any], file: _File | None) -> None:
         self.done = done
         self._file = file
 
     def append(self, rows: Iterable[tuple[str, Any, Any]]) -> None:
-        """Add key, case and result of each case of a block; with a file they are in it when this returns."""
+        """Add key, case and result of each case of a block; on return, they are in the file if there is one."""
         for key, case, result in rows:
             self.done[key] = result
             if self._file is not None:
@@ -46,10 +45,10 @@ class Rows:
 
 @contextmanager
 def open_rows(path: Path | None) -> Iterator[Rows]:
-    """The rows of a file, which is made if need be; with None they are kept in memory only.
+    """Open the rows of a file, which is created if necessary; with None they are stored in memory only.
 
-    A file cut short is read up to where it is whole, with a warning in the log. Raises RecordingError when
-    the file cannot be read or written, is something else, or is in use by another run.
+    A damaged file is read up to the damage, with a warning in the log. Raises RecordingError if the file cannot be read
+    or written, has other contents, or is in use by another run.
     """
     if path is None:
         yield Rows({}, None)
@@ -57,7 +56,7 @@ def open_rows(path: Path | None) -> Iterator[Rows]:
     try:
         with ExitStack() as files:
             target = followed(path)
-            # Made if need be, for there must be something to lock: of two runs that begin at once one is refused.
+            # Created if necessary, because a lock needs a file: of two runs that start at once, one is refused.
             os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666))
             old = files.enter_context(open_input(target))
             _lock(old, path)
@@ -65,7 +64,7 @@ def open_rows(path: Path | None) -> Iterator[Rows]:
                 raise _in_use(path)
             size = os.fstat(old.fileno()).st_size
             kept = list(_read(path, old)) if size else []
-            # Written anew beside the old one: MCAP has no appending, and a torn end goes this way too.
+            # The file is rewritten, since MCAP cannot append, and this also removes a damaged end.
             with new_file(target) as begun:
                 new = files.enter_context(open(os.dup(begun.fileno()), "wb"))
                 _lock(new, path)
@@ -84,7 +83,7 @@ def open_rows(path: Path | None) -> Iterator[Rows]:
 
 
 def _lock(file: IO[bytes], path: Path) -> None:
-    """Keep other runs off; let go when the file is closed, however the process ends."""
+    """Exclude other runs; the lock is released when the file is closed, for any end of the process."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -96,7 +95,7 @@ def _in_use(path: Path) -> RecordingError:
 
 
 def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:
-    """Rows of the file, as far as it is whole."""
+    """Yield the rows of the file up to the damage."""
     count, whole = 0, False
     try:
         for _, channel, message in mcap_messages(file, None):
@@ -115,19 +114,22 @@ def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:
         file.seek(0)
         if file.read(5) != b"\x89MCAP":
             raise RecordingError(f"{path}: not a file of sweep results ({reason}): name another") from error
-        log.warning("%s is cut short or damaged (%s): %d finished cases read, the rest is dropped", path, reason, count)
+        log.warning(
+            "%s is cut short or damaged (%s): %d finished cases read, the remainder is ignored", path, reason, count
+        )
     if whole and not count:
-        log.info("%s holds no finished case", path)
+        log.info("%s has no finished case", path)
 
 
 class _File:
-    """An MCAP file being written."""
+    """MCAP file that is being written."""
 
     def __init__(self, path: Path, file: IO[bytes]) -> None:
         from mcap.writer import CompressionType, IndexType, Writer
 
         self._path, self._file, self._count = path, file, 0
-        # A chunk ends with the message that fills it: at one byte every message is a chunk, with a checksum.
+        # A chunk ends with the message that fills it. With a chunk size of one byte, every message is a chunk with a
+        # checksum.
         self._writer: Any = Writer(file, 1, CompressionType.NONE, IndexType.NONE)
         self._writer.start(profile="", library="softfinger")
         self._channel = self._writer.register_channel(TOPIC, "msgpack", schema_id=0)

@@ -1,4 +1,4 @@
-"""Arrays of numbers in files of foreign origin: npz and npy, csv, grey pictures; read in bounded memory.
+"""Readers of arrays in untrusted files, in bounded memory: npz and npy, csv, grey pictures.
 
-Neither recordings nor results, which drivers and server read with what is here.
+Contains no format of recordings or results; drivers and server read these with the functions here.
 """

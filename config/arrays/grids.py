@@ -1,4 +1,4 @@
-"""Numbers over a surface, from a file that a scene names: .npy, .npz, .csv, or a grey picture as .pgm or .png."""
+"""Reader of a grid of numbers in a file that a scene names: .npy, .npz, .csv, or a grey picture as .pgm or .png."""
 
 from __future__ import annotations
 
@@ -19,25 +19,40 @@ from softfinger.config.files import open_input, read_input
 Grid = NDArray[np.float64]
 
 NUMBER_BYTES_MAX: Final = 32
-"""Of one number: float64 has 8, its text in full 24 and a comma; no kind of number of numpy has more."""
+"""Largest size of one number: float64 has 8 bytes, its full text 24 and a comma; no NumPy number has more than 32."""
 HEAD_BYTES_MAX: Final = 1 << 16
-"""Of what stands before the numbers; numpy writes 128."""
+"""Largest size of the header before the numbers; NumPy writes 128 bytes."""
 BYTES_MAX: Final = int(limits.GRID_VALUES.high) * NUMBER_BYTES_MAX + HEAD_BYTES_MAX
 MAGNITUDE_MAX: Final = 1e100
-"""Farther apart than these, two numbers would have no difference in float64."""
+"""Largest magnitude of a number; the difference of far larger numbers would overflow float64."""
 
 _GAP: Final = rb"\s+(?:#[^\n]*\n\s*)*"
 _PGM: Final = re.compile(_GAP.join((rb"P5", rb"([0-9]{1,7})", rb"([0-9]{1,7})", rb"([0-9]{1,5})")) + rb"\s")
 GREY: Final = ("L", "I;16", "I;16B", "I")
-"""What Pillow calls pictures of 8 and of 16 bits of grey."""
+"""Pillow's modes of grey pictures with 8 and 16 bits."""
 _PGM_HEAD_MAX: Final = 4096
-"""Bytes before the picture itself, comments among them; GIMP writes some 60."""
+"""Largest header of a PGM picture with its comments, bytes; GIMP writes about 60."""
 
 
 def read_grid(path: str | Path, even: bool = False) -> Grid:
-    """The numbers of a file, (rows, columns), finite. ConfigError with file, fault and remedy.
+    """Read the numbers of a file.
 
-    even  whether all may be the same
+    Parameters
+    ----------
+    path
+        File with a suffix in `READERS`.
+    even
+        Accept a grid in which all values are equal.
+
+    Returns
+    -------
+    Grid
+        Finite numbers, (rows, columns).
+
+    Raises
+    ------
+    ConfigError
+        With the file, the fault and the remedy.
     """
     read = READERS.get(Path(path).suffix.lower())
     if read is None:
@@ -69,7 +84,7 @@ def _check(grid: Grid, even: bool) -> None:
         row, column = np.argwhere(bad)[0]
         raise ValueError(f"row {row}, column {column}: {grid[row, column]}: numbers are finite, at most 1e100")
     if grid.size < limits.GRID_VALUES.low:
-        raise ValueError("has one value alone: must have two at the least")
+        raise ValueError("has a single value: must have at least two")
     if not even and grid.min() == grid.max():
         raise ValueError(f"every value is {grid.flat[0]:g}: a texture has at least two")
 
@@ -83,7 +98,9 @@ def _npz(path: str | Path) -> NDArray[Any]:
     with open_input(path, BYTES_MAX) as file:
         archive = open_npz(file)
         if len(archive.files) != 1:
-            raise ValueError(f"has the arrays {', '.join(archive.files) or '(none)'}: must have one; save it alone")
+            raise ValueError(
+                f"has the arrays {', '.join(archive.files) or '(none)'}: must have one; save only that one"
+            )
         return np.asarray(archive[archive.files[0]])
 
 
@@ -112,7 +129,7 @@ def _pgm(path: str | Path) -> NDArray[Any]:
         raise ValueError("is no binary grey picture (P5): export it as raw PGM")
     columns, rows, white = (int(group) for group in head.groups())
     if not 0 < white < 65536:
-        raise ValueError(f"says that white is {white}: must be 1 to 65535")
+        raise ValueError(f"gives {white}: must be 1 to 65535")
     kind = np.dtype(np.uint8 if white < 256 else ">u2")
     there, needed = len(data) - head.end(), rows * columns * kind.itemsize
     if there != needed:
@@ -121,7 +138,7 @@ def _pgm(path: str | Path) -> NDArray[Any]:
 
 
 def _png(path: str | Path) -> NDArray[Any]:
-    """Its levels of grey as they are in the file, 0 to 255 or to 65535."""
+    """Return the grey levels as stored in the file, 0 to 255 or to 65535."""
     try:
         from PIL import Image
     except ImportError as missing:
@@ -130,7 +147,7 @@ def _png(path: str | Path) -> NDArray[Any]:
         ) from missing
     with Image.open(io.BytesIO(read_input(path, BYTES_MAX)), formats=["PNG"]) as picture:
         columns, rows = picture.size
-        if columns * rows > limits.GRID_VALUES.high:  # before anything is unpacked
+        if columns * rows > limits.GRID_VALUES.high:  # before decompression
             raise ValueError(
                 f"has {columns} x {rows} pixels, {limits.GRID_VALUES.high:,} are the most: {limits.GRID_VALUES[2]}"
             )
@@ -146,4 +163,4 @@ READERS: Final[dict[str, Callable[[str | Path], NDArray[Any]]]] = {
     ".pgm": _pgm,
     ".png": _png,
 }
-"""How each ending is read."""
+"""Reader of each file suffix."""

@@ -1,4 +1,4 @@
-"""Archives of arrays, opened by numpy; nothing in them is unpickled."""
+"""NumPy archives of arrays, opened without unpickling."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from numpy.lib.npyio import NpzFile
 
 
 def open_npz(file: IO[bytes]) -> NpzFile:
-    """The arrays of an npz file, each read when it is asked for. ValueError, or what numpy raises, for other files."""
-    if not zipfile.is_zipfile(file):  # numpy would take it for a pickle, and say how to load one
+    """Open an npz file; each array is read on access. Raises ValueError, or NumPy's error, for other files."""
+    if not zipfile.is_zipfile(file):  # numpy would take it for a pickle and explain how to load one
         raise ValueError("is no archive of arrays, as numpy.savez writes it")
     file.seek(0)
     return cast(NpzFile, np.load(file, allow_pickle=False))

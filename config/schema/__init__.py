@@ -1,11 +1,11 @@
-"""What a scene and a rig may say: structs whose field names carry their unit.
+"""Schema of scenes and rigs: structs with the unit in each field name.
 
-An absent table is `None` for whatever is then not modelled (rolling, friction, torsion): the
-contact step is compiled without it. Values are SI. Structs built in code are not range-checked;
-`load.build` does that, with the ranges given here and in `limits`.
+The field of an absent table is `None`; that part (rolling, friction, torsion) is not modelled, and the contact step is
+compiled without it. Values are in SI units. Structs created in code are not range-checked; `load.build` checks them,
+with the ranges given here and in `limits`.
 
-A struct may have `faults()`, for what concerns several of its fields. `load.build` calls it on the
-struct as far as it could be read: a field with an unusable value holds `UNSET`, hence `known`.
+A struct may have `faults()` for conditions between several of its fields. `load.build` calls it even if some fields are
+unusable; these are `UNSET`, which `known` detects.
 """
 
 from softfinger.config.schema.addresses import (

@@ -1,4 +1,4 @@
-"""ZeroMQ addresses of a daemon: what may be bound, what is open to the network, and where commands are taken."""
+"""ZeroMQ addresses of a daemon: validity, exposure to the network, and the default address for commands."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ _TCP: Final = re.compile(r"tcp://(\[[^\]]*\]|[^:/@\[\]]+):(\*|[0-9]{1,5})")
 _LOOPBACK: Final = re.compile(r"localhost|127(\.[0-9]{1,3}){3}|\[::1\]")
 _PORT_MAX: Final = 65535
 IPC_PATH_MAX: Final = 107
-"""Bytes of a Unix socket's path."""
+"""Largest length of the path of a Unix socket, bytes."""
 
 
 BESIDE: Final = ".commands"
-"""What a socket of commands is called by, behind the port or the path of the telemetry."""
+"""Suffix of the name of a command socket, after the port or the path of the telemetry."""
 
 
 def runtime_folder() -> Path:
-    """`softfinger` in $XDG_RUNTIME_DIR, or where that is not set a folder of this user in the temp directory; whether
-    it is there or not."""
+    """Return the runtime folder of this user, which need not exist.
+
+    It is `softfinger` in $XDG_RUNTIME_DIR or, if that is not set, a folder of this user in the temporary directory.
+    """
     given = os.environ.get("XDG_RUNTIME_DIR", "")
     if given.startswith("/"):
         return Path(given) / "softfinger"
@@ -29,10 +31,11 @@ def runtime_folder() -> Path:
 
 
 def commands_beside(telemetry: str) -> str:
-    """Where commands are taken of a daemon with this telemetry, where its rig does not say.
+    """Return the default address for commands of a daemon with this telemetry address.
 
-    A socket that this user alone reaches: the path with .commands behind, of a port on loopback one in the user's
-    runtime folder, named by the port. Beside telemetry that is open to the network the next port, by key as that.
+    The default is a socket that only this user can reach: for a path, the path with .commands appended; for a port on
+    loopback, a socket in the user's runtime folder named by the port. If the telemetry is open to the network, it is
+    the next port, with access by key as for the telemetry.
     """
     if telemetry.startswith("ipc://"):
         return f"{telemetry}{BESIDE}"
@@ -45,8 +48,7 @@ def commands_beside(telemetry: str) -> str:
 
 
 def telemetry_of(endpoint: str) -> str:
-    """Where the daemon of an address publishes, which may be that of a socket of commands beside the telemetry;
-    otherwise the address itself."""
+    """Return the telemetry address for a default command socket; any other address is returned unchanged."""
     if not endpoint.startswith("ipc://") or not endpoint.endswith(BESIDE):
         return endpoint
     path = Path(endpoint.removeprefix("ipc://").removesuffix(BESIDE))
@@ -54,13 +56,13 @@ def telemetry_of(endpoint: str) -> str:
 
 
 def is_public(endpoint: str) -> bool:
-    """Whether other machines may reach what is bound to a valid endpoint."""
+    """Return whether other machines can reach a socket bound to a valid endpoint."""
     match = _TCP.fullmatch(endpoint)
     return match is not None and not _LOOPBACK.fullmatch(match[1])
 
 
 def endpoint_complaint(endpoint: str) -> str | None:
-    """What is wrong with a ZeroMQ address to bind; None if nothing is."""
+    """Return the fault of a ZeroMQ address to bind; None if it is valid."""
     if endpoint.startswith("ipc://"):
         size = len(endpoint.removeprefix("ipc://").encode(errors="replace"))
         return None if 0 < size <= IPC_PATH_MAX else f"must have a path of 1 to {IPC_PATH_MAX} bytes"

@@ -1,4 +1,4 @@
-"""How the fingertip follows the hand: its sphere, its rolling, its coupling to the probe, the probe itself."""
+"""Tables of a fingertip: its shape, rolling, coupling to the probe, the probe, and passivity."""
 
 from __future__ import annotations
 
@@ -30,15 +30,19 @@ PassivityMode = Literal["observe", "control"]
 
 
 class Form(Table, frozen=True, kw_only=True):
-    """A rigid body centred on the probe: a sphere or an ellipsoid."""
+    """Rigid body centred on the probe: a sphere or an ellipsoid."""
 
     library: ClassVar[Library] = FINGERTIPS
-    """Fingertips that a scene may name; the values of the named one stand wherever it says nothing itself."""
+    """Fingertips that a scene may name; an entry supplies the values that the scene leaves out."""
 
     pad: (
         Annotated[
             str,
-            sized(limits.NAME_LENGTH, "fingertip of the library; keys beside it override its values", "human-index"),
+            sized(
+                limits.NAME_LENGTH,
+                "fingertip of the library; other keys of the table override its values",
+                "human-index",
+            ),
         ]
         | None
     ) = None
@@ -100,19 +104,19 @@ class Form(Table, frozen=True, kw_only=True):
 
     @property
     def reaches_m(self) -> tuple[float, float]:
-        """The shortest and the longest radius, m, of a table without faults."""
+        """Smallest and largest radius, m, of a table without faults."""
         radii = self.radii_m or (self.radius_m or 0.0,)
         return min(radii), max(radii)
 
 
 class Fingertip(Form, frozen=True, kw_only=True):
-    """A rigid sphere or ellipsoid, centred on the probe."""
+    """Rigid sphere or ellipsoid, centred on the probe."""
 
     patch: Patch | None = None
 
 
 class Rolling(Table, frozen=True, kw_only=True):
-    """Rolling contact; without this table a rotation of the fingertip moves no contact."""
+    """Rolling contact; without this table, rotating the fingertip does not move the contact."""
 
     method: Annotated[RollingMethod, said("integration of the rotation between two ticks", "euler_zxz")]
     torque_stiffness_n_per_m: (
@@ -120,8 +124,8 @@ class Rolling(Table, frozen=True, kw_only=True):
             float,
             within(
                 limits.STIFFNESS_N_PER_M,
-                "stiffness against a roll that the hand does not follow (k_tau); default and largest: that of the "
-                "coupling, which alone conserves energy",
+                "stiffness against a roll that the hand does not follow (k_tau); default and maximum: that of the "
+                "coupling, the only value that conserves energy",
                 1000.0,
             ),
         ]

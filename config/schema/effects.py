@@ -1,4 +1,4 @@
-"""Forces besides contact: those of the workspace and those of an object."""
+"""Forces in addition to contact: effects of the workspace and of an object."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _extent_faults(size: object, radius: object) -> Iterator[Complaint]:
 
 
 class Region(Table, frozen=True, kw_only=True):
-    """Region in which an effect but a boundary acts; without this table it acts everywhere."""
+    """Region in which an effect other than a boundary acts; without this table it acts everywhere."""
 
     position_m: Middle = (0.0, 0.0, 0.0)
     size_m: Edges | None = None
@@ -56,7 +56,7 @@ class Region(Table, frozen=True, kw_only=True):
 
 
 class EffectBase(Table, frozen=True, kw_only=True):
-    """What every effect has: a kind, which selects its other keys."""
+    """Base of all effects; the kind selects the other keys."""
 
     kind: ClassVar[str]
 
@@ -83,7 +83,7 @@ class Spring(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="sprin
     kind: ClassVar[str] = "spring"
     position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("anchor in the world", [0.0, 0.0, 0.05])]
     stiffness_n_per_m: EffectStiffness
-    rest_length_m: Annotated[float, within(limits.EDGE_M, "rest length; a shorter spring pushes", 0.0)] = 0.0
+    rest_length_m: Annotated[float, within(limits.EDGE_M, "free length; a shorter spring pushes", 0.0)] = 0.0
     force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "largest force", 3.0)]
     region: Region | None = None
 
@@ -121,7 +121,7 @@ Effect = Viscosity | ConstantForce | Spring | Vibration | Boundary
 
 
 class ObjectViscosity(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="viscosity"):
-    """Viscous drag against the velocity relative to the object, while it is touched."""
+    """Viscous drag against the velocity relative to the object, while the object is touched."""
 
     kind: ClassVar[str] = "viscosity"
     damping_ns_per_m: EffectDamping
@@ -135,7 +135,7 @@ class ObjectForce(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="
 
 
 class ObjectVibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="vibration"):
-    """Sinusoidal force while the object is touched, from phase zero on."""
+    """Sinusoidal force while the object is touched; the phase starts at zero at each touch."""
 
     kind: ClassVar[str] = "vibration"
     amplitude_n: Amplitude

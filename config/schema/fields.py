@@ -1,6 +1,6 @@
-"""What the fields of the structs are made of: numbers with range, unit, meaning and example.
+"""Building blocks of fields: numbers with range, unit, meaning and example.
 
-For the structs of this package and for the options of drivers.
+The structs of this package and the options of drivers use them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from msgspec import Meta, Struct
 from softfinger.config import limits
 
 Complaint = tuple[str, Any, str]
-"""Key within the struct, the value seen (UNSET: a whole table), and what is wrong with it."""
+"""Key within the struct, its value (UNSET: a whole table), and the fault."""
 
 
 class Table(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -23,24 +23,24 @@ class Table(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 def known(*values: object) -> bool:
-    """Whether none of these fields was unusable in the file."""
+    """Return whether all these fields were usable in the file."""
     return not any(value is msgspec.UNSET for value in values)
 
 
 def within(span: limits.Range, meaning: str, example: Any = None) -> Meta:
-    """Range, meaning and example of a number; for the structs here and the drivers' options."""
+    """Return range, meaning and example of a number, for the structs here and the options of drivers."""
     examples = None if example is None else [example]
     return Meta(ge=span.low, le=span.high, description=meaning, examples=examples, extra={"reason": span.reason})
 
 
 def sized(span: limits.Range, meaning: str, example: Any = None) -> Meta:
-    """Length, meaning and example of a text or a list."""
+    """Return length, meaning and example of a text or a list."""
     examples = None if example is None else [example]
     return Meta(min_length=int(span.low), max_length=int(span.high), description=meaning, examples=examples)
 
 
 def said(meaning: str, example: Any = None) -> Meta:
-    """Meaning and example of a field that is not a single number."""
+    """Return meaning and example of a field that is not a single number."""
     return Meta(description=meaning, examples=None if example is None else [example])
 
 
@@ -73,7 +73,7 @@ _UNITS: Final = {
 
 
 def unit(key: str) -> str:
-    """Unit that the end of a key says, longest ending first; empty for a plain number or a text."""
+    """Return the unit in the suffix of a key, longest suffix first; empty for a plain number or a text."""
     return next((name for suffix, name in _UNITS.items() if key.endswith(suffix)), "")
 
 
@@ -95,23 +95,23 @@ Component = Annotated[float, Meta(ge=limits.QUATERNION.low, le=limits.QUATERNION
 
 Resolved = Annotated[
     bool | None,
-    said("true, as in recordings and telemetry: all values stand here, the library is not asked"),
+    said("true, as in recordings and telemetry: all values are given here, and the library is not used"),
 ]
-"""Of a table that may name an entry of a library: without it a recording would change with the library."""
+"""Field of a table that may name an entry of a library; without it, a recording would change with the library."""
 
 
 def normalise_orientation(table: Table) -> None:
-    """Make the quaternion `orientation_wxyz` of a table that is being made a unit one, where it has a direction."""
+    """Normalise the quaternion `orientation_wxyz` of a new table, unless it is zero or not finite."""
     given = table.orientation_wxyz  # type: ignore[attr-defined]
     if not known(given) or given is None:
         return
     norm = math.hypot(*given)
-    # A quaternion that is unit to the last bits stays as it is, so that a scene survives a round trip.
+    # A quaternion that is unit to the last bits is not changed, so that a scene survives a round trip.
     if norm > 0.0 and math.isfinite(norm) and abs(norm - 1.0) > 1e-15:
         msgspec.structs.force_setattr(table, "orientation_wxyz", tuple(part / norm for part in given))
 
 
 def direction_faults(key: str, direction: tuple[float, float, float] | None) -> Iterator[Complaint]:
-    """A direction of all zeros; one left out is none of this field's faults."""
+    """Yield a fault for a direction of all zeros; a missing direction is no fault."""
     if known(direction) and direction is not None and not any(direction):
         yield key, direction, "all zero is no direction: [0, 0, 1] is the z axis"

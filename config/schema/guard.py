@@ -1,4 +1,4 @@
-"""The guard: limits on every force before it reaches the device, and who gives it."""
+"""Guard of a rig: limits on every force before it reaches the device, and arming."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ class Workspace(Table, frozen=True, kw_only=True):
         if self.radius_m is None and self.size_m is None:
             yield "radius_m", msgspec.UNSET, "is missing: give radius_m of a sphere, or size_m of a box"
         elif self.radius_m is not None and self.size_m is not None:
-            yield "size_m", self.size_m, "stands beside radius_m: give one of them"
+            yield "size_m", self.size_m, "cannot be combined with radius_m: give one of them"
 
 
 Arming = Literal["automatic", "command", "button"]
 
 
 class Guard(Table, frozen=True, kw_only=True):
-    """Limits on every force before it reaches the device; a limited norm keeps its direction."""
+    """Limits on every force before it reaches the device; limiting a norm preserves the direction."""
 
     arm: Annotated[
         Arming,
         said(
-            "who arms, at the start and after handle_speed_max_m_per_s: automatic: the program, once the handle is "
-            "slow; command: softfinger ctl arm; button: that, or a button of the device",
+            "how the force is armed, at the start and after handle_speed_max_m_per_s: automatic: by the program, once "
+            "the handle is slow; command: by softfinger ctl arm; button: by that, or by a button of the device",
             "automatic",
         ),
     ] = "automatic"

@@ -1,4 +1,4 @@
-"""What an object feels like: its normal force, its friction, its torsion."""
+"""Contact properties of an object: normal force, friction and torsion."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Normal(Table, frozen=True, kw_only=True):
     ) = None
 
     def depth_under(self, force_n: float, stiffness_n_per_m: float) -> float:
-        """Depth, m, at which a slow press has the force."""
+        """Return the depth, m, at which a slow press has the force."""
         relative: float = (force_n / (stiffness_n_per_m * self.depth_m)) ** (1.0 / self.exponent)
         return self.depth_m * relative
 
@@ -118,7 +118,7 @@ class Friction(Table, frozen=True, kw_only=True):
 
 
 class Torsion(Table, frozen=True, kw_only=True):
-    """Torsional friction about the contact normal; without this table there is no such moment."""
+    """Torsional friction about the contact normal; without this table there is no torsional moment."""
 
     stiffness_nm_per_rad: (
         Annotated[
@@ -197,12 +197,12 @@ class Material(Table, frozen=True, kw_only=True):
     """Contact properties of an object."""
 
     library: ClassVar[Library] = MATERIALS
-    """Materials that a scene may name; the values of the named one stand wherever it says nothing itself."""
+    """Materials that a scene may name; an entry supplies the values that the scene leaves out."""
 
     name: (
         Annotated[
             str,
-            sized(limits.NAME_LENGTH, "material of the library; keys beside it override its values", "rubber"),
+            sized(limits.NAME_LENGTH, "material of the library; other keys of the table override its values", "rubber"),
         ]
         | None
     ) = None
@@ -212,7 +212,7 @@ class Material(Table, frozen=True, kw_only=True):
         float,
         within(
             limits.DAMPING_NS_PER_M,
-            "normal damping (B_n), Kelvin-Voigt; the total normal force stays between 0 and twice the spring force",
+            "normal damping (B_n), Kelvin-Voigt; the total normal force is limited to 0 to twice the spring force",
             0.0,
         ),
     ] = 0.0
@@ -232,13 +232,13 @@ class Material(Table, frozen=True, kw_only=True):
     torsion: Torsion | None = None
 
     def depth_under(self, force_n: float) -> float:
-        """Depth, m, at which a slow press has the force."""
+        """Return the depth, m, at which a slow press has the force."""
         if self.normal is None:
             return force_n / self.stiffness_n_per_m
         return self.normal.depth_under(force_n, self.stiffness_n_per_m)
 
     def stiffness_under(self, force_n: float) -> float:
-        """Slope of the force against the depth, N/m, at that force: what stability goes by."""
+        """Return the slope of the force against the depth, N/m, at that force; it decides stability."""
         exponent = 1.0 if self.normal is None else self.normal.exponent
         return exponent * force_n / self.depth_under(force_n)
 
@@ -249,7 +249,7 @@ class Material(Table, frozen=True, kw_only=True):
                 yield (
                     "normal.damping_s_per_m",
                     ours,
-                    f"stands in place of damping_ns_per_m, which is {plain:g} N s/m: set that to 0, or leave this out",
+                    f"replaces damping_ns_per_m, which is {plain:g} N s/m: set that to 0, or leave this out",
                 )
         if not known(self.friction, self.torsion) or self.torsion is None:
             return

@@ -1,4 +1,4 @@
-"""How an object moves by itself, or that it is moved from outside."""
+"""Motion of an object: prescribed, set by command, or that of a body of [world]."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Driven(Table, frozen=True, kw_only=True, tag_field="kind", tag="driven"):
 
 
 class Body(Table, frozen=True, kw_only=True, tag_field="kind", tag="body"):
-    """Fixed to a body of [world]; the pose at rest is that in the body's frame."""
+    """Fixed to a body of [world]; the rest pose is given in the body frame."""
 
     kind: ClassVar[str] = "body"
     body: Annotated[str, sized(limits.NAME_LENGTH, "name of the body, or its number where it has none", "box")]

@@ -1,4 +1,4 @@
-"""Which device of a rig moves which finger of a scene."""
+"""Assignment of the devices of a rig to the fingers of a scene."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from softfinger.config.schema.scene import Scene
 
 
 class Moved(NamedTuple):
-    """A finger, by its name ("" for the only one of [fingertip]), and its device, by its table in the rig."""
+    """Finger, by name ("" for the only one of [fingertip]), and its device, by its table in the rig."""
 
     finger: str
     table: str
@@ -19,10 +19,10 @@ class Moved(NamedTuple):
 
 
 def pair(scene: Scene, rig: Rig) -> tuple[Moved, ...]:
-    """The device of each of the scene's fingers, in their order.
+    """Return the device of each finger of the scene, in the order of the fingers.
 
-    The only finger of a scene is moved by [device], any by the [devices.NAME] that it names. What no finger names
-    stays closed. Raises ConfigError where a finger has no device.
+    [device] moves the only finger of a scene. Otherwise each finger names its [devices.NAME]. Devices that no finger
+    names are not opened. Raises ConfigError if a finger has no device.
     """
     fingers = scene.fingers
     if rig.device is not None and len(fingers) == 1:
@@ -44,7 +44,7 @@ def pair(scene: Scene, rig: Rig) -> tuple[Moved, ...]:
 
 
 def single_device(rig: Rig) -> DeviceConfig:
-    """The device of a rig with one; ConfigError for a rig with a device for each finger."""
+    """Return the device of a rig with one device; raises ConfigError for a rig with a device for each finger."""
     if rig.device is None:
         raise ConfigError(
             f"the rig has {_tables(rig.devices)}, and this is done with one device: take a rig with [device]"

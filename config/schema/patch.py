@@ -1,4 +1,4 @@
-"""The soft fingertip's contact patch."""
+"""Contact patch of a soft fingertip."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from softfinger.config.schema.fields import Complaint, Table, known, within
 
 
 class Patch(Table, frozen=True, kw_only=True):
-    """Contact patch of a soft fingertip; it, and not the material, determines the torsional stiffness and limit."""
+    """Contact patch of a soft fingertip; it determines the torsional stiffness and limit in place of the material."""
 
     shear_modulus_pa: Annotated[
         float,

@@ -1,4 +1,4 @@
-"""A rig: the device, the servo loop, the guard before the hand, telemetry, commands, keys and metrics."""
+"""Rig: device, servo loop, guard of the hand, telemetry, commands, recordings, keys and metrics."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Tool(Table, frozen=True, kw_only=True):
 
 
 class DeviceConfig(Table, frozen=True, kw_only=True):
-    """Driver of the device; its other keys are the driver's, on the page of the device."""
+    """Driver of the device. The other keys are options of the driver, see the page of the device."""
 
     gathers: ClassVar[str] = "options"
-    """All keys of [device] but those below go into this field."""
+    """Field that collects all keys of [device] except the ones below."""
 
     driver: Annotated[str, sized(limits.NAME_LENGTH, "name of the driver", "replay")]
     tool: Annotated[Tool | None, said("mounted tool; without this table the handle is the fingertip")] = None
@@ -49,7 +49,8 @@ class Servo(Table, frozen=True, kw_only=True):
     realtime: Annotated[
         RealtimeMode,
         said(
-            "real-time settings; auto: use what the system grants; require: refuse to start without; off: request none",
+            "real-time settings; auto: use those that the system grants; require: refuse to start without them; "
+            "off: request none",
             "auto",
         ),
     ] = "auto"
@@ -87,8 +88,8 @@ class Commands(Table, frozen=True, kw_only=True):
             str,
             sized(
                 limits.ENDPOINT_LENGTH,
-                "ZeroMQ address to bind, or off; default: a socket for this user alone, or the port after that of "
-                "telemetry which is open to the network",
+                "ZeroMQ address to bind, or off; default: a socket of this user only, or, if telemetry is open to "
+                "the network, the next port",
                 "tcp://127.0.0.1:5556",
             ),
         ]
@@ -116,7 +117,7 @@ class Commands(Table, frozen=True, kw_only=True):
             if complaint is not None:
                 yield "endpoint", self.endpoint, f"{complaint}; or off"
         if known(self.endpoint, self.heartbeat_s) and self.endpoint == OFF and self.heartbeat_s is not None:
-            yield "heartbeat_s", self.heartbeat_s, "nobody can send a heartbeat where commands are off: leave it out"
+            yield "heartbeat_s", self.heartbeat_s, "no client can send a heartbeat while commands are off: remove it"
 
 
 class Recording(Table, frozen=True, kw_only=True):
@@ -195,14 +196,14 @@ class Rig(Table, frozen=True, kw_only=True):
 
     @property
     def tables(self) -> dict[str, DeviceConfig]:
-        """Every device, by the table it is from."""
+        """All devices, by the name of their table."""
         if self.device is not None:
             return {"device": self.device}
         return {f"devices.{name}": device for name, device in self.devices.items()}
 
     @property
     def commands_endpoint(self) -> str | None:
-        """Where commands are taken: as given, else beside the telemetry; None where they are off."""
+        """Address for commands: as configured, else derived from the telemetry; None if commands are off."""
         given = self.commands.endpoint
         if given is not None:
             return None if given == OFF else given
@@ -225,7 +226,7 @@ class Rig(Table, frozen=True, kw_only=True):
             yield (
                 "device",
                 msgspec.UNSET,
-                "stands beside [devices]: it is for a single finger; leave it out, or the tables [devices.NAME]",
+                "cannot be combined with [devices]: it is for a single finger; remove it, or the tables [devices.NAME]",
             )
 
     def _endpoint_faults(self) -> Iterator[Complaint]:
@@ -246,7 +247,7 @@ class Rig(Table, frozen=True, kw_only=True):
             yield from self._public_faults(beside)
 
     def _public_faults(self, commands: str | None) -> Iterator[Complaint]:
-        """What is open to the network needs the keys of those who may use it."""
+        """Require keys of the permitted users for each endpoint that is open to the network."""
         for key, endpoint, folder, use in (
             ("telemetry.endpoint", self.telemetry.endpoint, "readers", "read"),
             ("commands.endpoint", commands, "commanders", "command"),
@@ -255,8 +256,8 @@ class Rig(Table, frozen=True, kw_only=True):
                 yield (
                     key,
                     endpoint,
-                    f"is open to the network, and there are no keys of those who may {use}: add [security] with key "
+                    f"is open to the network, and it has no keys of clients that may {use}: add [security] with key "
                     f"and {folder} (softfinger keys makes them), or take tcp://127.0.0.1:PORT or ipc://PATH",
                 )
-                if self.commands.endpoint is None:  # it follows, and so would its fault
+                if self.commands.endpoint is None:  # it is derived, and its fault would be a repetition
                     return

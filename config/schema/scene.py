@@ -1,4 +1,4 @@
-"""A scene as a whole, and what its tables demand of each other."""
+"""Scene, and the conditions between its tables."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from softfinger.config.schema.world import World
 
 
 class FingerParts(NamedTuple):
-    """A fingertip as it is modelled, whichever table it is from; that of [fingertip] has no name.
+    """Fingertip as it is modelled, from either table; the one of [fingertip] has no name.
 
-    radius_m is that of a sphere, or the shortest of the radii_m of an ellipsoid.
+    radius_m is the radius of a sphere, or the smallest of the radii_m of an ellipsoid.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Scene(Table, frozen=True, kw_only=True):
 
     @property
     def fingers(self) -> tuple[FingerParts, ...]:
-        """Who touches: one, or several. [coupling] and [probe] are those of a finger without tables of its own."""
+        """All fingers: one, or several. [coupling] and [probe] apply to a finger without such tables."""
         if self.fingertip is not None:
             tip = self.fingertip
             return (self._parts(tip, "", "", self.coupling, self.probe),)
@@ -66,7 +66,7 @@ class Scene(Table, frozen=True, kw_only=True):
 
     @property
     def soft(self) -> bool:
-        """Whether fingertips have a contact patch: all of them, or none."""
+        """True if the fingertips have a contact patch; either all have one, or none has."""
         return any(finger.patch is not None for finger in self.fingers)
 
     def faults(self) -> Iterator[Complaint]:
@@ -95,7 +95,8 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
         yield (
             "fingertip",
             msgspec.UNSET,
-            "stands beside [[finger]]: it is the short form for one finger; leave it out, or the tables [[finger]]",
+            "cannot be combined with [[finger]]: it is the short form for one finger; remove it, or the tables "
+            "[[finger]]",
         )
     for key in ("name", "device"):
         first: dict[str, int] = {}
@@ -121,7 +122,7 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
 
 
 def _world_faults(scene: Scene) -> Iterator[Complaint]:
-    """Objects there must be, and those that ride on bodies need a world, and no force of their own."""
+    """Check that there are objects, and that objects on bodies have a world and no effects."""
     if not known(scene.world, scene.object):
         return
     if scene.world is None and not scene.object:
@@ -135,12 +136,12 @@ def _world_faults(scene: Scene) -> Iterator[Complaint]:
             yield (
                 f"object[{index}].effect",
                 item.effect[0].kind,
-                "would push the hand and not the body: leave it out, or let the object stand still",
+                "would push the hand and not the body: remove it, or the motion of the object",
             )
 
 
 def _patch_faults(scene: Scene) -> Iterator[Complaint]:
-    """One law of torsion is compiled for all fingers: that of a patch, or that of the material's numbers."""
+    """Check that all fingers have a patch, or none: one law of torsion is compiled for all of them."""
     fingers = [item for item in scene.finger if known(item) and known(item.patch)] if known(scene.finger) else []
     if len({item.patch is None for item in fingers}) < 2:
         return
@@ -185,7 +186,7 @@ def _method_faults(scene: Scene) -> Iterator[Complaint]:
 
 
 def _form_faults(scene: Scene) -> Iterator[Complaint]:
-    """What a fingertip that is an ellipsoid cannot do."""
+    """Check that rolling method, shapes and textures support an ellipsoidal fingertip."""
     if not known(scene.fingertip, scene.finger):
         return
     named: list[tuple[str, Form]] = [
@@ -235,13 +236,13 @@ def _tight_faults(scene: Scene) -> Iterator[Complaint]:
     tips = _tips(scene)
     radii = [tip.reaches_m[1] for tip in tips if known(tip.radius_m, tip.radii_m)]
     for index, item in enumerate(scene.object):
-        if known(item) and any(radii):  # what the thickest fits into, all do
+        if known(item) and any(radii):  # if the largest fits, all fit
             for key, seen, text in item.tight(max(radii)):
                 yield f"object[{index}].{key}", seen, text
 
 
 def _law_faults(scene: Scene) -> Iterator[Complaint]:
-    """Laws that cannot stand in one scene: one law is compiled for all objects."""
+    """Check that the laws of all objects can be combined: one law is compiled for all of them."""
     if not known(scene.object, scene.rolling):
         return
     literal = scene.rolling is not None and scene.rolling.state_machine == "paper"
@@ -271,7 +272,7 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
 
 
 def _torsion_faults(scene: Scene) -> Iterator[Complaint]:
-    """Numbers of torsion that neither the material nor the fingertip's patch gives."""
+    """Check that the material or the patch of the fingertip gives all numbers of torsion."""
     if not known(scene.fingertip, scene.finger, scene.object):
         return
     tips = _tips(scene)
@@ -305,7 +306,7 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
         if not known(item) or not known(item.name):
             continue
         if item.name.partition(".")[0].isdecimal():
-            why = "begins with a number, and object.1 is the second object: put a letter before it"
+            why = "starts with a digit, and object.1 is the second object: start it with a letter"
             yield f"object[{index}].name", item.name, why
         if item.name in first:
             earlier = f"object[{first[item.name]}]"

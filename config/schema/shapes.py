@@ -1,4 +1,4 @@
-"""Objects: what all of them have, and the dimensions of each shape."""
+"""Objects: their common keys, and the dimensions of each shape."""
 
 from __future__ import annotations
 
@@ -27,20 +27,31 @@ from softfinger.config.schema.motions import Motion
 from softfinger.config.schema.textures import Texture
 
 CLOSES = 1e-3
-"""Share of its width by which a texture round a cylinder may miss itself, since sizes are written with a few digits."""
+"""Tolerated mismatch of a texture around a cylinder, as a fraction of its width; sizes are written with few digits."""
 
 Shading = Literal["none", "normals"]
+ModelRoot = (
+    Annotated[
+        str,
+        sized(
+            limits.FILE_NAME_LENGTH,
+            "folder that contains all files of a MuJoCo model; default: the folder of the model",
+            "..",
+        ),
+    ]
+    | None
+)
 Inside = Annotated[bool, said("true: a cavity, touched from inside", False)]
 
 
 class ObjectBase(Table, frozen=True, kw_only=True):
-    """What every object has, whatever its shape. A shape adds its own dimensions and its tag."""
+    """Common keys of all objects. A shape adds its dimensions and its tag."""
 
     shape: ClassVar[str]
     unrolls: ClassVar[bool] = False
-    """Whether the rolling method `rotation_vector` has its closed form on it."""
+    """Whether the rolling method `rotation_vector` has a closed form on this shape."""
     added: ClassVar[list[type[Struct]]] = []
-    """Tables of shapes from other packages, in `add_shape`'s order."""
+    """Tables of shapes from other packages, in the order of the calls of `add_shape`."""
 
     name: Annotated[str, sized(limits.NAME_LENGTH, "name, unique in the scene", "table")]
     position_m: Annotated[
@@ -52,7 +63,7 @@ class ObjectBase(Table, frozen=True, kw_only=True):
     ] = (1.0, 0.0, 0.0, 0.0)
     material: Material
     effect: Annotated[tuple[ObjectEffect, ...], sized(limits.EFFECTS, "further forces on the hand")] = ()
-    motion: Annotated[Motion | None, said("motion of the object; without this table it stands still")] = None
+    motion: Annotated[Motion | None, said("motion of the object; without this table it is fixed")] = None
 
     def __post_init__(self) -> None:
         normalise_orientation(self)
@@ -60,22 +71,22 @@ class ObjectBase(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         if known(self.orientation_wxyz) and not any(self.orientation_wxyz):
             zero = self.orientation_wxyz
-            yield "orientation_wxyz", zero, "all zero is no orientation: [1, 0, 0, 0] leaves the object unturned"
+            yield "orientation_wxyz", zero, "all zero is no orientation: [1, 0, 0, 0] is the identity"
         if known(self.name) and not (self.name.isprintable() and self.name.strip()):
-            yield "name", self.name, "must have printable characters only, and not blanks alone"
+            yield "name", self.name, "must have printable characters only, and not only blanks"
 
     @property
     def bears_ellipsoid(self) -> bool:
-        """Whether a fingertip that is an ellipsoid can touch it."""
+        """True if an ellipsoidal fingertip can touch the object."""
         return False
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
-        """What leaves no room for a fingertip of this radius, m, on the side that is touched."""
+        """Yield the dimensions that leave no room for a fingertip of this radius, m, on the touched side."""
         yield from ()
 
 
 class Textured(ObjectBase, frozen=True, kw_only=True):
-    """A shape with coordinates on its surface, along which a texture may lie."""
+    """Shape with coordinates on its surface, for a texture."""
 
     texture: Annotated[Texture | None, said("surface texture; without this table the surface is even")] = None
 
@@ -138,7 +149,7 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
             yield (
                 "texture.size_m",
                 self.texture.size_m,
-                f"goes {around / wide:g} times round the cylinder, must be a whole number of times to meet itself: "
+                f"goes {around / wide:g} times round the cylinder, must be an integer of times to meet itself: "
                 f"make it {nearest:.6g} m wide",
             )
 
@@ -241,6 +252,7 @@ class Heightmap(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="h
         Annotated[str, sized(limits.NAME_LENGTH, "height field of a MuJoCo model; elevations are 0 to 1", "hills")]
         | None
     ) = None
+    root: ModelRoot = None
     pitch_m: Annotated[float, within(limits.HEIGHT_PITCH_M, "distance between neighbouring pixels", 0.001)]
     level_m: Annotated[
         float, within(limits.HEIGHT_LEVEL_M, "height of one unit of the file; 1 for an array in metres", 1.0)
@@ -248,45 +260,49 @@ class Heightmap(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="h
 
 
 class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh"):
-    """Triangle mesh of a file, in the object frame. A mesh with holes is a sheet, felt from both sides."""
+    """Triangle mesh from a file, in the object frame. A mesh with holes is a sheet that is touched from both sides."""
 
     shape: ClassVar[str] = "mesh"
-    unrolls: ClassVar[bool] = True  # in one triangle's plane after the other
+    unrolls: ClassVar[bool] = True  # triangle by triangle, each in its plane
     endings: ClassVar[tuple[str, ...]] = (".ply", ".stl", ".obj", ".glb")
     file: Annotated[
         str,
         sized(
             limits.FILE_NAME_LENGTH,
-            ".ply, .stl, .obj or .glb",
+            ".ply, .stl, .obj or .glb; or a MuJoCo model",
             "part.ply",
         ),
     ]
+    mesh: (
+        Annotated[str, sized(limits.NAME_LENGTH, "mesh of a MuJoCo model, in its frame of inertia, m", "handle")] | None
+    ) = None
+    root: ModelRoot = None
     scale: Annotated[float, within(limits.MESH_SCALE, "metres per unit of the file; 0.001 for mm", 0.001)] = 1.0
     inside: Inside = False
     shading: Annotated[Shading, said("normals: force direction interpolated between vertex normals", "none")] = "none"
 
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()
-        if known(self.file) and not self.file.lower().endswith(self.endings):
+        if known(self.file, self.mesh) and self.mesh is None and not self.file.lower().endswith(self.endings):
             yield "file", self.file, f"must end in {', '.join(self.endings)}: export the mesh as one of these"
 
 
 def _too_tight(least_m: float, measure: str = "radius", what: str = "") -> str:
-    """Why the fingertip does not fit; `least_m` is its radius or diameter."""
+    """Return the fault of a shape without room for the fingertip; `least_m` is its radius or diameter."""
     room = f"must be above {least_m:g} m, the {measure} of the fingertip that has to fit in"
     return f"{what} {room}".strip() + ": widen it, or take a smaller fingertip"
 
 
 Object = Plane | Sphere | Cylinder | Capsule | Box | Ellipsoid | Torus | Heightmap | Mesh
-"""Any object: the key `shape` tells them apart."""
+"""Any object; the key `shape` selects the table."""
 
 Added = TypeVar("Added", bound=type[ObjectBase])
 
 
 def add_shape(table: Added) -> Added:
-    """Let scene files have objects of a shape from another package: a decorator for its table, of ObjectBase.
+    """Register a shape of another package for scene files: a decorator for its table, a subclass of ObjectBase.
 
-    To be called before the scene is read. TypeError for a table without a tag, or with one that is taken.
+    Call it before the scene is read. Raises TypeError for a table without a tag, or with a tag that is in use.
     """
     tag = table.__struct_config__.tag
     if table.__struct_config__.tag_field != "shape" or not isinstance(tag, str) or getattr(table, "shape", None) != tag:

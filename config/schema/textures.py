@@ -1,4 +1,4 @@
-"""What is fine about a surface: heights and friction from numbers of a file."""
+"""Texture of a surface: height and friction from an array in a file."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ Border = Literal["period", "clamp"]
 
 
 class Texture(Table, frozen=True, kw_only=True):
-    """Height and friction of a plane, cylinder or box, varied by an array; its smallest value maps to 0, its largest to
-    1."""
+    """Height and friction of a plane, cylinder or box from an array; its smallest value maps to 0, its largest to 1."""
 
     file: Annotated[
         str,
@@ -32,7 +31,7 @@ class Texture(Table, frozen=True, kw_only=True):
     ] = "period"
     height_m: (
         Annotated[
-            float, within(limits.TEXTURE_HEIGHT_M, "height from value 0 to value 1; value 1 lies on the surface", 1e-4)
+            float, within(limits.TEXTURE_HEIGHT_M, "height from value 0 to value 1; value 1 is on the surface", 1e-4)
         ]
         | None
     ) = None

@@ -1,9 +1,9 @@
-"""Rigid bodies that move as MuJoCo says, and what their geometry feels like."""
+"""Rigid bodies that MuJoCo moves, and the materials of their geoms."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -13,7 +13,7 @@ from softfinger.config.schema.materials import Material
 
 
 class GeomMaterial(Table, frozen=True, kw_only=True):
-    """Material of the geoms that have all of what is given here."""
+    """Material of the geoms that match all keys given here."""
 
     name: Annotated[str, sized(limits.NAME_LENGTH, "name of the geom", "box")] | None = None
     group: Annotated[int, within(limits.GEOM_GROUP, "group", 0)] | None = None
@@ -27,13 +27,34 @@ class GeomMaterial(Table, frozen=True, kw_only=True):
             yield "name", msgspec.UNSET, "is missing, and group and default are too: give one, or use world.material"
 
 
+BodyMass = Annotated[float, msgspec.Meta(ge=limits.BODY_MASS_KG.low, le=limits.BODY_MASS_KG.high)]
+
+
 class World(Table, frozen=True, kw_only=True):
-    """Bodies of a MuJoCo model: they move as MuJoCo says, and fingers touch their geoms. Needs softfinger[world]."""
+    """Bodies of a MuJoCo model. MuJoCo moves them, and fingers touch their geoms. Needs softfinger[world]."""
 
     model: Annotated[
         str,
         sized(limits.FILE_NAME_LENGTH, "MJCF or URDF file", "box.xml"),
     ]
+    root: (
+        Annotated[
+            str,
+            sized(limits.FILE_NAME_LENGTH, "folder below which the files of the model lie; default: the model's", ".."),
+        ]
+        | None
+    ) = None
+    timestep: Annotated[
+        Literal["tick", "file"],
+        said(
+            "tick: a tick divided by substeps, instead of the model's; file: the model's, which must fit the tick",
+            "tick",
+        ),
+    ] = "tick"
+    keyframe: (
+        Annotated[str, sized(limits.NAME_LENGTH, "<key> of the model at which the bodies begin, with its ctrl", "home")]
+        | None
+    ) = None
     substeps: Annotated[
         int, within(limits.SUBSTEPS, "contact and simulation steps in a tick; very light bodies need several", 1)
     ] = 1
@@ -44,9 +65,13 @@ class World(Table, frozen=True, kw_only=True):
         ]
         | None
     ) = None
+    mass_kg: Annotated[
+        dict[str, BodyMass],
+        said("other masses than the model's, by name of the body; its inertia is scaled alike", {"box": 0.2}),
+    ] = msgspec.field(default_factory=dict)
     material: Annotated[
         Material | None,
-        said("material of every geom that [[world.geom]] gives none; without it those geoms are not touched"),
+        said("material of every geom without a material in [[world.geom]]; without it these geoms are not touched"),
     ] = None
     geom: Annotated[
         tuple[GeomMaterial, ...],

@@ -1,8 +1,8 @@
-"""The Novint Falcon, over libusb.
+"""Driver of the Novint Falcon, over libusb.
 
-A rig's keys are in `options`, the bytes in `packets`, the mechanism in `delta`, the serial chip and the bus in
-`usb`, the start of the device's processor in `firmware`, the exchange of a tick in `exchange`; `device` puts them
-together.
+`options` has the configuration, `packets` the bytes, `delta` the mechanism, `usb` the bus and the serial chip,
+`firmware` the start of the device's processor, `reply` the conversion of packets, `exchange` one tick, and `device` the
+device.
 
-Nothing here is of another device, nor of the system's nodes (`drivers.system`).
+Other devices and the system's nodes (`drivers.system`) are elsewhere.
 """

@@ -1,6 +1,6 @@
-"""The Falcon's mechanism, a delta whose knob does not turn: its numbers. `kinematics.delta` has the equations.
+"""Dimensions of the Falcon's mechanism, a delta; `kinematics.delta` has the equations.
 
-In the device's frame x points to the right, y up and z out to the user.
+In the device's frame x points to the right, y up and z towards the user.
 
 Source: the dimensions of libnifalcon.
 """
@@ -13,13 +13,13 @@ from typing import Final
 from softfinger.drivers.kinematics.delta import Delta
 
 RAD_PER_COUNT: Final = 0.01425 / 0.110 * 2.0 * pi / 1280.0
-"""Leg angle to an encoder count: drum over leg radius, counts of the motor's turn."""
+"""Leg angle per encoder count: ratio of drum to leg radius, counts per turn of the motor."""
 THETA_ZERO: Final = 35.0 * pi / 180.0
 """Leg angle (rad) at encoder count 0."""
 
 _LEGS: Final = (105.0 * pi / 180.0, -15.0 * pi / 180.0, -135.0 * pi / 180.0)
 HOME: Final = (0.0, 0.0, 0.11)
-"""m: where a search without a last solution begins; within every leg's reach."""
+"""m: initial value of a search without a last solution; within every leg's reach."""
 FALCON: Final = Delta(
     arm=0.060,
     rod=0.1025,

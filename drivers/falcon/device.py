@@ -1,4 +1,4 @@
-"""A Falcon behind the contract: memory of the exchange, homing, and zero force on every shutdown path."""
+"""Falcon: memory of the exchange, homing, and zero force on every shutdown path."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ from softfinger.drivers.system.discovery import Attached
 log: Final = logging.getLogger(__name__)
 
 TORQUE_MAX_NM: Final = 1e2
-"""No motor turns the knob, but the torque is taken: it belongs to the contact and to telemetry."""
+"""No motor turns the knob, but torque is accepted: contact and telemetry use it."""
 FORCE_MAX_N: Final = 8.0
 STIFFNESS_MAX_N_PER_M: Final = 3000.0
 DAMPING_MAX_NS_PER_M: Final = 20.0
 RADIUS_M: Final = 0.04
-"""Recommended maxima for the device, about the workspace centre."""
+"""Recommended maxima of the device; radius around the workspace centre."""
 STOP_WAIT_S: Final = 1.0
-"""How long a stop tries. A packet that hangs is withdrawn after the rig's `timeout_s`, 0.2 s at most; then a zero
-goes."""
+"""Maximum duration of a stop. A packet that hangs is cancelled after the rig's `timeout_s`, then a zero is sent."""
 PAUSE_S: Final = 0.001
-"""Between exchanges of homing, and between tries to stop."""
+"""Pause between exchanges while homing; a stop is tried ten times as often."""
 
 _TRANSFER_BULK: Final = 2
+_COMPLETED: Final = 0
+"""Status of a transfer that was completed, or never submitted."""
 
 
 class Transfer(ctypes.Structure):
@@ -56,10 +57,10 @@ class Transfer(ctypes.Structure):
 
 
 class Falcon(Device):
-    """An open device on a line behind which firmware runs; it owns the line from now on. No force until `arm`."""
+    """Open device, owner of a line to a device with running firmware. No force until `arm`."""
 
-    def __init__(self, options: Options, line: usb.Line) -> None:
-        self._options, self._line = options, line
+    def __init__(self, options: Options, chip: usb.SerialChip) -> None:
+        self._options, self._chip, self._zero_failure = options, chip, ""
         self._block = Block(AT)
         self._word = self._block.word
         self.info = DeviceInfo(
@@ -82,16 +83,16 @@ class Falcon(Device):
                     "several times smaller or larger; `counts_per_nm` in the rig sets it (docs/devices/falcon.md)",
                     self.info.name, COUNTS_PER_NM,
                 )  # fmt: skip
-            self._word[AT.sensed] = 0  # the first sample is one of the servo's own time
+            self._word[AT.has_sample] = 0  # the first sample must be from the time of the servo loop
         except BaseException:
             self.close()
             raise
 
     def _set_up(self) -> None:
         word, options = self._word, self._options
-        self._libusb = libusb = self._line.libusb()
+        self._libusb = libusb = self._chip.libusb()
         call = libusb.library
-        # pyusb has declared these already, in its own types: called by address, they need none.
+        # pyusb has declared these already with its types: calls by address need none
         self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_address(call, "libusb_free_transfer"))
         allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(_address(call, "libusb_alloc_transfer"))
         word[AT.context] = libusb.context
@@ -108,31 +109,31 @@ class Falcon(Device):
         numbers(AT.position, 3)[:] = delta.HOME
         numbers(AT.sample + 3, 1)[:] = 1.0  # it senses no rotation
         at = self._block.handle
-        word[AT.in_done] = word[AT.out_done] = 1  # not under way
-        for place, endpoint, flag, buffer, length in (
+        word[AT.in_done] = word[AT.out_done] = 1  # not submitted
+        for field, endpoint, flag, buffer, length in (
             (AT.transfer_in, usb.ENDPOINT_IN, AT.in_done, AT.buffer_in, IN_BYTES),
             (AT.transfer_out, usb.ENDPOINT_OUT, AT.out_done, AT.buffer_out, packets.SIZE),
         ):
             address = allocate(0)
             if not address:
                 raise DeviceError("libusb has no memory for a transfer: close other programs")
-            word[place] = address
+            word[field] = address
             transfer = Transfer.from_address(address)
             transfer.dev_handle, transfer.endpoint, transfer.type = libusb.handle, endpoint, _TRANSFER_BULK
-            transfer.callback, transfer.user_data = exchange.done.address, at + 8 * flag
+            transfer.callback, transfer.user_data = exchange.on_complete.address, at + 8 * flag
             transfer.buffer, transfer.length = at + 8 * buffer, length
-        _under_way[at] = self._block
+        _active_blocks[at] = self._block
         word[AT.open] = 1
-        if exchange.begin.ctypes(at) < 0:
+        if exchange.start_reading.ctypes(at) < 0:
             raise DeviceLost(f"{self.info.name} takes no transfer (libusb's error {word[AT.error]}): replug it")
 
     def _home(self) -> None:
-        """Wait until the device knows where its encoders' zeros are: the user moves the knob out and in."""
+        """Wait until the device knows the zeros of its encoders: the user pulls the knob out and pushes it in."""
         word, read, write = self._word, exchange.read.ctypes, exchange.write.ctypes
         word[AT.lights] = packets.RED | packets.HOMING
         pointer = read.argtypes[1]
         sample, zero = np.zeros(SAMPLE_SIZE), np.zeros(6)
-        until, told = time.monotonic() + self._options.homing_s, False
+        until, was_logged = time.monotonic() + self._options.homing_s, False
         while True:
             status = read(self._block.handle, sample.ctypes.data_as(pointer))
             if status == TIMEOUT:
@@ -141,11 +142,11 @@ class Falcon(Device):
                 raise DeviceLost(f"{self.info.name} is gone (status {status}): plug in its USB cable and its power")
             if word[AT.homed] == packets.HOMED:
                 return
-            if not told:
+            if not was_logged:
                 log.warning(
-                    "%s: pull the knob out all the way, then push it in, until the light is green", self.info.name
+                    "%s: pull the knob out completely, then push it in, until the light is green", self.info.name
                 )
-                told = True
+                was_logged = True
             if time.monotonic() > until:
                 raise DeviceTimeout(
                     f"{self.info.name} was not homed in {self._options.homing_s:g} s: pull the knob out all the way, "
@@ -158,37 +159,46 @@ class Falcon(Device):
         return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
-        # Nothing in the device counts time: it holds the last packet's light and force, here a zero.
+        # The device has no timeout: the light and the force of the last packet persist, here a zero.
         if not self._word[AT.stopped]:
             self._word[AT.lights] = packets.GREEN
             self._word[AT.armed] = 1
 
     def stop(self) -> None:
+        if not self._word[AT.open]:
+            return
+        self._zero_failure = ""
         if not self._until_done(exchange.silence):
+            self._zero_failure = f"it has taken no packet for {STOP_WAIT_S:g} s"
             log.error("%s: takes no packet for %g s, so no zero either: switch it off", self.info.name, STOP_WAIT_S)
+        elif self._word[AT.has_force] or Transfer.from_address(int(self._word[AT.transfer_out])).status != _COMPLETED:
+            self._zero_failure = self.reason() or "its last packet did not go through"
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
 
     def close(self) -> None:
         if not self._word[AT.transfer_in]:
-            self._line.close()
+            self._chip.close()
             return
         self._word[AT.lights] = packets.RED
-        self._word[AT.pushes] = 1  # so that a last zero goes out in any case, and the light with it
+        self._word[AT.has_force] = 1  # so that the last zero and the light are sent in any case
         self.stop()
-        if self._until_done(exchange.withdraw):
-            for place in (AT.transfer_in, AT.transfer_out):
-                if self._word[place]:
-                    self._free(int(self._word[place]))
-            _under_way.pop(self._block.handle, None)
-        elif self._word[AT.open]:  # a thread is in libusb with the transfers in its hands: nothing may go
-            log.error("%s: libusb does not return to the loop: the device stays open", self.info.name)
+        if self._until_done(exchange.cancel_transfers):
+            for field in (AT.transfer_in, AT.transfer_out):
+                if self._word[field]:
+                    self._free(int(self._word[field]))
+            _active_blocks.pop(self._block.handle, None)
+        elif self._word[AT.open]:  # a thread is inside libusb and uses the transfers: free nothing
+            log.error("%s: libusb does not return: the device remains open", self.info.name)
             return
-        else:  # closing takes them from libusb; neither they nor the block are given back
+        else:  # closing removes them from libusb; they and the block are not freed
             log.error("%s: libusb does not end its transfers", self.info.name)
         self._word[AT.transfer_in] = self._word[AT.transfer_out] = 0
-        self._line.close()
+        self._chip.close()
 
     def reason(self) -> str:
-        if self._word[AT.stays_homed] and self._word[AT.homed] != packets.HOMED:
+        if self._word[AT.was_homed] and self._word[AT.homed] != packets.HOMED:
             return "it has lost the zeros of its encoders (its power was off?): start again and home it"
         error = int(self._word[AT.error])
         return f"libusb's error {error}" if error else ""
@@ -198,7 +208,7 @@ class Falcon(Device):
 
     @property
     def counts_per_nm(self) -> float:
-        """Motor counts per N m at a leg that forces are sent with."""
+        """Motor counts per N m at a leg, used to send forces."""
         return self._options.counts_per_nm or COUNTS_PER_NM
 
     def _until_done(self, function: Any) -> bool:
@@ -210,8 +220,8 @@ class Falcon(Device):
         return True
 
 
-_under_way: Final[dict[int, Any]] = {}
-"""Blocks that libusb may write to, by their address: they outlive a device that is dropped without `close`."""
+_active_blocks: Final[dict[int, Any]] = {}
+"""Blocks that libusb may write to, by address: they outlive a device that is deleted without `close`."""
 
 
 def _address(library: ctypes.CDLL, name: str) -> int:
@@ -219,21 +229,21 @@ def _address(library: ctypes.CDLL, name: str) -> int:
 
 
 def identify(device: Attached, options: Options) -> dict[str, bool]:
-    """Whether firmware runs in an attached Falcon, which has to be opened to be asked; none is sent.
+    """Return whether firmware runs in an attached Falcon; opens it to find out, and sends none.
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceLost or DeviceError.
     """
-    line = usb.open_line(None, device.node)
+    chip = usb.open_chip(None, device.node)
     try:
-        line.run_mode()
-        return {"firmware": firmware.runs(line)}
+        chip.set_run_mode()
+        return {"firmware": firmware.has_firmware(chip)}
     finally:
-        line.close()
+        chip.close()
 
 
 def open_device(options: Options, rate_hz: float) -> Falcon:
-    """Open the Falcon a rig names: firmware sent where none runs, homed by the user. Any `rate_hz` will do.
+    """Open the Falcon that a rig describes, at any rate: sends the firmware if none runs, and waits for homing.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceTimeout or DeviceError, each with what to do.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceTimeout or DeviceError, each with the remedy.
     """
-    return Falcon(options, firmware.start(partial(usb.open_line, options.serial), options.firmware))
+    return Falcon(options, firmware.start_firmware(partial(usb.open_chip, options.serial), options.firmware))

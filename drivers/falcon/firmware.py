@@ -1,7 +1,7 @@
-"""Starting the Falcon: whether firmware runs in it, and sending a user's file where none does.
+"""Start of the Falcon: check whether firmware runs, and send the user's file if not.
 
-The device has no firmware of its own when it is switched on. Its boot loader takes one over the serial line, and sends
-back every byte. The files that exist are under a licence that forbids passing them on, so none comes with this program.
+After power-on the device has no firmware. Its boot loader receives one over the serial line, and returns every byte.
+The licence of the existing files forbids redistribution, so this program includes none.
 
 Source: the boot sequence of libnifalcon.
 """
@@ -10,89 +10,88 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from softfinger.config.errors import DeviceError
-from softfinger.config.files import read_input
+from softfinger.config.files import expanded, read_input
 from softfinger.drivers.falcon import packets, usb
-from softfinger.drivers.falcon.usb import Line
+from softfinger.drivers.falcon.usb import SerialChip
 
 log: Final = logging.getLogger(__name__)
 
-ROUNDS: Final = 1000
-"""Exchanges without a valid reply after which nothing runs in the device; each takes a millisecond or two."""
-GREETINGS: Final = 100
-TRIES: Final = 10
-"""Times that the file is sent from its beginning; a byte gets lost now and then."""
+PROBES_MAX: Final = 1000
+"""Exchanges without a valid reply after which no firmware runs in the device; each takes one or two milliseconds."""
+GREETINGS_MAX: Final = 100
+ATTEMPTS_MAX: Final = 10
+"""Number of attempts to send the file; bytes are lost occasionally."""
 CHUNK_BYTES: Final = 62
-"""What comes back in one packet of the chip, next to its status."""
+"""Bytes returned in one packet of the chip, without its status."""
 ECHO_TRANSFERS: Final = 200
-"""Of a millisecond or more each. 62 bytes take 4 ms at 140000 baud."""
+"""Maximum number of transfers for an echo, each of at least a millisecond; 62 bytes take 4 ms at 140000 baud."""
 FILE_BYTES: Final = range(1000, 65537)
-"""Known files have 7324 to 8492 bytes."""
+"""Accepted size of a file; known files have 7324 to 8492 bytes."""
 
 GREETING, ANSWER = bytes.fromhex("0a430d"), bytes.fromhex("0a442c0d")
 READY: Final = b"A"
 
 
-def start(open_line: Callable[[], Line], path: str | None) -> Line:
-    """An open line behind which firmware runs, in run mode; the file at `path` is sent where none does.
+def start_firmware(open_chip: Callable[[], SerialChip], path: str | None) -> SerialChip:
+    """Open a line to a device, send it the file at `path` if no firmware runs, and return the line in run mode.
 
-    Raises what `open_line` raises, and DeviceError for a file that cannot be used or is not taken.
+    Raises the errors of `open_chip`, and DeviceError if the file cannot be used or the device does not accept it.
     """
-    line = open_line()
+    chip = open_chip()
     try:
-        line.run_mode()
-        if runs(line):
-            return line
-        data = _file(path)
-        for turn in range(TRIES):
-            if turn > 0:
-                line.close()
-                line = open_line()
-            fault = _send(line, data)
+        chip.set_run_mode()
+        if has_firmware(chip):
+            return chip
+        data = _read_firmware(path)
+        for attempt in range(ATTEMPTS_MAX):
+            if attempt > 0:
+                chip.close()
+                chip = open_chip()
+            fault = _send(chip, data)
             if fault is None:
-                line.run_mode()
-                if runs(line):
+                chip.set_run_mode()
+                if has_firmware(chip):
                     log.info("Falcon: firmware %s runs", path)
-                    return line
+                    return chip
                 fault = "it sends no valid reply once it has its firmware: is this a Falcon's firmware file"
-            log.warning("Falcon: firmware, try %d of %d: %s", turn + 1, TRIES, fault)
+            log.warning("Falcon: firmware, try %d of %d: %s", attempt + 1, ATTEMPTS_MAX, fault)
     except BaseException:
-        line.close()
+        chip.close()
         raise
-    line.close()
+    chip.close()
     raise DeviceError(
-        f"the Falcon did not take the firmware {path} in {TRIES} tries: {fault}: switch it off and on, check the "
-        "file, then start again"
+        f"the Falcon did not take the firmware {path} in {ATTEMPTS_MAX} tries: {fault}: switch it off and on, "
+        "check the file, then start again"
     )
 
 
-def runs(line: Line) -> bool:
-    """Whether firmware answers a packet of zeros."""
+def has_firmware(chip: SerialChip) -> bool:
+    """Return True if firmware answers a packet of zeros."""
     out, reply, fill = np.zeros(packets.SIZE, np.uint8), np.zeros(packets.SIZE, np.uint8), 0
     packets.encode((0, 0, 0), packets.RED, out)
-    for _ in range(ROUNDS):
-        line.write(out.tobytes())
-        for byte in line.read(packets.SIZE, 1):
+    for _ in range(PROBES_MAX):
+        chip.write(out.tobytes())
+        for byte in chip.read(packets.SIZE, 1):
             fill, _ = packets.assemble(byte, fill, reply)
             if fill == packets.SIZE:
-                line.purge()
+                chip.purge()
                 return True
     return False
 
 
-def _file(path: str | None) -> bytes:
+def _read_firmware(path: str | None) -> bytes:
     if path is None:
         raise DeviceError(
             "no firmware runs in the Falcon: give the path of its firmware file as `firmware` in the rig's [device] "
             "table; the maker's drivers have the file (docs/devices/falcon.md), and it may not come with this program"
         )
     try:
-        data = read_input(Path(path).expanduser(), 1 << 20)
+        data = read_input(expanded(path), 1 << 20)
     except OSError as error:
         raise DeviceError(f"firmware = {path} cannot be read: {error.strerror}: correct the path in the rig") from error
     if len(data) not in FILE_BYTES:
@@ -102,9 +101,9 @@ def _file(path: str | None) -> bytes:
     return data
 
 
-def _send(line: Line, data: bytes) -> str | None:
-    """Greet the boot loader and send the file; what went wrong, or None."""
-    line.purge()
+def _send(chip: SerialChip, data: bytes) -> str | None:
+    """Greet the boot loader and send the file; return a description of the failure, or None."""
+    chip.purge()
     for request, value in (
         (usb.LATENCY, usb.LATENCY_BOOT_MS),
         (usb.BAUD, usb.BAUD_9600),
@@ -114,31 +113,31 @@ def _send(line: Line, data: bytes) -> str | None:
         (usb.MODEM, usb.DTR_LOW),
         (usb.MODEM, usb.DTR_HIGH),
     ):
-        line.request(request, value)
-    if not _greeted(line):
-        return f"its boot loader does not answer {GREETINGS} greetings"
-    line.request(usb.MODEM, usb.DTR_LOW)
-    line.request(usb.BAUD, usb.BAUD_140000)
-    line.write(READY)
-    echo = line.read(len(READY), ECHO_TRANSFERS)
+        chip.request(request, value)
+    if not _greet(chip):
+        return f"its boot loader does not answer {GREETINGS_MAX} greetings"
+    chip.request(usb.MODEM, usb.DTR_LOW)
+    chip.request(usb.BAUD, usb.BAUD_140000)
+    chip.write(READY)
+    echo = chip.read(len(READY), ECHO_TRANSFERS)
     if echo != READY:
         return f"its boot loader answers {echo.hex() or 'nothing'} and not {READY.hex()} at 140000 baud"
     for at in range(0, len(data), CHUNK_BYTES):
         chunk = data[at : at + CHUNK_BYTES]
-        line.write(chunk)
-        echo = line.read(len(chunk), ECHO_TRANSFERS)
+        chip.write(chunk)
+        echo = chip.read(len(chunk), ECHO_TRANSFERS)
         if echo != chunk:
             wrong = next((k for k, byte in enumerate(chunk) if echo[k : k + 1] != bytes([byte])), 0)
             return f"byte {at + wrong} of {len(data)} came back as {echo[wrong : wrong + 1].hex() or 'nothing'}"
     return None
 
 
-def _greeted(line: Line) -> bool:
-    for _ in range(GREETINGS):
-        line.write(GREETING)
-        answer = line.read(len(ANSWER), 2)
-        if answer.startswith(b"\0"):  # a byte of noise from the switching of the line
-            answer = answer[1:] + line.read(1, 1)
+def _greet(chip: SerialChip) -> bool:
+    for _ in range(GREETINGS_MAX):
+        chip.write(GREETING)
+        answer = chip.read(len(ANSWER), 2)
+        if answer.startswith(b"\0"):  # noise byte from switching the line
+            answer = answer[1:] + chip.read(1, 1)
         if answer == ANSWER:
             return True
     return False

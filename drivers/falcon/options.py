@@ -1,4 +1,4 @@
-"""Keys of a rig's [device] with `driver = "falcon"`."""
+"""Configuration of a rig's [device] with `driver = "falcon"`."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from softfinger.config.schema import Complaint, Coordinate, Table, known, said, 
 
 GAIN: Final = Range(100.0, 1e6, "4095 counts, the most there are, are then 41 N m and 4 mN m at a leg")
 SILENCE_S: Final = Range(0.005, 0.2, "a reply takes 2 ms; above, a force where it was long ago")
-GIVE_UP_S: Final = Range(0.005, 2.0, "a reply takes 2 ms; above, nobody notices a device that is gone")
+GIVE_UP_S: Final = Range(0.005, 2.0, "a reply takes 2 ms; above this a lost device goes unnoticed")
 HOMING_S: Final = Range(0.0, 600.0, "a person pulls the knob out and pushes it in")
 
 COUNTS_PER_NM: Final = 10000.0
-"""What libnifalcon takes. Nobody has published a measurement."""
+"""Value of libnifalcon. There is no published measurement."""
 
 
 class Options(Table, frozen=True, kw_only=True):

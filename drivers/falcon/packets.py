@@ -1,9 +1,10 @@
-"""The Falcon's packets: 16 bytes each way, one of the host's answered by one of the device's.
+"""Packets of the Falcon: 16 bytes in each direction; the device answers each of the host's with one.
 
     '<'  n1 n1 n1 n1  n2 n2 n2 n2  n3 n3 n3 n3  state  'A'  '>'
 
-n1 to n3 are int16, a nibble to a byte as 'A' + nibble, the least significant first: motor counts to the device,
-encoder counts from it. `state` is 'A' + bits: lights and the homing request out; buttons and homed motors in.
+n1 to n3 are int16, one nibble per byte as 'A' + nibble, the least significant first: motor counts to the device,
+encoder counts from it. `state` is 'A' + bits: lights and homing request to the device; buttons and homed motors from
+it.
 
 Source: the wire format of libnifalcon.
 """
@@ -16,22 +17,22 @@ from softfinger.proxy.kernels.jit.decorators import jit
 
 SIZE: Final = 16
 STATE: Final = 13
-"""Place of the byte of bits."""
+"""Index of the byte with state bits."""
 FILLER: Final = 14
 
 HOMING: Final = 1
-"""Out: ask the device to find the places of its encoders' zeros."""
+"""To the device: find the zeros of the encoders."""
 GREEN: Final = 2
 BLUE: Final = 4
 RED: Final = 8
 
 BUTTONS: Final = 15
-"""In: plus 1, forward 2, centre 4, minus 8."""
+"""From the device: plus 1, forward 2, centre 4, minus 8."""
 HOMED: Final = 0x70
-"""In: a bit for each motor whose encoder has found its zero."""
+"""From the device: a bit for each motor whose encoder has found its zero."""
 
 COUNT_MAX: Final = 4095
-"""Largest motor count."""
+"""Maximum motor count."""
 
 _OPEN, _CLOSE, BASE = 0x3C, 0x3E, 0x41
 
@@ -40,7 +41,7 @@ Counts = tuple[int, int, int]
 
 @jit
 def encode(motors: Counts, state: int, out: Any) -> None:
-    """Write the packet for motor counts (3,) and bits `state` to `out` (16,) uint8."""
+    """Encode motor counts (3,) and bits `state` as a packet in `out` (16,) uint8."""
     out[0] = _OPEN
     for i in range(3):
         for k in range(4):
@@ -60,18 +61,18 @@ def _count(packet: Any, at: int) -> int:
 
 @jit
 def decode(packet: Any) -> tuple[Counts, int]:
-    """Encoder counts (3,) and bits of a packet (16,) uint8 that `assemble` has found to be one."""
+    """Decode a complete packet (16,) uint8 from `assemble`; return encoder counts (3,) and state bits."""
     return (_count(packet, 1), _count(packet, 5), _count(packet, 9)), int(packet[STATE]) - BASE
 
 
 @jit
 def assemble(byte: int, fill: int, packet: Any) -> tuple[int, bool]:
-    """Take one byte of the stream into `packet` (16,) uint8, of which `fill` are there.
+    """Add one byte of the stream to `packet` (16,) uint8, which has `fill` bytes.
 
-    returns  the new fill, and whether what was there is thrown away because it cannot be a packet. At fill 16 the
-             packet is whole; the caller takes it and goes on with 0.
+    returns  the new fill, and True if earlier bytes were dropped because they are no packet. At fill 16 the packet is
+             complete; the caller processes it and continues with 0.
 
-    A '<' is in no other place of a packet, so it always begins one.
+    A '<' appears only at the start of a packet, so it always starts one.
     """
     if byte == _OPEN:
         packet[0] = byte
@@ -83,7 +84,7 @@ def assemble(byte: int, fill: int, packet: Any) -> tuple[int, bool]:
     elif fill == STATE:
         good = BASE <= byte < BASE + 128
     elif fill == FILLER:
-        good = True  # it carries nothing, and nobody has said that it is always the same
+        good = True  # without content, and not documented to be constant
     else:
         good = byte == _CLOSE
     if not good:

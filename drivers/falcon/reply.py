@@ -1,6 +1,6 @@
-"""Replies into samples, forces into motor counts: what stands between the Falcon's packets and the contract.
+"""Conversion of the Falcon's replies to samples, and of forces to motor counts.
 
-The world has x to the right, y away from the user, z up; the device x to the right, y up, z out to the user.
+The world has x to the right, y away from the user, z up; the device x to the right, y up, z towards the user.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from softfinger.proxy.kernels.numerics import vec3
 
 
 @jit
-def feed(handle: int, byte: int) -> bool:
-    """Take one byte of the device's stream; whether it ends a reply, which is then in NEWEST."""
+def process_byte(handle: int, byte: int) -> bool:
+    """Process one byte of the device's stream; return True if it completes a reply, stored in the field `newest`."""
     word = int64_at(handle)
     fill, garbled = packets.assemble(byte, word[AT.fill], uint8_at(handle + 8 * AT.packet))
     if garbled:
@@ -32,14 +32,14 @@ def feed(handle: int, byte: int) -> bool:
     word[AT.replies] += 1
     if uint8_at(handle + 8 * AT.newest)[packets.FILLER] != packets.BASE:
         word[AT.fillers] += 1
-    if word[AT.awaited] > 0:
-        word[AT.awaited] -= 1
+    if word[AT.unanswered] > 0:
+        word[AT.unanswered] -= 1
     return True
 
 
 @jit
 def _to_world(v: Vec3) -> Vec3:
-    """Device's frame (right, up, out to the user) to the world's (right, away from the user, up)."""
+    """Convert from the device's frame (right, up, towards the user) to the world's (right, away from the user, up)."""
     return (v[0], -v[2], v[1])
 
 
@@ -50,9 +50,9 @@ def _to_device(v: Vec3) -> Vec3:
 
 @jit
 def pose(handle: int) -> int:
-    """The newest reply as the sample: OK, or FORCE_OFF when the device has lost its homing.
+    """Convert the latest reply to the sample; return OK, or FORCE_OFF if the device has lost its homing.
 
-    Counts to which no place belongs give NaN, which the guard answers with zero force.
+    If no position has these counts, the sample is NaN, and the guard sets the force to zero.
     """
     word = int64_at(handle)
     counts, state = packets.decode(uint8_at(handle + 8 * AT.newest))
@@ -60,8 +60,8 @@ def pose(handle: int) -> int:
     word[AT.homed] = homed
     if word[AT.lights] & packets.HOMING == 0 and word[AT.armed] != 0:
         if homed == packets.HOMED:
-            word[AT.stays_homed] = 1
-        elif word[AT.stays_homed] != 0:
+            word[AT.was_homed] = 1
+        elif word[AT.was_homed] != 0:
             return FORCE_OFF
     for k in range(3):
         word[AT.counts + k] = counts[k]
@@ -72,38 +72,38 @@ def pose(handle: int) -> int:
         delta.THETA_ZERO + delta.RAD_PER_COUNT * counts[2],
     )
     p, found = forward(delta.FALCON, angle, (at[0], at[1], at[2]))
-    kept = float64_at(handle + 8 * AT.sample)
+    last_sample = float64_at(handle + 8 * AT.sample)
     if found:
         centre = float64_at(handle + 8 * AT.centre)
-        place = _to_world(vec3.sub(p, (centre[0], centre[1], centre[2])))
+        knob_position = _to_world(vec3.sub(p, (centre[0], centre[1], centre[2])))
     else:
         word[AT.unreached] += 1
-        p, place = delta.HOME, (nan, nan, nan)
+        p, knob_position = delta.HOME, (nan, nan, nan)
     for k in range(3):
-        at[k], kept[k] = p[k], place[k]
-    kept[SAMPLE_TIME] = (word[AT.heard_at] - word[AT.opened_at]) * 1e-9
-    kept[SAMPLE_BUTTONS] = float(state & packets.BUTTONS)
+        at[k], last_sample[k] = p[k], knob_position[k]
+    last_sample[SAMPLE_TIME] = (word[AT.sampled_at] - word[AT.opened_at]) * 1e-9
+    last_sample[SAMPLE_BUTTONS] = float(state & packets.BUTTONS)
     return OK
 
 
 @jit
-def motor_counts(gain: float, place: Vec3, force: Vec3) -> tuple[packets.Counts, bool]:
-    """Motor counts (3,) for a force (3,) N in the device's frame with the knob at `place`, and whether it was limited.
+def motor_counts(gain: float, knob_position: Vec3, force: Vec3) -> tuple[packets.Counts, bool]:
+    """Return motor counts (3,) for a force (3,) N, device's frame, at `knob_position`, and True if they were limited.
 
-    A count past the largest brings all three down, so that the force keeps its direction.
+    If a count exceeds the maximum, all three are scaled down, so that the force keeps its direction.
     """
-    torque, able = torques_for(delta.FALCON, place, force)
+    torque, exists = torques_for(delta.FALCON, knob_position, force)
     counts = vec3.scale(gain, torque)
-    most = max(abs(counts[0]), max(abs(counts[1]), abs(counts[2])))
-    cut = not able
-    if most > packets.COUNT_MAX:
-        counts = vec3.scale(packets.COUNT_MAX / most, counts)
-        cut = True
-    return (round(counts[0]), round(counts[1]), round(counts[2])), cut
+    largest = max(abs(counts[0]), max(abs(counts[1]), abs(counts[2])))
+    is_limited = not exists
+    if largest > packets.COUNT_MAX:
+        counts = vec3.scale(packets.COUNT_MAX / largest, counts)
+        is_limited = True
+    return (round(counts[0]), round(counts[1]), round(counts[2])), is_limited
 
 
 @jit
 def command(handle: int, force: Vec3) -> tuple[packets.Counts, bool]:
-    """Motor counts (3,) for a force (3,) N in the world's frame where the knob is now, and whether it was limited."""
+    """Return motor counts (3,) for a force (3,) N, world frame, at the present position, and True if it was limited."""
     at = float64_at(handle + 8 * AT.position)
     return motor_counts(float64_at(handle + 8 * AT.gain)[0], (at[0], at[1], at[2]), _to_device(force))

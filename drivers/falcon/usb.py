@@ -1,6 +1,6 @@
-"""The Falcon on the bus: found, opened for this process alone, its serial chip set.
+"""Falcon on the USB bus: search, exclusive opening, and setup of its serial chip.
 
-Everything before the loop goes through pyusb; the loop takes pyusb's own libusb and handle, and calls libusb itself.
+Everything before the loop uses pyusb; the loop calls libusb with the library and the handle of pyusb.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ENDPOINT_OUT: Final = 0x02
 ENDPOINT_IN: Final = 0x81
 PACKET_BYTES: Final = 64
 STATUS_BYTES: Final = 2
-"""In front of every packet from the chip: its modem status."""
+"""Modem status before every packet from the chip."""
 TIMEOUT_MS: Final = 1000
 
 NODES: Final = Path("/dev/bus/usb")
@@ -47,102 +47,102 @@ LATENCY_BOOT_MS, LATENCY_RUN_MS = 16, 1
 
 
 class Libusb(NamedTuple):
-    """What the loop calls: libusb as pyusb has loaded it, its context, and the open device."""
+    """Arguments of the loop's calls: libusb as loaded by pyusb, its context, and the open device."""
 
     library: ctypes.CDLL
     context: int
     handle: int
 
 
-class Line:
-    """An open Falcon: requests to its serial chip, bytes over it. DeviceLost when it does not take them."""
+class SerialChip:
+    """Open Falcon: requests to its serial chip, and bytes over it. Raises DeviceLost if it does not accept them."""
 
     def __init__(self, device: Any) -> None:
         self._device = device
-        self._waiting = bytearray()
+        self._received = bytearray()
 
     def request(self, request: int, value: int) -> None:
         try:
             self._device.ctrl_transfer(_TO_CHIP, request, value, 0, None, TIMEOUT_MS)
         except usb.core.USBError as error:
-            raise _gone(error) from error
+            raise _lost_error(error) from error
 
     def purge(self) -> None:
         self.request(PURGE, PURGE_RECEIVED)
         self.request(PURGE, PURGE_SENT)
-        self._waiting.clear()
+        self._received.clear()
 
     def write(self, data: bytes) -> None:
         try:
             self._device.write(ENDPOINT_OUT, data, TIMEOUT_MS)
         except usb.core.USBError as error:
-            raise _gone(error) from error
+            raise _lost_error(error) from error
 
     def read(self, count: int, transfers: int) -> bytes:
-        """Up to `count` bytes, from at most so many transfers: a transfer without data takes the chip's latency."""
+        """Return up to `count` bytes from at most `transfers` transfers; one without data takes the chip's latency."""
         for _ in range(transfers):
-            if len(self._waiting) >= count:
+            if len(self._received) >= count:
                 break
             try:
-                self._waiting += bytes(self._device.read(ENDPOINT_IN, PACKET_BYTES, TIMEOUT_MS))[STATUS_BYTES:]
+                self._received += bytes(self._device.read(ENDPOINT_IN, PACKET_BYTES, TIMEOUT_MS))[STATUS_BYTES:]
             except usb.core.USBTimeoutError:
                 break
             except usb.core.USBError as error:
-                raise _gone(error) from error
-        data = bytes(self._waiting[:count])
-        del self._waiting[:count]
+                raise _lost_error(error) from error
+        data = bytes(self._received[:count])
+        del self._received[:count]
         return data
 
-    def run_mode(self) -> None:
-        """Set the chip as the running firmware has it."""
+    def set_run_mode(self) -> None:
+        """Set the chip to the parameters of the running firmware."""
         self.purge()
         self.request(LATENCY, LATENCY_RUN_MS)
         self.request(BAUD, BAUD_1500000)
         self.purge()
 
     def libusb(self) -> Libusb:
-        # pyusb hands out neither; both stand in its context since 1.0.
+        # pyusb publishes neither; both have been in its context since 1.0
         try:
             backend = self._device._ctx.backend
             handle = self._device._ctx.handle.handle
             return Libusb(backend.lib, int(backend.ctx.value), int(handle.value))
         except (AttributeError, TypeError) as error:
             raise DeviceError(
-                f"pyusb {usb.__version__} keeps libusb's handle elsewhere than 1.3.1 ({error}): "
+                f"pyusb {usb.__version__} stores libusb's handle elsewhere than 1.3.1 ({error}): "
                 "`pip install pyusb==1.3.1`"
             ) from error
 
     def close(self) -> None:
-        """Release the device. Any number of times."""
-        with contextlib.suppress(usb.core.USBError):  # it may be gone
+        """Release the device. May be called repeatedly."""
+        with contextlib.suppress(usb.core.USBError):  # it may be disconnected
             usb.util.release_interface(self._device, INTERFACE)
         usb.util.dispose_resources(self._device)
 
 
-def open_line(serial: str | None, node: str | None = None) -> Line:
-    """The one Falcon that is attached, or the one with this serial number or node, claimed for this process.
+def open_chip(serial: str | None, node: str | None = None) -> SerialChip:
+    """Open the only attached Falcon, or the one with this serial number or node, and claim it for this process.
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy or DeviceError.
     """
     try:
-        found = libusb.find(idVendor=VENDOR, idProduct=PRODUCT)
+        devices = libusb.find(idVendor=VENDOR, idProduct=PRODUCT)
     except usb.core.USBError as error:
         raise DeviceError(f"USB devices cannot be listed: {error}: check that /dev/bus/usb is there") from error
     if node is not None:
-        found = [device for device in found if _node(device) == node]
-    if not found:
+        devices = [device for device in devices if _node(device) == node]
+    if not devices:
         raise DeviceNotFound(f"no Falcon ({_ids()}) is attached: plug in its USB cable and its power")
-    device = _choose(found, serial)
+    device = _choose(devices, serial)
     name = f"Falcon ({_ids()}) at {_node(device)}"
     try:
-        with contextlib.suppress(NotImplementedError):  # libusb where the system has no drivers to detach
+        with contextlib.suppress(NotImplementedError):  # libusb on a system without drivers to detach
             if device.is_kernel_driver_active(INTERFACE):
                 device.detach_kernel_driver(INTERFACE)
         usb.util.claim_interface(device, INTERFACE)
     except usb.core.USBError as error:
         usb.util.dispose_resources(device)
-        raise _unopened(name, error) from error
-    return Line(device)
+        raise _open_error(name, error) from error
+    return SerialChip(device)
 
 
 def _ids() -> str:
@@ -153,33 +153,33 @@ def _node(device: Any) -> str:
     return f"{NODES}/{device.bus:03d}/{device.address:03d}"
 
 
-def _choose(found: list[Any], serial: str | None) -> Any:
-    if serial is None and len(found) == 1:
-        return found[0]
+def _choose(devices: list[Any], serial: str | None) -> Any:
+    if serial is None and len(devices) == 1:
+        return devices[0]
     serials = {}
-    for device in found:
+    for device in devices:
         try:
             serials[device.serial_number or f"none, at {_node(device)}"] = device
-        except (usb.core.USBError, ValueError):  # ValueError: pyusb's word for a device it may not ask
+        except (usb.core.USBError, ValueError):  # ValueError: pyusb has no permission to open the device
             serials[f"? at {_node(device)}"] = device
-        usb.util.dispose_resources(device)  # to be asked it was opened
+        usb.util.dispose_resources(device)  # reading the serial number opened it
     listed = ", ".join(f"'{one}'" for one in sorted(serials))
     if serial is None:
-        raise DeviceNotFound(f"{len(found)} Falcons are attached: name one with serial: {listed}")
+        raise DeviceNotFound(f"{len(devices)} Falcons are attached: name one with serial: {listed}")
     if serial not in serials:
         raise DeviceNotFound(f"no Falcon has the serial number '{serial}': attached are {listed}")
     return serials[serial]
 
 
-def _unopened(name: str, error: usb.core.USBError) -> DeviceError:
+def _open_error(name: str, error: usb.core.USBError) -> DeviceError:
     if error.errno in (errno.EACCES, errno.EPERM):
         return DevicePermission(f"{name} may not be opened by this user: {how_to_permit(VENDOR, PRODUCT)}")
     if error.errno == errno.EBUSY:
-        return DeviceBusy(f"{name} is held by another program: close that one first")
+        return DeviceBusy(f"{name} is used by another program: close that one first")
     if error.errno in (errno.ENODEV, errno.ENOENT):
         return DeviceNotFound(f"{name} is not there any more: plug in its USB cable and its power")
     return DeviceError(f"{name} cannot be opened: {error}: unplug it, plug it in again")
 
 
-def _gone(error: usb.core.USBError) -> DeviceLost:
-    return DeviceLost(f"the Falcon does not take what it is sent ({error}): plug in its USB cable and its power")
+def _lost_error(error: usb.core.USBError) -> DeviceLost:
+    return DeviceLost(f"the Falcon does not accept data ({error}): plug in its USB cable and its power")

@@ -1,4 +1,4 @@
-"""Numbers in the bytes of a device: what a rig may say of them in `options`, read and written in `table`.
+"""Numbers in the bytes of a device: configuration in `options`, reading and writing in `table`.
 
-What carries the bytes, a report or a frame, belongs to the driver.
+Drivers carry the bytes, as reports or frames.
 """

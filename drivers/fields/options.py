@@ -1,4 +1,4 @@
-"""A rig's keys of numbers in the bytes of a device: where each is, its type, and what it means."""
+"""Configuration of numbers in the bytes of a device: position, type and meaning of each."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ SCALE: Final = Range(-1e9, 1e9, "past this a 32-bit field has no digit left")
 
 Type = Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32"]
 TYPES: Final[tuple[str, ...]] = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32")
-"""Types of a field; a kernel knows each by its place here."""
+"""Types of a field; kernels use the index in this tuple."""
 TYPE_BYTES: Final = {name: struct.calcsize(code) for name, code in zip(TYPES, "bBhHiIf", strict=True)}
 
 Sensed = Literal["a", "b", "c", "d", "e", "f", "x", "y", "z", "qw", "qx", "qy", "qz", "gripper", "buttons"]
 SENSED: Final[tuple[str, ...]] = get_args(Sensed)
-"""What a field from a device may mean: joints or encoders, position (m), orientation, bits of the button mask."""
+"""Meanings of a field from a device: joints or encoders, position (m), orientation, bits of the button mask."""
 
 Commanded = Literal[
     "current_a", "current_b", "current_c", "force_x", "force_y", "force_z",
@@ -33,13 +33,13 @@ COMMANDED: Final[tuple[str, ...]] = (
     "current_a", "current_b", "current_c", "force_x", "force_y", "force_z",
     "torque_a", "torque_b", "torque_c", "preset_a", "preset_b", "preset_c", "constant",
 )  # fmt: skip
-"""What a field to a device may mean: currents (A), forces (N), torques (N m), counts to preset, or its `scale`."""
+"""Meanings of a field to a device: currents (A), forces (N), torques (N m), counts to preset, or a constant `scale`."""
 
 
 class InputField(Table, frozen=True, kw_only=True):
     """A number from the device: meaning = scale * raw + bias."""
 
-    meaning: Annotated[Sensed, said("what it is; several buttons are added", "a")]
+    meaning: Annotated[Sensed, said("quantity; several buttons are combined", "a")]
     offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), said("first byte, from 0; a report id does not count", 0)]
     type: Annotated[Type, said("of the number", "int16")]
     scale: Annotated[float, within(SCALE, "per count, to m, rad or encoder counts", 1.0)] = 1.0
@@ -58,50 +58,50 @@ class InputField(Table, frozen=True, kw_only=True):
 class OutputField(Table, frozen=True, kw_only=True):
     """A number to the device: raw = scale * meaning, rounded to the nearest."""
 
-    meaning: Annotated[Commanded, said("what it is", "current_a")]
+    meaning: Annotated[Commanded, said("quantity", "current_a")]
     offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), said("first byte, from 0; a report id does not count", 0)]
     type: Annotated[Type, said("of the number", "int16")]
     scale: Annotated[float, within(SCALE, "counts per A, N or N m; of a constant its value", 1000.0)] = 1.0
 
 
 def layout_faults(
-    bytes_: int, fields: tuple[InputField | OutputField, ...], of: str, rest: str = ""
+    bytes_: int, fields: tuple[InputField | OutputField, ...], owner: str, note: str = ""
 ) -> Iterator[Complaint]:
-    """Complaints about fields that reach past `bytes_` or into each other."""
-    taken: dict[int, int] = {}
-    for n, one in enumerate(fields):
-        if not known(one) or not known(one.offset, one.type):
+    """Yield complaints about fields that exceed `bytes_` or overlap."""
+    field_of_byte: dict[int, int] = {}
+    for index, field in enumerate(fields):
+        if not known(field) or not known(field.offset, field.type):
             continue
-        end = one.offset + TYPE_BYTES[one.type]
+        end = field.offset + TYPE_BYTES[field.type]
         if end > bytes_:
-            where = f"bytes {one.offset} to {end - 1}"
-            yield f"field[{n}].offset", one.offset, f"{where} of {of} of {bytes_}: count from 0{rest}"
-        for byte in range(one.offset, min(end, bytes_)):
-            other = taken.setdefault(byte, n)
-            if other != n:
-                yield f"field[{n}].offset", one.offset, f"byte {byte} belongs to field[{other}] already: move one"
+            where = f"bytes {field.offset} to {end - 1}"
+            yield f"field[{index}].offset", field.offset, f"{where} of {owner} of {bytes_}: count from 0{note}"
+        for byte in range(field.offset, min(end, bytes_)):
+            other = field_of_byte.setdefault(byte, index)
+            if other != index:
+                yield f"field[{index}].offset", field.offset, f"byte {byte} belongs to field[{other}] already: move one"
                 break
 
 
 def repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint]:
-    """Complaints about two fields that mean the same; `buttons` may be several, which are added."""
-    seen = set()
-    for n, one in enumerate(fields):
-        if known(one) and known(one.meaning) and one.meaning != "buttons":
-            if one.meaning in seen:
-                yield f"field[{n}].meaning", one.meaning, "another field has this meaning: leave one out"
-            seen.add(one.meaning)
+    """Yield complaints about repeated meanings; `buttons` may be repeated, and are added."""
+    meanings_seen = set()
+    for index, field in enumerate(fields):
+        if known(field) and known(field.meaning) and field.meaning != "buttons":
+            if field.meaning in meanings_seen:
+                yield f"field[{index}].meaning", field.meaning, "another field has this meaning: leave one out"
+            meanings_seen.add(field.meaning)
 
 
 def meanings(fields: Iterable[InputField | OutputField]) -> set[str] | None:
-    """What fields mean; None where that is not known."""
+    """Return the meanings of fields; None if they are unknown."""
     if not known(fields) or not known(*fields):
         return None
-    return {one.meaning for one in fields if known(one.meaning)}
+    return {field.meaning for field in fields if known(field.meaning)}
 
 
-def lacking(key: str, has: set[str], needs: set[str], kind: str) -> Iterator[Complaint]:
-    """The complaint about meanings that a `kind` of kinematics needs and fields at `key` do not have."""
-    missing = ", ".join(sorted(needs - has))
+def missing_meanings(key: str, present: set[str], required: set[str], kind: str) -> Iterator[Complaint]:
+    """Yield a complaint if the fields at `key` lack meanings that kinematics of this `kind` need."""
+    missing = ", ".join(sorted(required - present))
     if missing:
         yield f"{key}.field", msgspec.UNSET, f"lacks {missing}, which a {kind} needs: add a field for each"

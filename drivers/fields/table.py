@@ -1,6 +1,6 @@
-"""Numbers as bytes: a table of fields, and two kernels that go through it.
+"""Conversion between numbers and bytes: a table of fields, and two kernels that iterate over it.
 
-A table is one row of `ROW` float64 for each field; the kernels never know which device it describes.
+A table has one row of `ROW` float64 per field; the kernels are independent of the device.
 """
 
 from __future__ import annotations
@@ -20,11 +20,14 @@ from softfinger.proxy.kernels.jit.memory import float32_at, float64_at, int64_at
 Array = NDArray[np.float64]
 
 ROW: Final = 9
-"""Numbers of a row: offset, type, place of the value, scale, bias, raw value above which a button is pressed, least and
-most of the value, whether the first byte is the highest."""
+"""Columns of a row.
+
+offset, type, index of the value, scale, bias, raw value above which a button is pressed, minimum and maximum of the
+value, True for big endian
+"""
 ROW_BYTES: Final = 8 * ROW
 
-# Places of what is sensed and of what is commanded.
+# Indices into sensed and commanded values.
 COUNTS: Final = SENSED.index("a")
 WRIST: Final = SENSED.index("d")
 POSITION: Final = SENSED.index("x")
@@ -49,15 +52,15 @@ _FLOAT32: Final = TYPES.index("float32")
 
 
 def input_table(fields: Iterable[InputField], big_endian: bool = False) -> Array:
-    """Rows (n, ROW) of fields from a device."""
+    """Return rows (n, ROW) for fields from a device."""
 
-    def or_else(value: float | None, none: float) -> float:
+    def default_to(value: float | None, none: float) -> float:
         return none if value is None else value
 
     rows = [
         (
-            f.offset, TYPES.index(f.type), SENSED.index(f.meaning), f.scale, f.bias, or_else(f.button_above, np.inf),
-            or_else(f.least, -np.inf), or_else(f.most, np.inf), big_endian,
+            f.offset, TYPES.index(f.type), SENSED.index(f.meaning), f.scale, f.bias, default_to(f.button_above, np.inf),
+            default_to(f.least, -np.inf), default_to(f.most, np.inf), big_endian,
         )
         for f in fields
     ]  # fmt: skip
@@ -65,7 +68,7 @@ def input_table(fields: Iterable[InputField], big_endian: bool = False) -> Array
 
 
 def output_table(fields: Iterable[OutputField], big_endian: bool = False) -> Array:
-    """Rows (n, ROW) of fields to a device."""
+    """Return rows (n, ROW) for fields to a device."""
     rows = [
         (f.offset, TYPES.index(f.type), COMMANDED.index(f.meaning), f.scale, 0.0, 0.0, 0.0, 0.0, big_endian)
         for f in fields
@@ -75,36 +78,41 @@ def output_table(fields: Iterable[OutputField], big_endian: bool = False) -> Arr
 
 @jit
 def decode(report: int, table: int, rows: int, scratch: int, values: Any) -> bool:
-    """Read a report into `values` (SENSED_SIZE,); False where a value is not finite or out of its range.
+    """Decode a report into `values` (SENSED_SIZE,); return False if a value is not finite or out of range.
 
-    report, table, scratch  addresses of its bytes without the id, of `rows` rows, and of one int64 word
-    Buttons of several fields are added up; a pressed button of `button_above` is 1.
+    report   address of its bytes without the id
+    table    address of `rows` rows
+    scratch  address of one int64
+
+    Values of several button fields are added; a pressed button of `button_above` counts as 1.
     """
-    raw_bytes, word, usable = uint8_at(report), int64_at(scratch), True
+    raw_bytes, word, is_valid = uint8_at(report), int64_at(scratch), True
     values[BUTTONS] = 0.0
     for n in range(rows):
         row = float64_at(table + n * ROW_BYTES)
-        at, kind, place = int(row[0]), int(row[1]), int(row[2])
-        raw = _number(raw_bytes, word, scratch, at, kind, row[8] != 0.0)
+        at, kind, index = int(row[0]), int(row[1]), int(row[2])
+        raw = _read_number(raw_bytes, word, scratch, at, kind, row[8] != 0.0)
         if raw > row[5]:
             raw -= 2.0 * row[5]
             values[BUTTONS] += 1.0
         value = row[3] * raw + row[4]
-        usable = usable and isfinite(value) and row[6] <= value <= row[7]
-        if place == BUTTONS:
+        is_valid = is_valid and isfinite(value) and row[6] <= value <= row[7]
+        if index == BUTTONS:
             values[BUTTONS] += value
         else:
-            values[place] = value
-    return usable
+            values[index] = value
+    return is_valid
 
 
 @jit
 def encode(values: Any, table: int, rows: int, scratch: int, report: int) -> bool:
-    """Write `values` (COMMANDED_SIZE,) into a report; True where one did not fit its field and was cut to its end.
+    """Encode `values` (COMMANDED_SIZE,) into a report; return True if a value was clamped to the range of its field.
 
-    report, table, scratch  addresses of its bytes without the id, of `rows` rows, and of one int64 word
+    report   address of its bytes without the id
+    table    address of `rows` rows
+    scratch  address of one int64
     """
-    raw_bytes, word, cut = uint8_at(report), int64_at(scratch), False
+    raw_bytes, word, is_clamped = uint8_at(report), int64_at(scratch), False
     for n in range(rows):
         row = float64_at(table + n * ROW_BYTES)
         at, kind = int(row[0]), int(row[1])
@@ -115,19 +123,19 @@ def encode(values: Any, table: int, rows: int, scratch: int, report: int) -> boo
             bits = word[0]
             size = 4
         else:
-            low, high, size = _span(kind)
-            whole = floor(raw + 0.5)
-            inside = min(max(whole, low), high)
-            cut = cut or inside != whole
-            bits = int(inside)
+            low, high, size = _integer_range(kind)
+            rounded = floor(raw + 0.5)
+            clamped = min(max(rounded, low), high)
+            is_clamped = is_clamped or clamped != rounded
+            bits = int(clamped)
         for k in range(size):
-            place = at + size - 1 - k if row[8] != 0.0 else at + k
-            raw_bytes[place] = types.uint8((bits >> (8 * k)) & 255)
-    return cut
+            index = at + size - 1 - k if row[8] != 0.0 else at + k
+            raw_bytes[index] = types.uint8((bits >> (8 * k)) & 255)
+    return is_clamped
 
 
 @jit
-def _span(kind: int) -> tuple[float, float, int]:
+def _integer_range(kind: int) -> tuple[float, float, int]:
     if kind == _INT8:
         return -128.0, 127.0, 1
     if kind == _UINT8:
@@ -142,7 +150,7 @@ def _span(kind: int) -> tuple[float, float, int]:
 
 
 @jit
-def _number(raw_bytes: Any, word: Any, scratch: int, at: int, kind: int, big_endian: bool) -> float:
+def _read_number(raw_bytes: Any, word: Any, scratch: int, at: int, kind: int, big_endian: bool) -> float:
     size = 1
     if kind in (_INT16, _UINT16):
         size = 2
@@ -150,8 +158,8 @@ def _number(raw_bytes: Any, word: Any, scratch: int, at: int, kind: int, big_end
         size = 4
     bits = 0
     for k in range(size):
-        place = at + size - 1 - k if big_endian else at + k
-        bits |= int(raw_bytes[place]) << (8 * k)
+        index = at + size - 1 - k if big_endian else at + k
+        bits |= int(raw_bytes[index]) << (8 * k)
     if kind == _FLOAT32:
         word[0] = bits
         return float(float32_at(scratch)[0])
@@ -164,11 +172,11 @@ def _number(raw_bytes: Any, word: Any, scratch: int, at: int, kind: int, big_end
 
 @entry
 def encode_once(values: Array, table: Array, scratch: NDArray[np.int64], report: NDArray[np.uint8]) -> bool:
-    """`encode` for Python: values (COMMANDED_SIZE,), table (n, ROW), scratch (1,), report with its id in front."""
+    """Call `encode` from Python: values (COMMANDED_SIZE,), table (n, ROW), scratch (1,), report with its id first."""
     return encode(values, table.ctypes.data, table.shape[0], scratch.ctypes.data, report.ctypes.data + 1)
 
 
 @entry
 def decode_once(report: NDArray[np.uint8], table: Array, scratch: NDArray[np.int64], values: Array) -> bool:
-    """`decode` for Python: report without an id, table (n, ROW), scratch (1,), values (SENSED_SIZE,)."""
+    """Call `decode` from Python: report without an id, table (n, ROW), scratch (1,), values (SENSED_SIZE,)."""
     return decode(report.ctypes.data, table.ctypes.data, table.shape[0], scratch.ctypes.data, values)

@@ -1,7 +1,8 @@
-"""Force Dimension's devices (omega, delta, sigma, lambda) through the maker's own library, found at run time.
+"""Devices of Force Dimension (omega, delta, sigma, lambda) through the maker's library, found at run time.
 
-`models` says what each device can do, `library` finds and declares the maker's functions, `usb` sees what is attached
-without it, `exchange` is what the servo loop calls, `device` opens, sets up, stops and closes.
+`models` has the limits of each device, `library` loads and declares the maker's functions, `selection` selects the
+device, `usb` lists devices without the library, `exchange` has the functions of the servo loop, and `device` opens,
+configures, stops and closes.
 
-Nothing of the maker's is in here: its library is looked for when a device is opened, and may be absent.
+The maker's library is not included: it is loaded when a device is opened, and may be missing.
 """

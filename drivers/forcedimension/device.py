@@ -1,8 +1,8 @@
-"""A device of Force Dimension, opened through the maker's library.
+"""Device of Force Dimension, opened through the maker's library.
 
-The order of opening is the maker's: open, calibrate if that is needed and allowed, end the library's own regulation,
-settings. Whatever fails on the way, the device is stopped and closed again. Force and watchdog come with `arm`: the
-watchdog counts real time since the last force, and between opening and the first tick lie kernels to compile.
+The maker prescribes the order of opening: open, calibrate if needed and allowed, end the library's regulation, apply
+settings. If a step fails, the device is stopped and closed. `arm` switches on force and watchdog: the watchdog measures
+real time since the last force, and kernels are compiled between opening and the first tick.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from softfinger.config.errors import (
 )
 from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
 from softfinger.drivers.block import Block
-from softfinger.drivers.forcedimension import exchange, finding, library
+from softfinger.drivers.forcedimension import exchange, library, selection
 from softfinger.drivers.forcedimension.block import AT
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
 from softfinger.drivers.system.discovery import Attached
@@ -33,22 +33,22 @@ from softfinger.drivers.system.makers_library import address
 log: Final = logging.getLogger(__name__)
 
 TORQUE_MAX_NM: Final = 1e2
-"""Where no motor turns the handle, torque is taken and not sent: it belongs to the contact and to telemetry."""
+"""If no motor turns the handle, torque is accepted but not sent: contact and telemetry use it."""
 
 ZERO: Final = (0.0,) * 7
 ZERO_TRIES: Final = 20
 LOCK_WAIT_S: Final = 0.1
-"""How long `stop` waits for an exchange under way; one that takes longer hangs, and the device is stopped over it."""
+"""Maximum wait of `stop` for a running exchange; a slower one hangs, and the device is stopped in parallel to it."""
 
 HANG_WAIT_S: Final = 0.3
-"""How long a call over a hanging one is waited for: the library may let it wait too."""
+"""Maximum wait for a call in parallel to a hanging one, because the library may block it too."""
 
 NO_WATCHDOG: Final = (
     "firmware before 3.0 has no watchdog, and then nothing takes the force off if this program is killed: keep a hand "
     "at the force button and set watchdog_s = 0 in the rig's [device] table, or have the maker renew the firmware"
 )
 
-LOOP_CALLS: Final = {
+LIBRARY_FUNCTIONS: Final = {
     AT.get_frame: "dhdGetPositionAndOrientationFrame",
     AT.get_position: "dhdGetPosition",
     AT.get_buttons: "dhdGetButtonMask",
@@ -60,16 +60,16 @@ LOOP_CALLS: Final = {
 
 
 class ForceDimension(Device):
-    """An open device, its force off until `arm`. `stop` takes the force off for good: to go on, open it again."""
+    """Open device with its force off until `arm`. `stop` is final: to resume, open the device again."""
 
     def __init__(self, options: Options, rate_hz: float) -> None:
         _check_watchdog(options.watchdog_s, rate_hz)
-        self._library = finding.load(options.library_file)
+        self._library, self._zero_failure = selection.load(options.library_file), ""
         self._options = options
         self._block = Block(AT)
         self._word = self._block.word
         self._word[AT.cause] = -1
-        self._id, self._model = finding.find(self._library, options)
+        self._id, self._model = selection.find(self._library, options)
         try:
             self._set_up(rate_hz)
             self.info = self._info()
@@ -83,77 +83,89 @@ class ForceDimension(Device):
     def arm(self) -> None:
         block = self._block.handle
         if not exchange.lock.ctypes(block):
-            return  # who holds it is stopping the device, and that is for good
+            return  # the lock's owner is stopping the device, and that is final
         try:
-            self._switch_on()
+            self._switch_force_on()
         finally:
             exchange.unlock.ctypes(block)
 
     def stop(self) -> None:
         if self._word[AT.stopped]:
             return
-        self._word[AT.stopped] = 1  # before the lock: no force of the loop's follows the zero
+        self._word[AT.stopped] = 1  # before the lock: the loop sends no force after the zero
         self._word[AT.armed] = 0
         if self._word[AT.open]:
-            self._alone(self._take_force_off)
+            self._zero_failure = "the library has not answered"
+            self._run_locked(self._switch_force_off)
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
 
     def close(self) -> None:
         self.stop()
         if not self._word[AT.open]:
             return
         self._word[AT.open] = 0
-        self._alone(lambda: self._library.drdClose(self._id))
+        self._run_locked(lambda: self._library.drdClose(self._id))
         reads, repeated, writes, held, cut = self.counts().values()
         if repeated or held or cut:
             log.info(
-                "%s: of %d reads %d repeated the last reading; of %d forces %d were held back, %d at the motors' limit",
+                "%s: of %d reads %d repeated the last reading; of %d forces %d were withheld, %d at the motors' limit",
                 self._model.full_name, reads, repeated, writes, held, cut,
             )  # fmt: skip
 
     def reason(self) -> str:
-        said = []
+        messages = []
         if self._word[AT.error]:
             number = int(self._word[AT.error])
             text = self._library.dhdErrorGetStr(number) or b""
-            said.append(f"the library's error {number}, {text.decode(errors='replace')}")
+            messages.append(f"the library's error {number}, {text.decode(errors='replace')}")
         cause = int(self._word[AT.cause])
         if cause >= 0:
-            said.append(library.FORCE_OFF_CAUSES.get(cause, f"the device gives no cause ({cause})"))
+            messages.append(library.FORCE_OFF_CAUSES.get(cause, f"the device gives no cause ({cause})"))
         if self._word[AT.faulty]:
-            said.append(f"its error word is {self._word[AT.faulty]}")
-        return "; ".join(said)
+            messages.append(f"its error code is {self._word[AT.faulty]}")
+        return "; ".join(messages)
 
     def counts(self) -> dict[str, int]:
         return self._block.counts()
 
-    def _take_force_off(self) -> None:
+    def _switch_force_off(self) -> None:
         call = self._library
+        is_sent = False
         for _ in range(ZERO_TRIES):
-            # 1, TIMEGUARD, may mean that it was held back; -1 that the device is gone.
+            # 1 (TIMEGUARD) may mean that it was not sent; -1 that the device is disconnected.
             if call.dhdSetForceAndTorqueAndGripperForce(*ZERO, self._id) in (0, 2):
+                is_sent = True
                 break
             time.sleep(0.001)
-        call.dhdEnableForce(0, self._id)
-        call.dhdStop(self._id)  # into brake mode
+        is_off = call.dhdEnableForce(0, self._id) in library.SUCCESS
+        is_braked = call.dhdStop(self._id) in library.SUCCESS  # switches to brake mode
+        self._zero_failure = (
+            "" if is_sent or is_off or is_braked else f"the library reports: {library.error_text(call)}"
+        )
         if not self._options.brakes:
             call.dhdSetBrakes(0, self._id)
 
-    def _switch_on(self) -> None:
+    def _switch_force_on(self) -> None:
         call, word = self._library, self._word
         word[AT.armed] = 1
         try:
             self._set_watchdog(self._options.watchdog_s)
-            # A watchdog may mind the force before the one that switches it on; whether one is taken yet, nobody says.
+            # The watchdog may require a force already before dhdEnableForce. Whether the library accepts one then is
+            # not documented, so the result is ignored.
             call.dhdSetForceAndTorqueAndGripperForce(*ZERO, self._id)
             if not word[AT.stopped]:
-                self._do("dhdEnableForce", call.dhdEnableForce, 1)
-                self._do("dhdSetForceAndTorqueAndGripperForce", call.dhdSetForceAndTorqueAndGripperForce, *ZERO)
+                self._call_checked("dhdEnableForce", call.dhdEnableForce, 1)
+                self._call_checked(
+                    "dhdSetForceAndTorqueAndGripperForce", call.dhdSetForceAndTorqueAndGripperForce, *ZERO
+                )
         finally:
-            if word[AT.stopped]:  # over a call of these that hung, so what it did came after the stop
-                self._take_force_off()
+            if word[AT.stopped]:  # during one of these calls that hung, so it took effect after the stop
+                self._switch_force_off()
 
-    def _alone(self, work: Callable[[], object]) -> None:
-        """Run `work` while the loop is not in the library; where a call of the loop hangs, over it."""
+    def _run_locked(self, work: Callable[[], object]) -> None:
+        """Run `work` while the loop is not inside the library; if a call of the loop hangs, run it in parallel."""
         block = self._block.handle
         deadline = time.monotonic() + LOCK_WAIT_S
         while not exchange.lock.ctypes(block):
@@ -166,12 +178,12 @@ class ForceDimension(Device):
             finally:
                 exchange.unlock.ctypes(block)
             return
-        over = threading.Thread(target=work, name="forcedimension stop", daemon=True)
-        over.start()
-        over.join(HANG_WAIT_S)
-        if over.is_alive():
+        stop_thread = threading.Thread(target=work, name="forcedimension stop", daemon=True)
+        stop_thread.start()
+        stop_thread.join(HANG_WAIT_S)
+        if stop_thread.is_alive():
             log.error(
-                "%s: the library hangs and lets nothing past; what is left is the device's own watchdog: switch it off",
+                "%s: the library hangs and blocks all calls; only the device's watchdog remains: switch the device off",
                 self._model.full_name,
             )
 
@@ -182,9 +194,9 @@ class ForceDimension(Device):
         word[AT.started_at] = time.monotonic_ns()
         word[AT.status_every] = max(1, round(options.status_period_s * rate_hz))
         word[AT.has_gripper] = call.dhdHasGripper(self._id)
-        word[AT.turns] = call.dhdHasActiveWrist(self._id) and self._model.limits.torque_max_nm > 0.0
-        for place, name in LOOP_CALLS.items():
-            word[place] = address(call, name)
+        word[AT.has_torque] = call.dhdHasActiveWrist(self._id) and self._model.limits.torque_max_nm > 0.0
+        for pointers, name in LIBRARY_FUNCTIONS.items():
+            word[pointers] = address(call, name)
         if not self._model.name:
             log.warning(
                 "%s: its limits are not known, so it gets the least of any: %g N, no torque; begin with a soft scene",
@@ -192,27 +204,31 @@ class ForceDimension(Device):
             )  # fmt: skip
         self._choose_pose()
         self._calibrate()
-        self._do("drdStop", call.drdStop, True)  # ends the library's regulation, leaves the force to us
-        self._do("dhdEnableForce", call.dhdEnableForce, 0)  # one that a killed program left on, too
+        self._call_checked(
+            "drdStop", call.drdStop, True
+        )  # ends the library's regulation, so that this program sets the force
+        self._call_checked("dhdEnableForce", call.dhdEnableForce, 0)  # a killed program may have left it on
         if call.dhdSetBrakes(int(options.brakes), self._id) not in library.SUCCESS and not options.brakes:
-            log.warning("%s: refuses to take its brakes off, so brakes = false is not kept", self._model.full_name)
-        self._do("dhdSetGravityCompensation", call.dhdSetGravityCompensation, int(options.gravity_compensation))
-        self._do("dhdSetMaxForce", call.dhdSetMaxForce, self._model.limits.force_max_n)
-        self._set_watchdog(0.0)  # until `arm`; a device that has none says so here
+            log.warning("%s: does not release its brakes, so brakes = false has no effect", self._model.full_name)
+        self._call_checked(
+            "dhdSetGravityCompensation", call.dhdSetGravityCompensation, int(options.gravity_compensation)
+        )
+        self._call_checked("dhdSetMaxForce", call.dhdSetMaxForce, self._model.limits.force_max_n)
+        self._set_watchdog(0.0)  # until `arm`; fails here if the device has no watchdog
         if options.velocity_threshold is not None:
-            with self._expert():
-                self._do("dhdSetVelocityThreshold", call.dhdSetVelocityThreshold, options.velocity_threshold)
+            with self._expert_mode():
+                self._call_checked("dhdSetVelocityThreshold", call.dhdSetVelocityThreshold, options.velocity_threshold)
 
     def _choose_pose(self) -> None:
-        """The frame is documented for devices with a wrist: others may give their position alone."""
+        """Select frame or position: the frame is documented only for devices with a wrist."""
         call, word = self._library, self._word
         at = word[AT.frame :].view(np.float64)
         at[3:12] = np.eye(3).ravel()
-        place = [at[k:].ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for k in range(4)]
+        pointers = [at[k:].ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for k in range(4)]
         word[AT.has_frame] = (
             call.dhdHasWrist(self._id)
-            or call.dhdGetPositionAndOrientationFrame(*place, self._id) in library.SUCCESS
-            or call.dhdGetPosition(*place[:3], self._id) not in library.SUCCESS  # neither: the loop will say why
+            or call.dhdGetPositionAndOrientationFrame(*pointers, self._id) in library.SUCCESS
+            or call.dhdGetPosition(*pointers[:3], self._id) not in library.SUCCESS  # neither works: the loop reports it
         )
         at[3:12] = np.eye(3).ravel()
 
@@ -225,29 +241,29 @@ class ForceDimension(Device):
                 "calibrate = true in the rig's [device] table; the device then MOVES BY ITSELF: keep clear of it"
             )
         log.warning("%s calibrates itself now: it moves, keep clear", self._model.full_name)
-        self._do("drdAutoInit", self._library.drdAutoInit)
+        self._call_checked("drdAutoInit", self._library.drdAutoInit)
 
     def _set_watchdog(self, seconds: float) -> None:
-        with self._expert():
+        with self._expert_mode():
             code = self._library.dhdSetWatchdog(round(seconds / WATCHDOG_UNIT_S), self._id)
             if code not in library.SUCCESS and self._options.watchdog_s > 0.0:
-                self._refused("dhdSetWatchdog", NO_WATCHDOG)
+                self._raise_refused("dhdSetWatchdog", NO_WATCHDOG)
 
     @contextmanager
-    def _expert(self) -> Iterator[None]:
-        """The library lets only experts set some things; what fails in here is told before the mode is left."""
+    def _expert_mode(self) -> Iterator[None]:
+        """Enter the expert mode that some settings need; report errors inside, before the mode ends."""
         if self._library.dhdEnableExpertMode() < 0:
-            self._refused("dhdEnableExpertMode")
+            self._raise_refused("dhdEnableExpertMode")
         try:
             yield
         finally:
             self._library.dhdDisableExpertMode()
 
-    def _do(self, name: str, function: Callable[..., int], *arguments: Any) -> None:
+    def _call_checked(self, name: str, function: Callable[..., int], *arguments: Any) -> None:
         if function(*arguments, self._id) not in library.SUCCESS:
-            self._refused(name)
+            self._raise_refused(name)
 
-    def _refused(self, name: str, advice: str = "switch it off and on, then start again") -> NoReturn:
+    def _raise_refused(self, name: str, advice: str = "switch it off and on, then start again") -> NoReturn:
         what = f"{self._model.full_name} refused {name}: {library.error_text(self._library)}"
         if self._library.dhdErrorGetLast() == library.ERROR_TIMEOUT:
             raise DeviceTimeout(f"{what}: check cable and power, then start again")
@@ -255,14 +271,14 @@ class ForceDimension(Device):
 
     def _info(self) -> DeviceInfo:
         call, limits = self._library, self._model.limits
-        wrist, turns = call.dhdHasWrist(self._id), bool(self._word[AT.turns])
+        wrist, has_torque = call.dhdHasWrist(self._id), bool(self._word[AT.has_torque])
         reach = limits.workspace_radius_m
         return DeviceInfo(
-            name=f"{self._model.full_name}, serial {finding.serial_of(call, self._id)}",
+            name=f"{self._model.full_name}, serial {selection.read_serial(call, self._id)}",
             sensed_dof=6 if wrist else 3,
-            actuated_dof=6 if turns else 3,
+            actuated_dof=6 if has_torque else 3,
             force_max_n=limits.force_max_n,
-            torque_max_nm=limits.torque_max_nm if turns else TORQUE_MAX_NM,
+            torque_max_nm=limits.torque_max_nm if has_torque else TORQUE_MAX_NM,
             stiffness_max_n_per_m=limits.stiffness_max_n_per_m,
             damping_max_ns_per_m=limits.damping_max_ns_per_m,
             workspace_min_m=(-reach, -reach, -reach),
@@ -271,18 +287,18 @@ class ForceDimension(Device):
 
 
 def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
-    """What the library says of the device that the options name, or of the first that opens; no force is switched on.
+    """Return the library's description of the device that the options select, or of the first; switches no force on.
 
-    Of several that are attached, nothing says which of them is `device` on the bus: name one in the options.
+    USB does not identify which of several attached devices is `device`: select one in the options.
 
     Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.
     """
-    call = finding.load(options.library_file)
-    number, model = finding.find(call, options)
+    call = selection.load(options.library_file)
+    number, model = selection.find(call, options)
     try:
         return {
             "model": model.full_name,
-            "serial": finding.serial_of(call, number),
+            "serial": selection.read_serial(call, number),
             "system_type": call.dhdGetSystemType(number),
             "calibrated": bool(call.drdIsInitialized(number)),
         }
@@ -293,7 +309,7 @@ def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
 def open_device(options: Options, rate_hz: float) -> ForceDimension:
     """Open a device of Force Dimension.
 
-    Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError, each with what to do.
+    Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError, each with the remedy.
     """
     return ForceDimension(options, rate_hz)
 

@@ -1,8 +1,8 @@
-"""What the servo loop calls: one exchange with the library each way, and the turn between its frame and the world's.
+"""Functions of the servo loop: one exchange with the library in each direction, and conversion of frames.
 
-The library's frame has x towards the user, y to the right, z up. The world's has x to the right, y away from the user,
-z up: world (x, y, z) = (y, -x, z), for positions, forces and torques, and for both sides of the orientation, so that a
-handle at rest is not turned.
+The library's frame has x towards the user, y to the right, z up. The world has x to the right, y away from the user, z
+up: world (x, y, z) = (y, -x, z), for positions, forces and torques, and for both sides of the orientation, so that an
+unrotated handle is unrotated in both frames.
 """
 
 from __future__ import annotations
@@ -35,15 +35,17 @@ from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import from_matrix
 
-# Of the library's status words.
+# Indices of the library's status.
 STATUS_FORCE: Final = 5
 STATUS_ERROR: Final = 9
 STATUS_CAUSE: Final = 14
 
 NS_PER_S: Final = 1_000_000_000
 NOT_A_ROTATION: Final = 0.01
-"""How far the rows' lengths and the determinant may be from 1; a matrix that is off by more is a fault, not a sensed
-rotation. Rows of length 1 that span a volume of 1 are at right angles."""
+"""Tolerance of the rows' lengths and of the determinant; a larger deviation from 1 is a fault, not a rotation.
+
+Rows of length 1 that span a volume of 1 are orthogonal.
+"""
 
 
 @jit
@@ -53,8 +55,8 @@ def _device_time(handle: int) -> float:
 
 
 @jit
-def _ask_status(handle: int) -> int:
-    """Ask for the status words; FORCE_OFF when the device has turned its force off or reports an error, noted why."""
+def _read_status(handle: int) -> int:
+    """Read the device's status; return FORCE_OFF and store the cause if its force is off or it reports an error."""
     word = int64_at(handle)
     status = int32_at(handle + 8 * AT.status)
     if call_int32(word[AT.get_status], (status, np.int32(word[AT.id]))) < 0:
@@ -67,29 +69,29 @@ def _ask_status(handle: int) -> int:
 
 
 @jit
-def _failed(handle: int) -> int:
-    """What a call that returned -1 means, from the library's error of this thread."""
+def _error_status(handle: int) -> int:
+    """Return the status for a failed call, from the library's error of this thread."""
     word = int64_at(handle)
     word[AT.error] = call_int32(word[AT.get_error], ())
     if word[AT.error] == ERROR_TIMEOUT:
         return TIMEOUT
-    _ask_status(handle)  # a device that still answers may say why
+    _read_status(handle)  # a device that still answers may report the cause
     return LOST
 
 
 @jit
-def _take_frame(handle: int, sample: Any) -> None:
-    """The library's pose in the world frame; NaN for an orientation that is no rotation."""
+def _convert_pose(handle: int, sample: Any) -> None:
+    """Convert the library's pose to the world frame; the orientation is NaN if its matrix is no rotation."""
     p = float64_at(handle + 8 * AT.frame)
     sample[0] = p[1]
     sample[1] = -p[0]
     sample[2] = p[2]
     m = float64_at(handle + 8 * (AT.frame + 3))
     world = ((m[4], -m[3], m[5]), (-m[1], m[0], -m[2]), (m[7], -m[6], m[8]))
-    rotation = abs(vec3.dot(world[0], vec3.cross(world[1], world[2])) - 1.0) < NOT_A_ROTATION
+    is_rotation = abs(vec3.dot(world[0], vec3.cross(world[1], world[2])) - 1.0) < NOT_A_ROTATION
     for i in range(3):
-        rotation = rotation and abs(vec3.norm(world[i]) - 1.0) < NOT_A_ROTATION
-    if rotation:
+        is_rotation = is_rotation and abs(vec3.norm(world[i]) - 1.0) < NOT_A_ROTATION
+    if is_rotation:
         q = from_matrix(world)
         for k in range(4):
             sample[3 + k] = q[k]
@@ -111,25 +113,25 @@ def _read_locked(handle: int, sample: Any) -> int:
     else:
         code = call_int32(word[AT.get_position], (x, y, z, device))
     if code < 0:
-        return _failed(handle)
+        return _error_status(handle)
     buttons = call_int32(word[AT.get_buttons], (device,))
     if (
         word[AT.has_gripper] != 0
         and call_int32(word[AT.get_gripper], (float64_at(handle + 8 * AT.gripper), device)) < 0
     ):
-        return _failed(handle)
+        return _error_status(handle)
     word[AT.reads] += 1
     if word[AT.armed] != 0 and word[AT.reads] % word[AT.status_every] == 0:
-        status = _ask_status(handle)
+        status = _read_status(handle)
         if status != OK:
-            return status if status == FORCE_OFF else _failed(handle)
-    _take_frame(handle, sample)
+            return status if status == FORCE_OFF else _error_status(handle)
+    _convert_pose(handle, sample)
     sample[SAMPLE_TIME] = _device_time(handle)
     sample[SAMPLE_BUTTONS] = float(np.int64(buttons) & 0xFFFFFFFF)
-    sample[SAMPLE_GRIPPER] = float64_at(handle + 8 * AT.gripper)[0]  # 0 as it was where there is none
-    kept = float64_at(handle + 8 * AT.sample)
+    sample[SAMPLE_GRIPPER] = float64_at(handle + 8 * AT.gripper)[0]  # initially 0, and unchanged without a gripper
+    last_sample = float64_at(handle + 8 * AT.sample)
     for k in range(SAMPLE_SIZE):
-        kept[k] = sample[k]
+        last_sample[k] = sample[k]
     if code != 0:
         word[AT.reads_guarded] += 1
         return STALE
@@ -138,11 +140,11 @@ def _read_locked(handle: int, sample: Any) -> int:
 
 @c_function(IO_SIGNATURE)
 def read(handle: int, sample: Any) -> int:
-    # Never wait here: who holds the lock is stopping the device.
+    # Never wait here: the lock's owner is stopping the device.
     if exchange_int64(handle + 8 * AT.lock, 1) != 0:
-        kept = float64_at(handle + 8 * AT.sample)
+        last_sample = float64_at(handle + 8 * AT.sample)
         for k in range(SAMPLE_SIZE):
-            sample[k] = kept[k]
+            sample[k] = last_sample[k]
         return STALE
     status = _read_locked(handle, sample)
     exchange_int64(handle + 8 * AT.lock, 0)
@@ -157,26 +159,26 @@ def _write_locked(handle: int, wrench: Any) -> int:
             if wrench[k] != 0.0:
                 return WITHHELD
         return OK
-    usable = True
+    is_finite = True
     for k in range(6):
         if not isfinite(wrench[k]):
-            usable = False
+            is_finite = False
     fx, fy, fz, tx, ty, tz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    if usable:
+    if is_finite:
         fx, fy, fz = -wrench[1], wrench[0], wrench[2]
-        if word[AT.turns] != 0:
+        if word[AT.has_torque] != 0:
             tx, ty, tz = -wrench[4], wrench[3], wrench[5]
     code = call_int32(word[AT.set_wrench], (fx, fy, fz, tx, ty, tz, 0.0, np.int32(word[AT.id])))
     if code < 0:
-        return _failed(handle)
+        return _error_status(handle)
     word[AT.writes] += 1
     if code == 1:
         word[AT.writes_guarded] += 1
     elif code == 2:
         word[AT.saturated] += 1
-    if not usable:
+    if not is_finite:
         return WITHHELD
-    if code == 1:  # held back, as far as is known: of the two ways to be wrong the one with less force
+    if code == 1:  # probably not sent; if it was, this assumption errs towards less force
         return HELD
     return OK if code == 0 else STALE
 
@@ -192,7 +194,7 @@ def write(handle: int, wrench: Any) -> int:
 
 @c_function(types.int64(types.int64))
 def lock(handle: int) -> int:
-    """Take the lock; 0 when the loop is in the library just now and it must be tried again."""
+    """Acquire the lock and return 1; return 0 if the loop is inside the library, and try again."""
     return 1 if exchange_int64(handle + 8 * AT.lock, 1) == 0 else 0
 
 

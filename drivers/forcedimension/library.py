@@ -1,6 +1,6 @@
-"""The maker's library: where it may be, and the functions used of it, each with its full prototype.
+"""The maker's library: places to search, and used functions with their full prototypes.
 
-libdrd contains libdhd. It is proprietary and not shipped; nothing here is needed until a device is opened.
+libdrd contains libdhd. It is proprietary and not shipped; nothing here needs it until a device is opened.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from ctypes import POINTER, c_bool, c_byte, c_char_p, c_double, c_int, c_ubyte, 
 from pathlib import Path
 from typing import Any, Final
 
+from softfinger.config.files import home_folder
 from softfinger.drivers.system import makers_library
 from softfinger.drivers.system.makers_library import MakersLibrary
 
@@ -20,24 +21,24 @@ NAME: Final = "Force Dimension's library"
 DOWNLOAD: Final = "https://www.forcedimension.com/software/sdk"
 REMEDY: Final = f"export FDSDK=/path/to/sdk   # from {DOWNLOAD}"
 SONAMES: Final = ("libdrd.so", "libdrd.so.3")
-"""What the loader is asked for last; the maker does not say what it is called, so folders are searched by pattern."""
+"""Names to try last, with the loader. The maker documents no file name, so folders are searched by pattern."""
 
 SUCCESS: Final = (0, 1, 2)
-"""Done; done, the last reading repeated (TIMEGUARD); done, at the motors' limit (MOTOR_SATURATED)."""
+"""Success; success with the last reading repeated (TIMEGUARD); success at the motors' limit (MOTOR_SATURATED)."""
 
 ERROR_COM, ERROR_BUSY, ERROR_NO_DRIVER, ERROR_NO_DEVICE, ERROR_TIMEOUT, ERROR_IN_USE = 2, 3, 4, 5, 7, 20
 
 FORCE_OFF_CAUSES: Final = {
     1: "the force button was pressed",
     2: "the handle was faster than the velocity threshold",
-    3: "no force came within the watchdog's time",
-    4: "the library was told to",
+    3: "no force arrived within the watchdog's time",
+    4: "by a call of the library",
     5: "USB was disconnected",
     6: "the dead-man switch was let go",
 }
-"""By the 15th of the status words."""
+"""Texts by the 15th entry of the status."""
 
-_ID: Final = c_byte  # a C char, where -1 stands for the default device
+_ID: Final = c_byte  # a C char; -1 is the default device
 _DOUBLE: Final = POINTER(c_double)
 
 PROTOTYPES: Final[Mapping[str, tuple[Any, tuple[Any, ...]]]] = {
@@ -76,11 +77,12 @@ PROTOTYPES: Final[Mapping[str, tuple[Any, tuple[Any, ...]]]] = {
 
 
 def patterns(environ: Mapping[str, str]) -> list[Path]:
-    """Where the library may be, in the order in which it is looked for; the last part is a pattern."""
+    """Return the places to search, in order; the last part of each is a glob pattern."""
     build = Path("lib") / "release" / f"lin-{platform.machine()}-gcc" / "libdrd.so*"
     kits = [Path(environ[name]) / build for name in ("FDSDK", "FORCEDIM_SDK") if environ.get(name)]
-    home = Path(environ.get("HOME") or Path.home())
-    return [*kits, home / ".local" / "lib" / "libdrd.so*", Path("/usr/local/lib/libdrd.so*")]
+    home = environ.get("HOME") or home_folder()
+    own = [Path(home) / ".local" / "lib" / "libdrd.so*"] if home else []
+    return [*kits, *own, Path("/usr/local/lib/libdrd.so*")]
 
 
 LIBRARY: Final = MakersLibrary(
@@ -95,14 +97,14 @@ LIBRARY: Final = MakersLibrary(
 
 
 def load(named: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.CDLL:
-    """The library: see `makers_library.load`."""
+    """Load the library, like `makers_library.load`."""
     unset = [f"${name} is not set" for name in ("FDSDK", "FORCEDIM_SDK") if not environ.get(name)]
     note = f" ({', '.join(unset)})" if unset else ""
     return makers_library.load(LIBRARY, named, patterns(environ), note)
 
 
 def error_text(library: ctypes.CDLL) -> str:
-    """What the library says of this thread's last error."""
+    """Return the library's text for this thread's last error."""
     text = library.dhdErrorGetLastStr()
     number = library.dhdErrorGetLast()
     return f"{text.decode(errors='replace')} (error {number})" if text else f"error {number}"

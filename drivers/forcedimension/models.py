@@ -1,8 +1,8 @@
-"""What each of Force Dimension's devices can do, by the number its library gives it.
+"""Limits of each of Force Dimension's devices, by the type number in its library.
 
-Numbers: those of the maker's header, and those that CHAI3D's driver takes beside them. Limits: the recommended maxima
-of that driver for omega, delta.3, sigma.7 and lambda.7. The other sigma and lambda are assumed to have those of their
-.7.
+Numbers: from the maker's header, and additional ones that CHAI3D's driver accepts. Limits: the recommended maxima in
+that driver for omega, delta.3, sigma.7 and lambda.7. The other sigma and lambda models are assumed to have the limits
+of their .7.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 
 class Limits(NamedTuple):
-    """N, N m (0: no motors turn the handle), N/m, N s/m, and the radius of the workspace, m."""
+    """Limits in N, N m (0: no motors turn the handle), N/m, N s/m, and the radius of the workspace, m."""
 
     force_max_n: float
     torque_max_nm: float
@@ -21,7 +21,7 @@ class Limits(NamedTuple):
 
 
 class Model(NamedTuple):
-    """Name in a rig, name with the hand it is for, and limits."""
+    """Name in a rig, name with the hand it is made for, and limits."""
 
     name: str
     full_name: str
@@ -35,8 +35,7 @@ SIGMA_7: Final = SIGMA_3._replace(torque_max_nm=0.2)
 LAMBDA_3: Final = Limits(12.0, 0.0, 8000.0, 30.0, 0.1125)
 LAMBDA_7: Final = LAMBDA_3._replace(torque_max_nm=0.2)
 UNKNOWN: Final = Limits(8.0, 0.0, 3000.0, 20.0, 0.04)
-"""For a device of a number that is not listed: the least that CHAI3D has for any device of this library (its Falcon),
-and no torque."""
+"""Limits for unlisted numbers: the lowest in CHAI3D for a device of this library (its Falcon), without torque."""
 
 _SIGMA_6_RIGHT, _SIGMA_6_LEFT = (Model("sigma.6", f"sigma.6 {hand}", SIGMA_7) for hand in ("right", "left"))
 _SIGMA_7_RIGHT, _SIGMA_7_LEFT = (Model("sigma.7", f"sigma.7 {hand}", SIGMA_7) for hand in ("right", "left"))
@@ -57,7 +56,7 @@ MODELS: Final = {
     132: Model("lambda.6", "lambda.6 left", LAMBDA_3),
     108: _LAMBDA_7_RIGHT,
     109: _LAMBDA_7_LEFT,
-    # What follows is in CHAI3D's driver alone.
+    # Only in CHAI3D's driver.
     110: Model("omega.3", "omega.3", OMEGA),
     111: Model("delta.3", "delta.3", DELTA),
     133: Model("sigma.3", "sigma.3", SIGMA_3),
@@ -68,9 +67,9 @@ MODELS: Final = {
     **dict.fromkeys((112, 114, 117, 119, 121, 123, 125, 127, 129, 210), _LAMBDA_7_RIGHT),
     **dict.fromkeys((113, 118, 120, 122, 124, 126, 128, 130, 211), _LAMBDA_7_LEFT),
 }
-"""By `dhdGetSystemType`."""
+"""Models by `dhdGetSystemType`."""
 
 
-def model_of(kind: int) -> Model:
-    """The model of a number of `dhdGetSystemType`; one without a name, with the least limits, where none is known."""
+def find_model(kind: int) -> Model:
+    """Return the model for a number of `dhdGetSystemType`; an unnamed one with the lowest limits if it is unknown."""
     return MODELS.get(kind) or Model("", f"device of unknown type {kind}", UNKNOWN)

@@ -1,4 +1,4 @@
-"""Keys of a rig's [device] with `driver = "forcedimension"`."""
+"""Configuration of a rig's [device] with `driver = "forcedimension"`."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from softfinger.config.limits import Range
 from softfinger.config.schema import Table, said, within
 
 WATCHDOG_UNIT_S: Final = 125e-6
-"""The library counts its watchdog in these, in one byte."""
+"""Unit of the library's watchdog, which it stores in one byte."""
 
 WATCHDOG_S: Final = Range(0.0, 255 * WATCHDOG_UNIT_S, "the library counts it in one byte of 125 us; 0: none")
 NUMBER: Final = Range(0, 126, "the library counts its devices in a char")
 SERIAL: Final = Range(0, 65535, "the library gives it in 16 bits")
 VELOCITY_THRESHOLD: Final = Range(0, 2**32 - 1, "the library takes 32 bits; the unit is the maker's")
-STATUS_S: Final = Range(0.001, 1.0, "asked at most every tick; a second is long for a force that is off")
+STATUS_S: Final = Range(0.001, 1.0, "polled at most every tick; a second is long for a force that is off")
 
 
 class Options(Table, frozen=True, kw_only=True):
     """Which device, which library, and what may be done to it. What moves the device or its weight is off."""
 
     library_file: (
-        Annotated[str, said("file of libdrd; absent: looked for, see docs/devices/forcedimension.md")] | None
+        Annotated[str, said("file of libdrd; absent: searched for, see docs/devices/forcedimension.md")] | None
     ) = None
     model: (
         Annotated[
@@ -48,11 +48,12 @@ class Options(Table, frozen=True, kw_only=True):
         Annotated[
             int,
             within(
-                VELOCITY_THRESHOLD, "in the maker's own unit; above it the device turns force off; absent: as it is"
+                VELOCITY_THRESHOLD,
+                "in the maker's unit; above it the device switches its force off; absent: not changed",
             ),
         ]
         | None
     ) = None
     status_period_s: Annotated[
-        float, within(STATUS_S, "how often the loop asks whether the device has turned its force off", 0.05)
+        float, within(STATUS_S, "period in which the loop polls whether the device switched its force off", 0.05)
     ] = 0.05

@@ -1,4 +1,4 @@
-"""What is attached and whether it may be opened, seen over USB without the maker's library."""
+"""Attached devices and their permissions, from USB and without the maker's library."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from softfinger.drivers.system import discovery, rules
 
 VENDOR: Final = 0x1451
 PRODUCTS: Final = {0x0402: "omega.x haptic device", 0x0301: "omega.x", 0x040C: "lambda"}
-"""Names of the product numbers that are known; every device of the vendor counts."""
+"""Names of known product numbers; every device of the vendor is listed."""
 
 NODES: Final = Path("/dev/bus/usb")
 
 
 class Attached(NamedTuple):
-    """A device on the bus: what it is, its node, and whether this user may write to it; without a node, yes."""
+    """Device on the bus: name, node, and True if this user may write to the node or there is none."""
 
     name: str
     node: Path
@@ -27,9 +27,9 @@ class Attached(NamedTuple):
 
 
 def attached() -> list[Attached]:
-    """Every device of the vendor. Empty also where there is no USB, or no libusb to look with."""
+    """Return every device of the vendor; none without USB, or without libusb."""
     found: list[Attached] = []
-    for device in discovery.seen_by_pyusb(idVendor=VENDOR):
+    for device in discovery.find_usb(idVendor=VENDOR):
         node = NODES / f"{device.bus:03d}" / f"{device.address:03d}"
         name = PRODUCTS.get(device.idProduct, "device of Force Dimension")
         permitted = not os.path.exists(node) or os.access(node, os.R_OK | os.W_OK, effective_ids=True)
@@ -38,18 +38,18 @@ def attached() -> list[Attached]:
 
 
 def holders(device: Attached) -> list[str]:
-    """Processes that hold the device's node, as `name (pid)`: those that this user may look into, this one left out."""
+    """Return visible processes with the device's node open, as `name (pid)`, except this process."""
     found: list[str] = []
     for process in Path("/proc").glob("[0-9]*"):
         try:
             held = any(os.path.samefile(link, device.node) for link in (process / "fd").iterdir())
             if held and process.name != str(os.getpid()):
                 found.append(f"{(process / 'comm').read_text().strip()} ({process.name})")
-        except OSError:  # it has ended meanwhile, is another user's, or there is no node
+        except OSError:  # it has exited, belongs to another user, or there is no node
             continue
     return sorted(found)
 
 
 def how_to_permit(device: Attached) -> str:
-    """The message for a device that this user may not write to."""
+    """Return the message for a device that this user may not write to."""
     return f"{device} may not be opened by this user: {rules.how_to_permit(VENDOR, 0)}"

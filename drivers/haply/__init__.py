@@ -1,6 +1,6 @@
-"""Haply's Inverse3, Inverse3x and Minverse through the maker's Inverse Service, which speaks JSON over a WebSocket.
+"""Haply Inverse3, Inverse3x and Minverse through the maker's Inverse Service, with JSON over a WebSocket.
 
-`messages` is what goes over the wire, `link` the connection, `opening` finds a device and sets its filters. `pump` is
-the thread that exchanges with the service, `exchange` the servo's side of the block between them, and `device` the
-device behind the contract.
+`messages` decodes and encodes messages, `dial` connects and sends HTTP requests, `link` is the WebSocket, `claim` locks
+a device, `opening` finds it and sets its filters. `exchange_thread` exchanges messages with the service, `exchange` is
+the servo's side of the block between them, and `device` the device.
 """

@@ -1,5 +1,7 @@
-"""A device at the Inverse Service behind the contract: opened with its filters set, and zero force on every shutdown
-path: a zero is sent and its answer seen, then the connection is closed."""
+"""Device at the Inverse Service: filters set when opened, and zero force on every shutdown path.
+
+A shutdown sends a zero, waits for its answer, then closes the connection.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +13,11 @@ from typing import Any, Final
 from softfinger.config.errors import DeviceLost, DeviceTimeout
 from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
 from softfinger.drivers.block import Block
-from softfinger.drivers.conversation import TORQUE_MAX_NM
+from softfinger.drivers.board_exchange import TORQUE_MAX_NM
 from softfinger.drivers.haply import exchange, opening
 from softfinger.drivers.haply.exchange import AT, MODEL_SIZE, Model
+from softfinger.drivers.haply.exchange_thread import ExchangeThread
 from softfinger.drivers.haply.options import Options, rows
-from softfinger.drivers.haply.pump import Pump
 from softfinger.drivers.system.discovery import Attached
 from softfinger.proxy.kernels.jit.pack import flatten
 
@@ -24,34 +26,34 @@ __all__ = ["HaplyDevice", "Options", "identify", "open_device", "rows"]
 log: Final = logging.getLogger(__name__)
 
 STOP_WAIT_S: Final = 1.0
-"""How long a stop waits for the service's answer to a zero."""
+"""Maximum wait of a stop for the service's answer to a zero."""
 POLL_S: Final = 2e-4
 
 
 class HaplyDevice(Device):
-    """An open device; the connection of `found` is its own from now on."""
+    """Open device, owner of the connection in `connection`."""
 
-    def __init__(self, options: Options, found: opening.Found) -> None:
-        self._options, self._told = options, False
+    def __init__(self, options: Options, connection: opening.Connection) -> None:
+        self._options, self._zero_failure = options, ""
         self._block = Block(AT)
         word = self._block.word
         self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(Model(*options.mounting.frame(), options.force_max_n))
         word[AT.opened_at] = time.monotonic_ns()
-        word[AT.one] = 1
+        word[AT.increment] = 1
         spans = (options.quiet_s, options.timeout_s, options.stale_s)
         for place, seconds in zip((AT.quiet, AT.timeout_after, AT.stale), spans, strict=True):
             word[place] = round(seconds * 1e9)
         word[AT.wake] = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        grip = "" if found.grip is None else f" with {found.grip}"
-        self.info = _info(options, f"haply {found.device}{grip}", sensed_dof=3 if found.grip is None else 6)
-        self._pump = Pump(found, self._block)
-        self._pump.start()
+        grip = "" if connection.grip is None else f" with {connection.grip}"
+        self.info = _info(options, f"haply {connection.device}{grip}", sensed_dof=3 if connection.grip is None else 6)
+        self._thread = ExchangeThread(connection, self._block)
+        self._thread.start()
 
     def io(self) -> DeviceIO:
         return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
-        """Wait for a state of now, and let forces out."""
+        """Wait for a current state, and allow forces."""
         word = self._block.word
         before, until = int(word[AT.states]), time.monotonic() + self._options.timeout_s
         while word[AT.states] == before:
@@ -60,55 +62,63 @@ class HaplyDevice(Device):
             if time.monotonic() > until:
                 raise DeviceTimeout(f"{self.info.name}: the Inverse Service has fallen silent: restart it")
             time.sleep(POLL_S)
-        word[AT.dropped_seen] = word[AT.dropped]
+        word[AT.dropped_reported] = word[AT.dropped]
         word[AT.armed] = 1
 
     def stop(self) -> None:
         word = self._block.word
-        word[AT.armed] = 0  # from now on the thread sends nothing but zeros
-        if word[AT.wake] < 0 or not self._pump.running:
-            return  # with the connection the session has ended, and with it what it gave
-        wanted = int(word[AT.stops]) + 1
-        word[AT.stops] = wanted
-        os.eventfd_write(int(word[AT.wake]), 1)
-        until = time.monotonic() + STOP_WAIT_S
-        while word[AT.stopped] < wanted and self._pump.running:
-            if time.monotonic() > until:
-                self._tell_no_answer()
-                return
+        word[AT.armed] = 0  # from now on the thread sends only zeros
+        if word[AT.wake] < 0:
+            return
+        if (
+            word[AT.stops_answered] == word[AT.stops_requested]
+        ):  # otherwise a zero of an earlier stop is still unanswered
+            word[AT.stops_requested] += 1
+            os.eventfd_write(int(word[AT.wake]), 1)
+        was_logged = bool(self._zero_failure)
+        until = time.monotonic() + (0.0 if was_logged else STOP_WAIT_S)
+        while self._thread.running and word[AT.stops_answered] < word[AT.stops_requested] and time.monotonic() < until:
             time.sleep(POLL_S)
+        self._zero_failure = self._explain_unconfirmed()
+        if self._zero_failure and not was_logged:
+            log.error("%s: no zero is confirmed: %s", self.info.name, self._zero_failure)
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
 
     def close(self) -> None:
         self.stop()
-        self._pump.close()
+        self._thread.close()
         wake = int(self._block.word[AT.wake])
         self._block.word[AT.wake] = -1
         if wake >= 0:
             os.close(wake)
 
     def reason(self) -> str:
-        return self._pump.failure
+        return self._thread.failure
 
     def warning(self) -> str:
-        return self._pump.warning
+        return self._thread.warning
 
     def counts(self) -> dict[str, int]:
         return self._block.counts()
 
-    def settled(self) -> bool:
-        """Whether the service has answered the message with the newest wrench, or never will."""
+    def is_settled(self) -> bool:
+        """Return True if the service has answered the message with the latest wrench, or cannot any more."""
         word = self._block.word
-        return bool(word[AT.answered] >= word[AT.written]) or not self._pump.running
+        return bool(word[AT.answered] >= word[AT.written]) or not self._thread.running
 
-    def _tell_no_answer(self) -> None:
-        """Once: the loop, the daemon and `close` each stop the device."""
-        if not self._told:
-            self._told = True
-            log.error("%s: a zero was sent, and the service has not answered for %g s", self.info.name, STOP_WAIT_S)
+    def _explain_unconfirmed(self) -> str:
+        """Return why a stop's zero is unconfirmed; empty if its answer or the end of the connection confirms it."""
+        if self._block.word[AT.stops_answered] == self._block.word[AT.stops_requested] or self._thread.ended_by_service:
+            return ""
+        if self._thread.running:
+            return f"the Inverse Service has not answered it for {STOP_WAIT_S:g} s"
+        return f"the Inverse Service has not read it ({self._thread.failure})"
 
 
 def _info(options: Options, name: str, sensed_dof: int) -> DeviceInfo:
-    """What the device can do: three motors, which do not turn the handle, in a box about the world's origin."""
+    """Return the capabilities: three motors that do not turn the handle, workspace a box around the world's origin."""
     r = options.workspace_radius_m
     return DeviceInfo(
         name=name,
@@ -124,10 +134,10 @@ def _info(options: Options, name: str, sensed_dof: int) -> DeviceInfo:
 
 
 def open_device(options: Options, rate_hz: float) -> HaplyDevice:
-    """Open the device a rig names; DeviceError and its kinds when it cannot be used. Any `rate_hz` will do."""
+    """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
     return HaplyDevice(options, opening.find(options))
 
 
 def identify(_: Attached, options: Options) -> dict[str, Any]:
-    """What the service says of itself and its devices; nothing is sent to a device."""
+    """Return the service's description of itself and its devices; sends nothing to a device."""
     return opening.identify(options.port, options.version)

@@ -1,8 +1,9 @@
-"""The servo's side: the newest pose out of the block, the wrench into it, from nopython.
+"""Servo's side of the exchange, in nopython mode: read the latest pose from the block, write the wrench to it.
 
-Two sequence locks stand between the servo and the thread that speaks to the service (`pump`), one for each way, so that
-neither waits for the other. A write wakes the thread. What put zero in the place of a force is told by WITHHELD, so
-that the guard fades in again: no state for `quiet`, not armed, a wrench so old that the thread let it go.
+Servo and the service's thread (`exchange_thread`) exchange data through two sequence locks, one for each direction, so
+that neither waits for the other. A write wakes the thread. WITHHELD reports zero in place of a force, so that the guard
+fades in again: no state for `quiet`, disarmed, or the thread dropped the wrench. HELD reports a force that was not
+accepted because the previous one is not sent yet.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Annotated, Any, Final, NamedTuple
 from numba import carray
 
 from softfinger.drivers.base import (
+    HELD,
     OK,
     SAMPLE_BUTTONS,
     SAMPLE_GRIPPER,
@@ -23,7 +25,7 @@ from softfinger.drivers.base import (
     WITHHELD,
 )
 from softfinger.drivers.block import counter, lay_out, numbers, word
-from softfinger.drivers.pause import RESUME_NS, heard_at
+from softfinger.drivers.pause import RESUME_NS, shift_sample_time
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
@@ -34,18 +36,18 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, normalize, rotate
 
 COUNTERS: Final = 8
-"""Words of a sequence lock's counter: a line of the cache."""
-POSE: Final = 9
-"""Numbers of a pose: position (3,) m, orientation (4,), buttons, and when it came (ns, monotonic clock)."""
-CAME: Final = 8
-WRENCH: Final = 5
-"""Numbers of a wrench: force (3,) N in the service's frame, when it was written (ns, monotonic clock), its number."""
-WRITTEN: Final = 3
-NUMBER: Final = 4
+"""Size of a sequence counter in int64: one cache line."""
+POSE_SIZE: Final = 9
+"""Numbers of a pose: position (3,) m, orientation (4,), buttons, and time of arrival (ns, monotonic clock)."""
+ARRIVAL_TIME: Final = 8
+WRENCH_SIZE: Final = 5
+"""Numbers of a wrench: force (3,) N in the service's frame, time of the write (ns, monotonic clock), its number."""
+WRITE_TIME: Final = 3
+WRENCH_NUMBER: Final = 4
 
 
 class Model(NamedTuple):
-    """What turns the service's pose into the world's, and a force back.
+    """Parameters of the conversion between the service's frame and the world.
 
     position     (3,) m  service's origin in the world
     orientation  (4,)    service to world
@@ -61,56 +63,61 @@ MODEL_LIKE: Final = Model((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0)
 MODEL_SIZE: Final = len(flatten(MODEL_LIKE))
 
 
-class Words(NamedTuple):
-    """The words of a device at the service. Each is written by one side, but for `armed`."""
+class Fields(NamedTuple):
+    """Shared fields of a device at the service. Each has a single writer, except `armed`."""
 
     states: Annotated[int, counter("states received")]
     messages: Annotated[int, counter("messages sent")]
     dropped: Annotated[
-        int, counter("forces ended by the thread, because no newer wrench came or the device was disarmed")
+        int,
+        counter("forces dropped by the thread: no newer wrench, device disarmed, or service does not read"),
     ]
     unasked: Annotated[int, counter("states that answered no message")]
     written: Annotated[int, counter("wrenches of the loop")]
     cut: Annotated[int, counter("forces past the largest")]
+    held: Annotated[int, counter("forces not taken, because the one before was not sent yet")]
     armed: Annotated[int, word("whether a force may go out")]
-    failed: Annotated[int, word("status of what ended the thread, 0 while nothing did")]
-    answered: Annotated[int, word("number of the newest wrench whose message has been answered")]
-    stops: Annotated[int, word("zeros asked for by `stop`")]
-    stopped: Annotated[int, word("of these, answered by the service")]
+    failed: Annotated[int, word("status that ended the thread, 0 while it runs")]
+    handled: Annotated[int, word("number of the latest wrench that the thread has sent or dropped")]
+    answered: Annotated[int, word("number of the latest wrench with an answered message")]
+    stops_requested: Annotated[int, word("zeros requested by `stop`")]
+    stops_answered: Annotated[int, word("of these, answered by the service")]
     wake: Annotated[int, word("eventfd that wakes the thread, below 0 once it is closed")]
-    one: Annotated[int, word("what is written to it")]
-    lock: Annotated[int, word("held while a wrench is written")]
+    increment: Annotated[int, word("data written to it")]
+    lock: Annotated[int, word("lock: set during the write of a wrench")]
     quiet: Annotated[int, word("ns without a state, after which there is no force")]
     timeout_after: Annotated[int, word("ns without a state, after which the device is given up")]
     stale: Annotated[int, word("ns after which a wrench is old")]
     opened_at: Annotated[int, word("ns")]
     read_at: Annotated[int, word("ns, when the loop last read")]
-    heard_at: Annotated[int, word("ns, when the state came that the loop has")]
-    seen: Annotated[int, word("sequence number of the newest pose that the loop has read")]
-    dropped_seen: Annotated[int, word("`dropped` at the last read")]
+    sampled_at: Annotated[int, word("time at which the state of the loop arrived, ns")]
+    pose_sequence_read: Annotated[int, word("sequence number of the latest pose that the loop has read")]
+    dropped_reported: Annotated[int, word("`dropped` at the last read")]
     timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
     model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
     pose_sequence: Annotated[int, numbers("counter of the poses' lock", COUNTERS)]
-    pose: Annotated[int, numbers("the newest, service's frame", POSE)]
+    pose: Annotated[int, numbers("the latest, in the service's frame", POSE_SIZE)]
     wrench_sequence: Annotated[int, numbers("counter of the wrenches' lock", COUNTERS)]
-    wrench: Annotated[int, numbers("the newest", WRENCH)]
-    copied: Annotated[int, numbers("the loop's copy of a pose, which may be torn", POSE)]
-    sent: Annotated[int, numbers("the wrench being written", WRENCH)]
+    wrench: Annotated[int, numbers("the newest", WRENCH_SIZE)]
+    copied: Annotated[int, numbers("the loop's copy of a pose, which may be torn", POSE_SIZE)]
+    outgoing: Annotated[int, numbers("the wrench being written", WRENCH_SIZE)]
     sample: Annotated[int, numbers("the last one", SAMPLE_SIZE)]
 
 
-AT: Final = lay_out(Words)
+AT: Final = lay_out(Fields)
 
 
 @jit
-def _take(handle: int, poses: Slot, copied: Any) -> bool:
-    """Turn the newest pose into the sample, if there is one that the loop has not had. `poses` and `copied` are the
-    words of these names as arrays."""
+def _read_pose(handle: int, poses: Slot, copied: Any) -> bool:
+    """Convert the latest pose to the sample and return True, if the loop has not read it yet.
+
+    `poses` and `copied` are the fields of these names as arrays.
+    """
     at, sample = int64_at(handle), float64_at(handle + 8 * AT.sample)
-    newest = refresh(poses, at[AT.seen], copied)
-    if newest == at[AT.seen]:
+    newest = refresh(poses, at[AT.pose_sequence_read], copied)
+    if newest == at[AT.pose_sequence_read]:
         return False
-    at[AT.seen] = newest
+    at[AT.pose_sequence_read] = newest
     model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     position = vec3.add(rotate(model.orientation, (copied[0], copied[1], copied[2])), model.position)
     orientation = normalize(multiply(model.orientation, (copied[3], copied[4], copied[5], copied[6])))
@@ -118,8 +125,8 @@ def _take(handle: int, poses: Slot, copied: Any) -> bool:
         sample[k] = position[k]
     for k in range(4):
         sample[3 + k] = orientation[k]
-    at[AT.heard_at] = int(copied[CAME])
-    sample[SAMPLE_TIME] = (at[AT.heard_at] - at[AT.opened_at]) * 1e-9
+    at[AT.sampled_at] = int(copied[ARRIVAL_TIME])
+    sample[SAMPLE_TIME] = (at[AT.sampled_at] - at[AT.opened_at]) * 1e-9
     sample[SAMPLE_BUTTONS] = copied[7]
     sample[SAMPLE_GRIPPER] = 0.0
     return True
@@ -132,59 +139,70 @@ def read(handle: int, sample: Any) -> int:
         return int(at[AT.failed])
     now = monotonic_ns(handle + 8 * AT.timespec)
     counters = carray(int64_at(handle + 8 * AT.pose_sequence), (COUNTERS,))
-    poses = Slot(counters, carray(float64_at(handle + 8 * AT.pose), (POSE,)))
-    status = OK if _take(handle, poses, carray(float64_at(handle + 8 * AT.copied), (POSE,))) else STALE
-    silence = now - at[AT.heard_at]
+    poses = Slot(counters, carray(float64_at(handle + 8 * AT.pose), (POSE_SIZE,)))
+    status = OK if _read_pose(handle, poses, carray(float64_at(handle + 8 * AT.copied), (POSE_SIZE,))) else STALE
+    silence = now - at[AT.sampled_at]
     if at[AT.read_at] != 0 and now - at[AT.read_at] > RESUME_NS and silence > at[AT.quiet]:
-        # nobody listened during a pause, which may have stopped the thread too: no silence, but no pose of now either
-        at[AT.heard_at] = heard_at(at[AT.heard_at], at[AT.read_at], now, at[AT.quiet])
+        # the thread may have been paused too: neither a silence nor a current pose
+        at[AT.sampled_at] = shift_sample_time(at[AT.sampled_at], at[AT.read_at], now, at[AT.quiet])
         status = STALE
     elif silence > at[AT.timeout_after]:
         return TIMEOUT
     at[AT.read_at] = now
     dropped = at[AT.dropped]
-    if dropped != at[AT.dropped_seen]:
-        at[AT.dropped_seen] = dropped
+    if dropped != at[AT.dropped_reported]:
+        at[AT.dropped_reported] = dropped
         status = WITHHELD
-    kept = float64_at(handle + 8 * AT.sample)
+    last_sample = float64_at(handle + 8 * AT.sample)
     for k in range(SAMPLE_SIZE):
-        sample[k] = kept[k]
+        sample[k] = last_sample[k]
     return status
+
+
+@jit
+def _limit(handle: int, wrench: Any, now: int) -> tuple[Vec3, int]:
+    """Return the force to send in the service's frame, at most `force_max`, and the status of the write."""
+    at = int64_at(handle)
+    zero, finite = True, True
+    for k in range(3):  # torque is ignored: no motor turns the handle
+        finite = finite and isfinite(wrench[k])
+        zero = zero and wrench[k] == 0.0
+    if zero:
+        return (0.0, 0.0, 0.0), OK
+    if at[AT.armed] == 0 or not finite or at[AT.wake] < 0 or now - at[AT.sampled_at] > at[AT.quiet]:
+        return (0.0, 0.0, 0.0), WITHHELD
+    if at[AT.handled] != at[AT.written]:  # replacing that one would skip the force of a tick
+        at[AT.held] += 1
+        return (0.0, 0.0, 0.0), HELD
+    model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
+    force = rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2]))
+    size = vec3.norm(force)
+    if size <= model.force_max:
+        return force, OK
+    at[AT.cut] += 1
+    return vec3.scale(model.force_max / size, force), STALE
 
 
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
     at = int64_at(handle)
-    finite, zero = True, True
-    for k in range(3):  # no motor turns the handle: torque is taken, and not displayed
-        finite = finite and isfinite(wrench[k])
-        zero = zero and wrench[k] == 0.0
     if at[AT.failed] < 0:
+        zero = wrench[0] == 0.0 and wrench[1] == 0.0 and wrench[2] == 0.0
         return OK if zero else int(at[AT.failed])
-    # Never wait here: who holds the lock writes a zero or closes the device, so refusing is right as well.
+    # Never wait here: the lock's owner writes a zero or closes the device, so refusing is right as well.
     if exchange_int64(handle + 8 * AT.lock, 1) != 0:
         return WITHHELD
-    status, now = OK, monotonic_ns(handle + 8 * AT.timespec)
-    sent = carray(float64_at(handle + 8 * AT.sent), (WRENCH,))
-    force = (0.0, 0.0, 0.0)
-    if not zero:
-        if at[AT.armed] == 0 or not finite or at[AT.wake] < 0 or now - at[AT.heard_at] > at[AT.quiet]:
-            status = WITHHELD
-        else:
-            model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
-            force = rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2]))
-            size = vec3.norm(force)
-            if size > model.force_max:
-                at[AT.cut] += 1
-                force = vec3.scale(model.force_max / size, force)
-                status = STALE
-    for k in range(3):
-        sent[k] = force[k]
-    at[AT.written] += 1
-    sent[WRITTEN], sent[NUMBER] = float(now), float(at[AT.written])
-    wrenches = carray(float64_at(handle + 8 * AT.wrench), (WRENCH,))
-    store(Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (COUNTERS,)), wrenches), sent)
-    if at[AT.wake] >= 0:
-        write_now(at[AT.wake], handle + 8 * AT.one, 8)
+    now = monotonic_ns(handle + 8 * AT.timespec)
+    force, status = _limit(handle, wrench, now)
+    if status != HELD:
+        outgoing = carray(float64_at(handle + 8 * AT.outgoing), (WRENCH_SIZE,))
+        for k in range(3):
+            outgoing[k] = force[k]
+        at[AT.written] += 1
+        outgoing[WRITE_TIME], outgoing[WRENCH_NUMBER] = float(now), float(at[AT.written])
+        wrenches = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
+        store(Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (COUNTERS,)), wrenches), outgoing)
+        if at[AT.wake] >= 0:
+            write_now(at[AT.wake], handle + 8 * AT.increment, 8)
     exchange_int64(handle + 8 * AT.lock, 0)
     return status

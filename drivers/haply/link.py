@@ -1,97 +1,43 @@
-"""The connection with the service on this machine: pages of HTTP, and a WebSocket that never blocks.
+"""WebSocket to the service that never blocks.
 
-The library `websockets` keeps the protocol and no socket of its own (sans I/O), so that one thread does everything and
-every wait has an end. Nothing is compressed, and no message may be longer than `MESSAGE_MAX`.
+`websockets` implements the protocol without a socket (sans I/O), so that one thread does everything and every wait is
+limited. There is no compression, and the maximum length of a message is `MESSAGE_MAX`.
 """
 
 from __future__ import annotations
 
-import io
-import re
+import fcntl
 import select
 import socket
+import struct
+import sys
+import termios
 import time
-from contextlib import suppress
-from http.client import HTTPException, HTTPResponse
-from typing import Any, Final, cast
+from typing import Any, Final
 
-import msgspec
-
-from softfinger.config.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceTimeout
+from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
+from softfinger.drivers.haply.dial import CHUNK, HOST, MESSAGE_MAX, connect, remaining
 from softfinger.drivers.haply.messages import Malformed, excerpt
-from softfinger.drivers.haply.options import OLD_FORMAT_PORT
 
-HOST: Final = "localhost"
-START: Final = "sudo systemctl start haply-inverse-service, or open the Haply Hub"
-MESSAGE_MAX: Final = 262_144
-"""Bytes; an inventory has some 2000 for each device."""
-CHUNK: Final = 65536
-_LENGTH: Final = re.compile(rb"\r\ncontent-length: *(\d{1,9})\r\n", re.IGNORECASE)
-
-
-def remaining(until: float) -> float:
-    """Time (s) that is left until a time of the monotonic clock; DeviceTimeout where there is none."""
-    left = until - time.monotonic()
-    if left <= 0.0:
-        raise DeviceTimeout(f"the Inverse Service does not answer in time: restart it ({START})")
-    return left
-
-
-def dial(port: int, until: float) -> socket.socket:
-    """A connection with the service. Raises DeviceNotFound, DeviceTimeout, DeviceError."""
-    try:
-        end = socket.create_connection((HOST, port), timeout=remaining(until))
-    except ConnectionRefusedError:
-        raise DeviceNotFound(f"no Inverse Service on port {port} of this machine{_old(port)}: {START}") from None
-    except TimeoutError:
-        raise DeviceTimeout(f"the Inverse Service on port {port} takes no connection: restart it ({START})") from None
-    except OSError as error:
-        raise DeviceError(f"the Inverse Service on port {port} cannot be reached: {error}") from error
-    end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return end
-
-
-def ask(port: int, method: str, path: str, body: Any, until: float) -> tuple[int, bytes]:
-    """Status and body of a page; `body` (None: none) is sent as JSON. Raises DeviceError and its kinds."""
-    content = b"" if body is None else msgspec.json.encode(body)
-    head = (
-        f"{method} {path} HTTP/1.1\r\nHost: {HOST}:{port}\r\nConnection: close\r\n"
-        f"Content-Type: application/json\r\nContent-Length: {len(content)}\r\n\r\n"
-    )
-    got = bytearray()
-    try:
-        with dial(port, until) as end:
-            end.sendall(head.encode() + content)
-            while not _whole(got):
-                end.settimeout(remaining(until))
-                part = end.recv(CHUNK)
-                if not part:
-                    break
-                got += part
-                if len(got) > MESSAGE_MAX:
-                    raise DeviceError(f"{method} {path}: the service's answer has more than {MESSAGE_MAX} bytes")
-        response = HTTPResponse(cast(socket.socket, _Got(bytes(got))), method=method)
-        response.begin()
-        return response.status, response.read()
-    except TimeoutError:
-        raise DeviceTimeout(f"{method} {path}: the Inverse Service does not answer in time") from None
-    except (OSError, HTTPException) as error:
-        raise DeviceError(f"{method} {path}: the service's answer cannot be read: {error!r}") from error
+CLOSE_TIMEOUT_S: Final = 0.2
+"""Time for the service to read the last message and close the connection."""
 
 
 class Link:
-    """An open WebSocket, owned by one thread after the other. Raises DeviceError and its kinds while it opens."""
+    """Open WebSocket, used by one thread at a time. Opening raises DeviceError or a subclass."""
 
     def __init__(self, port: int, until: float) -> None:
-        client, uri = library()
-        self._end = dial(port, until)
+        client, uri, self._frames = library()
+        self._end = connect(port, until)
         self._end.setblocking(False)
-        self._part = bytearray()
+        self._partial = bytearray()
+        self._unsent = bytearray()
+        """Bytes not accepted by the system yet: the end of a frame, and what follows it."""
         self._protocol = client.ClientProtocol(uri.parse_uri(f"ws://{HOST}:{port}"), max_size=MESSAGE_MAX)
         try:
             self._protocol.send_request(self._protocol.connect())
             self._flush()
-            self._first = self._opened(until)
+            self._queued_messages = self._await_handshake(until)
         except BaseException:
             self._end.close()
             raise
@@ -100,43 +46,88 @@ class Link:
         return self._end.fileno()
 
     def send(self, message: bytes) -> None:
-        """Send a text. Raises DeviceLost, DeviceTimeout where the service takes nothing."""
+        """Send a text message. Raises DeviceLost, or DeviceTimeout if the service does not read."""
         self._protocol.send_text(message)
         self._flush()
 
+    def queued(self) -> int:
+        """Return the number of sent bytes that the service's side of the connection has not acknowledged."""
+        return int.from_bytes(fcntl.ioctl(self._end, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
+
     def receive(self) -> list[bytes]:
-        """Whole messages that are here, without waiting. Raises DeviceLost once it is closed, Malformed where what came
-        is no WebSocket's, or too long."""
-        found, self._first = self._first, []
+        """Return the complete messages that have arrived, without waiting.
+
+        Raises DeviceLost if the connection is closed, Malformed if the data violates the protocol or a message is too
+        long.
+        """
+        found, self._queued_messages = self._queued_messages, []
         try:
             data = self._end.recv(CHUNK)
         except BlockingIOError:
             return found
         except OSError as error:
             raise DeviceLost(f"the connection with the Inverse Service broke: {error.strerror or error}") from error
-        return found + self._taken(data)
+        return found + self._process_data(data)
 
     def next(self, until: float) -> bytes:
-        """The next message, waited for."""
+        """Wait for the next message and return it."""
         while not (found := self.receive()):
             select.select([self._end], [], [], remaining(until))
-        self._first = found[1:]
+        self._queued_messages = found[1:]
         return found[0]
 
-    def close(self) -> None:
-        """Say so, and close. Any number of times."""
-        with suppress(Exception):  # it may be closed already, or never have been open
-            self._protocol.send_close(1000)
-            self._flush()
-        self._end.close()
+    def close(self, last: bytes = b"") -> bool:
+        """Send `last` and a Close frame, wait up to `CLOSE_TIMEOUT_S` until the service closes, close the socket.
 
-    def _opened(self, until: float) -> list[bytes]:
-        """Wait for the service's consent; the messages that came with it."""
+        `websockets` answers a Close frame or a protocol violation with a Close frame, and accepts no message after it.
+        So `last` is framed here and precedes the bytes of the library. If the service does not accept all of it, the
+        connection is reset, so that no earlier message in the send buffer is delivered later.
+
+        Returns
+        -------
+        bool
+            True if the service closed the connection: it has read `last`, or its session was over before.
+        """
+        if self._end.fileno() < 0:
+            return True
+        frames, protocol = self._frames, self._protocol
+        if last:
+            self._unsent += frames.Frame(frames.Opcode.TEXT, last).serialize(mask=True)
+        if protocol.state.name == "OPEN":
+            protocol.send_close(1000)
+        self._unsent += b"".join(protocol.data_to_send())
+        try:
+            closed = self._finish(time.monotonic() + CLOSE_TIMEOUT_S)
+        except OSError:  # reset by the service
+            closed = True
+        self._end.close()
+        return closed
+
+    def _finish(self, until: float) -> bool:
+        """Send unsent bytes and discard received ones until the service closes; return False if it does not in time."""
+        reading = True
+        while reading or self._unsent:
+            wait = max(until - time.monotonic(), 0.0)
+            readable, writable, _ = select.select([self._end] * reading, [self._end] * bool(self._unsent), [], wait)
+            if writable:
+                del self._unsent[: self._end.send(self._unsent)]
+                if not self._unsent:
+                    self._end.shutdown(socket.SHUT_WR)
+            if readable:  # unread data would turn the close into a reset
+                reading = bool(self._end.recv(CHUNK))
+            if not wait:
+                break
+        if self._unsent:
+            self._end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        return not reading and not self._unsent
+
+    def _await_handshake(self, until: float) -> list[bytes]:
+        """Wait until the service accepts the connection; return messages received with the acceptance."""
         while True:
             found = self.receive_handshake(until)
             if self._protocol.handshake_exc is not None:
                 raise DeviceError(
-                    f"what listens on the port is no Inverse Service of 3.1 or later: {self._protocol.handshake_exc}"
+                    f"the program on the port is no Inverse Service of 3.1 or later: {self._protocol.handshake_exc}"
                 )
             if self._protocol.state.name == "OPEN":
                 return found
@@ -150,11 +141,11 @@ class Link:
         except OSError as error:
             raise DeviceLost(f"the Inverse Service closed the connection: {error.strerror or error}") from error
         try:
-            return self._taken(data)
+            return self._process_data(data)
         except Malformed as error:
             raise DeviceError(str(error)) from None
 
-    def _taken(self, data: bytes) -> list[bytes]:
+    def _process_data(self, data: bytes) -> list[bytes]:
         protocol, found = self._protocol, []
         if data:
             protocol.receive_data(data)
@@ -163,62 +154,37 @@ class Link:
         for event in protocol.events_received():
             if not hasattr(event, "opcode") or event.opcode.name not in ("TEXT", "BINARY", "CONT"):
                 continue
-            self._part += event.data
-            if len(self._part) > MESSAGE_MAX:
+            self._partial += event.data
+            if len(self._partial) > MESSAGE_MAX:
                 raise Malformed(f"a message of the service has more than {MESSAGE_MAX} bytes")
             if event.fin:
-                found.append(bytes(self._part))
-                self._part.clear()
-        self._flush()
+                found.append(bytes(self._partial))
+                self._partial.clear()
         if protocol.state.name in ("CLOSING", "CLOSED") and protocol.handshake_exc is None:
+            # The library's Close frame is not sent yet: `close` sends the last message before it.
             if protocol.parser_exc is not None and not isinstance(protocol.parser_exc, EOFError):
                 raise Malformed(f"the service's WebSocket: {protocol.parser_exc}: {excerpt(data)}")
             raise DeviceLost("the Inverse Service closed the connection: was it stopped or restarted?")
+        self._flush()
         return found
 
     def _flush(self) -> None:
-        for data in self._protocol.data_to_send():
-            if not data:
-                continue
-            try:
-                if self._end.send(data) == len(data):
-                    continue
-            except BlockingIOError:
-                pass
-            except OSError as error:
-                raise DeviceLost(f"the connection with the Inverse Service broke: {error.strerror or error}") from error
+        self._unsent += b"".join(self._protocol.data_to_send())
+        try:
+            if self._unsent:
+                del self._unsent[: self._end.send(self._unsent)]
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            raise DeviceLost(f"the connection with the Inverse Service broke: {error.strerror or error}") from error
+        if self._unsent:
             raise DeviceTimeout("the Inverse Service takes no message: restart it")
 
 
-class _Got:
-    """A page as `HTTPResponse` reads it."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-
-    def makefile(self, _mode: str) -> io.BytesIO:
-        return io.BytesIO(self._data)
-
-
-def _whole(got: bytearray) -> bool:
-    head, found, body = got.partition(b"\r\n\r\n")
-    length = _LENGTH.search(head + b"\r\n") if found else None
-    return length is not None and len(body) >= int(length[1])
-
-
-def _old(port: int) -> str:
-    """What is said where a service of the old format runs."""
+def library() -> tuple[Any, Any, Any]:
+    """Return the modules `client`, `uri` and `frames` of websockets; raises DeviceError if it is not installed."""
     try:
-        socket.create_connection((HOST, OLD_FORMAT_PORT), timeout=0.2).close()
-    except OSError:
-        return ""
-    return f", but one on port {OLD_FORMAT_PORT}: a service of 3.0, whose format is not public, has to be updated"
-
-
-def library() -> tuple[Any, Any]:
-    """Modules `client` and `uri` of websockets; DeviceError where it is not installed."""
-    try:
-        from websockets import client, uri
+        from websockets import client, frames, uri
     except ImportError as error:
         raise DeviceError(f"driver haply needs websockets ({error}): pip install 'softfinger[haply]'") from error
-    return client, uri
+    return client, uri, frames

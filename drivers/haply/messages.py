@@ -1,8 +1,8 @@
-"""What the service and its clients say: read with types and bounds, written with the keys of the service's version.
+"""Messages of the service and its clients: decoded with types and limits, encoded for the service's version.
 
 Source: docs.haply.co/inverseSDK, pages "WebSocket Protocol", "Control Commands" and "Device Configuration" of 3.5; the
-key `values` of 3.1 to 3.4 from Haply's public Python examples. The service ignores keys that it does not know without a
-word, so a force under the wrong key would be none.
+key `values` of 3.1 to 3.4 from Haply's public Python examples. The service silently ignores unknown keys, so a force
+under the wrong key would not act.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from softfinger.config.errors import DeviceError
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 
 GROUPS: Final = ("inverse3", "inverse3x", "minverse")
-"""Lists of devices in a message."""
+"""Keys of the lists of devices in a message."""
 GRIPS: Final = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
-"""Lists of grips."""
-OLDEST: Final = (3, 1)
+"""Keys of the lists of grips."""
+FIRST_SUPPORTED: Final = (3, 1)
 VECTOR_SINCE: Final = (3, 5)
-AFTER: Final = (4, 0)
+FIRST_UNSUPPORTED: Final = (4, 0)
 
-FAR_M: Final = 10.0
-"""A cursor farther away is no place of a device."""
-SHOWN: Final = 120
-"""Characters of a message that an error repeats."""
+POSITION_MAX_M: Final = 10.0
+"""Maximum distance of a cursor; beyond it is an invalid position."""
+EXCERPT_CHARS: Final = 120
+"""Characters of a message that an error quotes."""
 
 Name = Annotated[str, Meta(pattern=r"^[\w.:-]{1,64}$")]
 Number = float | None
-"""JSON has no NaN; the maker's library writes null for one."""
+"""JSON has no NaN; the maker's library writes null for it."""
 
 
 class Malformed(Exception):
-    """A message that is none of the service's."""
+    """The message is not one of the service."""
 
 
 class Missing(Exception):
-    """The device or its grip is not in the service's list."""
+    """The service does not list the device or its grip."""
 
 
 class Vector(Struct):
@@ -107,14 +107,14 @@ class GripEntry(Struct):
 
 
 class Listed(Struct):
-    """An entry of the inventory."""
+    """Entry of the inventory."""
 
     device_id: Name
     config: Config = msgspec.field(default_factory=Config)
 
 
 class State(Struct):
-    """An answer to a message."""
+    """Answer of the service to a message."""
 
     inverse3: list[DeviceEntry] = []
     inverse3x: list[DeviceEntry] = []
@@ -125,7 +125,7 @@ class State(Struct):
 
 
 class Inventory(Struct):
-    """What a client that connects is told."""
+    """Device inventory that the service sends on connect."""
 
     session_id: int = 0
     inverse3: list[Listed] = []
@@ -135,12 +135,12 @@ class Inventory(Struct):
     verse_grip: list[Listed] = []
     custom_verse_grip: list[Listed] = []
 
-    def of(self, groups: tuple[str, ...]) -> list[tuple[Which, Listed]]:
-        return [(Which(group, one.device_id), one) for group in groups for one in getattr(self, group)]
+    def of(self, groups: tuple[str, ...]) -> list[tuple[DeviceRef, Listed]]:
+        return [(DeviceRef(group, one.device_id), one) for group in groups for one in getattr(self, group)]
 
 
-class Which(NamedTuple):
-    """A device or grip: the list that it is in, and its name."""
+class DeviceRef(NamedTuple):
+    """Device or grip: its list and its name."""
 
     group: str
     name: str
@@ -149,9 +149,14 @@ class Which(NamedTuple):
         return f"{self.group} {self.name}"
 
 
-class Seen(NamedTuple):
-    """A pose in the service's frame: position (3,) m, orientation w x y z, buttons, NaN where it said no usable number;
-    and what is not as it should be."""
+class PoseReading(NamedTuple):
+    """Pose in the service's frame.
+
+    position     (3,) m        NaN if unusable
+    orientation  (4,)          w x y z, NaN if unusable
+    buttons                    one bit each
+    warning                    problems of the device; empty without any
+    """
 
     position: Vec3
     orientation: Quaternion
@@ -162,30 +167,30 @@ class Seen(NamedTuple):
 _STATES: Final = msgspec.json.Decoder(State)
 _INVENTORIES: Final = msgspec.json.Decoder(Inventory)
 _ENCODER: Final = msgspec.json.Encoder()
-_NOWHERE: Final = (nan, nan, nan)
-_UNTURNED: Final = (1.0, 0.0, 0.0, 0.0)
+_NO_POSITION: Final = (nan, nan, nan)
+_IDENTITY: Final = (1.0, 0.0, 0.0, 0.0)
 
 
 def read_inventory(message: bytes) -> Inventory:
-    """Raises Malformed."""
-    return _decoded(_INVENTORIES, message)  # type: ignore[no-any-return]
+    """Decode an inventory. Raises Malformed."""
+    return _decode(_INVENTORIES, message)  # type: ignore[no-any-return]
 
 
-def read_state(message: bytes, device: Which, grip: Which | None) -> Seen:
-    """The pose of a device in an answer, with that of its grip. Raises Malformed, Missing."""
-    state: State = _decoded(_STATES, message)
-    mine: DeviceEntry = _entry(state, device)
-    held: GripEntry | None = None if grip is None else _entry(state, grip)
-    position, warning = _place(mine.state.cursor_position), _warning(mine.status)
-    if held is None:
-        return Seen(position, _UNTURNED, 0.0, warning)
-    pressed = held.state.buttons
-    mask = float(held.state.button) if pressed is None else float(pressed.a + 2 * pressed.b + 4 * pressed.c)
-    return Seen(position, _turn(held.state.orientation), mask, warning)
+def read_state(message: bytes, device: DeviceRef, grip: DeviceRef | None) -> PoseReading:
+    """Return the pose of a device, with the orientation of its grip, from an answer. Raises Malformed, Missing."""
+    state: State = _decode(_STATES, message)
+    device_entry: DeviceEntry = _find_entry(state, device)
+    grip_entry: GripEntry | None = None if grip is None else _find_entry(state, grip)
+    position, warning = _position(device_entry.state.cursor_position), _warning(device_entry.status)
+    if grip_entry is None:
+        return PoseReading(position, _IDENTITY, 0.0, warning)
+    pressed = grip_entry.state.buttons
+    mask = float(grip_entry.state.button) if pressed is None else float(pressed.a + 2 * pressed.b + 4 * pressed.c)
+    return PoseReading(position, _quaternion(grip_entry.state.orientation), mask, warning)
 
 
-def command(device: Which, key: str, force: Vec3, basis: bool = False) -> bytes:
-    """A message with a force (N, service's frame); the first of a session also asks for the axes of the device."""
+def command(device: DeviceRef, key: str, force: Vec3, basis: bool = False) -> bytes:
+    """Encode a message with a force (N, service's frame); the first of a session also sets the axes of the device."""
     x, y, z = force
     entry = {"device_id": device.name, "commands": {"set_cursor_force": {key: {"x": x, "y": y, "z": z}}}}
     message: dict[str, Any] = {device.group: [entry]}
@@ -194,77 +199,77 @@ def command(device: Which, key: str, force: Vec3, basis: bool = False) -> bytes:
     return _ENCODER.encode(message)
 
 
-def number_of(version: str) -> tuple[int, int]:
-    """Major and minor number of a version; DeviceError where it is none that this driver speaks."""
+def parse_version(version: str) -> tuple[int, int]:
+    """Return major and minor number of a version; raises DeviceError if this driver does not support it."""
     parts = version.lstrip("v").split(".")
     try:
-        number = int(parts[0]), int(parts[1])
+        parsed = int(parts[0]), int(parts[1])
     except (ValueError, IndexError):
         raise DeviceError(
-            f"the Inverse Service says its version is '{version[:SHOWN]}', which is no number: "
+            f"the Inverse Service has the version '{version[:EXCERPT_CHARS]}', which is no number: "
             "name it with version under [device]"
         ) from None
-    if not OLDEST <= number < AFTER:
+    if not FIRST_SUPPORTED <= parsed < FIRST_UNSUPPORTED:
         raise DeviceError(
-            f"the Inverse Service is version {version[:SHOWN]}; this driver speaks 3.1 to 3.x "
+            f"the Inverse Service is version {version[:EXCERPT_CHARS]}; this driver speaks 3.1 to 3.x "
             "(the format 3.0 is not public): install a service of these, with the Haply Hub"
         )
-    return number
+    return parsed
 
 
 def force_key(version: tuple[int, int]) -> str:
-    """Under which key a force is looked for."""
+    """Return the key of a force in a message."""
     return "vector" if version >= VECTOR_SINCE else "values"
 
 
 def is_identity(mount: Mount) -> bool:
-    """Whether a mount leaves places and sizes as they are."""
+    """Return True if a mount changes neither position, orientation nor scale."""
     at, turn, scale = mount.position, mount.rotation, mount.scale
     return (at.x, at.y, at.z, turn.x, turn.y, turn.z, scale.x, scale.y, scale.z) == (0, 0, 0, 0, 0, 0, 1, 1, 1)
 
 
 def excerpt(message: bytes) -> str:
-    """The beginning of a message, for an error."""
-    return repr(message[:SHOWN])[1:] + ("..." if len(message) > SHOWN else "")
+    """Return the start of a message, for an error."""
+    return repr(message[:EXCERPT_CHARS])[1:] + ("..." if len(message) > EXCERPT_CHARS else "")
 
 
-def _decoded(decoder: Any, message: bytes) -> Any:
+def _decode(decoder: Any, message: bytes) -> Any:
     try:
         return decoder.decode(message)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise Malformed(f"the service said {excerpt(message)}: {error}") from None
+        raise Malformed(f"the service answered {excerpt(message)}: {error}") from None
 
 
-def _entry(state: State, which: Which) -> Any:
-    for entry in getattr(state, which.group):
-        if entry.device_id == which.name:
+def _find_entry(state: State, ref: DeviceRef) -> Any:
+    for entry in getattr(state, ref.group):
+        if entry.device_id == ref.name:
             return entry
-    raise Missing(f"{which} is no longer in the service's list")
+    raise Missing(f"{ref} is no longer in the service's list")
 
 
 def _warning(status: Status) -> str:
     if status.power_supply and status.calibrated and status.ready:
         return ""
-    wrong = (
+    problems = (
         "" if status.power_supply else "it has no power supply, and gives no force",
         "" if status.calibrated else "it is not calibrated, so its position may be off: calibrate it in the Haply Hub",
         "" if status.ready else "it is not ready",
     )
-    return "the Inverse Service says: " + "; ".join(filter(None, wrong))
+    return "the Inverse Service reports: " + "; ".join(filter(None, problems))
 
 
-def _place(vector: Vector) -> Vec3:
+def _position(vector: Vector) -> Vec3:
     x, y, z = vector.x, vector.y, vector.z
-    if x is None or y is None or z is None or not hypot(x, y, z) <= FAR_M:
-        return _NOWHERE
+    if x is None or y is None or z is None or not hypot(x, y, z) <= POSITION_MAX_M:
+        return _NO_POSITION
     return (x, y, z)
 
 
-def _turn(turn: Turn) -> Quaternion:
+def _quaternion(turn: Turn) -> Quaternion:
     w, x, y, z = turn.w, turn.x, turn.y, turn.z
     if w is None or x is None or y is None or z is None:
-        return (nan, *_NOWHERE)
+        return (nan, *_NO_POSITION)
     size = hypot(w, x, y, z)
     if not (isfinite(size) and 0.5 < size < 2.0):
-        return (nan, *_NOWHERE)
+        return (nan, *_NO_POSITION)
     return (w / size, x / size, y / size, z / size)

@@ -1,8 +1,10 @@
-"""Finding a device at the service, and setting what the service does to its forces."""
+"""Search of a device at the service, and setup of the service's filters on its forces."""
 
 from __future__ import annotations
 
+import socket
 import time
+from contextlib import ExitStack
 from typing import Any, Final, NamedTuple
 from urllib.parse import quote
 
@@ -10,32 +12,34 @@ import msgspec
 from msgspec import Struct
 
 from softfinger.config.errors import DeviceError, DeviceNotFound, DeviceTimeout
-from softfinger.drivers.haply.link import START, Link, ask, library
+from softfinger.drivers.haply.claim import claim
+from softfinger.drivers.haply.dial import START, request
+from softfinger.drivers.haply.link import Link, library
 from softfinger.drivers.haply.messages import (
     GRIPS,
     GROUPS,
     VECTOR_SINCE,
     Config,
+    DeviceRef,
     Inventory,
     Listed,
     Malformed,
     Missing,
-    Seen,
-    Which,
+    PoseReading,
     command,
     excerpt,
     force_key,
     is_identity,
-    number_of,
+    parse_version,
     read_inventory,
     read_state,
 )
 from softfinger.drivers.haply.options import Filters, Options
 
 PORT: Final = 10001
-"""Of a service whose settings nobody changed."""
+"""Default port of the service."""
 OPEN_S: Final = 2.0
-"""Time for everything: version, inventory, filters, the first state."""
+"""Maximum time for version, inventory, filters and the first state together."""
 _ZERO: Final = (0.0, 0.0, 0.0)
 
 
@@ -49,80 +53,82 @@ class Reply(Struct):
     error: str = ""
 
 
-class Found(NamedTuple):
-    """An open connection, the device and grip that a rig means, the key of forces, and where the device is."""
+class Connection(NamedTuple):
+    """Open connection with its lock, device, grip, key of forces and first pose."""
 
     link: Link
-    device: Which
-    grip: Which | None
+    lock: socket.socket
+    device: DeviceRef
+    grip: DeviceRef | None
     key: str
-    seen: Seen
+    reading: PoseReading
 
 
-def find(options: Options) -> Found:
-    """Raises DeviceNotFound, DeviceTimeout, DeviceError."""
-    library()  # before a service is looked for
+def find(options: Options) -> Connection:
+    """Find, lock and set up the device of a rig. Raises DeviceNotFound, DeviceBusy, DeviceTimeout, DeviceError."""
+    library()  # report a missing library before a missing service
     until = time.monotonic() + OPEN_S
-    version = number_of(options.version or _version(options.port, until))
-    link = Link(options.port, until)
-    try:
-        inventory = _inventory(link, until)
-        device, listed = choose_device(inventory, options.device_id)
-        grip = choose_grip(inventory, options.grip)
-        _set(options, version, device, listed.config, inventory.session_id, until)
-        key = force_key(version)
-        link.send(command(device, key, _ZERO, basis=True))
-        return Found(link, device, grip, key, read_state(link.next(until), device, grip))
-    except (Malformed, Missing) as error:
-        link.close()
-        raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
-    except BaseException:
-        link.close()
-        raise
+    version = parse_version(options.version or _version(options.port, until))
+    with ExitStack() as opened:
+        link = Link(options.port, until)
+        opened.callback(link.close)
+        try:
+            inventory = _inventory(link, until)
+            device, listed = choose_device(inventory, options.device_id)
+            grip = choose_grip(inventory, options.grip)
+            lock = opened.enter_context(claim(options.port, device))
+            _apply_filters(options, version, device, listed.config, inventory.session_id, until)
+            key = force_key(version)
+            link.send(command(device, key, _ZERO, basis=True))
+            connection = Connection(link, lock, device, grip, key, read_state(link.next(until), device, grip))
+        except (Malformed, Missing) as error:
+            raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
+        opened.pop_all()
+        return connection
 
 
 def identify(port: int, version: str | None) -> dict[str, Any]:
-    """What the service says of itself: its version, and the names of its devices and grips."""
+    """Return version, devices and grips of the service."""
     until = time.monotonic() + OPEN_S
-    said = version or _version(port, until)
-    number_of(said)
+    version_info = version or _version(port, until)
+    parse_version(version_info)
     link = Link(port, until)
     try:
         inventory = _inventory(link, until)
     finally:
         link.close()
     names = {"devices": GROUPS, "grips": GRIPS}
-    return {"service": said} | {key: [str(which) for which, _ in inventory.of(of)] for key, of in names.items()}
+    return {"service": version_info} | {key: [str(ref) for ref, _ in inventory.of(of)] for key, of in names.items()}
 
 
-def choose_device(inventory: Inventory, wanted: str | None) -> tuple[Which, Listed]:
-    """The device of that id, or the only one."""
-    there = inventory.of(GROUPS)
-    fitting = [one for one in there if wanted in (None, one[0].name)]
-    if len(fitting) == 1:
-        return fitting[0]
-    listed = ", ".join(str(which) for which, _ in there)
-    if fitting:
-        raise DeviceNotFound(f"{len(fitting)} devices are at the Inverse Service: name one with device_id: {listed}")
-    asked = f" with device_id = '{wanted}'" if wanted is not None else ""
+def choose_device(inventory: Inventory, wanted: str | None) -> tuple[DeviceRef, Listed]:
+    """Return the device with the id `wanted`, or the only one; raises DeviceNotFound."""
+    entries = inventory.of(GROUPS)
+    matching = [one for one in entries if wanted in (None, one[0].name)]
+    if len(matching) == 1:
+        return matching[0]
+    listed = ", ".join(str(ref) for ref, _ in entries)
+    if matching:
+        raise DeviceNotFound(f"{len(matching)} devices are at the Inverse Service: name one with device_id: {listed}")
+    id_text = f" with device_id = '{wanted}'" if wanted is not None else ""
     raise DeviceNotFound(
-        f"no Inverse3, Inverse3x or Minverse{asked} is at the Inverse Service, which lists {listed or 'no device'}: "
+        f"no Inverse3, Inverse3x or Minverse{id_text} is at the Inverse Service, which lists {listed or 'no device'}: "
         "plug it in, switch it on and wait for its light"
     )
 
 
-def choose_grip(inventory: Inventory, wanted: str) -> Which | None:
-    """The grip of that id; for "auto" the only one, or none."""
-    there = [which for which, _ in inventory.of(GRIPS)]
+def choose_grip(inventory: Inventory, wanted: str) -> DeviceRef | None:
+    """Return the grip with the id `wanted`; for "auto" the only one, or None without any. Raises DeviceNotFound."""
+    entries = [ref for ref, _ in inventory.of(GRIPS)]
     if wanted == "none":
         return None
-    fitting = [which for which in there if wanted in ("auto", which.name)]
-    if len(fitting) == 1:
-        return fitting[0]
-    listed = ", ".join(map(str, there)) or "no grip"
-    if fitting:
+    matching = [ref for ref in entries if wanted in ("auto", ref.name)]
+    if len(matching) == 1:
+        return matching[0]
+    listed = ", ".join(map(str, entries)) or "no grip"
+    if matching:
         raise DeviceNotFound(
-            f'{len(fitting)} VerseGrips are at the Inverse Service: name one with grip, or set grip = "none": {listed}'
+            f'{len(matching)} VerseGrips are at the Inverse Service: name one with grip, or set grip = "none": {listed}'
         )
     if wanted == "auto":
         return None
@@ -132,12 +138,12 @@ def choose_grip(inventory: Inventory, wanted: str) -> Which | None:
 
 
 def _version(port: int, until: float) -> str:
-    status, body = ask(port, "GET", "/version", None, until)
+    status, body = request(port, "GET", "/version", None, until)
     try:
-        said = msgspec.json.decode(body, type=Version)
+        version_info = msgspec.json.decode(body, type=Version)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        said = Version()
-    if status == 200 and (version := said.project_version or said.git_tag):
+        version_info = Version()
+    if status == 200 and (version := version_info.project_version or version_info.git_tag):
         return version
     raise DeviceError(
         f"what listens on port {port} says no version (GET /version: {status} {excerpt(body)}): "
@@ -149,19 +155,23 @@ def _inventory(link: Link, until: float) -> Inventory:
     try:
         return read_inventory(link.next(until))
     except DeviceTimeout:
-        raise DeviceTimeout(f"the Inverse Service says nothing within {OPEN_S:g} s: restart it ({START})") from None
+        raise DeviceTimeout(f"the Inverse Service does not answer within {OPEN_S:g} s: restart it ({START})") from None
     except Malformed as error:
         raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
 
 
-def _set(options: Options, version: tuple[int, int], device: Which, config: Config, session: int, until: float) -> None:
-    """Make the service's filters those of the rig; DeviceError where it does not take one."""
+def _apply_filters(
+    options: Options, version: tuple[int, int], device: DeviceRef, config: Config, session: int, until: float
+) -> None:
+    """Set the service's filters as in the rig; raises DeviceError if it rejects one."""
     if config.mount is not None and not is_identity(config.mount):
         raise DeviceError(
             f"{device}: the service moves, turns or scales its positions (mount): reset its workspace in the Haply Hub"
         )
-    for path, body in (_changes if version >= VECTOR_SINCE else _old_changes)(device, config, options.filters, session):
-        status, answer = ask(options.port, "POST", path, body, until)
+    for path, body in (_config_requests if version >= VECTOR_SINCE else _config_requests_before_3_5)(
+        device, config, options.filters, session
+    ):
+        status, answer = request(options.port, "POST", path, body, until)
         try:
             reply = msgspec.json.decode(answer, type=Reply)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
@@ -170,9 +180,12 @@ def _set(options: Options, version: tuple[int, int], device: Which, config: Conf
             raise DeviceError(f"{device}: the service refused {path} {body}: {status} {reply.error[:120]}")
 
 
-def _changes(device: Which, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:
-    """Pages of 3.5 to post, for what is not yet as the rig has it; those of a session always, for a program that
-    configures sessions (the Haply Hub) may have changed them."""
+def _config_requests(device: DeviceRef, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:
+    """Return the pages of 3.5 to post where the rig differs from the present configuration.
+
+    Pages of a session are always posted, because a program that configures sessions (the Haply Hub) may have changed
+    them.
+    """
     at = f"/{device.group}/{quote(device.name, safe='')}/config"
     pages: list[tuple[str, Any]] = [
         (f"{at}/force_gate?session={session}", {"gain": filters.force_gate}),
@@ -189,8 +202,10 @@ def _changes(device: Which, config: Config, filters: Filters, session: int) -> l
     return pages
 
 
-def _old_changes(device: Which, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:
-    """Pages of 3.1 to 3.4: no public page says how force gate and damping are set there."""
+def _config_requests_before_3_5(
+    device: DeviceRef, config: Config, filters: Filters, session: int
+) -> list[tuple[str, Any]]:
+    """Return the pages of 3.1 to 3.4 to post; no public page describes force gate and damping there."""
     if (filters.force_gate, filters.damping) != (Filters().force_gate, Filters().damping):
         raise DeviceError(
             f"{device}: force_gate and damping can only be set at a service of 3.5 or later: "

@@ -1,4 +1,4 @@
-"""Keys of a rig's [device] with `driver = "haply"`."""
+"""Configuration of a rig's [device] with `driver = "haply"`."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from softfinger.config.schema import Complaint, Table, known, said, within
 from softfinger.drivers.mounting import Mounting
 
 PORT: Final = Range(1, 65535, "the ports of TCP")
-FORCE_MAX_N: Final = Range(0.0, 20.0, "twice what any of these devices is said to give")
+FORCE_MAX_N: Final = Range(0.0, 20.0, "twice the stated maximum of any of these devices")
 GAIN: Final = Range(0.0, 1.0, "0 is no filter; past 1 nothing is published")
 DAMPING: Final = Range(0.0, 10.0, "no page of the maker gives a range")
-GRAVITY: Final = Range(0.0, 2.0, "1 carries the device's own weight; 2 throws it up")
+GRAVITY: Final = Range(0.0, 2.0, "1 compensates the weight of the device; 2 throws it up")
 SILENCE_S: Final = Range(
     0.005, 0.2, "below, a late answer is a silence; above, a force acts where the hand was long ago"
 )
 GIVE_UP_S: Final = Range(
-    0.005, 2.0, "below, a late answer is a silence; above, a service that is gone would go unnoticed"
+    0.005, 2.0, "below this a late answer counts as silence; above it a lost service goes unnoticed"
 )
 OLD_FORMAT_PORT: Final = 10000
 
@@ -31,7 +31,7 @@ class Filters(Table, frozen=True, kw_only=True):
 
     force_gate: Annotated[float, within(GAIN, "gain of the guard against oscillation", 0.3)] = 0.3
     damping: Annotated[float, within(DAMPING, "damping that the service adds; unit not published", 0.0)] = 0.0
-    gravity_compensation: Annotated[bool, said("whether the device carries its own weight", True)] = True
+    gravity_compensation: Annotated[bool, said("compensate the weight of the device", True)] = True
     gravity_scale: Annotated[float, within(GRAVITY, "share of the weight that it carries", 1.0)] = 1.0
     torque_scaling: Annotated[bool, said("whether motor torques are scaled; how is not published", True)] = True
 
@@ -41,7 +41,8 @@ class Options(Table, frozen=True, kw_only=True):
 
     port: Annotated[int, within(PORT, "of the Inverse Service on this machine", 10001)] = 10001
     version: (
-        Annotated[str, Meta(pattern=r"^\d+\.\d+(\.\d+)?$"), said("of the service, where it does not say", "3.4")] | None
+        Annotated[str, Meta(pattern=r"^\d+\.\d+(\.\d+)?$"), said("of the service, if it does not send it", "3.4")]
+        | None
     ) = None
     device_id: (
         Annotated[str, Meta(max_length=64), said("the service's name of it, where several are attached", "049D")] | None
@@ -68,12 +69,12 @@ class Options(Table, frozen=True, kw_only=True):
             yield (
                 "timeout_s",
                 self.timeout_s,
-                f"must be at least quiet_s = {self.quiet_s:g}, so that a zero comes first",
+                f"must be at least quiet_s = {self.quiet_s:g}, so that a zero is sent first",
             )
 
 
 def rows(options: Options) -> list[tuple[str, str]]:
-    """What `softfinger check` says of the filters, which change every force."""
+    """Return rows for `softfinger check` about the filters, which change every force."""
     filters = options.filters
     weight = f"times {filters.gravity_scale:g}" if filters.gravity_compensation else "off"
     return [

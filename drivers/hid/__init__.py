@@ -1,8 +1,8 @@
-"""Devices on USB HID: WoodenHaptics and its relatives, and any device whose reports its rig describes.
+"""Devices on USB HID: the WoodenHaptics family, and devices with reports described by a rig.
 
-A rig's keys are in `options`, the bytes in `reports`, the arm in `chain`, the exchange of a tick in `exchange`.
-The way to the device is chosen in `link`: the system's node in `node`, or `usb` without one, and `pump` where threads
-carry the reports. `device` puts them together.
+`options` has the configuration, `reports.toml` the shipped formats, and `exchange` one tick. `link` opens the device:
+through the system's hidraw node (`node`), or on the USB bus without one (`usb`), with `threads` if threads carry the
+reports. `device` is the device.
 
-What every board on a file descriptor does is not in here but in `drivers.conversation`.
+The part that all boards on a file descriptor share is in `drivers.board_exchange`.
 """

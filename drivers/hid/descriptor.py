@@ -1,40 +1,40 @@
-"""Whether a device that is attached has the reports that a rig describes; its ids alone do not tell.
+"""Check that an attached device has the reports that a rig describes; its ids do not identify them.
 
-Boards of one vendor share their ids with other programs, and one board may have several interfaces under them.
+Boards with other programs share the ids of one vendor, and one board may have several interfaces under its ids.
 """
 
 from __future__ import annotations
 
 from softfinger.config.errors import DeviceError
 from softfinger.drivers.hid.options import Reports, library_lengths
-from softfinger.drivers.system.descriptor import Announced, announced
+from softfinger.drivers.system.descriptor import ReportLengths, parse_descriptor
 
 
-def lengths(reports: Reports) -> Announced:
-    """The reports that a rig describes."""
-    return Announced({reports.input.id: reports.input.bytes}, {reports.output.id: reports.output.bytes})
+def report_lengths(reports: Reports) -> ReportLengths:
+    """Return the reports that a rig describes."""
+    return ReportLengths({reports.input.id: reports.input.bytes}, {reports.output.id: reports.output.bytes})
 
 
-def fits(descriptor: bytes, reports: Reports) -> bool:
-    """Whether a descriptor announces the reports of a rig; one that is not known may be anything."""
+def has_reports(descriptor: bytes, reports: Reports) -> bool:
+    """Return True if a descriptor announces the reports of a rig; also True for an unknown descriptor."""
     try:
-        return not descriptor or announced(descriptor).has(lengths(reports))
+        return not descriptor or parse_descriptor(descriptor).includes(report_lengths(reports))
     except ValueError:
-        return True  # opening says that it is damaged
+        return True  # opening reports the damage
 
 
 def check_reports(descriptor: bytes, path: str, reports: Reports) -> None:
-    """DeviceError when the device at `path` announces other reports than the rig describes; the message shows both."""
+    """Raise DeviceError, with both lists, if the device at `path` announces other reports than the rig describes."""
     try:
-        theirs = announced(descriptor)
+        announced = parse_descriptor(descriptor)
     except ValueError as error:
         raise DeviceError(f"{path}: its report descriptor is damaged: {error}") from error
-    ours = lengths(reports)
-    if theirs.has(ours):
+    expected = report_lengths(reports)
+    if announced.includes(expected):
         return
-    known = [name for name, one in library_lengths().items() if theirs.has(one)]
+    known = [name for name, one in library_lengths().items() if announced.includes(one)]
     hint = f'set reports to "{known[0]}", whose they are' if known else "correct [device.reports]"
     raise DeviceError(
-        f"{path} has other reports than the rig: the device announces {theirs}; the rig describes {ours}: "
+        f"{path} has other reports than the rig: the device announces {announced}; the rig describes {expected}: "
         f"{hint} (descriptor {descriptor.hex()})"
     )

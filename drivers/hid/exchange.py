@@ -1,8 +1,8 @@
-"""One tick with a hidraw node, from nopython: reports drained to the newest, one report written.
+"""One tick with a hidraw node, in nopython mode: read all reports up to the latest, write one report.
 
-The node may be the socket of `pump`, which behaves as one. What is the same for any board is in `conversation`. A
-device of this family answers each report it is sent, so the answer to the report of one tick is read in the next, and
-nobody waits. A zero report wakes it.
+The node may be the socket of `threads`, which behaves like one. `board_exchange` has the part that all boards share. A
+device of this family answers each report, so the answer to the report of one tick is read in the next, without waiting.
+A zero report wakes it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from softfinger.drivers.base import (
     TIMEOUT,
 )
 from softfinger.drivers.block import address, counter, lay_out, numbers, word
-from softfinger.drivers.conversation import TALK, busy, c_functions, command, drain, pose, send_zero, wake
+from softfinger.drivers.board_exchange import BOARD, busy, command, compile_functions, drain, pose, send_zero, wake
 from softfinger.drivers.fields.table import (
     BUTTONS,
     COMMANDED_SIZE,
@@ -30,7 +30,16 @@ from softfinger.drivers.fields.table import (
     decode,
     encode,
 )
-from softfinger.drivers.kinematics.mechanism import LIMITED, NONE, NONSENSE, SINGULAR, WHOLE, Mechanism, drive, end_of
+from softfinger.drivers.kinematics.mechanism import (
+    FULL,
+    INVALID,
+    LIMITED,
+    NO_MECHANISM,
+    SINGULAR,
+    Mechanism,
+    force_to_command,
+    forward_kinematics,
+)
 from softfinger.drivers.system.libc import EAGAIN, ETIMEDOUT, read_now, write_now
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
@@ -40,20 +49,23 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, normalize, rotate
 
 DRAIN_MAX: Final = 256
-"""Reads in one tick: four times what the kernel keeps for a node; a device that floods cannot hold the loop."""
-WAITING_MAX: Final = 2
-"""Reports that the pump may have: one on its way, the next behind it. With more a force would come late, and with some
-passed over the device would meet forces further apart than those of two ticks."""
+"""Maximum number of reads per tick, four times the kernel's queue: a device that floods cannot block the loop."""
+QUEUED_MAX: Final = 2
+"""Maximum number of reports in the pump: one in transmission and the next.
+
+With more, a force would be late; if some were skipped, successive forces of the device would differ by more than those
+of two ticks.
+"""
 IN_SPARE: Final = 1
-"""A buffer is so much longer than its report: a longer one than described is then seen to be longer."""
+"""Additional bytes of a buffer, so that a report longer than described is detected."""
 
 
 class Hid(NamedTuple):
-    """Marks the kernels of this driver."""
+    """Type that selects the kernels of this driver."""
 
 
 class Model(NamedTuple):
-    """What turns a report into a pose and a force into a report.
+    """Parameters of the conversion between reports and poses or forces.
 
     mechanism
     position     (3,) m  device's origin in the world
@@ -65,12 +77,12 @@ class Model(NamedTuple):
     orientation: Quaternion
 
 
-_MODEL_LIKE: Final = Model(NONE, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+_MODEL_LIKE: Final = Model(NO_MECHANISM, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
 
 
-class Words(NamedTuple):
-    """The words of this driver, behind those of the conversation."""
+class Fields(NamedTuple):
+    """Fields of this driver, after the fields of `board_exchange`."""
 
     reports: Annotated[int, counter("reports received")]
     drained: Annotated[int, counter("of these, older ones passed over for a newer")]
@@ -81,7 +93,7 @@ class Words(NamedTuple):
         int, counter("forces that were less, and samples without a place, because the mechanism is singular there")
     ]
     foreign: Annotated[int, counter("reports of another id, passed over")]
-    held: Annotated[int, counter("forces not sent, because the pump still had others")]
+    held: Annotated[int, counter("forces not sent, because others were pending")]
     kind: Annotated[int, word("of the mechanism")]
     in_id: Annotated[int, word("of a report, 0 where reports have none")]
     in_bytes: Annotated[int, word("with the id, if there is one")]
@@ -90,27 +102,27 @@ class Words(NamedTuple):
     out_rows: Annotated[int, word("the same")]
     in_table: Annotated[int, address("(in_rows, ROW) float64")]
     out_table: Annotated[int, address("(out_rows, ROW) float64")]
-    in_buffer: Annotated[int, address("where the next report goes; it changes places with the newest")]
-    newest: Annotated[int, address("the newest report")]
+    in_buffer: Annotated[int, address("buffer of the next report; swapped with that of the latest")]
+    latest_report: Annotated[int, address("the latest report")]
     out_buffer: Annotated[int, address("the last report sent")]
-    taken: Annotated[int, address("how many reports the pump has handed on, 0 without one")]
+    accepted_address: Annotated[int, address("how many reports the pump has handed on, 0 without one")]
     scratch: Annotated[int, word("of a field being read or written")]
-    values: Annotated[int, numbers("of the newest report", SENSED_SIZE)]
+    values: Annotated[int, numbers("of the latest report", SENSED_SIZE)]
     command: Annotated[int, numbers("of the report being written", COMMANDED_SIZE)]
-    turns: Annotated[int, word("whether an orientation is sensed")]
-    place: Annotated[int, numbers("m, where a delta was", 3)]
+    has_orientation: Annotated[int, word("whether an orientation is sensed")]
+    last_position: Annotated[int, numbers("m, where a delta was", 3)]
     model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
 
 
-AT: Final = lay_out(Words, after=TALK)
+AT: Final = lay_out(Fields, after=BOARD)
 
 
 @drain.of(Hid)
 def _drain(driver: Hid, handle: int) -> int:
     at = int64_at(handle)
-    came, size = 0, at[AT.in_bytes]
+    count_read, size = 0, at[AT.in_bytes]
     for _ in range(DRAIN_MAX):
-        count = read_now(at[TALK.fd], at[AT.in_buffer], size + IN_SPARE)
+        count = read_now(at[BOARD.fd], at[AT.in_buffer], size + IN_SPARE)
         if count == -EAGAIN:
             break
         if count <= 0:
@@ -120,45 +132,47 @@ def _drain(driver: Hid, handle: int) -> int:
             continue
         if count != size:
             return PROTOCOL
-        if came > 0:
+        if count_read > 0:
             at[AT.drained] += 1
-        came += 1
+        count_read += 1
         at[AT.reports] += 1
-        spare = at[AT.newest]
-        at[AT.newest] = at[AT.in_buffer]
+        spare = at[AT.latest_report]
+        at[AT.latest_report] = at[AT.in_buffer]
         at[AT.in_buffer] = spare
-    return came
+    return count_read
 
 
 @pose.of(Hid)
 def _pose(driver: Hid, handle: int) -> bool:
     at = int64_at(handle)
     model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
-    values, kept = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * TALK.sample)
-    report = at[AT.newest] + (1 if at[AT.in_id] != 0 else 0)
+    values, sample = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * BOARD.sample)
+    report = at[AT.latest_report] + (1 if at[AT.in_id] != 0 else 0)
     if not decode(report, at[AT.in_table], at[AT.in_rows], handle + 8 * AT.scratch, values):
         return False
-    place = float64_at(handle + 8 * AT.place)
-    position, turned, how = end_of(at[AT.kind], model.mechanism, values, place)
-    if how == NONSENSE:
+    last_position = float64_at(handle + 8 * AT.last_position)
+    position, rotation, outcome = forward_kinematics(at[AT.kind], model.mechanism, values, last_position)
+    if outcome == INVALID:
         return False
-    at[AT.singular] += how == SINGULAR
-    orientation = normalize(multiply(model.orientation, turned)) if at[AT.turns] != 0 else (1.0, 0.0, 0.0, 0.0)
+    at[AT.singular] += outcome == SINGULAR
+    orientation = (
+        normalize(multiply(model.orientation, rotation)) if at[AT.has_orientation] != 0 else (1.0, 0.0, 0.0, 0.0)
+    )
     position = vec3.add(rotate(model.orientation, position), model.position)
     for k in range(3):
-        kept[k] = position[k]
+        sample[k] = position[k]
     for k in range(4):
-        kept[3 + k] = orientation[k]
-    kept[SAMPLE_BUTTONS] = values[BUTTONS]
-    kept[SAMPLE_GRIPPER] = values[GRIPPER]
+        sample[3 + k] = orientation[k]
+    sample[SAMPLE_BUTTONS] = values[BUTTONS]
+    sample[SAMPLE_GRIPPER] = values[GRIPPER]
     return True
 
 
 @jit
 def _send(handle: int) -> int:
-    """Write the report; OK, HELD when the device took nothing just now, or a status below 0."""
+    """Write the report; return OK, HELD if the device accepts nothing at the moment, or a status below 0."""
     at = int64_at(handle)
-    count = write_now(at[TALK.fd], at[AT.out_buffer], at[AT.out_bytes])
+    count = write_now(at[BOARD.fd], at[AT.out_buffer], at[AT.out_bytes])
     if count == at[AT.out_bytes]:
         at[AT.written] += 1
         return OK
@@ -170,7 +184,7 @@ def _send(handle: int) -> int:
 
 
 @jit
-def _clear(handle: int) -> None:
+def _clear_command(handle: int) -> None:
     values = float64_at(handle + 8 * AT.command)
     for k in range(COMMANDED_SIZE):
         values[k] = 0.0
@@ -181,73 +195,75 @@ def _clear(handle: int) -> None:
 def _encode(handle: int) -> bool:
     at = int64_at(handle)
     values = float64_at(handle + 8 * AT.command)
-    # The report id stands before the data, 0 where reports have none.
+    # The report id precedes the data; it is 0 if reports have none.
     return encode(values, at[AT.out_table], at[AT.out_rows], handle + 8 * AT.scratch, at[AT.out_buffer] + 1)
 
 
 @jit
-def _crowded(handle: int) -> bool:
-    """Whether the pump has as many reports as it may."""
+def _is_queue_full(handle: int) -> bool:
+    """Return True if the pump has the maximum number of reports."""
     at = int64_at(handle)
-    return bool(at[AT.taken] != 0 and at[AT.written] - int64_at(at[AT.taken])[0] >= WAITING_MAX)
+    return bool(at[AT.accepted_address] != 0 and at[AT.written] - int64_at(at[AT.accepted_address])[0] >= QUEUED_MAX)
 
 
 @busy.of(Hid)
-def _busy(driver: Hid, handle: int, deaf: bool) -> bool:
-    return _crowded(handle)
+def _busy(driver: Hid, handle: int, has_no_sample: bool) -> bool:
+    return _is_queue_full(handle)
 
 
 @jit
-def _zero(handle: int) -> int:
+def _write_zero(handle: int) -> int:
     at = int64_at(handle)
-    if at[TALK.loaded] == 0 and _crowded(handle):
-        return OK  # the newest of those that wait is a zero
-    _clear(handle)
+    if at[BOARD.has_force] == 0 and _is_queue_full(handle):
+        return OK  # the latest queued report is a zero
+    _clear_command(handle)
     _encode(handle)
     status = _send(handle)
     if status == OK:
-        at[TALK.loaded] = 0
+        at[BOARD.has_force] = 0
     return status
 
 
 @send_zero.of(Hid)
 def _send_zero(driver: Hid, handle: int) -> int:
-    return _zero(handle)
+    return _write_zero(handle)
 
 
 @wake.of(Hid)
 def _wake(driver: Hid, handle: int) -> int:
     int64_at(handle)[AT.kicks] += 1
-    return _zero(handle)
+    return _write_zero(handle)
 
 
 @jit
-def _fill(handle: int, wrench: Any) -> int:
-    """Put a wrench into the report; WHOLE, or why it had to be limited."""
+def _encode_wrench(handle: int, wrench: Any) -> int:
+    """Encode a wrench into the report; return FULL, or why it was limited."""
     at = int64_at(handle)
-    _clear(handle)
+    _clear_command(handle)
     model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
-    values, given = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * AT.command)
+    values, command_values = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * AT.command)
     force = rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2]))
-    how = drive(at[AT.kind], model.mechanism, values, float64_at(handle + 8 * AT.place), force, given)
-    return LIMITED if _encode(handle) and how == WHOLE else how
+    outcome = force_to_command(
+        at[AT.kind], model.mechanism, values, float64_at(handle + 8 * AT.last_position), force, command_values
+    )
+    return LIMITED if _encode(handle) and outcome == FULL else outcome
 
 
 @command.of(Hid)
 def _command(driver: Hid, handle: int, wrench: Any) -> int:
     at = int64_at(handle)
-    if _crowded(handle):
+    if _is_queue_full(handle):
         at[AT.held] += 1
         return HELD
-    how = _fill(handle, wrench)
+    outcome = _encode_wrench(handle, wrench)
     status = _send(handle)
     if status == OK:
-        at[TALK.loaded] = 1
-    if how != WHOLE:
-        at[AT.singular if how == SINGULAR else AT.cut] += 1
+        at[BOARD.has_force] = 1
+    if outcome != FULL:
+        at[AT.singular if outcome == SINGULAR else AT.cut] += 1
         if status == OK:
             status = STALE
     return status
 
 
-read, write, silence = c_functions(Hid())
+read, write, silence = compile_functions(Hid())

@@ -1,4 +1,4 @@
-"""Which way reports take: the node itself, or two threads between hidapi and the exchange."""
+"""Selection of the path of reports: the node, or two threads between hidapi and the exchange."""
 
 from __future__ import annotations
 
@@ -8,95 +8,97 @@ from typing import NamedTuple
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.drivers.hid import exchange, node, usb
-from softfinger.drivers.hid.descriptor import fits
+from softfinger.drivers.hid.descriptor import has_reports
 from softfinger.drivers.hid.options import Options
-from softfinger.drivers.hid.pump import HidApi, Pump
+from softfinger.drivers.hid.report_threads import HidApi, ReportThreads
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.hidraw import ids
 
 
 class Link(NamedTuple):
-    """What the exchange reads and writes: a node, or with a pump the socket that stands in for one.
+    """File descriptor that the exchange reads and writes: a node, or with a pump the socket that replaces it.
 
-    node  path of the hidraw node behind it; empty on the USB bus
+    node  path of the device's hidraw node; empty on the USB bus
     """
 
     fd: int
-    pump: Pump | None = None
+    threads: ReportThreads | None = None
     node: str = ""
 
 
 def open_link(options: Options) -> Link:
-    """Find the device of a rig and open it, the way the rig asks for.
+    """Find the device of a rig and open it with the method that the rig selects.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device, or one whose
-    reports are not those of the rig.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
+    than the rig.
     """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"driver 'hid' exchanges reports through Linux's hidraw or usbfs, and this is {sys.platform}")
-    path = options.path or find(options)
+    path = options.path or find_device(options)
     if not path.startswith("/"):
         opened = usb.open_usb(path, options)
-        return pumped(opened.device, options, opened.held)
+        return link_by_threads(opened.device, options, opened.lock_fd)
     fd = node.open_node(path, options)
     if options.through != "thread":
         return Link(fd, None, path)
     try:
-        return pumped(node.open_hidapi(path), options, fd)._replace(node=path)
+        return link_by_threads(node.open_hidapi(path), options, fd)._replace(node=path)
     except BaseException:
         os.close(fd)
         raise
 
 
-def pumped(device: HidApi, options: Options, held: int | None = None) -> Link:
-    """The way through threads, for a device that is open in hidapi; `held` is closed with it."""
+def link_by_threads(device: HidApi, options: Options, lock_fd: int | None = None) -> Link:
+    """Return a link through threads for a device that is open in hidapi; `lock_fd` is closed with it."""
     report = options.reports.input
-    pump = Pump(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, options.timeout_s, held)
-    return Link(pump.fd, pump)
+    threads = ReportThreads(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, options.timeout_s, lock_fd)
+    return Link(threads.fd, threads)
 
 
-def find(options: Options) -> str:
-    """Path of the one device with the rig's ids and reports: its node, or where it has none, hidapi's path on the bus.
+def find_device(options: Options) -> str:
+    """Return the path of the only device with the rig's ids and reports: its node, or else hidapi's path on the bus.
 
-    Raises DeviceNotFound when there is none, or more than one; and what `usb.open_usb` raises, where interfaces of one
-    device on the bus have to be asked which of them has the reports.
+    Raises DeviceNotFound if there is none or more than one. If it has to read the reports of several interfaces of one
+    device, it also raises the errors of `usb.open_usb`.
     """
-    every = list(discovery.hidraw_nodes())
+    nodes_found = list(discovery.hidraw_nodes())
     wanted = (options.vendor_id, options.product_id)
-    nodes = {one.node: one for one in every if (one.vendor, one.product) == wanted}
-    # In a container the system's table may list nodes that were not passed on.
+    nodes = {one.node: one for one in nodes_found if (one.vendor, one.product) == wanted}
+    # In a container, the system's table may list nodes that the container cannot access.
     if options.through != "node" and not any(map(os.path.exists, nodes)):
         interfaces = usb.attached(*wanted)
         if interfaces:
             return _choose_on_bus(options, interfaces)
     if nodes:
-        fitting = {path: one.serial for path, one in nodes.items() if fits(one.descriptor, options.reports)}
-        # Where none has the rig's reports, opening one says what it has.
-        return _choose(options, fitting or {path: one.serial for path, one in nodes.items()})
-    bare = [one for one in discovery.usb_devices() if (one.vendor, one.product) == wanted]
-    if bare:
+        matching = {path: one.serial for path, one in nodes.items() if has_reports(one.descriptor, options.reports)}
+        # If none has the rig's reports, opening one fails with a message about its reports.
+        return _choose(options, matching or {path: one.serial for path, one in nodes.items()})
+    without_node = [one for one in discovery.usb_devices() if (one.vendor, one.product) == wanted]
+    if without_node:
         raise DeviceNotFound(
-            f"{bare[0]} has no node that may be used here: `sudo modprobe usbhid` gives it one on hidraw; in a "
-            f"container, `docker run --device {bare[0].node or '/dev/bus/usb'}`"
+            f"{without_node[0]} has no node that may be used here: `sudo modprobe usbhid` gives it one on hidraw; in a "
+            f"container, `docker run --device {without_node[0].node or '/dev/bus/usb'}`"
         )
-    others = sorted({ids(one.vendor, one.product) for one in every})
-    there = f"attached are {', '.join(others)}" if others else "no HID device is attached"
-    raise DeviceNotFound(f"no HID device {ids(*wanted)} is attached: plug it in and switch it on; {there}")
+    others = sorted({ids(one.vendor, one.product) for one in nodes_found})
+    attached_text = f"attached are {', '.join(others)}" if others else "no HID device is attached"
+    raise DeviceNotFound(f"no HID device {ids(*wanted)} is attached: plug it in and switch it on; {attached_text}")
 
 
 def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
-    """The path of the rig's device among interfaces on the bus (serial number by path)."""
-    of_device: dict[str, list[str]] = {}
+    """Return the path of the rig's device from interfaces on the bus (serial number by path)."""
+    paths_by_device: dict[str, list[str]] = {}
     for path in sorted(interfaces):
-        of_device.setdefault(path.partition(":")[0], []).append(path)
-    paths = of_device[_choose(options, {name: interfaces[mine[0]] for name, mine in of_device.items()})]
+        paths_by_device.setdefault(path.partition(":")[0], []).append(path)
+    paths = paths_by_device[
+        _choose(options, {name: interfaces[device_paths[0]] for name, device_paths in paths_by_device.items()})
+    ]
     if len(paths) > 1:
-        paths = usb.fitting(paths, options) or paths
+        paths = usb.with_reports_of(paths, options) or paths
     return paths[0]
 
 
 def _choose(options: Options, serials: dict[str, str]) -> str:
-    """The path of the rig's serial number, of those that have its ids (serial number by path)."""
+    """Return the path with the rig's serial number from devices with its ids (serial number by path)."""
     wanted = ids(options.vendor_id, options.product_id)
     matching = [path for path, serial in serials.items() if options.serial is None or serial == options.serial]
     if len(matching) == 1:

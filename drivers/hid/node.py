@@ -1,4 +1,4 @@
-"""The system's hidraw nodes: opened for this process alone, their reports compared with those of a rig."""
+"""Exclusive opening of hidraw nodes, with a comparison of their reports with a rig's."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Any, Final
 from softfinger.config.errors import DeviceError
 from softfinger.drivers.hid.descriptor import check_reports
 from softfinger.drivers.hid.options import Options
-from softfinger.drivers.hid.pump import HidApi
+from softfinger.drivers.hid.report_threads import HidApi
 from softfinger.drivers.system.hidraw import hidapi, open_path
 
-# ioctl requests of <linux/hidraw.h>.
+# Requests for ioctl, from <linux/hidraw.h>.
 _GET_DESCRIPTOR_SIZE: Final = 0x80044801
 _GET_DESCRIPTOR: Final = 0x90044802
 _DESCRIPTOR_MAX: Final = 4096
 
 
 def open_node(path: str, options: Options) -> int:
-    """File descriptor of the device's node, non-blocking, locked.
+    """Open the device's node, non-blocking and locked, and return its file descriptor.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device, or one whose
-    reports are not those of the rig.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
+    than the rig.
     """
     fd = open_path(path, options.vendor_id, options.product_id)
     try:
@@ -35,7 +35,7 @@ def open_node(path: str, options: Options) -> int:
 
 
 def open_hidapi(path: str) -> HidApi:
-    """The node a second time, through hidapi's hidraw backend; DeviceError when that refuses."""
+    """Open the node again, through hidapi's hidraw backend; raises DeviceError if that fails."""
     device: Any = hidapi("hidraw").device()
     try:
         device.open_path(os.fsencode(path))

@@ -1,4 +1,4 @@
-"""A rig's keys of a HID device: which one, its reports byte by byte, its kinematics, its limits."""
+"""Configuration of a HID device: selection, bytes of its reports, kinematics, limits."""
 
 from __future__ import annotations
 
@@ -22,21 +22,19 @@ from softfinger.drivers.fields.options import (
     layout_faults,
     repeated_meanings,
 )
-from softfinger.drivers.kinematics.options import Chain, Kinematics, faults_of_fields
+from softfinger.drivers.kinematics.options import Chain, Kinematics, field_faults
 from softfinger.drivers.mounting import Mounting
-from softfinger.drivers.system.descriptor import Announced
+from softfinger.drivers.system.descriptor import ReportLengths
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
 REPORT_ID: Final = Range(0, 255, "one byte; 0 where the device does not number its reports")
 SILENCE_S: Final = Range(
     0.01, 0.2, "below, one kick has no time to work; above, force acts where the device was long ago"
 )
-GIVE_UP_S: Final = Range(
-    0.01, 2.0, "below, one kick has no time to work; above, a device that is gone would go unnoticed"
-)
+GIVE_UP_S: Final = Range(0.01, 2.0, "below this one restart has no time to work; above it a lost device goes unnoticed")
 
 Through = Literal["auto", "node", "thread"]
-"""What carries the reports: the loop itself at a hidraw node; threads at hidapi; the first where there is a node."""
+"""Carrier of the reports: the loop at a hidraw node, or threads at hidapi; auto: the loop if there is a node."""
 
 LIBRARY: Final = Path(__file__).with_name("reports.toml")
 
@@ -72,10 +70,10 @@ def _library() -> Mapping[str, Mapping[str, Any]]:
     return msgspec.toml.decode(LIBRARY.read_bytes(), type=dict[str, dict[str, Any]])
 
 
-def library_lengths() -> dict[str, Announced]:
-    """Lengths of the reports of each format of the library."""
+def library_lengths() -> dict[str, ReportLengths]:
+    """Return the lengths of the reports of each shipped format."""
     return {
-        name: Announced(*({one[way].get("id", 0): one[way]["bytes"]} for way in ("input", "output")))
+        name: ReportLengths(*({one[way].get("id", 0): one[way]["bytes"]} for way in ("input", "output")))
         for name, one in _library().items()
     }
 
@@ -88,7 +86,7 @@ class Reports(Table, frozen=True, kw_only=True):
     """The wire format: one of the library by name, or every report described."""
 
     library: ClassVar[Library] = Library("name", _formats, marked=False)
-    """Formats that a rig may name; reports of the named one stand wherever the rig gives none itself."""
+    """Shipped formats; a rig that names one uses its reports where it defines none."""
 
     name: Annotated[str, sized(limits.NAME_LENGTH, "a format of the library", "woodenhaptics-v2")] | None = None
     input: InputReport
@@ -110,7 +108,7 @@ class Options(Table, frozen=True, kw_only=True):
     product_id: Annotated[int, within(USB_ID, "USB product", 0x0006)]
     serial: Annotated[str, said("serial number, where several are attached", "SN42")] | None = None
     path: Annotated[str, said("node, or hidapi's name on USB, in place of looking", "/dev/hidraw0")] | None = None
-    through: Annotated[Through, said("the loop at the node, threads at hidapi, or what there is", "auto")] = "auto"
+    through: Annotated[Through, said("the loop at the node, threads at hidapi, or the available one", "auto")] = "auto"
     reports: Reports
     kinematics: Kinematics
     mounting: Mounting = Mounting()
@@ -133,6 +131,6 @@ class Options(Table, frozen=True, kw_only=True):
             return
         reports, kinematics = self.reports, self.kinematics
         if known(reports.input, reports.output, reports.preset):
-            yield from faults_of_fields("reports", reports.input.field, reports.output.field, kinematics)
+            yield from field_faults("reports", reports.input.field, reports.output.field, kinematics)
         if self.calibrate is True and not isinstance(kinematics, Chain):
             yield "calibrate", True, "only a chain has a calibration pose: leave it false"

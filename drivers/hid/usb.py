@@ -1,7 +1,7 @@
-"""A HID device on the USB bus, without a hidraw node: through hidapi's libusb backend.
+"""HID device on the USB bus without a hidraw node, through hidapi's libusb backend.
 
-That backend takes the interface from the system's own HID driver and gives it back when it is closed. It says of no
-failure what it was, so the node on the bus is opened and locked first, which does.
+The backend detaches the interface from the system's HID driver and attaches it again when closed. Its errors have no
+cause, so the node on the bus is opened and locked first, which reports one.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import os
 from typing import Any, NamedTuple
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound
-from softfinger.drivers.hid.descriptor import check_reports, fits
+from softfinger.drivers.hid.descriptor import check_reports, has_reports
 from softfinger.drivers.hid.options import Options
-from softfinger.drivers.hid.pump import HidApi
+from softfinger.drivers.hid.report_threads import HidApi
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import Attached
 from softfinger.drivers.system.hidraw import hidapi, ids
@@ -20,94 +20,99 @@ from softfinger.drivers.system.nodes import open_locked
 from softfinger.drivers.system.rules import how_to_permit
 
 
-class Opened(NamedTuple):
-    """The device in hidapi, and the file descriptor whose lock keeps others out."""
+class OpenInterface(NamedTuple):
+    """Device in hidapi, and a file descriptor that is locked against other programs."""
 
     device: HidApi
-    held: int
+    lock_fd: int
 
 
 def attached(vendor: int, product: int) -> dict[str, str]:
-    """Serial numbers of the HID interfaces of these ids, by hidapi's path, as in 1-2.3:1.0: bus, ports, interface."""
-    found: list[dict[str, Any]] = hidapi("hid").enumerate(vendor, product)
-    named = {os.fsdecode(one["path"]): one["serial_number"] or "" for one in found}
-    # hidapi has to open a device to learn its serial number, and may not; the system's table tells everybody
-    return {path: seen.serial if (seen := _on_bus(path)) else serial for path, serial in named.items()}
+    """Return the serial numbers of HID interfaces with these ids, by hidapi's path.
 
-
-def open_usb(path: str, options: Options) -> Opened:
-    """The interface at hidapi's `path`, claimed for this process.
-
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device, or one whose
-    reports are not those of the rig.
+    A path such as 1-2.3:1.0 contains bus, ports and interface.
     """
-    opened, descriptor = _open(path, options)
+    matching: list[dict[str, Any]] = hidapi("hid").enumerate(vendor, product)
+    named = {os.fsdecode(one["path"]): one["serial_number"] or "" for one in matching}
+    # hidapi needs permission to open a device for its serial number; the system's table is readable by all users
+    return {
+        path: device_entry.serial if (device_entry := _find_device(path)) else serial for path, serial in named.items()
+    }
+
+
+def open_usb(path: str, options: Options) -> OpenInterface:
+    """Open the interface at hidapi's `path`, and claim it for this process.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
+    than the rig.
+    """
+    interface, descriptor = _open(path, options)
     try:
         check_reports(descriptor, path, options.reports)
     except BaseException:
-        _close(opened)
+        _close(interface)
         raise
-    return opened
+    return interface
 
 
-def fitting(paths: list[str], options: Options) -> list[str]:
-    """Those interfaces of one device that have the rig's reports: each is opened, asked, and closed again.
+def with_reports_of(paths: list[str], options: Options) -> list[str]:
+    """Return the interfaces of a device that have the rig's reports: opens, reads and closes each.
 
-    Raises what `open_usb` raises, but for other reports.
+    Raises the errors of `open_usb`, except for other reports.
     """
-    found = []
+    matching = []
     for path in paths:
-        opened, descriptor = _open(path, options)
-        _close(opened)
-        if fits(descriptor, options.reports):
-            found.append(path)
-    return found
+        interface, descriptor = _open(path, options)
+        _close(interface)
+        if has_reports(descriptor, options.reports):
+            matching.append(path)
+    return matching
 
 
-def _close(opened: Opened) -> None:
-    opened.device.close()
-    os.close(opened.held)
+def _close(interface: OpenInterface) -> None:
+    interface.device.close()
+    os.close(interface.lock_fd)
 
 
-def _open(path: str, options: Options) -> tuple[Opened, bytes]:
-    """The interface at `path`, and its report descriptor."""
+def _open(path: str, options: Options) -> tuple[OpenInterface, bytes]:
+    """Return the opened interface at `path`, and its report descriptor."""
     vendor, product = options.vendor_id, options.product_id
-    seen = _on_bus(path)
-    if seen is None:
+    device_entry = _find_device(path)
+    if device_entry is None:
         raise DeviceNotFound(f"no USB device is at {path}: plug the device in, or leave `path` out")
-    if (seen.vendor, seen.product) != (vendor, product):
+    if (device_entry.vendor, device_entry.product) != (vendor, product):
         raise DeviceError(
-            f"{path} is the device {seen.ids}, and the rig is for {ids(vendor, product)}: name the right one, or leave "
-            "`path` out"
+            f"{path} is the device {device_entry.ids}, and the rig is for {ids(vendor, product)}: "
+            "name the right one, or leave `path` out"
         )
-    held = open_locked(seen.node, how_to_permit(vendor, product))
+    lock_fd = open_locked(device_entry.node, how_to_permit(vendor, product))
     device: Any = hidapi("hid").device()
     try:
         try:
             device.open_path(os.fsencode(path))
         except OSError as error:
-            raise _unopened(path, seen.node) from error
+            raise _open_error(path, device_entry.node) from error
         try:
             descriptor = bytes(device.get_report_descriptor())
         except OSError as error:
             raise DeviceError(f"{path} does not give its report descriptor: unplug it, plug it in again") from error
     except BaseException:
         device.close()
-        os.close(held)
+        os.close(lock_fd)
         raise
-    return Opened(device, held), descriptor
+    return OpenInterface(device, lock_fd), descriptor
 
 
-def _on_bus(path: str) -> Attached | None:
-    """The device that an interface belongs to: hidapi's path begins with the system's name for it."""
-    return discovery.described(str(discovery.USB / path.partition(":")[0]))
+def _find_device(path: str) -> Attached | None:
+    """Return the device of an interface: hidapi's path starts with the system's name for it."""
+    return discovery.read_device(str(discovery.USB / path.partition(":")[0]))
 
 
-def _unopened(path: str, node: str) -> DeviceError:
-    """hidapi names no cause. The node could be opened and locked; what is left is who has claimed the interface."""
+def _open_error(path: str, node: str) -> DeviceError:
+    """Return the error for an unopened interface: hidapi gives no cause, so find the process that has claimed it."""
     who = discovery.holder(node)
     if who is not None and who.pid != os.getpid():
-        return DeviceBusy(f"{path} ({node}) is held by {who}: end that one first")
+        return DeviceBusy(f"{path} ({node}) is used by {who}: end that process first")
     return DeviceError(
         f"{path} ({node}) cannot be claimed through hidapi: another program may have it: end that one, or unplug the "
         "device and plug it in again"

@@ -1,5 +1,5 @@
-"""Mechanisms: where the end of a device is at these joint angles, and the torques that a force at it takes.
+"""Mechanisms: pose of a device's end from joint angles, and motor torques for a force at the end.
 
-A rig's keys are in `options`; `paddle`, `pantograph`, `chain` and `delta` have the equations; `mechanism` chooses
-among them for the drivers whose devices a rig describes. How numbers reach a device is not in here.
+`options` has the configuration; `paddle`, `pantograph`, `chain` and `delta` have the equations; `mechanism` selects one
+of them for devices that a rig describes. Drivers carry the numbers to and from the device.
 """

@@ -1,7 +1,7 @@
-"""A haptic arm of three joints driven over capstans: WoodenHaptics and its relatives.
+"""Haptic arm of three joints with capstan drives: the WoodenHaptics family.
 
-Body a turns about z by A and carries two links in the plane x z of body a, both driven from it: b of length Lb at
-angle B from the vertical, c of length Lc at angle C below the horizontal. In the device's frame
+Body a turns about z by A and carries two links in its plane x z, both driven from it: b of length Lb at angle B from
+the vertical, c of length Lc at angle C below the horizontal. In the device's frame
 
     theta_i = dir_i 2 pi n_i / N  d_capstan,i / d_body,i                n_i counts, N counts a turn
     x = cos A (Lb sin B + Lc sin C) - ox
@@ -26,14 +26,14 @@ from softfinger.proxy.kernels.numerics.rotations import about_x, about_y, about_
 
 
 class Chain(NamedTuple):
-    """An arm.
+    """Arm.
 
-    offset        (3,) counts    added to what encoders a, b, c show
+    offset        (3,) counts    added to the counts of encoders a, b, c
     per_count     (3,) rad       dir 2 pi / N  d_capstan / d_body
     link          (3,) m         La, Lb, Lc
     origin        (3,) m         workspace centre, from the foot of the arm
     per_torque    (3,) A/(N m)   dir (d_capstan / d_body) / k
-    current_max   A              most in one motor
+    current_max   A              maximum per motor
     wrist         (3,) rad       per count of encoders d, e, f; all 0 without a wrist
     """
 
@@ -46,38 +46,40 @@ class Chain(NamedTuple):
     wrist: Vec3
 
 
-def make_chain(given: options.Chain) -> Chain:
-    """The arm that a rig's numbers describe."""
+def make_chain(chain_options: options.Chain) -> Chain:
+    """Return the arm that a rig describes."""
 
-    def each(values: list[float]) -> Vec3:
+    def to_vec3(values: list[float]) -> Vec3:
         return (float(values[0]), float(values[1]), float(values[2]))
 
     ratio = [
         (-1.0 if aligned else 1.0) * capstan / body
-        for aligned, capstan, body in zip(given.aligned, given.capstan_m, given.body_m, strict=True)
+        for aligned, capstan, body in zip(
+            chain_options.aligned, chain_options.capstan_m, chain_options.body_m, strict=True
+        )
     ]
-    wrist = 2.0 * pi / given.wrist_counts_per_turn if given.wrist_counts_per_turn else 0.0
+    wrist = 2.0 * pi / chain_options.wrist_counts_per_turn if chain_options.wrist_counts_per_turn else 0.0
     return Chain(
         offset=(0.0, 0.0, 0.0),
-        per_count=each([2.0 * pi / given.counts_per_turn * r for r in ratio]),
-        link=each(list(given.link_m)),
-        origin=each(list(given.origin_m)),
-        per_torque=each([r / k for r, k in zip(ratio, given.torque_constant_nm_per_a, strict=True)]),
-        current_max=float(given.current_max_a),
-        wrist=each([wrist if aligned else -wrist for aligned in given.wrist_aligned]),
+        per_count=to_vec3([2.0 * pi / chain_options.counts_per_turn * r for r in ratio]),
+        link=to_vec3(list(chain_options.link_m)),
+        origin=to_vec3(list(chain_options.origin_m)),
+        per_torque=to_vec3([r / k for r, k in zip(ratio, chain_options.torque_constant_nm_per_a, strict=True)]),
+        current_max=float(chain_options.current_max_a),
+        wrist=to_vec3([wrist if aligned else -wrist for aligned in chain_options.wrist_aligned]),
     )
 
 
 @jit
 def angles_of(chain: Chain, counts: Vec3) -> Vec3:
-    """Joint angles A, B, C (3,) rad at these counts of the encoders."""
+    """Return joint angles A, B, C (3,) rad for counts of the encoders."""
     o, k = chain.offset, chain.per_count
     return ((counts[0] + o[0]) * k[0], (counts[1] + o[1]) * k[1], (counts[2] + o[2]) * k[2])
 
 
 @jit
 def forward(chain: Chain, angles: Vec3) -> Vec3:
-    """Position (3,) m of the end in the device's frame."""
+    """Return the position (3,) m of the end in the device's frame."""
     (a, b, c), (la, lb, lc), (ox, oy, oz) = angles, chain.link, chain.origin
     reach = lb * sin(b) + lc * sin(c)
     return (cos(a) * reach - ox, sin(a) * reach - oy, la + lb * cos(b) - lc * cos(c) - oz)
@@ -85,7 +87,7 @@ def forward(chain: Chain, angles: Vec3) -> Vec3:
 
 @jit
 def jacobian(chain: Chain, angles: Vec3) -> tuple[Vec3, Vec3, Vec3]:
-    """How the end moves with each joint: columns dp/dA, dp/dB, dp/dC, (3,) m/rad each, device's frame."""
+    """Return the columns dp/dA, dp/dB, dp/dC of the Jacobian, (3,) m/rad each, device's frame."""
     (a, b, c), (_, lb, lc) = angles, chain.link
     ca, sa = cos(a), sin(a)
     reach = lb * sin(b) + lc * sin(c)
@@ -98,23 +100,23 @@ def jacobian(chain: Chain, angles: Vec3) -> tuple[Vec3, Vec3, Vec3]:
 
 @jit
 def currents_for(chain: Chain, angles: Vec3, force: Vec3) -> tuple[Vec3, bool]:
-    """Currents (3,) A of the motors for a force (3,) N at the end in the device's frame, and whether they were cut.
+    """Return motor currents (3,) A for a force (3,) N at the end in the device's frame, and True if they were limited.
 
-    A current past the largest brings all three down, so that the force keeps its direction. The transposed Jacobian
-    needs no inverse: in a stretched arm some of the force is carried by the links and the currents stay finite.
+    If a current exceeds the maximum, all three are scaled down, so that the force keeps its direction. The transposed
+    Jacobian needs no inverse: the links of a stretched arm bear part of the force, and the currents are finite.
     """
     by_a, by_b, by_c = jacobian(chain, angles)
     k = chain.per_torque
     current = (vec3.dot(by_a, force) * k[0], vec3.dot(by_b, force) * k[1], vec3.dot(by_c, force) * k[2])
-    most = max(abs(current[0]), max(abs(current[1]), abs(current[2])))
-    if most > chain.current_max:
-        return vec3.scale(chain.current_max / most, current), True
+    largest = max(abs(current[0]), max(abs(current[1]), abs(current[2])))
+    if largest > chain.current_max:
+        return vec3.scale(chain.current_max / largest, current), True
     return current, False
 
 
 @jit
 def orientation_of(chain: Chain, angles: Vec3, wrist: Vec3) -> Quaternion:
-    """Orientation of the end in the device's frame: Rz(A) Ry(pi/2 - C) Rx(D) Ry(E) Rx(F).
+    """Return the orientation of the end in the device's frame: Rz(A) Ry(pi/2 - C) Rx(D) Ry(E) Rx(F).
 
     wrist  (3,) counts of encoders d, e, f
     """

@@ -1,22 +1,22 @@
-"""A delta: three legs, motors in the base, an end that does not turn.
+"""Delta: three legs with motors in the base, and an end that does not rotate.
 
-Leg i stands at angle phi_i about z, which points away from the base. For the end at p
+Leg i is at angle phi_i about z, which points away from the base. For the end at p
 
     u = cos phi x + sin phi y - r,   v = -sin phi x + cos phi y - s,   w = z
     theta3 = acos((v + f) / b),      L = e + b sin theta3
     l0 = w^2 + (u + c - a)^2 - L^2,  l1 = -4 a w,  l2 = w^2 + (u + c + a)^2 - L^2
     theta1 = 2 atan((-l1 - sqrt(l1^2 - 4 l0 l2)) / (2 l2)),  theta2 = acos((u + c - a cos theta1) / L)
 
-theta1 is the motor's leg, 0 where the leg points straight out and growing towards z. Rows of K = d theta1 / d p, with
-den = -a sin theta3 sin(theta1 - theta2):
+theta1 is the angle of the motor's leg, 0 for a leg that points straight out, increasing towards z. Rows of K = d theta1
+/ d p, with den = -a sin theta3 sin(theta1 - theta2):
 
     [cos phi cos theta2 sin theta3 - sin phi cos theta3, sin phi cos theta2 sin theta3 + cos phi cos theta3,
      sin theta2 sin theta3] / den
 
-Virtual work gives the torques of the legs for a force F at the end: K^T tau = F.
+By virtual work, the torques tau of the legs for a force F at the end satisfy K^T tau = F.
 
-Source: Stamper (1997); libnifalcon, whose delta this is, squares sin theta2 in the third column; the derivative of the
-equations above has it once.
+Source: Stamper (1997). libnifalcon has the same delta, but squares sin theta2 in the third column; in the derivative of
+the equations above it is not squared.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from softfinger.proxy.kernels.numerics import vec3
 
 
 class Delta(NamedTuple):
-    """A mechanism, m.
+    """Dimensions of a mechanism, m.
 
     arm       a, of the leg at the motor
     rod       b, of the parallelogram from leg to end
     end       c, from the end's centre to its joints
-    joints    e, length that the joints at both ends of a rod add to it
+    joints    e, length that the joints at both ends add to a rod
     shift     f, along the axis of the joints
     base      r, from the centre to a motor's axis
-    offset    s, distance of a leg from the line through the centre that its angle gives
+    offset    s, distance of a leg from the radial line at its angle
     cos, sin  (3,) of the legs' angles phi
-    home      (3,) within every leg's reach: where a search without a last solution begins
+    home      (3,) within every leg's reach: initial value of a search without a last solution
     origin    (3,) workspace centre
     """
 
@@ -57,21 +57,21 @@ class Delta(NamedTuple):
     origin: Vec3
 
 
-_STEPS_MAX: Final = 30
-"""Newton's method takes 4 to 6 steps over a Falcon's workspace from home, more where steps have to be halved."""
-_SOLVED: Final = 1e-12
-"""rad: some 0.05 pm at the end, and a thousand times the rounding of theta1."""
+_NEWTON_STEPS_MAX: Final = 30
+"""Maximum number of Newton steps: 4 to 6 in a Falcon's workspace from home, more if steps have to be halved."""
+_ANGLE_TOLERANCE: Final = 1e-12
+"""rad: about 0.05 pm at the end, and a thousand times the rounding error of theta1."""
 DET_MIN: Final = 0.0432
-"""Of a^3 det K: 0.6 to 13 in a Falcon's workspace; below, a leg can no longer push the end in some direction."""
+"""Minimum of a^3 det K: 0.6 to 13 in a Falcon's workspace; below it, a leg cannot push the end in some direction."""
 DEN_MIN: Final = 1.0 / 600.0
-"""Of `den` / a: 0 where a leg is stretched, and its angle no longer follows the end."""
+"""Minimum of `den` / a: 0 for a stretched leg, whose angle does not determine the end."""
 
 Rows = tuple[Vec3, Vec3, Vec3]
 
 
 @jit
 def _leg(d: Delta, cos_phi: float, sin_phi: float, p: Vec3) -> tuple[float, Vec3]:
-    """theta1 (rad) of one leg and its row of K (rad/m); NaN where the leg does not reach or is stretched."""
+    """Return theta1 (rad) of one leg and its row of K (rad/m); NaN if the leg cannot reach or is stretched."""
     u = cos_phi * p[0] + sin_phi * p[1] - d.base
     v = -sin_phi * p[0] + cos_phi * p[1] - d.offset
     w = p[2]
@@ -83,11 +83,11 @@ def _leg(d: Delta, cos_phi: float, sin_phi: float, p: Vec3) -> tuple[float, Vec3
     l0 = w * w + (u + d.end - d.arm) * (u + d.end - d.arm) - reach * reach
     l1 = -4.0 * d.arm * w
     l2 = w * w + (u + d.end + d.arm) * (u + d.end + d.arm) - reach * reach
-    inside = l1 * l1 - 4.0 * l0 * l2
-    if not (inside >= 0.0 and w > 0.0):
+    discriminant = l1 * l1 - 4.0 * l0 * l2
+    if not (discriminant >= 0.0 and w > 0.0):
         return nan, (nan, nan, nan)
-    # the root in the form that does not subtract its two terms, which cancel where l2 is small; w > 0
-    theta1 = 2.0 * atan(2.0 * l0 / (-l1 + sqrt(inside)))
+    # form of the root without the difference of its two terms, which cancel for small l2; w > 0
+    theta1 = 2.0 * atan(2.0 * l0 / (-l1 + sqrt(discriminant)))
     cos2 = (u + d.end - d.arm * cos(theta1)) / reach
     theta2 = acos(max(-1.0, min(1.0, cos2)))
     den = -d.arm * sin3 * sin(theta1 - theta2)
@@ -103,7 +103,7 @@ def _leg(d: Delta, cos_phi: float, sin_phi: float, p: Vec3) -> tuple[float, Vec3
 
 @jit
 def inverse(d: Delta, p: Vec3) -> tuple[Vec3, Rows]:
-    """Leg angles (3,) rad for the end at `p` (3,) m from the base, and K (3, 3) rad/m; NaN out of reach."""
+    """Return leg angles (3,) rad for the end at `p` (3,) m from the base, and K (3, 3) rad/m; NaN out of reach."""
     one, row1 = _leg(d, d.cos[0], d.sin[0], p)
     two, row2 = _leg(d, d.cos[1], d.sin[1], p)
     three, row3 = _leg(d, d.cos[2], d.sin[2], p)
@@ -118,32 +118,32 @@ def _determinant(k: Rows) -> float:
 @jit
 def _newton(d: Delta, theta: Vec3, start: Vec3) -> tuple[Vec3, bool]:
     p, step = start, (0.0, 0.0, 0.0)
-    for tried in range(_STEPS_MAX):
+    for iteration in range(_NEWTON_STEPS_MAX):
         at, k = inverse(d, p)
         det = _determinant(k)
-        if not abs(det) * d.arm**3 > DET_MIN:  # NaN too: the step went out of reach, so half of it
-            if tried == 0:
+        if not abs(det) * d.arm**3 > DET_MIN:  # also NaN: the step left the reach, so halve it
+            if iteration == 0:
                 return p, False
             step = vec3.scale(0.5, step)
             p = vec3.sub(p, step)
             continue
-        miss = vec3.sub(theta, at)
-        if max(abs(miss[0]), max(abs(miss[1]), abs(miss[2]))) <= _SOLVED:
+        residual = vec3.sub(theta, at)
+        if max(abs(residual[0]), max(abs(residual[1]), abs(residual[2]))) <= _ANGLE_TOLERANCE:
             return p, True
-        # K^-1 miss: the columns of K^-1 are the cross products of K's rows over det K
-        step = vec3.scale(miss[0] / det, vec3.cross(k[1], k[2]))
-        step = vec3.add_scaled(step, miss[1] / det, vec3.cross(k[2], k[0]))
-        step = vec3.add_scaled(step, miss[2] / det, vec3.cross(k[0], k[1]))
+        # K^-1 miss: the columns of K^-1 are the cross products of the rows of K over det K
+        step = vec3.scale(residual[0] / det, vec3.cross(k[1], k[2]))
+        step = vec3.add_scaled(step, residual[1] / det, vec3.cross(k[2], k[0]))
+        step = vec3.add_scaled(step, residual[2] / det, vec3.cross(k[0], k[1]))
         p = vec3.add(p, step)
     return p, False
 
 
 @jit
 def forward(d: Delta, theta: Vec3, last: Vec3) -> tuple[Vec3, bool]:
-    """Position (3,) m of the end, from the base, at leg angles `theta` (3,) rad, and whether there is one.
+    """Return the position (3,) m of the end, from the base, at leg angles `theta` (3,) rad, and True if it exists.
 
-    Newton's method on `inverse` from the last solution, which a tick's motion leaves by less than a millimetre; from
-    home where that fails.
+    Newton's method on `inverse`: from the last solution, less than a millimetre away after a tick's motion, or from
+    home if that fails.
     """
     p, found = _newton(d, theta, last)
     if not found:
@@ -153,9 +153,9 @@ def forward(d: Delta, theta: Vec3, last: Vec3) -> tuple[Vec3, bool]:
 
 @jit
 def torques_for(d: Delta, p: Vec3, force: Vec3) -> tuple[Vec3, bool]:
-    """Torques (3,) N m of the legs for a force (3,) N on the hand at `p` (3,) m from the base; whether there are any.
+    """Return leg torques (3,) N m for a force (3,) N on the hand at `p` (3,) m from the base, and True if they exist.
 
-    Near a singular place they cannot, and the torques are 0.
+    Near a singular pose they do not, and are returned as 0.
     """
     _, k = inverse(d, p)
     det = _determinant(k)

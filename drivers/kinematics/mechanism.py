@@ -1,7 +1,7 @@
-"""The mechanism of a device that a rig describes: from the numbers it senses to a pose, from a force to its numbers.
+"""Mechanism of a device that a rig describes: pose from sensed numbers, commanded numbers from a force.
 
-Kernels are compiled once for all mechanisms; `kind` says which. Places of `values` and `given` are those of
-`fields.table`.
+Kernels are compiled once for all mechanisms, and `kind` selects one. `fields.table` defines the indices of `values` and
+`spec`.
 """
 
 from __future__ import annotations
@@ -24,14 +24,16 @@ PADDLE: Final = 4
 PANTOGRAPH: Final = 5
 DELTA: Final = 6
 
-WHOLE: Final = 0
+FULL: Final = 0
 LIMITED: Final = 1
-"""More than the device gives: the force is smaller, in its direction."""
+"""The force exceeds the maximum of the device, which displays a smaller one in the same direction."""
 SINGULAR: Final = 2
-"""The mechanism cannot hold the end in some direction here: a smaller force, or none. Of a delta's joint angles: legs
-are in line or do not meet, so there is no place for the end either."""
-NONSENSE: Final = 3
-"""What was sensed is no orientation."""
+"""The motors cannot hold the end in some direction: the force is smaller, or zero.
+
+For a delta's joint angles: legs are collinear or do not meet, so the end has no position either.
+"""
+INVALID: Final = 3
+"""The sensed numbers are not an orientation."""
 
 SINGULAR_POSE: Final = (
     "the mechanism has been in a singular pose, where its motors cannot hold the handle: there it gives less force, or "
@@ -39,12 +41,12 @@ SINGULAR_POSE: Final = (
 )
 
 _ZERO: Final = (0.0, 0.0, 0.0)
-_NOWHERE: Final = (nan, nan, nan)
-_NO_TURN: Final = (1.0, 0.0, 0.0, 0.0)
+_NO_POSITION: Final = (nan, nan, nan)
+_IDENTITY: Final = (1.0, 0.0, 0.0, 0.0)
 
 
 class Mechanism(NamedTuple):
-    """Numbers of every kind, of which one has meaning.
+    """Parameters of every kind, of which one is used.
 
     length      m, of a paddle's handle
     force_max   N, of a cartesian device
@@ -59,7 +61,7 @@ class Mechanism(NamedTuple):
     torque_max: float
 
 
-NONE: Final = Mechanism(
+NO_MECHANISM: Final = Mechanism(
     chain.Chain(_ZERO, _ZERO, _ZERO, _ZERO, _ZERO, 0.0, _ZERO),
     0.0,
     pantograph.Pantograph(0.0, 0.0, 0.0, _ZERO),
@@ -69,36 +71,36 @@ NONE: Final = Mechanism(
 )
 
 
-def kind_of(given: options.Kinematics, turns: bool) -> int:
-    """Which kind a rig's kinematics is; `turns`: whether the device senses an orientation."""
+def kind_of(spec: options.Kinematics, has_orientation: bool) -> int:
+    """Return the kind of a rig's kinematics; `has_orientation`: True if the device senses an orientation."""
     kinds = {
         options.Cartesian: CARTESIAN, options.Chain: CHAIN, options.Paddle: PADDLE,
         options.Pantograph: PANTOGRAPH, options.Delta: DELTA,
     }  # fmt: skip
-    return kinds[type(given)] + turns
+    return kinds[type(spec)] + has_orientation
 
 
-def make_mechanism(given: options.Kinematics, force_max_n: float) -> Mechanism:
-    """The mechanism that a rig's numbers describe."""
-    made = NONE._replace(force_max=float(force_max_n))
-    if isinstance(given, options.Chain):
-        return made._replace(chain=chain.make_chain(given))
-    if isinstance(given, options.Cartesian):
-        return made
-    made = made._replace(torque_max=float(given.torque_max_nm))
-    if isinstance(given, options.Paddle):
-        return made._replace(length=float(given.length_m))
-    x, y, z = (float(v) for v in given.origin_m)
-    if isinstance(given, options.Pantograph):
-        base, inner, outer = float(given.base_m), float(given.inner_m), float(given.outer_m)
-        return made._replace(pantograph=pantograph.Pantograph(base, inner, outer, (x, y, z)))
-    return made._replace(delta=_make_delta(given, (x, y, z)))
+def make_mechanism(spec: options.Kinematics, force_max_n: float) -> Mechanism:
+    """Return the mechanism that a rig describes."""
+    mechanism = NO_MECHANISM._replace(force_max=float(force_max_n))
+    if isinstance(spec, options.Chain):
+        return mechanism._replace(chain=chain.make_chain(spec))
+    if isinstance(spec, options.Cartesian):
+        return mechanism
+    mechanism = mechanism._replace(torque_max=float(spec.torque_max_nm))
+    if isinstance(spec, options.Paddle):
+        return mechanism._replace(length=float(spec.length_m))
+    x, y, z = (float(v) for v in spec.origin_m)
+    if isinstance(spec, options.Pantograph):
+        base, inner, outer = float(spec.base_m), float(spec.inner_m), float(spec.outer_m)
+        return mechanism._replace(pantograph=pantograph.Pantograph(base, inner, outer, (x, y, z)))
+    return mechanism._replace(delta=_make_delta(spec, (x, y, z)))
 
 
-def _make_delta(given: options.Delta, origin: Vec3) -> delta.Delta:
-    base, end, arm, rod = (float(v) for v in (given.base_m, given.end_m, given.arm_m, given.rod_m))
-    gap = base - end + 0.5 * arm  # of an arm at 60 degrees, on the axis
-    one, two, three = (radians(v) for v in given.legs_deg)
+def _make_delta(spec: options.Delta, origin: Vec3) -> delta.Delta:
+    base, end, arm, rod = (float(v) for v in (spec.base_m, spec.end_m, spec.arm_m, spec.rod_m))
+    gap = base - end + 0.5 * arm  # for an arm at 60 degrees and the end on the axis
+    one, two, three = (radians(v) for v in spec.legs_deg)
     return delta.Delta(
         arm=arm,
         rod=rod,
@@ -115,24 +117,27 @@ def _make_delta(given: options.Delta, origin: Vec3) -> delta.Delta:
 
 
 @jit
-def end_of(kind: int, m: Mechanism, values: Any, last: Any) -> tuple[Vec3, Quaternion, int]:
-    """Position (3,) m and orientation of the end in the device's frame; WHOLE, SINGULAR with a position of NaN, or
-    NONSENSE.
+def forward_kinematics(kind: int, m: Mechanism, values: Any, last_position: Any) -> tuple[Vec3, Quaternion, int]:
+    """Return position (3,) m and orientation of the end in the device's frame, and a status.
 
-    last  (3,) m, kept from tick to tick: where a delta was
+    The status is FULL, SINGULAR (the position is NaN) or INVALID.
+
+    last_position  (3,) m, updated from tick to tick: that of a delta
     """
     one, two, three = values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]
-    position, orientation, how = _ZERO, _NO_TURN, WHOLE
+    position, orientation, status = _ZERO, _IDENTITY, FULL
     if kind == PADDLE:
         position = paddle.forward(m.length, one)
     elif kind == PANTOGRAPH:
         position = pantograph.forward(m.pantograph, one, two)
     elif kind == DELTA:
-        place, found = delta.forward(m.delta, (one, two, three), (last[0], last[1], last[2]))
+        end_position, found = delta.forward(
+            m.delta, (one, two, three), (last_position[0], last_position[1], last_position[2])
+        )
         if not found:
-            place, how = m.delta.home, SINGULAR
-        last[0], last[1], last[2] = place
-        position = vec3.sub(place, m.delta.origin) if found else _NOWHERE
+            end_position, status = m.delta.home, SINGULAR
+        last_position[0], last_position[1], last_position[2] = end_position
+        position = vec3.sub(end_position, m.delta.origin) if found else _NO_POSITION
     elif kind in (CHAIN, CHAIN_WITH_WRIST):
         angles = chain.angles_of(m.chain, (one, two, three))
         position = chain.forward(m.chain, angles)
@@ -143,44 +148,44 @@ def end_of(kind: int, m: Mechanism, values: Any, last: Any) -> tuple[Vec3, Quate
         position = (values[POSITION], values[POSITION + 1], values[POSITION + 2])
         if kind == CARTESIAN_WITH_ORIENTATION:
             q = (values[QUATERNION], values[QUATERNION + 1], values[QUATERNION + 2], values[QUATERNION + 3])
-            # the square of a number that a float32 can hold fits a float64
-            size = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
-            if size > 0.0 and isfinite(size):
+            # the square of a finite float32 fits into a float64
+            norm = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+            if norm > 0.0 and isfinite(norm):
                 orientation = normalize(q)
             else:
-                how = NONSENSE
-    return position, orientation, how
+                status = INVALID
+    return position, orientation, status
 
 
 @jit
-def drive(kind: int, m: Mechanism, values: Any, last: Any, force: Vec3, given: Any) -> int:
-    """Put what displays a force (3,) N, device's frame, into `given`; WHOLE, LIMITED or SINGULAR."""
+def force_to_command(kind: int, m: Mechanism, values: Any, last_position: Any, force: Vec3, command: Any) -> int:
+    """Compute the `command` that displays a force (3,) N, device's frame; return FULL, LIMITED or SINGULAR."""
     one, two, three = values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]
     if kind in (CHAIN, CHAIN_WITH_WRIST):
-        current, cut = chain.currents_for(m.chain, chain.angles_of(m.chain, (one, two, three)), force)
+        current, is_limited = chain.currents_for(m.chain, chain.angles_of(m.chain, (one, two, three)), force)
         for k in range(3):
-            given[CURRENT + k] = current[k]
-        return LIMITED if cut else WHOLE
+            command[CURRENT + k] = current[k]
+        return LIMITED if is_limited else FULL
     if kind in (CARTESIAN, CARTESIAN_WITH_ORIENTATION):
-        size = vec3.norm(force)
-        cut = size > m.force_max
-        if cut:
-            force = vec3.scale(m.force_max / size, force)
+        norm = vec3.norm(force)
+        is_limited = norm > m.force_max
+        if is_limited:
+            force = vec3.scale(m.force_max / norm, force)
         for k in range(3):
-            given[FORCE + k] = force[k]
-        return LIMITED if cut else WHOLE
-    singular = False
+            command[FORCE + k] = force[k]
+        return LIMITED if is_limited else FULL
+    is_singular = False
     if kind == PADDLE:
         torque = paddle.torques_for(m.length, one, force)
     elif kind == PANTOGRAPH:
-        torque, singular = pantograph.torques_for(m.pantograph, one, two, force)
+        torque, is_singular = pantograph.torques_for(m.pantograph, one, two, force)
     else:
-        torque, able = delta.torques_for(m.delta, (last[0], last[1], last[2]), force)
-        singular = not able
-    most = max(abs(torque[0]), max(abs(torque[1]), abs(torque[2])))
-    cut = most > m.torque_max
-    if cut:
-        torque = vec3.scale(m.torque_max / most, torque)
+        torque, exists = delta.torques_for(m.delta, (last_position[0], last_position[1], last_position[2]), force)
+        is_singular = not exists
+    torque_norm = max(abs(torque[0]), max(abs(torque[1]), abs(torque[2])))
+    is_limited = torque_norm > m.torque_max
+    if is_limited:
+        torque = vec3.scale(m.torque_max / torque_norm, torque)
     for k in range(3):
-        given[TORQUE + k] = torque[k]
-    return SINGULAR if singular else LIMITED if cut else WHOLE
+        command[TORQUE + k] = torque[k]
+    return SINGULAR if is_singular else LIMITED if is_limited else FULL

@@ -1,4 +1,4 @@
-"""A rig's keys of the mechanism between the joints of a device and its end."""
+"""Configuration of the mechanism between a device's joints and its end."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from msgspec import Meta
 
 from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Coordinate, Table, known, said, within
-from softfinger.drivers.fields.options import InputField, OutputField, lacking, meanings
+from softfinger.drivers.fields.options import InputField, OutputField, meanings, missing_meanings
 
-RATIO_M: Final = Range(1e-4, 1.0, "a capstan thinner than 0.1 mm is a wire, a wheel of 1 m stands on the floor")
+RATIO_M: Final = Range(1e-4, 1.0, "a capstan thinner than 0.1 mm is a wire, a wheel of 1 m is no desktop device")
 LINK_M: Final = Range(1e-3, 2.0, "a desktop arm")
 APART_M: Final = Range(0.0, 2.0, "0: both motors on one axis; a desktop device")
 TORQUE_CONSTANT: Final = Range(1e-5, 100.0, "motors of desktop devices have 0.01 to 1 N m/A")
 COUNTS: Final = Range(1, 1e7, "the finest encoders give some million counts a turn")
-PRESET_COUNTS: Final = Range(-32768, 32767, "what a two-byte counter holds")
+PRESET_COUNTS: Final = Range(-32768, 32767, "range of a two-byte counter")
 CURRENT_A: Final = Range(0.0, 20.0, "amplifiers of desktop devices end at a few amperes")
 TORQUE_NM: Final = Range(0.0, 20.0, "a joint of a desktop device; 40 N at half a metre")
 ANGLE_DEG: Final = Range(-360.0, 360.0, "a turn")
@@ -59,7 +59,8 @@ class Chain(Table, frozen=True, kw_only=True, tag_field="kind", tag="chain"):
         tuple[TorqueConstant, TorqueConstant, TorqueConstant], said("motors a, b, c", [0.321, 0.0603, 0.0603])
     ]
     aligned: Annotated[
-        tuple[bool, bool, bool], said("motor and body turn the same way, so that counts fall", [False, False, False])
+        tuple[bool, bool, bool],
+        said("motor and body turn in the same direction, so that counts decrease", [False, False, False]),
     ] = (False, False, False)
     calibration_counts: Annotated[
         tuple[Preset, Preset, Preset], said("counts a, b, c in the calibration pose", [0, 0, 6000])
@@ -111,7 +112,7 @@ class Delta(Table, frozen=True, kw_only=True, tag_field="kind", tag="delta"):
     end_m: Annotated[float, within(APART_M, "from the end's centre to its joints", 0.03)]
     arm_m: Annotated[float, within(LINK_M, "arm at the motor", 0.08)]
     rod_m: Annotated[float, within(LINK_M, "parallelogram from arm to end", 0.17)]
-    legs_deg: Annotated[tuple[Angle, Angle, Angle], said("where legs a, b, c stand, about z", [0.0, 120.0, 240.0])] = (
+    legs_deg: Annotated[tuple[Angle, Angle, Angle], said("angles of legs a, b, c about z", [0.0, 120.0, 240.0])] = (
         0.0,
         120.0,
         240.0,
@@ -134,18 +135,18 @@ Kinematics = Cartesian | Chain | Paddle | Pantograph | Delta
 QUATERNION: Final = frozenset({"qw", "qx", "qy", "qz"})
 
 
-def faults_of_fields(
+def field_faults(
     key: str, read: tuple[InputField, ...], written: tuple[OutputField, ...], kinematics: Kinematics
 ) -> Iterator[Complaint]:
-    """Complaints about fields at `key` that lack what the kinematics needs, or have what it does not know."""
+    """Yield complaints about fields at `key` that the kinematics lacks or cannot use."""
     sensed, commanded = meanings(read), meanings(written)
     if sensed is None or commanded is None:
         return
     kind = str(kinematics.__struct_config__.tag)
-    yield from lacking(f"{key}.input", sensed, set(kinematics.sensed), kind)
-    yield from lacking(f"{key}.output", commanded, set(kinematics.commanded), kind)
+    yield from missing_meanings(f"{key}.input", sensed, set(kinematics.sensed), kind)
+    yield from missing_meanings(f"{key}.output", commanded, set(kinematics.commanded), kind)
     if isinstance(kinematics, Chain) and kinematics.wrist_counts_per_turn is not None:
-        yield from lacking(f"{key}.input", sensed, {*"def"}, "chain with a wrist")
+        yield from missing_meanings(f"{key}.input", sensed, {*"def"}, "chain with a wrist")
     turned = sorted(sensed & QUATERNION)
     if turned and (not isinstance(kinematics, Cartesian) or len(turned) < len(QUATERNION)):
         yield f"{key}.input.field", turned, "a cartesian device senses all of qw to qz or none"

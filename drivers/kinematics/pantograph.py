@@ -1,4 +1,4 @@
-"""A pantograph: two motors in the base and a loop of four links, which moves its end in a plane.
+"""Pantograph: two motors in the base and a loop of four links, which moves its end in a plane.
 
 Motor 1 turns about (0, 0), motor 2 about (d, 0), each with an inner link of length l; two outer links of length L meet
 at the end P, on the far side of the line from elbow A to elbow B. In the device's frame, with angles from the x axis,
@@ -6,13 +6,13 @@ at the end P, on the far side of the line from elbow A to elbow B. In the device
     A = l (cos a, sin a),   B = (d, 0) + l (cos b, sin b),   h = B - A
     P = (A + B) / 2 + sqrt(L^2 - |h|^2 / 4) (-h_y, h_x) / |h| - origin
 
-The outer links keep their lengths, (P - A) . (P' - A') = 0 and (P - B) . (P' - B') = 0, which gives P' = J q'. With
+The outer links have constant lengths, (P - A) . (P' - A') = 0 and (P - B) . (P' - B') = 0, which gives P' = J q'. With
 u = P - A, v = P - B and D = u_x v_y - u_y v_x
 
     dP/da = (u . A_a) (v_y, -v_x) / D,   dP/db = (v . B_b) (-u_y, u_x) / D,   tau = J^T f
 
-Where the outer links are in line, D = 0: there the motors cannot hold the end, and a small force would take any torque.
-So the force fades out as |D| / L^2, the sine of the angle between the links, falls from SINE_FULL to SINE_NONE.
+If the outer links are collinear, D = 0: the motors cannot hold the end, and a small force would need any torque. So the
+force fades out as |D| / L^2, the sine of the angle between the links, decreases from SINE_FULL to SINE_NONE.
 
 Source: Campion, Wang and Hayward, The Pantograph Mk-II (2005), for equal links.
 """
@@ -27,13 +27,13 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
 SINE_FULL: Final = 0.2
-"""Sine of the angle between the outer links (11.5 degrees) from which the whole force is displayed."""
+"""Sine of the angle between the outer links (11.5 degrees) above which the full force is displayed."""
 SINE_NONE: Final = 0.1
-"""The same (5.7 degrees) below which there is none: torques there are ten times those of links at a right angle."""
+"""Sine (5.7 degrees) below which no force is displayed: torques are ten times those of links at a right angle."""
 
 
 class Pantograph(NamedTuple):
-    """base d, inner l and outer L, m; origin (3,) m, the workspace centre."""
+    """Pantograph: base d, inner l and outer L, m; origin (3,) m, the workspace centre."""
 
     base: float
     inner: float
@@ -48,24 +48,27 @@ def _elbows(p: Pantograph, a: float, b: float) -> tuple[Vec3, Vec3]:
 
 @jit
 def _end(p: Pantograph, a: float, b: float) -> Vec3:
-    """The end before the origin is taken off. Elbows too far apart for the links: the middle between them."""
+    """Return the end without the origin subtracted; if the elbows are too far apart for the links, their midpoint."""
     one, two = _elbows(p, a, b)
     h = vec3.sub(two, one)
-    apart = sqrt(h[0] * h[0] + h[1] * h[1])
-    height = sqrt(max(p.outer * p.outer - 0.25 * apart * apart, 0.0))
-    away = (-h[1] / apart, h[0] / apart, 0.0) if apart > 0.0 else (0.0, 1.0, 0.0)
-    return vec3.add_scaled(vec3.scale(0.5, vec3.add(one, two)), height, away)
+    elbow_distance = sqrt(h[0] * h[0] + h[1] * h[1])
+    height = sqrt(max(p.outer * p.outer - 0.25 * elbow_distance * elbow_distance, 0.0))
+    normal = (-h[1] / elbow_distance, h[0] / elbow_distance, 0.0) if elbow_distance > 0.0 else (0.0, 1.0, 0.0)
+    return vec3.add_scaled(vec3.scale(0.5, vec3.add(one, two)), height, normal)
 
 
 @jit
 def forward(p: Pantograph, a: float, b: float) -> Vec3:
-    """Position (3,) m of the end in the device's frame, z = 0, at joint angles (rad)."""
+    """Return the position (3,) m of the end in the device's frame, z = 0, at joint angles (rad)."""
     return vec3.sub(_end(p, a, b), p.origin)
 
 
 @jit
 def jacobian(p: Pantograph, a: float, b: float) -> tuple[Vec3, Vec3, float]:
-    """Columns dP/da and dP/db, (3,) m/rad each, and the sine of the angle between the outer links; 0: no columns."""
+    """Return columns dP/da and dP/db, (3,) m/rad each, and the sine of the angle between the outer links.
+
+    If the sine is 0, the columns are 0.
+    """
     one, two = _elbows(p, a, b)
     end = _end(p, a, b)
     u, v = vec3.sub(end, one), vec3.sub(end, two)
@@ -80,9 +83,9 @@ def jacobian(p: Pantograph, a: float, b: float) -> tuple[Vec3, Vec3, float]:
 
 @jit
 def torques_for(p: Pantograph, a: float, b: float, force: Vec3) -> tuple[Vec3, bool]:
-    """Joint torques (3,) N m, the third 0, for a force (3,) N in the device's frame; whether the pose is singular.
+    """Return joint torques (3,) N m, the third 0, for a force (3,) N, device's frame, and True in a singular pose.
 
-    The part of the force that leaves the plane is not displayed.
+    The part of the force normal to the plane is not displayed.
     """
     by_a, by_b, sine = jacobian(p, a, b)
     share = min((sine - SINE_NONE) / (SINE_FULL - SINE_NONE), 1.0)

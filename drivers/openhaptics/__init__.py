@@ -1,8 +1,8 @@
-"""3D Systems' devices (Touch, Touch X; PHANToM Omni, Desktop, Premium) through the maker's own library, found at run
-time.
+"""Devices of 3D Systems (Touch, Touch X; PHANToM Omni, Desktop, Premium) through the maker's library.
 
-`models` says what each device can do, `library` finds and declares the maker's functions, `scheduler` is the library's
-one thread, `exchange` is what that thread and the servo loop call, `device` opens, calibrates, stops and closes.
+`models` has the limits of each device, `library` loads and declares the maker's functions, `scheduler` is the library's
+thread, `exchange` has the functions of that thread and of the servo loop, and `device` opens, calibrates, stops and
+closes.
 
-Nothing of the maker's is in here: its library is looked for when a device is opened, and may be absent.
+The maker's library is not included: it is loaded when a device is opened, and may be missing.
 """

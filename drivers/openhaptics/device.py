@@ -1,8 +1,8 @@
-"""A device of 3D Systems, opened through the maker's library.
+"""Device of 3D Systems, opened through the maker's library.
 
-The order of opening is that of the maker's programs: initialise, start the library's thread, calibrate, have the
-callback called. The force stays off until `arm`; from then on the callback gives it (`exchange`). Nothing moves by
-itself: calibration is a place that the user gives.
+The order of opening follows the maker's programs: initialise, start the library's thread, calibrate, schedule the
+callback. The force is off until `arm`; then the callback sends it (`exchange`). The device never moves by itself: for
+calibration, the user moves it to a known position.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from softfinger.drivers.openhaptics import exchange, library, usb
 from softfinger.drivers.openhaptics.block import AT
 from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN, WORKSPACE_MM, Limits
 from softfinger.drivers.openhaptics.options import Options
-from softfinger.drivers.openhaptics.scheduler import Scheduler, scheduler_of, within
+from softfinger.drivers.openhaptics.scheduler import Scheduler, get_scheduler, wait_until
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import Attached
 from softfinger.drivers.system.makers_library import address
@@ -36,22 +36,22 @@ from softfinger.drivers.system.makers_library import address
 log: Final = logging.getLogger(__name__)
 
 TORQUE_MAX_NM: Final = 1e2
-"""Where no motor turns the handle, torque is taken and not sent: it belongs to the contact and to telemetry."""
+"""If no motor turns the handle, torque is accepted but not sent: contact and telemetry use it."""
 
 FIRST_FRAMES_S: Final = 2.0
-"""How long opening waits for the library's thread."""
+"""Maximum wait of opening for the library's thread."""
 ARM_S: Final = 1.0
 STOP_S: Final = 0.1
-"""How long `stop` waits for a frame that gives zero; where none comes the library hangs, and is called over it."""
+"""Maximum wait of `stop` for a frame that sends zero; without one the library hangs, and is called in parallel."""
 HANG_S: Final = 0.3
-LET_GO_S: Final = 1.0
+RELEASE_S: Final = 1.0
 POLL_S: Final = 0.02
 WARM: Final = 800
-"""Of 1000: from here on a warning tells of the motors, down to COOL."""
+"""Of 1000: a warning about the motors starts here, and ends at COOL."""
 COOL: Final = 700
-SIX: Final = 6
+FULL_DOF: Final = 6
 
-CALLS: Final = {
+LIBRARY_FUNCTIONS: Final = {
     AT.begin_frame: "hdBeginFrame",
     AT.end_frame: "hdEndFrame",
     AT.get_doubles: "hdGetDoublev",
@@ -68,22 +68,22 @@ ZERO: Final = (ctypes.c_double * 3)()
 
 
 class OpenHaptics(Device):
-    """An open device, its force off until `arm`. `stop` takes the force off for good: to go on, open it again.
+    """Open device with its force off until `arm`. `stop` is final: to resume, open the device again.
 
-    calibrates  False: one that is not calibrated is opened all the same, to be asked what it is
+    calibrates  False: open a device that is not calibrated too, to identify it
     """
 
     def __init__(self, options: Options, calibrates: bool = True) -> None:
         self._library = library.load(options.library_file)
         self._options = options
-        self._scheduler: Scheduler = scheduler_of(self._library)
+        self._scheduler: Scheduler = get_scheduler(self._library)
         self._block = Block(AT)
         self._word = self._block.word
         self._ending = threading.Lock()
-        self._warm = False
-        with self._scheduler.still():
-            self._device = _initialise(self._library, options.name)
-            try:  # before the thread runs again: the current device may be one for all threads
+        self._warm, self._zero_failure = False, ""
+        with self._scheduler.paused():
+            self._device = _open_library_device(self._library, options.name)
+            try:  # before the thread runs again, because the current device may be the same for all threads
                 self.model, self.serial, self._style = self._identity()
                 self.info = self._info()
             except BaseException:
@@ -93,7 +93,7 @@ class OpenHaptics(Device):
             self.calibrated = self._calibrate(calibrates)
             self._set_up()
         except BaseException:
-            self._let_go()
+            self._release()
             raise
 
     def io(self) -> DeviceIO:
@@ -105,13 +105,13 @@ class OpenHaptics(Device):
             return
         word[AT.armed] = 1
         if (
-            within(ARM_S, lambda: word[AT.output] == 1 or word[AT.status] < 0 or word[AT.stopped])
+            wait_until(ARM_S, lambda: word[AT.output] == 1 or word[AT.status] < 0 or word[AT.stopped])
             and not word[AT.status]
         ):
             return
         word[AT.armed] = 0
         why = self.reason() or f"no frame of the library switched the motors on within {ARM_S:g} s"
-        raise DeviceError(f"{self.info.name}: the force cannot be switched on: {why}: {_AGAIN}")
+        raise DeviceError(f"{self.info.name}: the force cannot be switched on: {why}: {_RETRY_REMEDY}")
 
     def stop(self) -> None:
         word = self._word
@@ -120,8 +120,15 @@ class OpenHaptics(Device):
         if not word[AT.open]:
             return
         with self._ending:
-            if not word[AT.silent] and not within(STOP_S, lambda: word[AT.silent]):
-                self._over_it(self._zero, HANG_S)
+            if (
+                not word[AT.has_sent_zero]
+                and not wait_until(STOP_S, lambda: word[AT.has_sent_zero])
+                and not self._zero_failure
+            ):
+                self._zero_failure = self._run_with_timeout(self._zero, HANG_S)
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
 
     def close(self) -> None:
         self.stop()
@@ -129,7 +136,7 @@ class OpenHaptics(Device):
             return
         with self._ending:
             if self._word[AT.open]:
-                self._over_it(self._let_go, LET_GO_S)
+                self._run_with_timeout(self._release, RELEASE_S)
                 self._word[AT.open] = 0
                 counted = self.counts()
                 log.info("%s: %s", self.info.name, ", ".join(f"{name} {value}" for name, value in counted.items()))
@@ -137,16 +144,23 @@ class OpenHaptics(Device):
     def reason(self) -> str:
         if not self._word[AT.error]:
             return ""
-        return library.told(self._library, int(self._word[AT.error]), int(self._word[AT.internal]))
+        return library.error_text(self._library, int(self._word[AT.error]), int(self._word[AT.internal]))
 
     def warning(self) -> str:
         self._warm = int(self._word[AT.temperature]) >= (COOL if self._warm else WARM)
-        said = []
+        messages = []
         if self._warm:
-            said.append("the motors are hot: give them a rest, or the device takes the force off")
+            messages.append("the motors are hot: pause, or the device switches the force off")
         if self._word[AT.docked]:
-            said.append("the stylus is in the inkwell, so there is no force (inkwell = false does not ask for that)")
-        return "; ".join(said)
+            messages.append(
+                "the stylus is in the inkwell, so there is no force (inkwell = false does not ask for that)"
+            )
+        if self._word[AT.late]:
+            messages.append(
+                f"frames of the library are more than force_age_max_s = {self._options.force_age_max_s:g} s apart, so "
+                "there is no force: end other programs, try another USB port"
+            )
+        return "; ".join(messages)
 
     def counts(self) -> dict[str, int]:
         return self._block.counts()
@@ -154,12 +168,12 @@ class OpenHaptics(Device):
     # --- opening --------------------------------------------------------------------------------
 
     def _identity(self) -> tuple[str, str, int]:
-        """Model, serial number and styles of calibration, as the library has them; DeviceNotFound for another model."""
+        """Return model, serial number and calibration styles; raises DeviceNotFound if the rig has another model."""
         call = self._library
         model = (call.hdGetString(library.DEVICE_MODEL_TYPE) or b"").decode(errors="replace")
         serial = (call.hdGetString(library.DEVICE_SERIAL_NUMBER) or b"").decode(errors="replace")
         style = self._integer(library.CALIBRATION_STYLE)
-        library.errors(call)  # what one of these does not have is told by its value
+        library.errors(call)  # a missing property shows in its value
         if self._options.model not in (None, model):
             raise DeviceNotFound(
                 f"no device fits model = {self._options.model}: it is a {model}, serial {serial}: change [device] in "
@@ -171,17 +185,19 @@ class OpenHaptics(Device):
 
     def _info(self) -> DeviceInfo:
         limits: Limits = MODELS.get(self.model, UNKNOWN)
-        turns = self._integer(library.OUTPUT_DOF) == SIX and limits.torque_max_nm > 0.0
-        self._word[AT.turns] = turns
-        most = self._doubles(library.NOMINAL_MAX_FORCE, 1)[0]
+        has_torque = self._integer(library.OUTPUT_DOF) == FULL_DOF and limits.torque_max_nm > 0.0
+        self._word[AT.has_torque] = has_torque
+        nominal_force = self._doubles(library.NOMINAL_MAX_FORCE, 1)[0]
         (x0, y0, z0), (x1, y1, z1) = self._workspace_mm()
         library.errors(self._library)
         return DeviceInfo(
             name=f"{self.model or 'device of 3D Systems'}, serial {self.serial or 'not known'}",
-            sensed_dof=SIX,
-            actuated_dof=SIX if turns else 3,
-            force_max_n=min(limits.force_max_n, most) if math.isfinite(most) and most > 0.0 else limits.force_max_n,
-            torque_max_nm=limits.torque_max_nm if turns else TORQUE_MAX_NM,
+            sensed_dof=FULL_DOF,
+            actuated_dof=FULL_DOF if has_torque else 3,
+            force_max_n=min(limits.force_max_n, nominal_force)
+            if math.isfinite(nominal_force) and nominal_force > 0.0
+            else limits.force_max_n,
+            torque_max_nm=limits.torque_max_nm if has_torque else TORQUE_MAX_NM,
             stiffness_max_n_per_m=limits.stiffness_max_n_per_m,
             damping_max_ns_per_m=limits.damping_max_ns_per_m,
             workspace_min_m=(x0 * 1e-3, -z1 * 1e-3, y0 * 1e-3),
@@ -189,19 +205,19 @@ class OpenHaptics(Device):
         )
 
     def _workspace_mm(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Its corners as the device has them, in the library's frame, or those of a Touch."""
-        said = self._doubles(library.USABLE_WORKSPACE_DIMENSIONS, SIX)
-        low, high = tuple(said[:3]), tuple(said[3:])
+        """Return the device's workspace corners in the library's frame; the corners of a Touch if they are unusable."""
+        messages = self._doubles(library.USABLE_WORKSPACE_DIMENSIONS, FULL_DOF)
+        low, high = tuple(messages[:3]), tuple(messages[3:])
         if all(-1e4 < a < b < 1e4 for a, b in zip(low, high, strict=True)):
             return low, high
         return WORKSPACE_MM
 
-    def _calibrate(self, needed: bool) -> bool:
-        """Calibrate the device in the best style that it has: by itself, by the inkwell, where it is held."""
+    def _calibrate(self, is_needed: bool) -> bool:
+        """Calibrate the device in its best style: automatic, by the inkwell, or at the present position."""
         call = self._library
         best = next((one for one in (library.AUTO, library.INKWELL, library.ENCODER_RESET) if self._style & one), 0)
-        until, asked = time.monotonic() + self._options.calibration_wait_s, False
-        while needed:
+        until, was_asked = time.monotonic() + self._options.calibration_wait_s, False
+        while is_needed:
             call.hdMakeCurrentDevice(self._device)
             state = call.hdCheckCalibration()
             if state == library.NEEDS_UPDATE and best:
@@ -212,19 +228,19 @@ class OpenHaptics(Device):
             self._raise_errors("calibration")
             if state == library.CALIBRATED:
                 return True
-            if state == library.NEEDS_MANUAL_INPUT and not asked:
-                asked = True
-                log.warning("%s: %s", self.info.name, _WHAT_TO_DO[best])
+            if state == library.NEEDS_MANUAL_INPUT and not was_asked:
+                was_asked = True
+                log.warning("%s: %s", self.info.name, _CALIBRATION_REMEDIES[best])
             if time.monotonic() > until:
                 break
             time.sleep(POLL_S)
-        if not needed:
+        if not is_needed:
             return bool(call.hdCheckCalibration() == library.CALIBRATED)
-        raise DeviceError(f"{self.info.name} is not calibrated: {_WHAT_TO_DO[best]}, then start again")
+        raise DeviceError(f"{self.info.name} is not calibrated: {_CALIBRATION_REMEDIES[best]}, then start again")
 
     def _set_up(self) -> None:
         call, options, word = self._library, self._options, self._word
-        for place, name in CALLS.items():
+        for place, name in LIBRARY_FUNCTIONS.items():
             word[place] = address(call, name)
         word[AT.device] = self._device
         word[AT.age_max] = round(options.force_age_max_s * 1e9)
@@ -232,16 +248,16 @@ class OpenHaptics(Device):
         word[AT.has_inkwell] = options.inkwell and bool(self._style & library.INKWELL)
         word[AT.switch] = 1
         word[AT.has_temperature] = 1
-        word[AT.output] = -1  # one that a killed program left on is switched off
+        word[AT.output] = -1  # so that an output that a killed program left on is switched off
         word[AT.open] = 1
         self._scheduler.add(self._block)
         self._raise_errors("hdScheduleAsynchronous")
-        if not within(FIRST_FRAMES_S, lambda: word[AT.frames] > exchange.PROBES or word[AT.status] < 0):
+        if not wait_until(FIRST_FRAMES_S, lambda: word[AT.frames] > exchange.PROBES or word[AT.status] < 0):
             raise DeviceTimeout(
-                f"{self.info.name}: the library's thread has not called within {FIRST_FRAMES_S:g} s: {_AGAIN}"
+                f"{self.info.name}: the library's thread has not called within {FIRST_FRAMES_S:g} s: {_RETRY_REMEDY}"
             )
         if word[AT.status] < 0:
-            raise DeviceError(f"{self.info.name} gives no pose: {self.reason()}: {_AGAIN}")
+            raise DeviceError(f"{self.info.name} gives no pose: {self.reason()}: {_RETRY_REMEDY}")
 
     def _integer(self, what: int) -> int:
         value = ctypes.c_int()
@@ -257,38 +273,50 @@ class OpenHaptics(Device):
 
     def _raise_errors(self, what: str) -> None:
         if found := library.errors(self._library):
-            raise DeviceError(f"{what} failed: {'; '.join(map(str, found))}: {_AGAIN}")
+            raise DeviceError(f"{what} failed: {'; '.join(map(str, found))}: {_RETRY_REMEDY}")
 
     # --- ending ---------------------------------------------------------------------------------
 
-    def _zero(self) -> None:
-        """Give zero and switch the motors off from here: the library's thread does not call any more."""
+    def _zero(self) -> str:
+        """Send zero and switch the motors off from this thread, because the library's thread does not call any more.
+
+        Returns why the motors may still be on; empty if the library reports them off.
+        """
         call = self._library
         call.hdBeginFrame(self._device)
         call.hdSetDoublev(library.CURRENT_FORCE, ZERO)
-        if self._word[AT.turns]:
+        if self._word[AT.has_torque]:
             call.hdSetDoublev(library.CURRENT_TORQUE, ZERO)
         call.hdDisable(library.FORCE_OUTPUT)
         call.hdEndFrame(self._device)
+        on, errors = call.hdIsEnabled(library.FORCE_OUTPUT), library.errors(call)
+        return ("; ".join(map(str, errors)) or "the motors stay on") if on else ""
 
-    def _let_go(self) -> None:
+    def _release(self) -> str:
         self._scheduler.remove(self._block)
         self._library.hdDisableDevice(self._device)
-        library.errors(self._library)  # so that nobody takes them for those of the next device
+        library.errors(self._library)  # so that they are not reported as errors of the next device
+        return ""
 
-    def _over_it(self, work: Callable[[], object], seconds: float) -> None:
-        """Run what may hang with the library in a thread, and go on without it where it does."""
-        over = threading.Thread(target=work, name="openhaptics stop", daemon=True)
-        over.start()
-        over.join(seconds)
-        if over.is_alive():
-            log.error("%s: the library hangs and may have left a force: switch the device off", self.info.name)
+    def _run_with_timeout(self, work: Callable[[], str], seconds: float) -> str:
+        """Run `work`, which may hang in the library, in a thread; return its failure, or that of a timeout."""
+        failed = ["the library hangs"]
+
+        def run() -> None:
+            failed[0] = work()
+
+        stop_thread = threading.Thread(target=run, name="openhaptics stop", daemon=True)
+        stop_thread.start()
+        stop_thread.join(seconds)
+        if failed[0]:
+            log.error("%s may still push: %s: switch the device off", self.info.name, failed[0])
+        return failed[0]
 
 
-_AGAIN: Final = "check cable and power, run the maker's Touch_Diagnostic, then start again"
-_WHAT_TO_DO: Final = {
-    0: "it names no way to do that: calibrate it with the maker's Touch_Setup or Touch_Diagnostic",
-    library.AUTO: "move the handle through its whole range",
+_RETRY_REMEDY: Final = "check cable and power, run the maker's Touch_Diagnostic, then start again"
+_CALIBRATION_REMEDIES: Final = {
+    0: "it supports no calibration by programs: calibrate it with the maker's Touch_Setup or Touch_Diagnostic",
+    library.AUTO: "move the handle through its full range",
     library.INKWELL: "put the stylus into the inkwell",
     library.ENCODER_RESET: (
         "hold the handle in its reset position, the arms at right angles, while it is opened, and set "
@@ -298,7 +326,7 @@ _WHAT_TO_DO: Final = {
 
 
 def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
-    """What the library says of the device that the options name; no force is switched on, and nothing calibrated.
+    """Return the library's description of the device that the options select; no force is switched on, no calibration.
 
     Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.
     """
@@ -309,40 +337,42 @@ def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
 def open_device(options: Options, rate_hz: float) -> OpenHaptics:
     """Open a device of 3D Systems.
 
-    Raises DeviceNotFound, DeviceBusy, DevicePermission, DeviceTimeout or DeviceError, each with what to do.
+    Raises DeviceNotFound, DeviceBusy, DevicePermission, DeviceTimeout or DeviceError, each with the remedy.
     """
     return OpenHaptics(options)
 
 
-def _initialise(call: ctypes.CDLL, name: str | None) -> int:
-    library.errors(call)  # of what was before
+def _open_library_device(call: ctypes.CDLL, name: str | None) -> int:
+    library.errors(call)  # discard earlier errors
     device = call.hdInitDevice(None if name is None else name.encode())
     found = library.errors(call)
     if device != library.INVALID_HANDLE and not found:
         return int(device)
     if device != library.INVALID_HANDLE:
         call.hdDisableDevice(device)
-    _not_opened(name, found)
+    _raise_open_error(name, found)
 
 
-def _not_opened(name: str | None, found: list[library.Error]) -> NoReturn:
-    said = "; ".join(map(str, found)) or "the library does not say why"
+def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
+    messages = "; ".join(map(str, found)) or "the library gives no reason"
     which = "the default device" if name is None else f"the device '{name}'"
     seen = usb.attached()
     if any(error.code == library.ALREADY_INITIATED for error in found):
         raise DeviceBusy(
-            f"{which} is in use by another program, or twice in this rig: {said}: end that, then start again"
+            f"{which} is in use by another program, or twice in this rig: {messages}: end the other, then start again"
         )
     if any(error.code == library.INVALID_LICENSE for error in found):
-        raise DeviceError(f"{which} cannot be opened: {said}: install the developer edition's licence")
+        raise DeviceError(f"{which} cannot be opened: {messages}: install the developer edition's licence")
     for device in seen:
         if device.node and not discovery.permitted(device.node):
             raise DevicePermission(usb.how_to_permit(device))
         if device.node and (holder := discovery.holder(device.node)) is not None:
-            raise DeviceBusy(f"{device} is held by {holder}: end that, then start again ({said})")
+            raise DeviceBusy(f"{device} is used by {holder}: end that process, then start again ({messages})")
     if not seen:
         raise DeviceNotFound(
-            f"{which} does not answer: {said}: check cable and power (USB vendor {usb.VENDOR:04x}), and that "
+            f"{which} does not answer: {messages}: check cable and power (USB vendor {usb.VENDOR:04x}), and that "
             f"Touch_Setup {'has a default device' if name is None else 'has that name'}"
         )
-    raise DeviceError(f"{which} cannot be opened, and {seen[0]} is attached: {said}: run Touch_Setup, then start again")
+    raise DeviceError(
+        f"{which} cannot be opened, and {seen[0]} is attached: {messages}: run Touch_Setup, then start again"
+    )

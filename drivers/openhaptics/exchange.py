@@ -1,12 +1,14 @@
-"""What the library's thread calls once a millisecond, and what the servo loop calls; neither waits for the other.
+"""Callback of the library's thread, once per millisecond, and functions of the servo loop; neither waits for the other.
 
-The callback reads the device and gives it the newest force of the servo. It GIVES ZERO BY ITSELF where that force is
-older than the rig allows, where the device is not armed, where the stylus is docked, after an error, and after a pause
-of its own: the motors keep what they were given, so a servo that stands still must not leave a force. The servo then
-learns of a lapse, and the guard fades in anew.
+The callback reads the device and sends it the latest force of the servo. It SENDS ZERO INSTEAD if that force is older
+than the rig allows, if the device is disarmed, if the stylus is docked, after an error, and if the frame itself is
+late: the motors keep the last command, so a stalled servo must not leave a force. Each force that is not sent counts as
+a lapse. The servo's next write is then WITHHELD, as is every write while the stylus is docked or frames are late, so
+that the guard fades the force in again and telemetry has the force of the motors.
 
 The library's frame has x to the right, y up, z towards the user. World (x, y, z) = (x, -z, y), for positions, forces
-and torques, and for both sides of the orientation, so that a handle at rest is not turned.
+and torques, and for both sides of the orientation, so that an unrotated handle is unrotated in both
+frames.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from numba import carray, types
 
 from softfinger.drivers.base import (
     FORCE_OFF,
+    HELD,
     LOST,
     OK,
     PROTOCOL,
@@ -30,7 +33,7 @@ from softfinger.drivers.base import (
     WITHHELD,
 )
 from softfinger.drivers.openhaptics import library as hd
-from softfinger.drivers.openhaptics.block import AT, HEEDED, SEQUENCE_WORDS, WRENCH_SIZE, WRITTEN
+from softfinger.drivers.openhaptics.block import AT, KNOWN_LAPSES, SEQUENCE_WORDS, WRENCH_SIZE, WRITTEN
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32, call_two_int64, call_void
@@ -40,36 +43,37 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import from_matrix
 
 DONE: Final = 0
-"""What a callback returns that is not to be called again, and one that is."""
+"""Results of a callback: DONE if the library must not call it again, else CONTINUE."""
 CONTINUE: Final = 1
 
 NS_PER_S: Final = 1_000_000_000
 MM_PER_M: Final = 1000.0
 MNM_PER_NM: Final = 1000.0
 NOT_A_ROTATION: Final = 0.01
-"""How far the rows' lengths and the determinant may be from 1; a matrix that is off by more is a fault, not a sensed
-rotation."""
+"""Tolerance of the rows' lengths and of the determinant; a larger deviation from 1 is a fault, not a rotation."""
 
 PROBE_INKWELL: Final = 0
-"""Frame that asks for the inkwell for the first time, and one that asks for the motors' temperature: a device that
-refuses is not asked again. Neither is a state that every device has."""
+"""Frames of the first queries of inkwell and motor temperature, which not every device has.
+
+If a device rejects a query, it is not repeated.
+"""
 PROBE_TEMPERATURE: Final = 1
 PROBES: Final = 2
 TEMPERATURE_EVERY: Final = 100
-"""Frames from one look at the motors' temperature to the next."""
+"""Frames from one query of the motors' temperature to the next."""
 MOTORS: Final = 6
 ERRORS_PER_FRAME: Final = 8
-"""Errors taken off the stack in a frame; what is left comes in the next."""
+"""Maximum number of errors removed from the stack per frame; the remainder is removed in the next."""
 
 TIMEOUT_NS: Final = 100_000_000
-"""Of a library's thread that is silent while the servo listens."""
+"""Maximum silence of the library's thread while the servo reads."""
 LISTENED_NS: Final = 10_000_000
-"""Most that counts as listened of the time between two reads: a loop that stood still has not listened."""
+"""Maximum part of the time between two reads that counts as silence, because a stalled loop reads nothing."""
 
 
 @jit
 def status_of(code: int) -> int:
-    """What an error of the library means for the run."""
+    """Return the status for an error of the library."""
     if code in (hd.DEVICE_FAULT, hd.COMM_ERROR, hd.COMM_CONFIG_ERROR, hd.BAD_HANDLE):
         return LOST
     if hd.WARM_MOTORS <= code <= hd.FORCE_ERROR:
@@ -81,8 +85,8 @@ def status_of(code: int) -> int:
 
 
 @jit
-def _refused(handle: int, code: int) -> bool:
-    """Whether an error is the answer to a first look for what not every device has; then it is not asked again."""
+def _is_refused_probe(handle: int, code: int) -> bool:
+    """Return True if an error answers a first query of an optional property; then it is not queried again."""
     word = int64_at(handle)
     if code < hd.INVALID_ENUM or code > hd.INVALID_INPUT_TYPE or word[AT.frames] >= PROBES:
         return False
@@ -94,8 +98,8 @@ def _refused(handle: int, code: int) -> bool:
 
 
 @jit
-def _note_errors(handle: int) -> None:
-    """Take this frame's errors off the stack, and note the gravest: what ended the device, else what came first."""
+def _store_errors(handle: int) -> None:
+    """Remove this frame's errors from the stack, and store the gravest: the first fatal one, else the first."""
     word = int64_at(handle)
     for _ in range(ERRORS_PER_FRAME):
         told, of = call_two_int64(word[AT.get_error], ())
@@ -103,7 +107,7 @@ def _note_errors(handle: int) -> None:
         if code == 0:
             return
         word[AT.errors] += 1
-        if device not in (word[AT.device], hd.INVALID_HANDLE) or _refused(handle, code):
+        if device not in (word[AT.device], hd.INVALID_HANDLE) or _is_refused_probe(handle, code):
             continue
         status = status_of(code)
         if word[AT.status] == OK or (word[AT.status] == PROTOCOL and status != PROTOCOL):
@@ -112,8 +116,8 @@ def _note_errors(handle: int) -> None:
 
 
 @jit
-def _sense(handle: int) -> None:
-    """Ask the library for the state of this frame."""
+def _read_state(handle: int) -> None:
+    """Query the state of the device in this frame."""
     word, frames = int64_at(handle), int64_at(handle)[AT.frames]
     call_void(word[AT.get_doubles], (np.int32(hd.CURRENT_POSITION), handle + 8 * AT.position))
     call_void(word[AT.get_doubles], (np.int32(hd.CURRENT_TRANSFORM), handle + 8 * AT.matrix))
@@ -132,28 +136,28 @@ def _sense(handle: int) -> None:
 
 
 @jit
-def _take_wrench(handle: int, slot: Slot, into: Any) -> Any:
-    """The last whole wrench of the servo; `into` is the array over `wrench_taken`."""
+def _read_wrench(handle: int, slot: Slot, into: Any) -> Any:
+    """Return the servo's last complete wrench; `into` is the array over `read_wrench`."""
     word = int64_at(handle)
-    kept = float64_at(handle + 8 * AT.wrench_kept)
+    last_sample = float64_at(handle + 8 * AT.last_wrench)
     seen = refresh(slot, word[AT.wrench_seen], into)
     if seen != word[AT.wrench_seen]:
         word[AT.wrench_seen] = seen
         for k in range(WRENCH_SIZE):
-            kept[k] = into[k]
-    return kept
+            last_sample[k] = into[k]
+    return last_sample
 
 
 @jit
-def _give(handle: int, what: int, x: float, y: float, z: float) -> None:
+def _send_vector(handle: int, what: int, x: float, y: float, z: float) -> None:
     vector = float64_at(handle + 8 * AT.vector)
     vector[0], vector[1], vector[2] = x, z, -y
     call_void(int64_at(handle)[AT.set_doubles], (np.int32(what), handle + 8 * AT.vector))
 
 
 @jit
-def _switch(handle: int, on: bool) -> None:
-    """Switch the motors on or off where they are not so; whether they are is for the library to say."""
+def _switch_motors(handle: int, on: bool) -> None:
+    """Switch the motors on or off if their state differs; the library reports the result."""
     word = int64_at(handle)
     if word[AT.output] != int(on):
         call_void(word[AT.enable] if on else word[AT.disable], (np.int32(hd.FORCE_OUTPUT),))
@@ -161,36 +165,36 @@ def _switch(handle: int, on: bool) -> None:
 
 
 @jit
-def _act(handle: int, wrench: Any) -> None:
-    """Give the device the servo's last whole wrench, or zero."""
+def _send_wrench(handle: int, wrench: Any) -> None:
+    """Send the servo's last complete wrench to the device, or zero."""
     word = int64_at(handle)
     now = monotonic_ns(handle + 8 * AT.frame_timespec)
-    live = word[AT.armed] != 0 and word[AT.stopped] == 0 and word[AT.leave] == 0 and word[AT.status] == OK
-    usable = live and word[AT.docked] == 0 and wrench[HEEDED] == word[AT.lapses]
-    usable = usable and now - word[AT.started_at] - wrench[WRITTEN] <= word[AT.age_max]
-    usable = usable and now - word[AT.framed_at] <= word[AT.age_max]  # else the force is for where the hand was
+    word[AT.late] = int(now - word[AT.framed_at] > word[AT.age_max])
     word[AT.framed_at] = now
-    if not usable and word[AT.loaded] != 0:
-        word[AT.lapses] += 1
-    loaded = 0
+    may_send = word[AT.armed] != 0 and word[AT.stopped] == 0 and word[AT.is_leaving] == 0 and word[AT.status] == OK
+    is_current = wrench[KNOWN_LAPSES] == word[AT.lapses]
+    is_usable = may_send and is_current and word[AT.docked] == 0 and word[AT.late] == 0
+    is_usable = is_usable and now - word[AT.started_at] - wrench[WRITTEN] <= word[AT.age_max]
+    given = False
     for k in range(6):
-        if usable and wrench[k] != 0.0:
-            loaded = 1
-    word[AT.loaded] = loaded
-    share = 1.0 if usable else 0.0
-    _give(handle, hd.CURRENT_FORCE, share * wrench[0], share * wrench[1], share * wrench[2])
-    if word[AT.turns] != 0:
+        given = given or wrench[k] != 0.0
+    if not is_usable and (word[AT.has_force] != 0 or (given and is_current)):
+        word[AT.lapses] += 1
+    word[AT.has_force] = int(is_usable and given)
+    share = 1.0 if is_usable else 0.0
+    _send_vector(handle, hd.CURRENT_FORCE, share * wrench[0], share * wrench[1], share * wrench[2])
+    if word[AT.has_torque] != 0:
         share *= MNM_PER_NM
-        _give(handle, hd.CURRENT_TORQUE, share * wrench[3], share * wrench[4], share * wrench[5])
-    _switch(handle, live)
+        _send_vector(handle, hd.CURRENT_TORQUE, share * wrench[3], share * wrench[4], share * wrench[5])
+    _switch_motors(handle, may_send)
 
 
 @jit
-def _make_pose(handle: int, made: Any) -> None:
-    """The frame's pose in the world frame; NaN for an orientation that is no rotation."""
+def _make_pose(handle: int, new_pose: Any) -> None:
+    """Convert the frame's pose to the world frame; the orientation is NaN if its matrix is no rotation."""
     word = int64_at(handle)
     p, m = float64_at(handle + 8 * AT.position), float64_at(handle + 8 * AT.matrix)
-    made[0], made[1], made[2] = p[0] / MM_PER_M, -p[2] / MM_PER_M, p[1] / MM_PER_M
+    new_pose[0], new_pose[1], new_pose[2] = p[0] / MM_PER_M, -p[2] / MM_PER_M, p[1] / MM_PER_M
     world = ((m[0], -m[8], m[4]), (-m[2], m[10], -m[6]), (m[1], -m[9], m[5]))
     rotation = abs(vec3.dot(world[0], vec3.cross(world[1], world[2])) - 1.0) < NOT_A_ROTATION
     for i in range(3):
@@ -198,40 +202,41 @@ def _make_pose(handle: int, made: Any) -> None:
     if rotation:
         q = from_matrix(world)
         for k in range(4):
-            made[3 + k] = q[k]
+            new_pose[3 + k] = q[k]
     else:
         for k in range(4):
-            made[3 + k] = nan
-    made[SAMPLE_TIME] = (word[AT.framed_at] - word[AT.started_at]) / NS_PER_S
-    made[SAMPLE_BUTTONS] = float(np.int64(int32_at(handle + 8 * AT.buttons)[0]) & 0xFFFFFFFF)
+            new_pose[3 + k] = nan
+    new_pose[SAMPLE_TIME] = (word[AT.framed_at] - word[AT.started_at]) / NS_PER_S
+    new_pose[SAMPLE_BUTTONS] = float(np.int64(int32_at(handle + 8 * AT.buttons)[0]) & 0xFFFFFFFF)
 
 
 @c_function(types.uint32(types.int64))
 def callback(handle: int) -> int:
-    """A frame of the library's thread."""
+    """Run a frame; the library's thread calls it."""
     word = int64_at(handle)
     if word[AT.open] == 0:
         return DONE
     device = (np.int32(word[AT.device]),)
-    leaving, stopping = word[AT.leave], word[AT.stopped]  # before what they end: what is told of is done
+    # Read before the frame: `left` and `silent` report that a complete frame followed.
+    leaving, stopping = word[AT.is_leaving], word[AT.stopped]
     call_void(word[AT.begin_frame], device)
-    _sense(handle)
+    _read_state(handle)
     word[AT.docked] = int(word[AT.has_inkwell] != 0 and uint8_at(handle + 8 * AT.switch)[0] == 0)
     given = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
     slot = Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (SEQUENCE_WORDS,)), given)
-    _act(handle, _take_wrench(handle, slot, carray(float64_at(handle + 8 * AT.wrench_taken), (WRENCH_SIZE,))))
+    _send_wrench(handle, _read_wrench(handle, slot, carray(float64_at(handle + 8 * AT.read_wrench), (WRENCH_SIZE,))))
     call_void(word[AT.end_frame], device)
-    _note_errors(handle)
+    _store_errors(handle)
     if word[AT.status] == OK:
-        made = carray(float64_at(handle + 8 * AT.pose_made), (SAMPLE_SIZE,))
+        new_pose = carray(float64_at(handle + 8 * AT.new_pose), (SAMPLE_SIZE,))
         pose = carray(float64_at(handle + 8 * AT.pose), (SAMPLE_SIZE,))
-        _make_pose(handle, made)
-        store(Slot(carray(int64_at(handle + 8 * AT.pose_sequence), (SEQUENCE_WORDS,)), pose), made)
+        _make_pose(handle, new_pose)
+        store(Slot(carray(int64_at(handle + 8 * AT.pose_sequence), (SEQUENCE_WORDS,)), pose), new_pose)
     word[AT.frames] += 1
     if stopping != 0:
-        word[AT.silent] = 1
+        word[AT.has_sent_zero] = 1
     if leaving != 0:
-        word[AT.left] = 1
+        word[AT.has_left] = 1
         return DONE
     return CONTINUE
 
@@ -249,7 +254,7 @@ def read(handle: int, sample: Any) -> int:
         return LOST
     if word[AT.status] < 0:
         return int(word[AT.status])
-    taken, kept = float64_at(handle + 8 * AT.pose_taken), float64_at(handle + 8 * AT.sample)
+    taken, last_sample = float64_at(handle + 8 * AT.read_pose), float64_at(handle + 8 * AT.sample)
     given = carray(float64_at(handle + 8 * AT.pose), (SAMPLE_SIZE,))
     slot = Slot(carray(int64_at(handle + 8 * AT.pose_sequence), (SEQUENCE_WORDS,)), given)
     seen = refresh(slot, word[AT.pose_seen], carray(taken, (SAMPLE_SIZE,)))
@@ -258,7 +263,7 @@ def read(handle: int, sample: Any) -> int:
     if seen != word[AT.pose_seen]:
         word[AT.pose_seen], word[AT.silence] = seen, 0
         for k in range(SAMPLE_SIZE):
-            kept[k] = taken[k]
+            last_sample[k] = taken[k]
     else:
         word[AT.repeated] += 1
         word[AT.silence] += listened
@@ -266,34 +271,47 @@ def read(handle: int, sample: Any) -> int:
             return TIMEOUT
         status = STALE
     for k in range(SAMPLE_SIZE):
-        sample[k] = kept[k]
+        sample[k] = last_sample[k]
     return status
+
+
+@jit
+def _status_of_write(handle: int, wrench: Any, now: int) -> int:
+    """Return OK if the library's thread will send the wrench, WITHHELD or HELD if not.
+
+    WITHHELD: it sends zero instead. HELD: its frames have stopped, so the motors keep their force.
+    """
+    word = int64_at(handle)
+    zero, finite = True, True
+    for k in range(6):
+        finite = finite and isfinite(wrench[k])
+        zero = zero and wrench[k] == 0.0
+    lapsed = word[AT.lapses] != word[AT.known_lapses]
+    word[AT.known_lapses] = word[AT.lapses]
+    silent = now - word[AT.framed_at] > word[AT.age_max]
+    if silent and word[AT.has_force] != 0 and word[AT.stopped] == 0:
+        return HELD
+    if zero:
+        return OK
+    is_usable = finite and word[AT.armed] != 0 and word[AT.stopped] == 0
+    if lapsed or silent or not is_usable or word[AT.docked] != 0 or word[AT.late] != 0:
+        return WITHHELD
+    return OK
 
 
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
-    word, made = int64_at(handle), float64_at(handle + 8 * AT.wrench_made)
-    zero, usable = True, word[AT.armed] != 0 and word[AT.stopped] == 0
+    word, new_pose = int64_at(handle), float64_at(handle + 8 * AT.new_wrench)
+    now = monotonic_ns(handle + 8 * AT.servo_timespec)
+    status = _status_of_write(handle, wrench, now)
     for k in range(6):
-        usable = usable and isfinite(wrench[k])
-        zero = zero and wrench[k] == 0.0
-    status = OK if usable or zero else WITHHELD
-    if word[AT.lapses] != word[AT.heeded]:  # the hand has had zero meanwhile
-        word[AT.heeded] = word[AT.lapses]
-        usable, status = False, OK if zero else WITHHELD
-    elif usable and word[AT.docked] != 0:
-        word[AT.kept_back] = 1
-        usable, status = False, OK if zero else STALE  # limited to nothing, as long as it takes
-    elif usable and word[AT.kept_back] != 0:
-        word[AT.kept_back] = 0
-        usable, status = False, OK if zero else WITHHELD
-    for k in range(6):
-        made[k] = wrench[k] if usable else 0.0
-    made[WRITTEN] = float(monotonic_ns(handle + 8 * AT.servo_timespec) - word[AT.started_at])
-    made[HEEDED] = float(word[AT.heeded])
+        new_pose[k] = wrench[k] if status == OK else 0.0
+    new_pose[WRITTEN] = float(now - word[AT.started_at])
+    new_pose[KNOWN_LAPSES] = float(word[AT.known_lapses])
     given = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
     store(
-        Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (SEQUENCE_WORDS,)), given), carray(made, (WRENCH_SIZE,))
+        Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (SEQUENCE_WORDS,)), given),
+        carray(new_pose, (WRENCH_SIZE,)),
     )
     word[AT.writes] += 1
     return status

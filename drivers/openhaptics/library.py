@@ -1,6 +1,6 @@
-"""The maker's library: where it may be, the functions used of it with their full prototypes, and its errors in words.
+"""The maker's library: places to search, used functions with their full prototypes, and texts of its errors.
 
-libHD belongs to OpenHaptics. It is proprietary and not shipped; nothing here is needed until a device is opened.
+libHD is part of OpenHaptics. It is proprietary and not shipped; nothing here needs it until a device is opened.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ DOWNLOAD: Final = "https://support.3dsystems.com (Touch device driver, and OpenH
 REMEDY: Final = f'library_file = "/path/to/libHD.so" under [device] of the rig   # from {DOWNLOAD}'
 FOLDERS: Final = (Path("/usr/lib"), Path("/usr/lib64"), Path("/usr/lib/x86_64-linux-gnu"), Path("/usr/local/lib"))
 SONAMES: Final = ("libHD.so", "libHD.so.3.4")
-"""What the loader is asked for last."""
+"""Names to try last, with the loader."""
 
 INVALID_HANDLE: Final = 0xFFFFFFFF
 PRIORITY_MAX: Final = 65535
@@ -77,23 +77,23 @@ ERRORS: Final = {
     COMM_CONFIG_ERROR: "the device's connection is not set up",
     0x0304: "its clock has failed",
     0x0400: "a frame was begun in a frame",
-    0x0401: "a frame was ended that was not begun",
-    0x0402: "a state was asked for outside of a frame, or in a second one",
+    0x0401: "a frame was ended without a start",
+    0x0402: "a state was requested outside of a frame, or in a second one",
     0x0500: "it does not know a priority",
     0x0501: "its scheduler is full",
     INVALID_LICENSE: "it has no licence",
 }
-"""What the maker's error codes mean, in words."""
+"""Texts for the maker's error codes."""
 
 
 class ErrorInfo(ctypes.Structure):
-    """HDErrorInfo, which hdGetError gives by value: code, the device's own code, and the device."""
+    """HDErrorInfo, which hdGetError returns by value: code, the device's code, and the device."""
 
     _fields_ = (("code", c_uint32), ("internal", c_int32), ("device", c_uint32))
 
 
 class Error(NamedTuple):
-    """An error off the library's stack."""
+    """Error from the library's stack."""
 
     code: int
     internal: int
@@ -132,7 +132,7 @@ PROTOTYPES: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
 """Result and parameters of every function used."""
 
 ERRORS_MAX: Final = 64
-"""Errors taken off the stack at once: the library may put one on it for each call of a frame that failed."""
+"""Maximum number of errors removed from the stack at once: the library may add one for each failed call of a frame."""
 
 
 LIBRARY: Final = MakersLibrary(
@@ -147,23 +147,23 @@ LIBRARY: Final = MakersLibrary(
 
 
 def load(named: str | None) -> ctypes.CDLL:
-    """The library: see `makers_library.load`."""
+    """Load the library, like `makers_library.load`."""
     return makers_library.load(LIBRARY, named, [folder / "libHD.so*" for folder in FOLDERS])
 
 
 def errors(library: ctypes.CDLL) -> list[Error]:
-    """What is on the library's stack of errors, the oldest first; the stack is empty then."""
+    """Remove all errors from the library's stack and return them, oldest first."""
     found: list[Error] = []
     for _ in range(ERRORS_MAX):
         error = library.hdGetError()
         if error.code == 0:
             break
-        found.append(Error(error.code, error.internal, told(library, error.code, error.internal)))
+        found.append(Error(error.code, error.internal, error_text(library, error.code, error.internal)))
     return found[::-1]
 
 
-def told(library: ctypes.CDLL, code: int, internal: int) -> str:
-    """An error in words: ours, those of the library, and its numbers."""
+def error_text(library: ctypes.CDLL, code: int, internal: int) -> str:
+    """Return an error as text: this program's text, the library's text, and its numbers."""
     words = (library.hdGetErrorString(code) or b"").decode(errors="replace")
     ours = ERRORS.get(code)
     said = f", '{words}'" if words else ""

@@ -1,7 +1,7 @@
-"""What each of 3D Systems' devices can do, by the name that its library gives it.
+"""Limits of each of 3D Systems' devices, by the name in its library.
 
-Limits: those that CHAI3D's driver has for the name. A Touch X, which is not there, is assumed to have those of the
-Desktop that it has followed. The device itself may say less force (`HD_NOMINAL_MAX_FORCE`); the smaller counts.
+Limits: from CHAI3D's driver for the name. It lacks the Touch X, which is assumed to have the limits of its predecessor,
+the Desktop. The device itself may report a lower force (`HD_NOMINAL_MAX_FORCE`); the lower one applies.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 
 class Limits(NamedTuple):
-    """N, N m (0: no motors turn the handle), N/m, N s/m."""
+    """Limits in N, N m (0: no motors turn the handle), N/m, N s/m."""
 
     force_max_n: float
     torque_max_nm: float
@@ -29,10 +29,10 @@ MODELS: Final = {
     "PHANTOM Premium 1.5 6DOF": Limits(8.5, 0.188, 800.0, 5.0),
     "PHANTOM Premium 3.0 6DOF": Limits(22.0, 0.188, 1000.0, 5.0),
 }
-"""By `HD_DEVICE_MODEL_TYPE`."""
+"""Limits by `HD_DEVICE_MODEL_TYPE`."""
 
 UNKNOWN: Final = TOUCH
-"""For a device of a name that is not listed: the least of any, and no torque."""
+"""Limits for unlisted names: the lowest of all, without torque."""
 
 WORKSPACE_MM: Final = ((-80.0, -60.0, -35.0), (80.0, 60.0, 35.0))
-"""Of a Touch, as its maker has it, in the library's frame: for a device that says nothing usable of its own."""
+"""Workspace of a Touch according to its maker, library's frame: for devices that report no usable one."""

@@ -1,4 +1,4 @@
-"""Keys of a rig's [device] with `driver = "openhaptics"`."""
+"""Configuration of a rig's [device] with `driver = "openhaptics"`."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ from typing import Annotated, Final, Literal
 from softfinger.config.limits import NAME_LENGTH, Range
 from softfinger.config.schema import Table, said, sized, within
 
-CALIBRATION_S: Final = Range(0.0, 600.0, "somebody has to put the stylus into the inkwell meanwhile")
-FORCE_AGE_S: Final = Range(
-    0.002, 0.1, "two periods of the library's thread; a tenth of a second is a push that nobody wants"
-)
+CALIBRATION_S: Final = Range(0.0, 600.0, "time to put the stylus into the inkwell")
+FORCE_AGE_S: Final = Range(0.002, 0.1, "two periods of the library's thread; a push of a tenth of a second is unwanted")
 
 
 class Options(Table, frozen=True, kw_only=True):
     """Which device, which library, and how old a force may be. Nothing in here moves the device by itself."""
 
-    library_file: Annotated[str, said("file of libHD; absent: looked for, see docs/devices/touch.md")] | None = None
+    library_file: Annotated[str, said("file of libHD; absent: searched for, see docs/devices/touch.md")] | None = None
     name: (
         Annotated[
             str, sized(NAME_LENGTH, "the device's name in Touch_Setup; absent: the default device", "Left Device")
@@ -33,10 +31,10 @@ class Options(Table, frozen=True, kw_only=True):
         ]
         | None
     ) = None  # fmt: skip
-    inkwell: Annotated[bool, said("no force while the stylus is in the inkwell; false: the switch is not asked")] = True
+    inkwell: Annotated[bool, said("no force while the stylus is in the inkwell; false: ignore the switch")] = True
     reset_encoders: Annotated[
         bool,
-        said("a device without its zeros takes the place where it is HELD WHILE IT IS OPENED for its reset position"),
+        said("a device without its zeros uses its position DURING OPENING as its reset position"),
     ] = False
     calibration_wait_s: Annotated[
         float, within(CALIBRATION_S, "how long opening waits for the stylus to be put into the inkwell", 20.0)

@@ -1,7 +1,7 @@
-"""The library's one thread, which all its devices in this process share.
+"""Thread of the library, which all its devices in this process share.
 
-The library takes devices before its thread is started, so a second one is opened while the thread stands still. That
-may not be while a hand feels a force of the first: its motors keep what they were given.
+The library accepts devices only before its thread starts, so the thread is stopped to open a second one. That is not
+allowed while the first displays a force, because its motors keep the last command.
 """
 
 from __future__ import annotations
@@ -21,94 +21,94 @@ from softfinger.drivers.openhaptics.library import PRIORITY_MAX
 
 POLL_S: Final = 0.0002
 LEAVE_S: Final = 0.2
-"""How long a callback is waited for that is to come once more; the library may hang."""
+"""Maximum wait for the last call of a callback; the library may hang."""
 
-_kept: Final[list[Block]] = []
-"""Blocks of devices whose callback did not come any more: the library may yet call it, for as long as it is loaded."""
+_unreleased: Final[list[Block]] = []
+"""Blocks of devices whose callback was not called again: the library may call it as long as it is loaded."""
 
 
-def within(seconds: float, met: Callable[[], Any]) -> bool:
-    """Wait until something is so; False where it is not in that time."""
+def wait_until(seconds: float, condition: Callable[[], Any]) -> bool:
+    """Wait until `condition` returns a true value; return False after a timeout."""
     until = time.monotonic() + seconds
-    while not met():
+    while not condition():
         if time.monotonic() > until:
-            return bool(met())
+            return bool(condition())
         time.sleep(POLL_S)
     return True
 
 
 class Scheduler:
-    """The thread of one loaded library: its devices, and the handles of what it calls for each."""
+    """Thread of one loaded library: its devices, and the handles of their callbacks."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._library = library
         self._lock = threading.RLock()
         self._running = False
-        self._called: dict[int, tuple[Block, int]] = {}
-        """By the address of a block: the block, and the library's handle of its callback."""
+        self._scheduled: dict[int, tuple[Block, int]] = {}
+        """Blocks, and the library's handles of their callbacks, by the address of the block."""
 
     @contextmanager
-    def still(self) -> Iterator[None]:
-        """Inside, the library's thread does not run; behind, it runs again.
+    def paused(self) -> Iterator[None]:
+        """Stop the library's thread inside the context, and restart it afterwards.
 
-        Raises DeviceBusy where a device of this process is armed.
+        Raises DeviceBusy if a device of this process is armed.
         """
         with self._lock:
-            for block, _ in self._called.values():
+            for block, _ in self._scheduled.values():
                 if block.word[AT.armed]:
                     raise DeviceBusy(
                         "another device of 3D Systems is in use by this program, and the library takes no second one "
                         "then: name both in one rig, so that they are opened together"
                     )
-            others = [block for block, _ in self._called.values()]
+            others = [block for block, _ in self._scheduled.values()]
             for block in others:
-                self._take_out(block)
-            self._halt()
+                self._unschedule(block)
+            self._stop_thread()
             opened = False
             try:
                 yield
                 opened = True
             finally:
                 for block in others:
-                    self._call(block)
+                    self._schedule(block)
                 if opened or others:
                     self._library.hdStartScheduler()
                     self._running = True
 
     def add(self, block: Block) -> None:
-        """Have the thread call a device's callback from now on."""
+        """Make the thread call a device's callback."""
         with self._lock:
-            self._call(block)
+            self._schedule(block)
 
     def remove(self, block: Block) -> None:
-        """Have it called no more, and end the thread with the last device."""
+        """Stop calling a device's callback, and stop the thread with the last device."""
         with self._lock:
-            if block.handle in self._called:
-                self._take_out(block)
-            if not self._called:
-                self._halt()
+            if block.handle in self._scheduled:
+                self._unschedule(block)
+            if not self._scheduled:
+                self._stop_thread()
 
-    def _call(self, block: Block) -> None:
-        block.word[AT.leave] = block.word[AT.left] = 0
+    def _schedule(self, block: Block) -> None:
+        block.word[AT.is_leaving] = block.word[AT.has_left] = 0
         handle = self._library.hdScheduleAsynchronous(exchange.callback.address, block.handle, PRIORITY_MAX)
-        self._called[block.handle] = block, handle
+        self._scheduled[block.handle] = block, handle
 
-    def _take_out(self, block: Block) -> None:
-        _, handle = self._called.pop(block.handle)
-        block.word[AT.leave] = 1
-        if not within(LEAVE_S, lambda: block.word[AT.left]):  # it takes itself out, unless it is not called any more
-            _kept.append(block)
+    def _unschedule(self, block: Block) -> None:
+        _, handle = self._scheduled.pop(block.handle)
+        block.word[AT.is_leaving] = 1
+        if not wait_until(LEAVE_S, lambda: block.word[AT.has_left]):  # a callback that is still called removes itself
+            _unreleased.append(block)
             self._library.hdUnschedule(handle)
 
-    def _halt(self) -> None:
+    def _stop_thread(self) -> None:
         if self._running:
             self._running = False
             self._library.hdStopScheduler()
 
 
-_of: Final[dict[int, Scheduler]] = {}
+_schedulers: Final[dict[int, Scheduler]] = {}
 
 
-def scheduler_of(library: ctypes.CDLL) -> Scheduler:
-    """The scheduler of a library; two names of one file are one library."""
-    return _of.setdefault(library._handle, Scheduler(library))
+def get_scheduler(library: ctypes.CDLL) -> Scheduler:
+    """Return the scheduler of a library; the same for two names of one file."""
+    return _schedulers.setdefault(library._handle, Scheduler(library))

@@ -1,4 +1,4 @@
-"""A recording as a device, in `device`: it senses the recorded poses and keeps what is written to it.
+"""Recording as a device, in `device`: reads return recorded poses, and written wrenches are logged.
 
-Nothing of files: a recording is read by `drivers.poses` and brought to the servo's rate by `drivers.resample`.
+Files are read by `drivers.poses`, and resampled to the servo's rate by `drivers.resample`.
 """

@@ -1,6 +1,6 @@
-"""A recording as a device: it senses the recorded poses and keeps every wrench it is given.
+"""Recording as a device: reads return recorded poses, and every written wrench is logged.
 
-Read number n gives sample n, whatever the clock does, so a run is reproducible to the bit.
+Read number n returns sample n regardless of the clock, so that a run is reproducible to the bit.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import Array, close_loop, resample
 from softfinger.drivers.system.libc import IO_SIGNATURE
-from softfinger.drivers.wrench_log import LOG, WrenchLog, Written
+from softfinger.drivers.wrench_log import LOG, LoggedWrenches, WrenchLog
 from softfinger.proxy.kernels.jit.decorators import c_function
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 
 
-class Words(NamedTuple):
-    """The words of a replay, behind those of the log."""
+class Fields(NamedTuple):
+    """Fields of a replay, after the fields of the log."""
 
     samples: Annotated[int, address("(length, 7) float64")]
     length: Annotated[int, word("of the recording")]
-    loop: Annotated[int, word("whether it begins again at its end")]
+    loop: Annotated[int, word("restart the recording at its end")]
     next_sample: Annotated[int, word("counted up and wrapped, which is cheaper than a remainder")]
     period: Annotated[int, numbers("s", 1)]
 
 
-AT: Final = lay_out(Words, after=LOG)
+AT: Final = lay_out(Fields, after=LOG)
 
-# A recording feels nothing, so it sets no limit of its own: the rig's guard is what limits.
+# A recording displays no force, so its limits are wide: the rig's guard limits.
 FORCE_MAX_N: Final = 1e3
 TORQUE_MAX_NM: Final = 1e2
 STIFFNESS_MAX_N_PER_M: Final = 1e6
@@ -57,7 +57,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Keys of a rig's [device] with `driver = "replay"`."""
 
     recording: Annotated[str, said("file (.csv, .npz, .mcap) or name of a shipped recording", "press-roll-spin-drag")]
-    finger: Annotated[str, said("whose poses of a recording of several fingers; empty: of a single one", "thumb")] = ""
+    finger: Annotated[str, said("finger of a recording of several fingers; empty: a single one", "thumb")] = ""
     loop: Annotated[bool, said("start again at the end, over a smooth return; false: stop after one pass")] = True
     forces: Annotated[str | None, said("file (.csv or .npz) for the wrenches written, saved on close")] = None
 
@@ -86,10 +86,10 @@ def _read(handle: int, sample: Any) -> int:
 
 
 class Replay(Device):
-    """A recording at the servo's rate; what is written to it is kept and can be read with `written`.
+    """Recording at the servo's rate; `logged` returns the logged wrenches.
 
-    Not looped, every pass's wrenches are kept; looped, at least those of the last pass and of the
-    last 10 s. Once stopped it stays disarmed: the last wrench kept is zero.
+    Without `loop` the log contains the wrenches of the full pass; with it, at least the last pass and the last 10 s.
+    After `stop` the device remains disarmed, and the last logged wrench is zero.
     """
 
     def __init__(self, options: Options, rate_hz: float) -> None:
@@ -97,10 +97,10 @@ class Replay(Device):
             raise ConfigError(f"forces = {options.forces!r}: is the recording that is replayed: name another file")
         samples = resample(load_poses(options.recording, options.finger), rate_hz)
         self.samples: Array = np.ascontiguousarray(close_loop(samples, rate_hz) if options.loop else samples)
-        """Poses (M, 7) that the reads return in turn."""
+        """Poses (M, 7) that reads return in order."""
         self._block = block = Block(LOG, AT)
         self._log = WrenchLog(block, len(self.samples), rate_hz, options.forces)
-        block.point(AT.samples, self.samples)
+        block.set_address(AT.samples, self.samples)
         block.word[AT.length], block.word[AT.loop] = len(self.samples), options.loop
         block.numbers(AT.period, 1)[:] = 1.0 / rate_hz
         low, high = self.samples[:, :3].min(axis=0), self.samples[:, :3].max(axis=0)
@@ -131,23 +131,23 @@ class Replay(Device):
 
     @property
     def reads(self) -> int:
-        """Reads so far."""
+        """Number of reads."""
         return int(self._block.word[LOG.reads])
 
     @property
-    def lost(self) -> int:
-        """Wrenches kept once and overwritten since, because a loop ran longer than the log."""
-        return self._log.lost
+    def overwritten_count(self) -> int:
+        """Number of wrenches overwritten because a loop ran longer than the log."""
+        return self._log.overwritten_count
 
-    def written(self) -> Written:
-        """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""
-        return self._log.written()
+    def logged(self) -> LoggedWrenches:
+        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
+        return self._log.logged()
 
     def forces(self) -> Array:
-        """The wrenches kept (k, 6), oldest first: force N, torque N m in the world frame."""
-        return self.written().wrench
+        """Return the logged wrenches (k, 6), oldest first: force N, torque N m in the world frame."""
+        return self.logged().wrench
 
 
 def open_device(options: Options, rate_hz: float) -> Replay:
-    """Open the recording `options.recording` at `rate_hz`; RecordingError when it cannot be used."""
+    """Open the recording `options.recording` at `rate_hz`; raises RecordingError if it cannot be used."""
     return Replay(options, rate_hz)

@@ -1,7 +1,7 @@
-"""Boards on a serial port: one whose frames a rig describes, and WoodenHaptics' third generation, which sends text.
+"""Boards on a serial port: frames described by a rig, or the text of WoodenHaptics' third generation.
 
-A rig's keys are in `options`, described frames in `packets`, the text of a frame in `frames`, the system's port in
-`port`, the exchange of a tick in `exchange`; `device` puts them together.
+`options` has the configuration, `packets` the described frames, `frames` the text frames, `port` the system's port,
+`queue` its unsent frames, `exchange` one tick, and `device` the device.
 
-What every board on a file descriptor does is not in here but in `drivers.conversation`.
+The part that all boards on a file descriptor share is in `drivers.board_exchange`.
 """

@@ -1,4 +1,4 @@
-"""A device on a serial port behind the contract: woken when it is opened, and zero force on every shutdown path."""
+"""Device on a serial port: woken when opened, and commanded zero force on every shutdown path."""
 
 from __future__ import annotations
 
@@ -14,190 +14,236 @@ import numpy as np
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, Device, DeviceIO, LastWord
 from softfinger.drivers.block import Block
-from softfinger.drivers.conversation import TALK, Times, begin, info_of
+from softfinger.drivers.board_exchange import BOARD, Times, init_exchange, make_info
 from softfinger.drivers.fields import table
-from softfinger.drivers.kinematics.freedom import freedom_rows
-from softfinger.drivers.kinematics.mechanism import NONE, SINGULAR_POSE, kind_of, make_mechanism
-from softfinger.drivers.serial import exchange, frames, packets
-from softfinger.drivers.serial.exchange import AT, CHUNK, TEXT
+from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE, kind_of, make_mechanism
+from softfinger.drivers.kinematics.subspace import subspace_rows
+from softfinger.drivers.serial import exchange, frames, line, packets
+from softfinger.drivers.serial.block import AT, CHUNK, MODEL_SIZE, TEXT, Model
 from softfinger.drivers.serial.options import Frames, Options, OutputFrame
-from softfinger.drivers.serial.port import close_port, open_port
+from softfinger.drivers.serial.port import close_port, count_unsent, open_port
 from softfinger.proxy.kernels.jit.pack import flatten
 
 log: Final = logging.getLogger(__name__)
 
 STOP_WAIT_S: Final = 1.0
-"""How long a stop waits for a port that takes nothing."""
+"""Time for a port to send the zero of a stop."""
+STOP_AGAIN_S: Final = 0.1
+"""Time for a repeated stop, after one whose zero the port has not sent."""
+WARN_NS: Final = 1_000_000_000
+"""Duration of the warning about a blocked port; the daemon checks warnings twice a second."""
+BLOCKED: Final = (
+    "too many frames wait in the port: its line is too slow for them, or the board has stopped reading: "
+    "zero is sent in place of the force"
+)
 
 
 class SerialDevice(Device):
-    """An open device on the file descriptor `fd` of its port, which it owns from now on.
+    """Open device, owner of the file descriptor `fd` of its port.
 
-    Raises DeviceTimeout when it does not wake up, DeviceError when what it says is no frame, DeviceLost when it goes.
+    Raises DeviceTimeout if it does not wake up, DeviceError if it sends no valid frame, DeviceLost if it disconnects.
     """
 
     def __init__(self, options: Options, fd: int, path: str) -> None:
-        self._options, self._path = options, path
-        origin, turned = options.mounting.frame()
-        given, spec = options.kinematics, options.frames
+        self._options, self._path, self._zero_failure = options, path, ""
+        origin, rotation = options.mounting.frame()
+        kinematics, spec = options.kinematics, options.frames
         self._setup, self._zero = b"", frames.ZERO
         if spec is not None:
             resync = b"" if spec.resync is None else bytes([spec.resync.byte]) * spec.resync.count
-            self._setup = b"" if spec.setup is None else resync + _encoded(spec.setup, spec)
-            self._zero = (self._setup or resync) + _encoded(spec.output, spec)
-        mechanism = NONE if given is None else make_mechanism(given, options.force_max_n)
-        self._block = self._make_block(fd, exchange.Model(origin, turned, options.force_max_n, mechanism))
+            self._setup = b"" if spec.setup is None else resync + _encode_frame(spec.setup, spec)
+            self._zero = (self._setup or resync) + _encode_frame(spec.output, spec)
+        mechanism = NO_MECHANISM if kinematics is None else make_mechanism(kinematics, options.force_max_n)
+        self._block = self._make_block(fd, Model(origin, rotation, options.force_max_n, mechanism))
         ids = "" if options.vendor_id is None else f" {options.vendor_id:04x}:{options.product_id:04x}"
         name = f"serial{ids} at {path}"
-        if given is None:
-            self.info = info_of(options, name, sensed_dof=5)  # nobody senses the turn about the handle's own axis
+        if kinematics is None:
+            self.info = make_info(options, name, sensed_dof=5)  # the rotation about the handle's axis is not sensed
         else:
-            turns = bool(self._block.word[AT.turns])
-            self.info = info_of(options, name, sensed_dof=6 if turns else given.dof, actuated_dof=given.dof)
+            has_orientation = bool(self._block.word[AT.has_orientation])
+            self.info = make_info(
+                options, name, sensed_dof=6 if has_orientation else kinematics.dof, actuated_dof=kinematics.dof
+            )
+        with contextlib.suppress(OSError):
+            count_unsent(fd)
+            self._block.word[AT.counts_unsent] = 1
         try:
             self._wake(self._setup)
         except BaseException:
             self.close()
             raise
 
-    def _make_block(self, fd: int, model: exchange.Model) -> Block:
-        block, options = Block(TALK, AT), self._options
+    def _make_block(self, fd: int, model: Model) -> Block:
+        block, options = Block(BOARD, AT), self._options
         spans = Times(options.quiet_s, options.kick_s, kick_awaiting=options.kick_s, timeout=options.timeout_s)
         spec = options.frames
         size = frames.FRAME_BYTES if spec is None else spec.input.bytes
-        begin(block, fd, spans, answer=size)
+        init_exchange(block, fd, spans, misread_max=size)
         word = block.word
-        word[AT.answer] = 0 if spec is not None and spec.mode == "stream" else size
-        word[AT.asked_at] = -size  # nothing has been asked
+        word[AT.answer_bytes] = 0 if spec is not None and spec.mode == "stream" else size
+        word[AT.bytes_at_send] = -size  # nothing has been sent yet
         word[AT.newline] = frames.NEWLINE
-        word[AT.kind], word[AT.turns] = TEXT, 1
-        word[AT.out_bytes] = word[AT.out_total] = frames.FRAME_BYTES
-        block.octets(AT.incoming, frames.LOOKBACK)[:] = frames.NEWLINE
-        block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(model)
+        word[AT.kind], word[AT.has_orientation] = TEXT, 1
+        word[AT.out_bytes] = word[AT.out_total] = word[AT.frame_units] = frames.FRAME_BYTES
+        block.raw_bytes(AT.incoming, frames.LOOKBACK)[:] = frames.NEWLINE
+        block.numbers(AT.model, MODEL_SIZE)[:] = flatten(model)
         if spec is not None:
             self._describe(block, spec)
         filler = 0 if spec is None or spec.resync is None else spec.resync.byte
-        block.point(AT.outgoing, np.full(word[AT.out_total], filler, np.uint8))
+        block.set_address(AT.outgoing, np.full(word[AT.out_total], filler, np.uint8))
         return block
 
     def _describe(self, block: Block, spec: Frames) -> None:
-        word, given, big = block.word, self._options.kinematics, spec.order == "big"
-        assert given is not None
-        turns = any(field.meaning == "qw" for field in spec.input.field)
-        turns = turns or getattr(given, "wrist_counts_per_turn", None) is not None
-        word[AT.kind], word[AT.turns] = kind_of(given, turns), turns
-        word[AT.aligned] = spec.mode == "answer" and not spec.input.marked()
+        word, kinematics, big_endian = block.word, self._options.kinematics, spec.order == "big"
+        assert kinematics is not None
+        has_orientation = any(field.meaning == "qw" for field in spec.input.field)
+        has_orientation = has_orientation or getattr(kinematics, "wrist_counts_per_turn", None) is not None
+        word[AT.kind], word[AT.has_orientation] = kind_of(kinematics, has_orientation), has_orientation
+        word[AT.by_length] = spec.mode == "answer" and not spec.input.is_searchable()
         for rows, shape, fields, frame, table_of in (
-            (AT.in_rows, AT.in_shape, AT.in_table, spec.input, table.input_table(spec.input.field, big)),
-            (AT.out_rows, AT.out_shape, AT.out_table, spec.output, table.output_table(spec.output.field, big)),
+            (AT.in_rows, AT.in_shape, AT.in_table, spec.input, table.input_table(spec.input.field, big_endian)),
+            (AT.out_rows, AT.out_shape, AT.out_table, spec.output, table.output_table(spec.output.field, big_endian)),
         ):
             word[rows] = len(table_of)
-            block.point(shape, packets.shape_of(frame, big))
-            block.point(fields, table_of)
-        block.point(AT.stream, np.zeros(2 * spec.input.bytes + CHUNK, np.uint8))
-        block.numbers(AT.place, 3)[:] = make_mechanism(given, 0.0).delta.home
-        word[AT.out_bytes] = spec.output.bytes
+            block.set_address(shape, packets.make_shape(frame, big_endian))
+            block.set_address(fields, table_of)
+        block.set_address(AT.stream, np.zeros(2 * spec.input.bytes + CHUNK, np.uint8))
+        block.numbers(AT.last_position, 3)[:] = make_mechanism(kinematics, 0.0).delta.home
+        word[AT.out_bytes] = word[AT.frame_units] = spec.output.bytes
         word[AT.out_total] = spec.output.bytes + (0 if spec.resync is None else spec.resync.count)
 
     def _wake(self, setup: bytes = b"") -> None:
-        """Set the device up and kick it until it sends a frame: one that has just been plugged in takes a while to
-        start, and its setup is sent again with each attempt."""
+        """Send the setup and wake the device until it sends a frame.
+
+        A device that was just plugged in takes a while to start, and gets the setup again with each attempt.
+        """
         sample = (ctypes.c_double * SAMPLE_SIZE)()
-        self._say(setup)
+        self._send_setup(setup)
         until = time.monotonic() + self._options.wake_s
         while (status := exchange.read.ctypes(self._block.handle, sample)) < 0:
             if status == LOST:
                 raise DeviceLost(f"{self.info.name} is gone: plug it in again")
             if time.monotonic() < until:
-                self._say(setup)
+                self._send_setup(setup)
                 continue
             if status == TIMEOUT:
                 raise DeviceTimeout(
                     f"{self.info.name} sends no frame within {self._options.wake_s:g} s: check its power and its "
-                    f"firmware, or give it more time with wake_s{self._asked()}"
+                    f"firmware, or give it more time with wake_s{self._unanswered_hint()}"
                 )
             raise DeviceError(
-                f"{self.info.name} sends no frame of {self._expected()} ({self.reason()}): is it this device, "
+                f"{self.info.name} sends no frame of {self._expected_frame()} ({self.reason()}): is it this device, "
                 "and does it run this firmware?"
             )
 
-    def _expected(self) -> str:
+    def _expected_frame(self) -> str:
         spec = self._options.frames
         return "eight numbers in 64 bytes" if spec is None else f"{spec.input.bytes} bytes as the rig describes them"
 
-    def _asked(self) -> str:
+    def _unanswered_hint(self) -> str:
         spec = self._options.frames
         if spec is None or spec.mode == "stream":
             return ""
-        sent = _encoded(spec.output, spec).hex(" ")
+        sent = _encode_frame(spec.output, spec).hex(" ")
         return f"; it has not answered {sent}, the frame without force: compare marks and checksum with its firmware's"
 
-    def _say(self, data: bytes) -> None:
-        """Send bytes that no tick waits for; what the port does not take is lost."""
+    def _send_setup(self, data: bytes) -> None:
+        """Send bytes outside of ticks; bytes that the port does not accept are lost."""
         if data:
             with contextlib.suppress(OSError):
-                os.write(int(self._block.word[TALK.fd]), data)
+                self._block.word[AT.queued_bytes] += os.write(int(self._block.word[BOARD.fd]), data)
+                self._block.word[AT.writes] += 1
 
     def io(self) -> DeviceIO:
         return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
-        """Wake the board again and wait for a frame of now: minutes may have passed since the port was opened."""
-        self._block.word[TALK.sensed] = 0
+        """Wake the board again and wait for a current frame: minutes may have passed since the port was opened."""
+        self._block.word[BOARD.has_sample] = 0
         self._wake()
 
     def stop(self) -> None:
-        until = time.monotonic() + STOP_WAIT_S
-        while not exchange.silence.ctypes(self._block.handle):
-            if time.monotonic() > until:
-                log.error("%s: the port has taken nothing for %g s; no zero can follow", self.info.name, STOP_WAIT_S)
-                return
-            time.sleep(0.0001)
+        """Drop unsent bytes, then send a zero and wait until it is sent."""
+        if self._block.word[BOARD.fd] < 0:
+            return
+        # For repeated calls the full wait applies once to a port that sends nothing.
+        was_logged = bool(self._zero_failure)
+        self._zero_failure = self._stop(STOP_AGAIN_S if was_logged else STOP_WAIT_S)
+        if self._zero_failure and not was_logged:
+            log.error("%s: no zero has reached it: %s", self.info.name, self._zero_failure)
+
+    def _stop(self, wait_s: float) -> str:
+        """Return why no zero was sent in this time; empty if it was."""
+        until = time.monotonic() + wait_s
+        for step in (exchange.discard, exchange.silence):
+            while not step.ctypes(self._block.handle):
+                if time.monotonic() > until:
+                    return f"the port has taken nothing for {wait_s:g} s"
+                time.sleep(0.0001)
+        try:
+            while unsent := count_unsent(int(self._block.word[BOARD.fd])):
+                if time.monotonic() > until:
+                    return f"{unsent} bytes have been pending for {wait_s:g} s"
+                time.sleep(0.0005)
+        except OSError as error:
+            return f"the port is gone: {error.strerror}"
+        return ""
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
 
     def close(self) -> None:
         self.stop()
-        fd = int(self._block.word[TALK.fd])
-        self._block.word[TALK.fd] = -1
+        fd = int(self._block.word[BOARD.fd])
+        self._block.word[BOARD.fd] = -1
         if fd >= 0:
-            if self._setup:  # a board that has lost its setup heeds no zero, and keeps its torques
+            if self._setup:  # a board that has lost its setup ignores zeros and keeps its torques
                 with contextlib.suppress(OSError):
                     os.write(fd, self._zero)
             close_port(fd)
 
     def reason(self) -> str:
         word, spec = self._block.word, self._options.frames
-        if word[TALK.misread] < word[TALK.answer]:
+        if word[BOARD.misread_bytes] < word[BOARD.misread_max]:
             return ""
         if spec is None:
-            return f"its last bytes are {self._block.octets(AT.incoming, frames.LOOKBACK).tobytes()!r}"
+            return f"its last bytes are {self._block.raw_bytes(AT.incoming, frames.LOOKBACK).tobytes()!r}"
         last = ctypes.string_at(int(word[AT.stream]), spec.input.bytes)
         return f"its last bytes are {last.hex(' ')}"
 
     def warning(self) -> str:
+        blocked_at = self._block.word[AT.blocked_at]
+        if blocked_at and time.monotonic_ns() - blocked_at < WARN_NS:
+            return BLOCKED
         return SINGULAR_POSE if self._block.word[AT.singular] else ""
 
     def last_word(self) -> LastWord:
-        return LastWord(self._path, int(self._block.word[TALK.fd]), self._zero)
+        return LastWord(self._path, int(self._block.word[BOARD.fd]), self._zero)
 
     def counts(self) -> dict[str, int]:
         return self._block.counts()
 
 
-def _encoded(frame: OutputFrame, spec: Frames) -> bytes:
-    """A frame of constants, and of zeros for everything that is commanded."""
-    big, given = spec.order == "big", np.zeros(table.COMMANDED_SIZE)
-    given[table.CONSTANT] = 1.0
-    out = np.zeros(1 + frame.bytes, np.uint8)  # as a report, whose id is in front
-    table.encode_once(given, table.output_table(frame.field, big), np.zeros(1, np.int64), out)
-    packets.finish_once(out[1:], packets.shape_of(frame, big))
+def _encode_frame(frame: OutputFrame, spec: Frames) -> bytes:
+    """Return a frame of the constants, with zero for everything commanded."""
+    big_endian, kinematics = spec.order == "big", np.zeros(table.COMMANDED_SIZE)
+    kinematics[table.CONSTANT] = 1.0
+    out = np.zeros(1 + frame.bytes, np.uint8)  # encoded like a report, with the id first
+    table.encode_once(kinematics, table.output_table(frame.field, big_endian), np.zeros(1, np.int64), out)
+    packets.complete_frame_once(out[1:], packets.make_shape(frame, big_endian))
     return out[1:].tobytes()
 
 
 def rows(options: Options) -> list[tuple[str, str]]:
-    """What `softfinger check` shows beside the options."""
-    return freedom_rows(options.kinematics, options.mounting)
+    """Return additional rows for `softfinger check`."""
+    return subspace_rows(options.kinematics, options.mounting)
+
+
+def check(options: Options, rate_hz: float, where: str) -> None:
+    """Raise ConfigError if the line is too slow for the frames of every tick; `where` is the table of the rig."""
+    line.check(options, rate_hz, where)
 
 
 def open_device(options: Options, rate_hz: float) -> SerialDevice:
-    """Open the device a rig names; DeviceError and its kinds when it cannot be used. Any `rate_hz` will do."""
+    """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
     return SerialDevice(options, *open_port(options))

@@ -1,41 +1,41 @@
-"""One tick with a serial port, from nopython: bytes read up to the newest frame, one frame written.
+"""One tick with a serial port, in nopython mode: read bytes up to the latest frame, write one frame.
 
-What is the same for any board is in `conversation`. Frames are WoodenHaptics' text (`frames`) or bytes that a rig
-describes (`packets`). A board that answers each frame it is sent gets the next one once the last has been answered, or
-frames would pile up in its buffers and forces come late; a zero after a force does not wait. A newline wakes
-WoodenHaptics, a zero a described board; where an answer is missing, `resync` bytes go in front of a zero.
+`board_exchange` has the part that all boards share. Frames are WoodenHaptics' text (`frames`) or bytes that a rig
+describes (`packets`). A board that answers each frame gets the next one only after its answer, because otherwise frames
+queue in its buffers and forces are late; a zero after a force does not wait. A newline wakes WoodenHaptics, a zero
+frame a described board; after a missing answer, `resync` bytes precede a zero.
+
+If more frames are queued in the port than `queue` allows, they are dropped, a zero is sent, and forces are withheld
+until the port has sent everything. If that takes longer than `timeout_after`, the device is given up.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
-from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, STALE
-from softfinger.drivers.block import address, counter, lay_out, numbers, octets, word
-from softfinger.drivers.conversation import TALK, busy, c_functions, command, drain, pose, send_zero, wake
-from softfinger.drivers.fields.table import (
-    BUTTONS,
-    COMMANDED_SIZE,
-    CONSTANT,
-    GRIPPER,
-    SENSED_SIZE,
-)
+from numba import types
+
+from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.board_exchange import BOARD, busy, command, compile_functions, drain, pose, send_zero, wake
+from softfinger.drivers.fields.table import BUTTONS, COMMANDED_SIZE, CONSTANT, GRIPPER
 from softfinger.drivers.fields.table import encode as encode_fields
-from softfinger.drivers.kinematics.mechanism import LIMITED, NONE, NONSENSE, SINGULAR, WHOLE, Mechanism, drive, end_of
-from softfinger.drivers.serial import packets
-from softfinger.drivers.serial.frames import (
-    ANGLES,
-    INFO,
-    LOOKBACK,
-    NUMBERS,
-    POSITION,
-    encode,
-    take,
+from softfinger.drivers.kinematics.mechanism import (
+    FULL,
+    INVALID,
+    LIMITED,
+    SINGULAR,
+    force_to_command,
+    forward_kinematics,
 )
-from softfinger.drivers.system.libc import EAGAIN, read_waiting, write_now
-from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
-from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
+from softfinger.drivers.serial import packets
+from softfinger.drivers.serial.block import AT, CHUNK, MODEL_LIKE, TEXT, Model
+from softfinger.drivers.serial.frames import ANGLES, INFO, LOOKBACK, POSITION, decode_stream, encode
+from softfinger.drivers.serial.queue import drop_frames, has_unsent, is_blocked, record_write
+from softfinger.drivers.system.libc import EAGAIN, monotonic_ns, read_waiting, write_now
+from softfinger.proxy.kernels.jit.decorators import c_function, jit
+from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
+from softfinger.proxy.kernels.jit.outlined import outlined
+from softfinger.proxy.kernels.jit.pack import unpack_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import (
@@ -48,103 +48,37 @@ from softfinger.proxy.kernels.numerics.rotations import (
     rotate,
 )
 
-CHUNK: Final = 1024
-"""Bytes of one read."""
 DRAIN_MAX: Final = 16
-"""Reads in one tick: four times what the kernel keeps for a port; a device that floods cannot hold the loop."""
-TEXT: Final = -1
-"""In the place of a mechanism's kind: a board that knows its own kinematics, and speaks WoodenHaptics' text."""
+"""Maximum number of reads per tick, four times the kernel's buffer: a device that floods cannot block the loop."""
 
 
 class Serial(NamedTuple):
-    """Marks the kernels of this driver."""
-
-
-class Model(NamedTuple):
-    """What turns a frame into a pose and a force into a frame.
-
-    position     (3,) m  device's origin in the world
-    orientation  (4,)    device to world
-    force_max    N
-    mechanism    of a described board
-    """
-
-    position: Vec3
-    orientation: Quaternion
-    force_max: float
-    mechanism: Mechanism
-
-
-_MODEL_LIKE: Final = Model((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0, NONE)
-MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
-
-
-class Words(NamedTuple):
-    """The words of this driver, behind those of the conversation."""
-
-    bytes: Annotated[int, counter("bytes received")]
-    frames: Annotated[int, counter("frames received")]
-    drained: Annotated[int, counter("of these, older ones passed over for a newer")]
-    written: Annotated[int, counter("frames sent")]
-    held: Annotated[int, counter("forces not sent, because the last frame had no answer")]
-    kicks: Annotated[int, counter("newlines sent into a silence")]
-    cut: Annotated[int, counter("forces past the largest")]
-    singular: Annotated[
-        int, counter("forces that were less, and samples without a place, because the mechanism is singular there")
-    ]
-    kind: Annotated[int, word("of the mechanism, or TEXT")]
-    turns: Annotated[int, word("whether an orientation is sensed")]
-    answer: Annotated[int, word("bytes of an answer, whether they can be understood or not; 0: nothing is answered")]
-    asked_at: Annotated[int, word("`bytes` when the last frame was sent; `answer` or more since then are its answer")]
-    newline: Annotated[int, word("what wakes WoodenHaptics")]
-    waiting: Annotated[int, word("bytes that the system has for this driver")]
-    aligned: Annotated[int, word("whether an answer is known by its length alone")]
-    filled: Annotated[int, word("bytes in `stream` that may belong to a frame")]
-    in_shape: Annotated[int, address("a shape of `packets`")]
-    out_shape: Annotated[int, address("the same")]
-    in_rows: Annotated[int, word("fields of a frame")]
-    out_rows: Annotated[int, word("the same")]
-    in_table: Annotated[int, address("(in_rows, ROW) float64")]
-    out_table: Annotated[int, address("(out_rows, ROW) float64")]
-    stream: Annotated[int, address("bytes of frames that are described")]
-    outgoing: Annotated[int, address("resync bytes and the last frame sent")]
-    out_bytes: Annotated[int, word("of a frame sent")]
-    out_total: Annotated[int, word("with the resync bytes in front of it")]
-    scratch_word: Annotated[int, word("of a field being read or written")]
-    model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
-    place: Annotated[int, numbers("m, where a delta was", 3)]
-    scratch: Annotated[int, numbers("of a frame being read", max(NUMBERS, SENSED_SIZE))]
-    values: Annotated[int, numbers("of the newest frame", max(NUMBERS, SENSED_SIZE))]
-    given: Annotated[int, numbers("of the frame being written", COMMANDED_SIZE)]
-    incoming: Annotated[int, octets("text read last, and in front of it what may belong to it", LOOKBACK + CHUNK)]
-
-
-AT: Final = lay_out(Words, after=TALK)
+    """Type that selects the kernels of this driver."""
 
 
 @jit
-def _take_text(handle: int, wanted: int) -> tuple[int, int]:
-    """Read so many bytes of text; how many came, or a status below 0, and the frames that they complete."""
+def _read_text(handle: int, wanted: int) -> tuple[int, int]:
+    """Read at most `wanted` bytes of text; return the number of bytes, or a status below 0, and of completed frames."""
     at, incoming = int64_at(handle), handle + 8 * AT.incoming
-    count = read_waiting(at[TALK.fd], incoming + LOOKBACK, wanted, handle + 8 * AT.waiting)
+    count = read_waiting(at[BOARD.fd], incoming + LOOKBACK, wanted, handle + 8 * AT.ioctl_scratch)
     if count <= 0:
         return count, 0
     scratch, values = float64_at(handle + 8 * AT.scratch), float64_at(handle + 8 * AT.values)
-    return count, take(incoming, count, scratch, values)
+    return count, decode_stream(incoming, count, scratch, values)
 
 
-@jit
-def _take_described(handle: int, wanted: int) -> tuple[int, int]:
-    """The same with frames that the rig describes."""
+@outlined
+def _read_packets(handle: int, wanted: int) -> tuple[int, int]:
+    """Read like `_read_text`, for frames that the rig describes."""
     at = int64_at(handle)
-    count = read_waiting(at[TALK.fd], at[AT.stream] + at[AT.filled], wanted, handle + 8 * AT.waiting)
+    count = read_waiting(at[BOARD.fd], at[AT.stream] + at[AT.stream_bytes], wanted, handle + 8 * AT.ioctl_scratch)
     if count <= 0:
         return count, 0
-    at[AT.filled] += count
+    at[AT.stream_bytes] += count
     table = (at[AT.in_table], at[AT.in_rows], handle + 8 * AT.scratch_word)
     numbers = (float64_at(handle + 8 * AT.scratch), float64_at(handle + 8 * AT.values))
-    filled = int64_at(handle + 8 * AT.filled)
-    return count, packets.take(at[AT.stream], filled, at[AT.aligned] != 0, at[AT.in_shape], table, numbers)
+    filled = int64_at(handle + 8 * AT.stream_bytes)
+    return count, packets.decode_stream(at[AT.stream], filled, at[AT.by_length] != 0, at[AT.in_shape], table, numbers)
 
 
 @drain.of(Serial)
@@ -152,24 +86,24 @@ def _drain(driver: Serial, handle: int) -> int:
     at = int64_at(handle)
     frames = 0
     for _ in range(DRAIN_MAX):
-        count, came = _take_text(handle, CHUNK) if at[AT.kind] == TEXT else _take_described(handle, CHUNK)
+        count, completed = _read_text(handle, CHUNK) if at[AT.kind] == TEXT else _read_packets(handle, CHUNK)
         if count < 0:
             return LOST
         at[AT.bytes] += count
-        at[TALK.misread] += count
-        frames += came
+        at[BOARD.misread_bytes] += count
+        frames += completed
         if count < CHUNK:
             break
     if frames > 0:
         at[AT.frames] += frames
         at[AT.drained] += frames - 1
-        at[TALK.misread] = 0
+        at[BOARD.misread_bytes] = 0
     return frames
 
 
 @jit
 def _text_pose(values: Any) -> tuple[Vec3, Quaternion]:
-    """Position (m) and orientation of a text frame: R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE)."""
+    """Return position (m) and orientation of a text frame: R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE)."""
     position = (1e-3 * values[POSITION], 1e-3 * values[POSITION + 1], 1e-3 * values[POSITION + 2])
     body = multiply(about_z(values[ANGLES]), about_y(-values[ANGLES + 1]))
     wrist = multiply(about_x(values[ANGLES + 2]), about_y(values[ANGLES + 3]))
@@ -179,145 +113,207 @@ def _text_pose(values: Any) -> tuple[Vec3, Quaternion]:
 @pose.of(Serial)
 def _pose(driver: Serial, handle: int) -> bool:
     at = int64_at(handle)
-    model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
-    values, kept = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * TALK.sample)
+    model: Model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
+    values, sample = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * BOARD.sample)
     if at[AT.kind] == TEXT:
-        position, turned = _text_pose(values)
+        position, rotation = _text_pose(values)
         buttons, gripper = float(int(values[INFO]) & 0xFFFF), 0.0
     else:
-        place = float64_at(handle + 8 * AT.place)
-        position, turned, how = end_of(at[AT.kind], model.mechanism, values, place)
+        last_position = float64_at(handle + 8 * AT.last_position)
+        position, rotation, outcome = forward_kinematics(at[AT.kind], model.mechanism, values, last_position)
         buttons, gripper = values[BUTTONS], values[GRIPPER]
-        if how == NONSENSE:
+        if outcome == INVALID:
             return False
-        at[AT.singular] += how == SINGULAR
+        at[AT.singular] += outcome == SINGULAR
     position = vec3.add(rotate(model.orientation, position), model.position)
-    orientation = normalize(multiply(model.orientation, turned)) if at[AT.turns] != 0 else (1.0, 0.0, 0.0, 0.0)
+    orientation = (
+        normalize(multiply(model.orientation, rotation)) if at[AT.has_orientation] != 0 else (1.0, 0.0, 0.0, 0.0)
+    )
     for k in range(3):
-        kept[k] = position[k]
+        sample[k] = position[k]
     for k in range(4):
-        kept[3 + k] = orientation[k]
-    kept[SAMPLE_BUTTONS], kept[SAMPLE_GRIPPER] = buttons, gripper
+        sample[3 + k] = orientation[k]
+    sample[SAMPLE_BUTTONS], sample[SAMPLE_GRIPPER] = buttons, gripper
     return True
 
 
 @jit
-def _put(handle: int, address: int, count: int) -> int:
-    """Write bytes; how many the port took, 0 when it is full, or a status below 0."""
-    taken = write_now(int64_at(handle)[TALK.fd], address, count)
-    if taken == -EAGAIN:
+def _write_bytes(handle: int, address: int, count: int) -> int:
+    """Write bytes; return the number accepted, 0 if the port is full, or a status below 0."""
+    accepted = write_now(int64_at(handle)[BOARD.fd], address, count)
+    if accepted == -EAGAIN:
         return 0
-    return taken if taken >= 0 else LOST
+    if accepted > 0:
+        record_write(handle, accepted)
+    return accepted if accepted >= 0 else LOST
 
 
 @jit
-def _finish(handle: int) -> int:
-    """Write what is left of a frame; OK when nothing is, HELD when the port is full, or a status below 0."""
+def _write_rest(handle: int) -> int:
+    """Write the remainder of a frame; return OK if it is complete, HELD if the port is full, or a status below 0."""
     at = int64_at(handle)
-    if at[TALK.left] > 0:
-        taken = _put(handle, at[AT.outgoing] + at[AT.out_total] - at[TALK.left], at[TALK.left])
-        if taken < 0:
-            return taken
-        at[TALK.left] -= taken
-    return OK if at[TALK.left] == 0 else HELD
+    if at[BOARD.unsent_bytes] > 0:
+        accepted = _write_bytes(
+            handle, at[AT.outgoing] + at[AT.out_total] - at[BOARD.unsent_bytes], at[BOARD.unsent_bytes]
+        )
+        if accepted < 0:
+            return accepted
+        at[BOARD.unsent_bytes] -= accepted
+    return OK if at[BOARD.unsent_bytes] == 0 else HELD
 
 
 @jit
-def _fill(handle: int, force: Vec3) -> int:
-    """Put a force (N, device's frame) into the frame; WHOLE, or why it had to be limited."""
+def _encode_force(handle: int, force: Vec3) -> int:
+    """Encode a force (N, device's frame) into the frame; return FULL, or why it was limited."""
     at = int64_at(handle)
-    model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
+    model: Model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     frame = at[AT.outgoing] + at[AT.out_total] - at[AT.out_bytes]
     if at[AT.kind] == TEXT:
-        size = vec3.norm(force)
-        cut = size > model.force_max
-        encode(vec3.scale(model.force_max / size, force) if cut else force, frame)
-        return LIMITED if cut else WHOLE
-    given = float64_at(handle + 8 * AT.given)
+        norm = vec3.norm(force)
+        is_limited = norm > model.force_max
+        encode(vec3.scale(model.force_max / norm, force) if is_limited else force, frame)
+        return LIMITED if is_limited else FULL
+    command_values = float64_at(handle + 8 * AT.command_values)
     for k in range(COMMANDED_SIZE):
-        given[k] = 0.0
-    given[CONSTANT] = 1.0
-    how = WHOLE
+        command_values[k] = 0.0
+    command_values[CONSTANT] = 1.0
+    outcome = FULL
     if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0:
-        values, place = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * AT.place)
-        how = drive(at[AT.kind], model.mechanism, values, place, force, given)
-    cut = encode_fields(given, at[AT.out_table], at[AT.out_rows], handle + 8 * AT.scratch_word, frame)
-    packets.finish(frame, at[AT.out_shape])
-    return LIMITED if cut and how == WHOLE else how
+        values, last_position = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * AT.last_position)
+        outcome = force_to_command(at[AT.kind], model.mechanism, values, last_position, force, command_values)
+    is_limited = encode_fields(command_values, at[AT.out_table], at[AT.out_rows], handle + 8 * AT.scratch_word, frame)
+    packets.complete_frame(frame, at[AT.out_shape])
+    return LIMITED if is_limited and outcome == FULL else outcome
 
 
-@jit
+@outlined
 def _send(handle: int, force: Vec3) -> int:
-    """Write a force (N, device's frame); OK, STALE when it was limited, HELD when the port took none of it, or a status
-    below 0.
+    """Write a force (N, device's frame).
 
-    A frame that went out in part counts as taken, and is finished before anything else: the device would read a cut
+    Return OK, STALE if it was limited, HELD if the port accepted none of it, or a status below 0.
+
+    A partly written frame counts as sent, and is completed before anything else: the device would interpret a truncated
     one as another force.
     """
     at = int64_at(handle)
-    status = _finish(handle)
+    status = _write_rest(handle)
     if status != OK:
         return status
-    how = _fill(handle, force)
-    count = at[AT.out_total] if _asked(handle) else at[AT.out_bytes]
-    taken = _put(handle, at[AT.outgoing] + at[AT.out_total] - count, count)
-    if taken <= 0:
-        return taken if taken < 0 else HELD
-    at[TALK.left] = count - taken
+    outcome = _encode_force(handle, force)
+    count = at[AT.out_total] if _awaits_answer(handle) or at[AT.maybe_torn] != 0 else at[AT.out_bytes]
+    accepted = _write_bytes(handle, at[AT.outgoing] + at[AT.out_total] - count, count)
+    if accepted <= 0:
+        return accepted if accepted < 0 else HELD
+    at[BOARD.unsent_bytes] = count - accepted
     at[AT.written] += 1
-    at[TALK.loaded] = 1 if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0 else 0
-    at[AT.asked_at] = at[AT.bytes]
-    if at[AT.aligned] != 0:
-        at[AT.filled] = 0  # the answer begins here
-    if how != WHOLE:
-        at[AT.singular if how == SINGULAR else AT.cut] += 1
-    status = _finish(handle)
+    at[BOARD.has_force] = 1 if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0 else 0
+    at[AT.bytes_at_send] = at[AT.bytes]
+    if at[AT.by_length] != 0:
+        at[AT.stream_bytes] = 0  # the answer starts here
+    if outcome != FULL:
+        at[AT.singular if outcome == SINGULAR else AT.cut] += 1
+    status = _write_rest(handle)
     if status < 0:
         return status
-    return OK if how == WHOLE else STALE
+    return OK if outcome == FULL else STALE
 
 
 @jit
-def _asked(handle: int) -> bool:
-    """Whether the last frame has no answer yet."""
+def _awaits_answer(handle: int) -> bool:
+    """Return True if the last frame has no answer yet."""
     at = int64_at(handle)
-    return bool(at[AT.bytes] - at[AT.asked_at] < at[AT.answer])
+    return bool(at[AT.bytes] - at[AT.bytes_at_send] < at[AT.answer_bytes])
+
+
+@jit
+def _write_zero(handle: int) -> int:
+    """Send a zero; two after a possibly torn frame, because the board uses the first one to complete that frame."""
+    at = int64_at(handle)
+    status = _send(handle, (0.0, 0.0, 0.0))
+    if status == OK and at[AT.maybe_torn] != 0 and at[BOARD.unsent_bytes] == 0:
+        status = _send(handle, (0.0, 0.0, 0.0))
+        at[AT.maybe_torn] = 1 if status == HELD else 0
+    return status
 
 
 @busy.of(Serial)
-def _busy(driver: Serial, handle: int, deaf: bool) -> bool:
-    return deaf or _asked(handle)
+def _busy(driver: Serial, handle: int, has_no_sample: bool) -> bool:
+    blocked = is_blocked(handle)  # called in each tick, because it records the start
+    return has_no_sample or blocked or _awaits_answer(handle)
+
+
+@jit
+def _drop_old(handle: int) -> None:
+    """Drop queued forces that would delay a zero: too many of them, or any if the board is silent."""
+    at = int64_at(handle)
+    if at[BOARD.has_force] == 0:
+        return
+    is_silent = monotonic_ns(handle + 8 * BOARD.timespec) - at[BOARD.sampled_at] > at[BOARD.quiet]
+    if is_blocked(handle) or (is_silent and has_unsent(handle)):
+        drop_frames(handle)
 
 
 @send_zero.of(Serial)
 def _send_zero(driver: Serial, handle: int) -> int:
-    return _send(handle, (0.0, 0.0, 0.0))
+    _drop_old(handle)
+    return _write_zero(handle)
+
+
+@jit
+def _withhold(handle: int) -> int:
+    """Replace all queued forces by a zero; return WITHHELD, or a status below 0."""
+    at = int64_at(handle)
+    if at[AT.blocked_at] - at[AT.blocked_since] > at[BOARD.timeout_after]:
+        return TIMEOUT
+    status = WITHHELD
+    if at[BOARD.has_force] != 0:
+        drop_frames(handle)
+        status = _write_zero(handle)
+    return status if status < 0 else WITHHELD
 
 
 @command.of(Serial)
 def _command(driver: Serial, handle: int, wrench: Any) -> int:
     at = int64_at(handle)
-    if _asked(handle):
+    if _awaits_answer(handle):
         at[AT.held] += 1
         return HELD
-    model = unpack_at(_MODEL_LIKE, handle + 8 * AT.model)
+    if is_blocked(handle):
+        return _withhold(handle)
+    model: Model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     return _send(handle, rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2])))
 
 
 @wake.of(Serial)
 def _wake(driver: Serial, handle: int) -> int:
     at = int64_at(handle)
-    status = _finish(handle)
+    if is_blocked(handle) and at[BOARD.has_force] == 0:
+        return OK
+    _drop_old(handle)
+    status = _write_rest(handle)
     if status == OK and at[AT.kind] != TEXT:
         at[AT.kicks] += 1
-        return _send(handle, (0.0, 0.0, 0.0))
-    if status == OK and at[TALK.loaded] != 0:
-        status = _send(handle, (0.0, 0.0, 0.0))
-    if status == OK and at[TALK.left] == 0:
-        taken = _put(handle, handle + 8 * AT.newline, 1)
-        status = LOST if taken < 0 else OK
-        at[AT.kicks] += taken
+        return _write_zero(handle)
+    if status == OK and at[BOARD.has_force] != 0:
+        status = _write_zero(handle)
+    if status == OK and at[BOARD.unsent_bytes] == 0:
+        accepted = _write_bytes(handle, handle + 8 * AT.newline, 1)
+        status = LOST if accepted < 0 else OK
+        at[AT.kicks] += accepted
     return status
 
 
-read, write, silence = c_functions(Serial())
+read, write, silence = compile_functions(Serial())
+
+
+@c_function(types.int64(types.int64))
+def discard(handle: int) -> int:
+    """Disarm and drop unsent bytes; return 1 if it is done, 0 if it must be tried again."""
+    at = int64_at(handle)
+    at[BOARD.armed] = 0
+    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
+        return 0  # a write is in progress
+    if at[BOARD.fd] >= 0:
+        drop_frames(handle)
+    exchange_int64(handle + 8 * BOARD.lock, 0)
+    return 1

@@ -1,13 +1,13 @@
-"""Frames as text: eight numbers from the device, seven to it, in 64 bytes that end with a newline.
+"""Text frames: eight numbers from the device, seven to it, in 64 bytes that end with a newline.
 
     from the device   x y z (mm)  tA lambda tD tE (rad)  info        "  -59.276   13.383 -148.002  0.0919 ..."
     to the device     fx fy fz (mN)  2 0 0 0                         "100 -20 5 2 0 0 0        ..."
 
-Numbers are decimal, with blanks between them. Behind the last one there may be blanks, and a newline that stands in
-front of the padding: the device's firmware prints one there.
+Numbers are decimal and separated by blanks. Blanks and a newline before the padding may follow the last one: the
+device's firmware prints them.
 
-Source of the format and of the angles' unit: forsslund/haptikfabrikenapi, src/uhaptikfabriken.h, which hands the
-angles to sin and cos as they are.
+Source of the format and of the angles' unit: forsslund/haptikfabrikenapi, src/uhaptikfabriken.h, which passes the
+angles to sin and cos unchanged.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from softfinger.proxy.kernels.model import Vec3
 FRAME_BYTES: Final = 64
 NEWLINE: Final = 10
 
-# Places of the numbers of the device's frame.
+# Indices of the numbers in the device's frame.
 POSITION: Final = 0
 ANGLES: Final = 3
 INFO: Final = 7
 NUMBERS: Final = 8
 
 DIGITS_MAX: Final = 12
-"""Digits of a number that are read: as a whole number and a power of ten both are exact, and one division rounds."""
+"""Maximum digits of a number: an integer and a power of ten of this size are exact, and one division rounds."""
 REACH_MM: Final = 10_000.0
-"""No desktop device reaches as far: a coordinate beyond is no place."""
+"""Limit of a coordinate, beyond the reach of any desktop device."""
 ANGLE_MAX_RAD: Final = 100.0
-"""Sixteen turns: no joint of an arm with cables goes as far."""
+"""Limit of an angle, sixteen turns: beyond the range of any joint of an arm with cables."""
 INFO_MAX: Final = 32768.0
-"""A number of two bytes."""
+"""Limit of a two-byte number."""
 MILLI: Final = 1000.0
 FORCE_COMMAND: Final = 2
-"""Fourth number to the device: the first three are forces."""
+"""Value of the fourth number to the device: the first three are forces."""
 ZERO: Final = f"0 0 0 {FORCE_COMMAND} 0 0 0".ljust(FRAME_BYTES - 1).encode() + bytes([NEWLINE])
-"""The frame that takes the force off."""
+"""Frame that commands zero force."""
 LOOKBACK: Final = FRAME_BYTES
-"""Bytes that stand in front of new ones: a frame that has come in part, and the newline before it."""
+"""Bytes before the new ones: a partial frame, and the newline before it."""
 
 _BLANK: Final = 32
 _PLUS: Final = 43
@@ -55,10 +55,10 @@ _ZERO: Final = 48
 
 @jit
 def decode(frame: int, values: Any) -> bool:
-    """Read the numbers of the frame at address `frame` into `values` (NUMBERS,), in mm and rad; False where it is none.
+    """Decode the frame at address `frame` into `values` (NUMBERS,), in mm and rad; return False if it is invalid.
 
-    Decimal digits alone are numbers: an exponent, nan, inf, more than DIGITS_MAX digits, a number too few or too many
-    and any other byte refuse the frame, and so does a number that no device can mean.
+    Numbers consist of decimal digits. An exponent, nan, inf, more than DIGITS_MAX digits, a missing or additional
+    number, any other byte, and a number beyond its limit make a frame invalid.
     """
     text = uint8_at(frame)
     if text[FRAME_BYTES - 1] != NEWLINE:
@@ -97,30 +97,30 @@ def decode(frame: int, values: Any) -> bool:
 
 
 @jit
-def take(buffer: int, count: int, scratch: Any, newest: Any) -> int:
-    """How many frames `count` new bytes complete; the numbers of the last one in `newest`, as `decode` gives them.
+def decode_stream(buffer: int, count: int, scratch: Any, latest: Any) -> int:
+    """Decode the frames that `count` new bytes complete; return their number and store the last one in `latest`.
 
-    buffer   address of LOOKBACK bytes from before and the new ones behind them; the last of all are moved to its front
-    scratch  (NUMBERS,), overwritten
+    buffer   address of LOOKBACK earlier bytes followed by the new ones; the last LOOKBACK are moved to its front
+    scratch  (NUMBERS,)
 
-    A frame is what stands between two newlines 64 bytes apart, so that after bytes lost, doubled or added the next
-    whole frame is found again. What has been cut or mended has not its length, or not its eight numbers, but for the
-    rare case that just 64 bytes remain of two; a digit that came wrong cannot be seen, for a frame has no checksum.
+    A frame is the text between two newlines 64 bytes apart, so that the next complete frame is found after lost,
+    duplicated or added bytes. Damaged frames have another length, or other than eight numbers, except in the rare case
+    that parts of two frames have 64 bytes. A wrong digit is not detected, because frames have no checksum.
     """
     text, frames = uint8_at(buffer), 0
     for k in range(count):
         if text[k] == NEWLINE and text[k + LOOKBACK] == NEWLINE and decode(buffer + k + 1, scratch):
             frames += 1
             for n in range(NUMBERS):
-                newest[n] = scratch[n]
+                latest[n] = scratch[n]
     for k in range(LOOKBACK):
         text[k] = text[count + k]
     return frames
 
 
 @jit
-def _put(text: Any, at: int, value: int) -> int:
-    """Write a whole number of at most five digits; the place behind it."""
+def _write_integer(text: Any, at: int, value: int) -> int:
+    """Write an integer of at most five digits, and return the index after it."""
     if value < 0:
         text[at] = _MINUS
         at += 1
@@ -137,13 +137,13 @@ def _put(text: Any, at: int, value: int) -> int:
 
 @jit
 def encode(force: Vec3, frame: int) -> None:
-    """Write a force (N, within options.FORCE_MAX_N) as the frame at address `frame`, to the nearest mN."""
+    """Encode a force (N, within options.FORCE_MAX_N) as the frame at address `frame`, rounded to mN."""
     text, at = uint8_at(frame), 0
     for k in range(3):
-        at = _put(text, at, floor(MILLI * force[k] + 0.5))
+        at = _write_integer(text, at, floor(MILLI * force[k] + 0.5))
         text[at] = _BLANK
         at += 1
-    at = _put(text, at, FORCE_COMMAND)
+    at = _write_integer(text, at, FORCE_COMMAND)
     for _ in range(3):
         text[at] = _BLANK
         text[at + 1] = _ZERO

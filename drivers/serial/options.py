@@ -1,4 +1,4 @@
-"""A rig's keys of a device on a serial port: which one, its frames, its mechanism, limits and silences."""
+"""Configuration of a device on a serial port: selection, frames, mechanism, limits and timeouts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from softfinger.drivers.fields.options import (
     layout_faults,
     repeated_meanings,
 )
-from softfinger.drivers.kinematics.options import Kinematics, faults_of_fields
+from softfinger.drivers.kinematics.options import Kinematics, field_faults
 from softfinger.drivers.mounting import Mounting
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
@@ -28,9 +28,9 @@ SILENCE_S: Final = Range(
     0.005, 0.2, "below, a late answer is a silence; above, force acts where the device was long ago"
 )
 GIVE_UP_S: Final = Range(
-    0.005, 2.0, "below, a late answer is a silence; above, a device that is gone would go unnoticed"
+    0.005, 2.0, "below this a late answer counts as silence; above it a lost device goes unnoticed"
 )
-WAKE_S: Final = Range(0.2, 60.0, "below, one kick has no time to work; nobody waits longer than a minute")
+WAKE_S: Final = Range(0.2, 60.0, "below this one restart has no time to work; above a minute the wait has no use")
 
 FRAME_BYTES: Final = Range(1, 256, "at 115200 Bd a frame of 256 bytes takes 22 ms")
 MARKS: Final = Range(0, 8, "more than anybody sends to mark a frame")
@@ -40,15 +40,18 @@ Order = Literal["little", "big"]
 Mode = Literal["answer", "stream"]
 Check = Literal["sum8", "xor8", "crc8", "crc16-ccitt", "crc16-modbus"]
 CHECKS: Final[tuple[str, ...]] = ("sum8", "xor8", "crc8", "crc16-ccitt", "crc16-modbus")
-"""Kinds of checksum; a kernel knows each by its place here."""
+"""Kinds of checksum; kernels use the index in this tuple."""
 CHECK_BYTES: Final = {name: 2 if name.startswith("crc16") else 1 for name in CHECKS}
 Baud = Literal[9600, 19200, 38400, 57600, 115200, 230400, 460800, 500000, 921600, 1000000, 2000000]
 Byte = Annotated[int, Meta(ge=0, le=255)]
 
 
 class Checksum(Table, frozen=True, kw_only=True):
-    """Checksum. One byte: sum8, xor8 (exclusive or), crc8 (polynomial 0x07, from 0). Two, from 0xFFFF: crc16-ccitt
-    (polynomial 0x1021), crc16-modbus (0x8005 reflected)."""
+    """Checksum of a frame.
+
+    One byte: sum8, xor8 (exclusive or), crc8 (polynomial 0x07, initial value 0). Two bytes, initial value 0xFFFF:
+    crc16-ccitt (polynomial 0x1021), crc16-modbus (0x8005 reflected).
+    """
 
     kind: Annotated[
         Check,
@@ -66,19 +69,19 @@ class Checksum(Table, frozen=True, kw_only=True):
 
 
 class Frame(Table, frozen=True, kw_only=True):
-    """What frames in both directions have."""
+    """Common properties of frames in both directions."""
 
     bytes: Annotated[int, within(FRAME_BYTES, "length, marks and checksum included", 8)]
-    start: Annotated[tuple[Byte, ...], sized(MARKS, "bytes that it begins with", [165])] = ()
-    end: Annotated[tuple[Byte, ...], sized(MARKS, "bytes that it ends with", [10])] = ()
+    start: Annotated[tuple[Byte, ...], sized(MARKS, "first bytes of the frame", [165])] = ()
+    end: Annotated[tuple[Byte, ...], sized(MARKS, "last bytes of the frame", [10])] = ()
     check: Checksum | None = None
 
-    def marked(self) -> bool:
-        """Whether a frame can be told in a stream of bytes."""
+    def is_searchable(self) -> bool:
+        """Return True if frames can be found in a stream of bytes."""
         return self.check is not None or bool(self.start and self.end)
 
-    def taken(self) -> Iterator[tuple[int, str]]:
-        """Bytes that are no field's, and whose they are."""
+    def reserved_bytes(self) -> Iterator[tuple[int, str]]:
+        """Yield bytes used by marks or checksum, with the name of the use."""
         yield from ((k, "start") for k in range(len(self.start)))
         yield from ((k, "end") for k in range(self.bytes - len(self.end), self.bytes))
         if self.check is not None:
@@ -86,7 +89,7 @@ class Frame(Table, frozen=True, kw_only=True):
 
 
 def frame_faults(frame: Frame, fields: tuple[InputField | OutputField, ...]) -> Iterator[Complaint]:
-    """Complaints about marks, a checksum and fields that reach past a frame or into each other."""
+    """Yield complaints about marks, a checksum and fields that exceed a frame or overlap."""
     if not known(frame.bytes, frame.start, frame.end, frame.check, fields) or not known(*fields):
         return
     yield from layout_faults(frame.bytes, fields, "a frame")
@@ -95,17 +98,17 @@ def frame_faults(frame: Frame, fields: tuple[InputField | OutputField, ...]) -> 
             return
         if frame.check.first >= frame.check.offset:
             yield "check.first", frame.check.first, f"must be below offset = {frame.check.offset}: it covers nothing"
-    whose = dict[int, str]()
-    for byte, name in frame.taken():
-        if not 0 <= byte < frame.bytes or byte in whose:
-            yield name, byte, f"byte {byte} is {whose.get(byte, f'beyond a frame of {frame.bytes}')}: make room for it"
+    uses = dict[int, str]()
+    for byte, name in frame.reserved_bytes():
+        if not 0 <= byte < frame.bytes or byte in uses:
+            yield name, byte, f"byte {byte} is {uses.get(byte, f'beyond a frame of {frame.bytes}')}: make room for it"
             return
-        whose[byte] = name
-    for n, one in enumerate(fields):
-        if known(one.offset, one.type):
-            for byte in range(one.offset, one.offset + TYPE_BYTES[one.type]):
-                if byte in whose:
-                    yield f"field[{n}].offset", one.offset, f"byte {byte} belongs to {whose[byte]}: move one"
+        uses[byte] = name
+    for index, field in enumerate(fields):
+        if known(field.offset, field.type):
+            for byte in range(field.offset, field.offset + TYPE_BYTES[field.type]):
+                if byte in uses:
+                    yield f"field[{index}].offset", field.offset, f"byte {byte} belongs to {uses[byte]}: move one"
                     break
 
 
@@ -121,8 +124,10 @@ class InputFrame(Frame, frozen=True, kw_only=True):
 
 
 class OutputFrame(Frame, frozen=True, kw_only=True):
-    """Frame to the board: `output` each tick, `setup` at opening until it answers, and at closing. Bytes of no field
-    are 0."""
+    """Frame to the board.
+
+    `output` is sent on each tick, `setup` at opening until the board answers, and at closing. Bytes of no field are 0.
+    """
 
     field: Annotated[tuple[OutputField, ...], sized(FIELDS, "its numbers")]
 
@@ -152,12 +157,16 @@ class Frames(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         if known(self.mode, self.input) and self.mode == "stream":
             marks = (self.input.start, self.input.end, self.input.check)
-            if known(*marks) and not self.input.marked():
-                yield "input", msgspec.UNSET, "a stream needs a check, or both start and end: its frames are not told"
+            if known(*marks) and not self.input.is_searchable():
+                yield (
+                    "input",
+                    msgspec.UNSET,
+                    "a stream needs a check, or both start and end: its frames cannot be found",
+                )
         if known(self.setup) and self.setup is not None and known(self.setup.field) and known(*self.setup.field):
-            for n, one in enumerate(self.setup.field):
-                if known(one.meaning) and one.meaning != "constant":
-                    yield f"setup.field[{n}].meaning", one.meaning, "must be constant: nothing is commanded yet"
+            for index, field in enumerate(self.setup.field):
+                if known(field.meaning) and field.meaning != "constant":
+                    yield f"setup.field[{index}].meaning", field.meaning, "must be constant: nothing is commanded yet"
 
 
 class Options(Table, frozen=True, kw_only=True):
@@ -170,7 +179,7 @@ class Options(Table, frozen=True, kw_only=True):
         Annotated[str, said("the port; default: the one with the ids; one on USB must have them", "/dev/ttyACM0")]
         | None
     ) = None
-    baud: Annotated[Baud, said("speed in Bd; without effect on a port of USB's own", 115200)] = 115200
+    baud: Annotated[Baud, said("speed in Bd; without effect on a native USB port", 115200)] = 115200
     frames: Annotated[Frames | None, said("language of the board; absent: WoodenHaptics' text")] = None
     kinematics: Annotated[Kinematics | None, said("mechanism, with frames")] = None
     mounting: Mounting = Mounting()
@@ -189,11 +198,11 @@ class Options(Table, frozen=True, kw_only=True):
         if known(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
             yield "timeout_s", self.timeout_s, f"must be at least quiet_s = {self.quiet_s:g}, so that a kick can help"
         if known(self.vendor_id, self.product_id) and (self.vendor_id is None) != (self.product_id is None):
-            yield "product_id", self.product_id, "needs vendor_id, and the other way round: give both or neither"
+            yield "product_id", self.product_id, "needs vendor_id, and vendor_id needs product_id: give both or neither"
         if not known(self.frames, self.kinematics):
             return
         if self.frames is None or self.kinematics is None:
             if (self.frames is None) != (self.kinematics is None):
                 yield "kinematics", msgspec.UNSET, "and frames belong together: describe both, or neither"
         elif known(self.frames.input, self.frames.output):
-            yield from faults_of_fields("frames", self.frames.input.field, self.frames.output.field, self.kinematics)
+            yield from field_faults("frames", self.frames.input.field, self.frames.output.field, self.kinematics)

@@ -1,9 +1,9 @@
-"""Frames of bytes that a rig describes: found in a stream, checked, written.
+"""Frames of bytes that a rig describes: search in a stream, check, and encoding.
 
-A frame has its length, bytes that are always the same (`start` and `end`), and a checksum if the rig names one. Where
-there is a checksum, or both a start and an end, a frame is looked for at every byte, so that after bytes lost, doubled
-or torn the next whole frame is found again. An answer that has neither is known by its length alone: it is taken when
-just as many bytes have come since the request as whole answers have, and refused otherwise.
+A frame has a fixed length, fixed bytes (`start` and `end`), and optionally a checksum. With a checksum, or with both
+start and end, the search tries every byte, so that it finds the next complete frame after lost, duplicated or torn
+bytes. An answer without either is recognized by its length: it is accepted if the number of bytes since the request is
+a multiple of the length, and rejected otherwise.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from softfinger.drivers.serial.options import CHECKS, Frame
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.memory import int64_at, uint8_at
 
-# Words of a shape: bytes of the frame, kind of checksum, its offset and the first byte that it covers, whether its high
-# byte comes first, and then for each byte what it always is, -1 where it may be anything.
+# Entries of a shape: bytes of the frame, kind of checksum, its offset and the first byte that it covers, 1 if its high
+# byte is first, then the fixed value of each byte, or -1.
 BYTES: Final = 0
-KIND: Final = 1
-AT_BYTE: Final = 2
-FIRST: Final = 3
-BIG: Final = 4
-FIXED: Final = 5
+CHECK_KIND: Final = 1
+CHECK_OFFSET: Final = 2
+CHECK_FIRST: Final = 3
+IS_BIG_ENDIAN: Final = 4
+FIXED_BYTES: Final = 5
 
 _SUM8: Final = CHECKS.index("sum8")
 _XOR8: Final = CHECKS.index("xor8")
@@ -35,12 +35,12 @@ _CCITT: Final = CHECKS.index("crc16-ccitt")
 _MODBUS: Final = CHECKS.index("crc16-modbus")
 
 
-def shape_of(frame: Frame, big_endian: bool) -> NDArray[np.int64]:
-    """The words of a frame's shape."""
+def make_shape(frame: Frame, big_endian: bool) -> NDArray[np.int64]:
+    """Return the shape of a frame for the kernels."""
     check = frame.check
     words = [frame.bytes, -1, 0, 0, int(big_endian)]
     if check is not None:
-        words[KIND:BIG] = [CHECKS.index(check.kind), check.offset, check.first]
+        words[CHECK_KIND:IS_BIG_ENDIAN] = [CHECKS.index(check.kind), check.offset, check.first]
     fixed = [-1] * frame.bytes
     fixed[: len(frame.start)] = frame.start
     fixed[frame.bytes - len(frame.end) :] = frame.end
@@ -49,12 +49,12 @@ def shape_of(frame: Frame, big_endian: bool) -> NDArray[np.int64]:
 
 @jit
 def checksum(frame: int, shape: int) -> int:
-    """The checksum of the frame at an address: of its bytes from `first` up to the checksum itself."""
+    """Return the checksum of the frame at an address, over its bytes from `first` to the checksum."""
     text, s = uint8_at(frame), int64_at(shape)
-    kind, crc = s[KIND], 0
+    kind, crc = s[CHECK_KIND], 0
     if kind in (_CCITT, _MODBUS):
         crc = 0xFFFF
-    for k in range(s[FIRST], s[AT_BYTE]):
+    for k in range(s[CHECK_FIRST], s[CHECK_OFFSET]):
         byte = int(text[k])
         if kind == _SUM8:
             crc = (crc + byte) & 0xFF
@@ -76,83 +76,85 @@ def checksum(frame: int, shape: int) -> int:
 
 
 @jit
-def _place(shape: int, high: bool) -> int:
-    """Where the low or the high byte of a checksum of two bytes is."""
+def _check_byte_index(shape: int, high: bool) -> int:
+    """Return the index of the low or the high byte of a two-byte checksum."""
     s = int64_at(shape)
-    return int(s[AT_BYTE] + (1 if (s[BIG] != 0) != high else 0))
+    return int(s[CHECK_OFFSET] + (1 if (s[IS_BIG_ENDIAN] != 0) != high else 0))
 
 
 @jit
-def fits(frame: int, shape: int) -> bool:
-    """Whether the bytes at an address have what is always the same, and the checksum."""
+def is_frame(frame: int, shape: int) -> bool:
+    """Return True if the bytes at an address have the fixed bytes and the checksum of a frame."""
     text, s = uint8_at(frame), int64_at(shape)
     for k in range(s[BYTES]):
-        if s[FIXED + k] >= 0 and text[k] != s[FIXED + k]:
+        if s[FIXED_BYTES + k] >= 0 and text[k] != s[FIXED_BYTES + k]:
             return False
-    if s[KIND] < 0:
+    if s[CHECK_KIND] < 0:
         return True
     crc = checksum(frame, shape)
-    if s[KIND] in (_CCITT, _MODBUS):
-        return bool(text[_place(shape, False)] == crc & 0xFF and text[_place(shape, True)] == crc >> 8)
-    return bool(text[s[AT_BYTE]] == crc)
+    if s[CHECK_KIND] in (_CCITT, _MODBUS):
+        return bool(
+            text[_check_byte_index(shape, False)] == crc & 0xFF and text[_check_byte_index(shape, True)] == crc >> 8
+        )
+    return bool(text[s[CHECK_OFFSET]] == crc)
 
 
 @jit
-def finish(frame: int, shape: int) -> None:
-    """Put what is always the same, and the checksum, into the frame at an address."""
+def complete_frame(frame: int, shape: int) -> None:
+    """Write the fixed bytes and the checksum into the frame at an address."""
     text, s = uint8_at(frame), int64_at(shape)
     for k in range(s[BYTES]):
-        if s[FIXED + k] >= 0:
-            text[k] = types.uint8(s[FIXED + k])
-    if s[KIND] < 0:
+        if s[FIXED_BYTES + k] >= 0:
+            text[k] = types.uint8(s[FIXED_BYTES + k])
+    if s[CHECK_KIND] < 0:
         return
     crc = checksum(frame, shape)
-    if s[KIND] in (_CCITT, _MODBUS):
-        text[_place(shape, False)] = types.uint8(crc & 0xFF)
-        text[_place(shape, True)] = types.uint8(crc >> 8)
+    if s[CHECK_KIND] in (_CCITT, _MODBUS):
+        text[_check_byte_index(shape, False)] = types.uint8(crc & 0xFF)
+        text[_check_byte_index(shape, True)] = types.uint8(crc >> 8)
     else:
-        text[s[AT_BYTE]] = types.uint8(crc)
+        text[s[CHECK_OFFSET]] = types.uint8(crc)
 
 
 @jit
-def _accept(frame: int, shape: int, fields: int, rows: int, scratch: int, spare: Any, newest: Any) -> bool:
-    """Read a frame into `newest`, if it is one."""
-    if not (fits(frame, shape) and decode(frame, fields, rows, scratch, spare)):
+def _accept(frame: int, shape: int, fields: int, rows: int, scratch: int, decoded: Any, latest: Any) -> bool:
+    """Decode a frame into `latest` and return True, if it is valid."""
+    if not (is_frame(frame, shape) and decode(frame, fields, rows, scratch, decoded)):
         return False
     for n in range(SENSED_SIZE):
-        newest[n] = spare[n]
+        latest[n] = decoded[n]
     return True
 
 
 @jit
-def take(
-    buffer: int, filled: Any, aligned: bool, shape: int, table: tuple[int, int, int], numbers: tuple[Any, Any]
+def decode_stream(
+    buffer: int, filled: Any, by_length: bool, shape: int, table: tuple[int, int, int], numbers: tuple[Any, Any]
 ) -> int:
-    """How many frames are in the bytes at `buffer`; the last one's numbers in `numbers[1]`.
+    """Decode the frames in the bytes at `buffer`; return their number and store the last one in `numbers[1]`.
 
-    filled   (1,) int64: how many bytes; what may still belong to a frame is moved to the front, and counted
-    aligned  answers without a checksum, which begin where the request was sent
-    table    addresses of rows, number of rows, and address of one int64 word
-    numbers  (SENSED_SIZE,) each, the first overwritten
+    filled   (1,) int64: number of bytes; bytes of an incomplete frame are moved to the front and counted here
+    aligned  True for answers without a checksum, which start where the request was sent
+    table    addresses of rows, number of rows, and address of one int64 for scratch
+    numbers  (SENSED_SIZE,) each, the first for scratch
     """
     size, count, text = int64_at(shape)[BYTES], filled[0], uint8_at(buffer)
     fields, rows, scratch = table
-    spare, newest = numbers
+    decoded, latest = numbers
     frames, at = 0, 0
-    if aligned:
+    if by_length:
         if count >= size and count % size == 0:
-            whole = True
-            while at < count and whole:
-                whole = fits(buffer + at, shape)
+            is_valid = True
+            while at < count and is_valid:
+                is_valid = is_frame(buffer + at, shape)
                 at += size
-            if whole and _accept(buffer + count - size, shape, fields, rows, scratch, spare, newest):
+            if is_valid and _accept(buffer + count - size, shape, fields, rows, scratch, decoded, latest):
                 frames = count // size
             at = count
         elif count > 2 * size:
             at = count
     else:
         while count - at >= size:
-            if _accept(buffer + at, shape, fields, rows, scratch, spare, newest):
+            if _accept(buffer + at, shape, fields, rows, scratch, decoded, latest):
                 frames += 1
                 at += size
             else:
@@ -164,6 +166,6 @@ def take(
 
 
 @entry
-def finish_once(frame: NDArray[np.uint8], shape: NDArray[np.int64]) -> None:
-    """`finish` for Python."""
-    finish(frame.ctypes.data, shape.ctypes.data)
+def complete_frame_once(frame: NDArray[np.uint8], shape: NDArray[np.int64]) -> None:
+    """Call `complete_frame` from Python."""
+    complete_frame(frame.ctypes.data, shape.ctypes.data)

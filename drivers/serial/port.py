@@ -1,4 +1,4 @@
-"""The system's serial port of a device: found by its USB ids, opened for this process alone, set to raw bytes."""
+"""Serial port of a device: found by its USB ids, opened exclusively, and set to raw bytes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Final
 from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.drivers.serial.options import Options
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import other_product, undecided
+from softfinger.drivers.system.claims import describe_foreign_product, explain_ambiguity
 from softfinger.drivers.system.hidraw import ids
 from softfinger.drivers.system.nodes import open_locked
 from softfinger.drivers.system.rules import how_to_permit
@@ -24,19 +24,22 @@ TIOCSSERIAL: Final = 0x541F
 SERIAL_STRUCT_BYTES: Final = 72
 FLAGS_AT: Final = 16
 ASYNC_LOW_LATENCY: Final = 1 << 13
-"""Of linux/serial.h and tty_flags.h: struct serial_struct and where its flags are, on 64-bit machines."""
+"""From linux/serial.h and tty_flags.h: struct serial_struct and the offset of its flags, on 64-bit machines."""
+TIOCSERGETLSR: Final = 0x5459
+TIOCSER_TEMT: Final = 1
+"""From asm/ioctls.h and linux/serial.h: state of a UART, and its bit for an empty transmitter."""
 DRAIN_WAIT_S: Final = 0.2
-"""How long what was written has to leave before the port is closed; the system's own close would wait for 30 s."""
+"""Maximum time to send written bytes before the port is closed; the system's close would wait for 30 s."""
 
 
 def open_port(options: Options) -> tuple[int, str]:
-    """File descriptor of the device's port, raw, non-blocking, locked, empty; and its path.
+    """Open the device's port, raw, non-blocking, locked and empty, and return its file descriptor and path.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is no port or another device.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is no port or another device.
     """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"driver 'serial' opens serial ports of Linux, and this is {sys.platform}")
-    path = options.path or find(options)
+    path = options.path or find_port(options)
     _check_ids(path, options)
     fd = open_locked(path, _how_to_permit(path, options))
     try:
@@ -53,19 +56,19 @@ def open_port(options: Options) -> tuple[int, str]:
 
 
 def close_port(fd: int) -> None:
-    """Let what was written leave, then close; bytes that the device does not take in time are thrown away."""
+    """Wait until written bytes are sent, then close; drop bytes that are not sent in time."""
     until = time.monotonic() + DRAIN_WAIT_S
-    with contextlib.suppress(OSError, termios.error):  # gone already
-        while _queued(fd) and time.monotonic() < until:
+    with contextlib.suppress(OSError, termios.error):  # disconnected already
+        while count_unsent(fd) and time.monotonic() < until:
             time.sleep(0.001)
-        if _queued(fd):  # and only then: a last zero that the system still hands on must not be thrown away
+        if count_unsent(fd):  # only then: a last zero that is still being sent must not be dropped
             termios.tcflush(fd, termios.TCOFLUSH)
         fcntl.ioctl(fd, termios.TIOCNXCL)
     os.close(fd)
 
 
 def _set_low_latency(fd: int) -> None:
-    """Have a chip such as FTDI's hand on bytes after 1 ms and not after 16; a port without such a timer refuses."""
+    """Make a chip such as FTDI's deliver bytes after 1 ms instead of 16; ports without such a timer reject it."""
     with contextlib.suppress(OSError):
         settings = bytearray(fcntl.ioctl(fd, TIOCGSERIAL, bytes(SERIAL_STRUCT_BYTES)))
         (flags,) = struct.unpack_from("i", settings, FLAGS_AT)
@@ -73,50 +76,60 @@ def _set_low_latency(fd: int) -> None:
         fcntl.ioctl(fd, TIOCSSERIAL, bytes(settings))
 
 
-def _queued(fd: int) -> int:
-    """Bytes written that have not left."""
-    return int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
+def count_unsent(fd: int) -> int:
+    """Return the number of written bytes not sent yet; 1 if all of them are in the chip.
+
+    Raises OSError if the port is disconnected. A pseudo terminal counts none; a USB modem counts too many.
+    """
+    queued = int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
+    if queued:
+        return queued
+    try:
+        state = int.from_bytes(fcntl.ioctl(fd, TIOCSERGETLSR, bytes(4)), sys.byteorder)
+    except OSError:  # no UART, or a driver that does not support the request
+        return 0
+    return 0 if state & TIOCSER_TEMT else 1
 
 
-def find(options: Options) -> str:
-    """Path of the port of the one device with the rig's ids.
+def find_port(options: Options) -> str:
+    """Return the path of the port of the only device with the rig's ids.
 
-    Raises DeviceNotFound when there is none or more than one, or when ids and product string do not tell what it is:
-    a port is not written to before somebody has said that it is the right one.
+    Raises DeviceNotFound if there is none or more than one, or if ids and product string do not identify the device:
+    nothing is written to a port before the user has confirmed that it is the right one.
     """
     ports = list(discovery.serial_ports())
     if options.vendor_id is None or options.product_id is None:
-        seen = ", ".join(f"{port.node} ({port.ids}, {port.name})" for port in ports) or "no serial port on USB"
-        raise DeviceNotFound(f"the rig does not say which port: name it with path under [device]; attached: {seen}")
+        attached = ", ".join(f"{port.node} ({port.ids}, {port.name})" for port in ports) or "no serial port on USB"
+        raise DeviceNotFound(f"the rig does not set a port: set path under [device]; attached: {attached}")
     wanted = ids(options.vendor_id, options.product_id)
-    theirs = [port for port in ports if port.ids == wanted and other_product(port) is None]
-    matching = [port for port in theirs if options.serial in (None, port.serial)]
+    with_ids = [port for port in ports if port.ids == wanted and describe_foreign_product(port) is None]
+    matching = [port for port in with_ids if options.serial in (None, port.serial)]
     if len(matching) == 1:
-        why = undecided(matching[0]) if options.serial is None else None
-        if why is None:
+        ambiguity = explain_ambiguity(matching[0]) if options.serial is None else None
+        if ambiguity is None:
             return matching[0].node
         raise DeviceNotFound(
-            f"{matching[0].node} may be the device or not: {why}: if it is the one, name its port with path = "
+            f"{matching[0].node} may be the device or not: {ambiguity}: if it is the one, name its port with path = "
             f'"{matching[0].node}" under [device] of the rig, or its serial number with serial'
         )
     if matching:
         listed = ", ".join(f"{port.node} (serial '{port.serial}')" for port in matching)
         raise DeviceNotFound(f"{len(matching)} serial ports are {wanted}: name one with serial or path: {listed}")
-    if theirs:
-        serials = ", ".join(f"'{port.serial}'" for port in theirs)
+    if with_ids:
+        serials = ", ".join(f"'{port.serial}'" for port in with_ids)
         raise DeviceNotFound(
             f"no serial port {wanted} has the serial number '{options.serial}': attached are {serials}"
         )
-    others = ", ".join(f"{other_product(port) or port.name} ({port.ids}) at {port.node}" for port in ports)
-    there = f"attached are {others}" if ports else "no serial port on USB is attached"
+    others = ", ".join(f"{describe_foreign_product(port) or port.name} ({port.ids}) at {port.node}" for port in ports)
+    attached_text = f"attached are {others}" if ports else "no serial port on USB is attached"
     raise DeviceNotFound(
         f"no serial port {wanted} is attached: plug the device in and switch it on, correct vendor_id and product_id, "
-        f"or name its port with path; {there}"
+        f"or name its port with path; {attached_text}"
     )
 
 
 def _check_ids(path: str, options: Options) -> None:
-    """DeviceError when a port belongs to another USB device; one that is not on USB has no ids to compare."""
+    """Raise DeviceError if a port belongs to another USB device; a port that is not on USB has no ids to compare."""
     port = discovery.serial_port(path)
     if options.vendor_id is None or options.product_id is None:
         return
@@ -126,7 +139,7 @@ def _check_ids(path: str, options: Options) -> None:
             f"{path} is the device {port.ids} ({port.name}), and the rig is for {wanted}: name the right port, or "
             "leave `path` out"
         )
-    if port is not None and (other := other_product(port)) is not None:
+    if port is not None and (other := describe_foreign_product(port)) is not None:
         raise DeviceError(f"{path} is {other} ('{port.name}'), which speaks another language: name the right port")
 
 
@@ -139,13 +152,13 @@ def _how_to_permit(path: str, options: Options) -> str:
 
 
 def _set_raw(fd: int, baud: int) -> None:
-    # `flock` keeps our own programs out, this one everything that does not run as root.
+    # `flock` excludes other instances of this program, TIOCEXCL every program that does not run as root
     fcntl.ioctl(fd, termios.TIOCEXCL)
     settings = termios.tcgetattr(fd)
-    settings[0] = settings[1] = settings[3] = 0  # nothing is translated, echoed or held back
+    settings[0] = settings[1] = settings[3] = 0  # no translation, echo or line buffering
     settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL | termios.HUPCL
     settings[4] = settings[5] = getattr(termios, f"B{baud}")
-    # Without a byte to wait for, a read with nothing there would return 0, as if the device were gone.
+    # With VMIN 0, a read without available bytes would return 0, as for a disconnected device.
     settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
     termios.tcsetattr(fd, termios.TCSANOW, settings)
     termios.tcflush(fd, termios.TCIOFLUSH)

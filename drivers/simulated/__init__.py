@@ -1,4 +1,4 @@
-"""A handle with its motors, its encoders and a hand on it, computed: the plant in `plant` of `axis`, behind `device`.
+"""Simulated handle with motors, encoders and a hand: physics in `plant` and `axis`, device contract in `device`.
 
-Nothing that knows of a clock or a thread: a read is a period, so that a run is reproducible to the bit.
+Nothing here uses a clock or a thread: a read advances one period, so that a run is reproducible to the bit.
 """

@@ -1,13 +1,13 @@
-"""One axis of a plant through a tick, exactly, with the Coulomb friction of its mechanism.
+"""Exact integration of one axis of a plant over a tick, with Coulomb friction of the mechanism.
 
-Friction is constant against the velocity while the axis moves. At rest it holds as long as the other forces stay
-within it. So a tick is a sequence of pieces, each linear: moving one way, held, moving the other way. A piece ends
-where the velocity comes to zero, or where the force that is held back reaches the friction; both times are found to
-rounding, by Newton's method kept in a bracket.
+While the axis moves, friction is constant and opposes the velocity. At rest, it balances the other forces up to its
+limit. So a tick is a sequence of linear pieces: motion in one direction, rest, motion in the other. A piece ends when
+the velocity reaches zero, or when the balanced force reaches the limit; both times are exact to rounding, by a
+bracketed Newton's method.
 
-Most ticks have one piece, and `move` does those with coefficients made beforehand. Only a tick that is cut goes
-through `move_in_pieces`, in substeps short enough that a Taylor series is exact to rounding. A velocity that dips
-through zero twice within a substep, half a time constant of the fastest mode, would be seen once.
+Most ticks have one piece, and `move` computes these with precomputed coefficients. `move_in_pieces` handles the others,
+in substeps so short that a Taylor series is exact to rounding. If the velocity crosses zero in two separate intervals
+of one substep (half a time constant of the fastest mode), only one of them is detected.
 """
 
 from math import copysign, exp, log
@@ -15,28 +15,28 @@ from typing import Final, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 
-EVENTS: Final = 64
-"""Most pieces of a tick that end early; what is left then moves as one. Few ticks have more than two."""
-TERMS: Final = 24
-"""Of the Taylor series: over half a time constant, what is left out is below 1e-18 of the motion."""
-ROUNDS: Final = 80
-"""Most steps of a bracketed root; bisection alone would need 53."""
+STOPS_MAX: Final = 64
+"""Maximum number of stops in a tick; afterwards the axis rests until the next tick. Few ticks have more than two."""
+SERIES_TERMS: Final = 24
+"""Terms of the Taylor series: over half a time constant, the truncation error is below 1e-18 of the motion."""
+ITERATIONS_MAX: Final = 80
+"""Maximum iterations of a bracketed root search; bisection would need 53."""
 
 
 class Axis(NamedTuple):
-    """One axis, for ticks of one length.
+    """Axis, for ticks of a fixed length.
 
     With all inputs constant, a tick leads to
         x + x_z (x - p) + x_v v + x_a a + x_u u + x_w w + x_f f
             v_z (x - p) + v_v v + v_a a + v_u u + v_w w + v_f f
-    with a the motors' force before and u, p, w, f the `Inputs`.
+    with a the initial force of the motors and u, p, w, f the `Inputs`.
 
     friction                           N               Coulomb
     mobility                           1/kg            acceleration by 1 N
     damping, stiffness, hand_damping   1/s, 1/s^2, 1/s  over the moving mass
     lag_rate                           1/s             of the motors, 0 without lag
     period                             s
-    substep                            s               longest piece that the Taylor series takes
+    substep                            s               longest piece for the Taylor series
     slow                               s               the same without the motors' lag
     """
 
@@ -64,12 +64,12 @@ class Axis(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """What drives an axis through a linear piece.
+    """Inputs of an axis during a linear piece.
 
-    u  N    what the motors are told
-    p  m    goal of the hand at the beginning of the piece
+    u  N    command to the motors
+    p  m    goal of the hand at the start of the piece
     w  m/s  speed of the goal
-    f  N    force that does not pass the motors: of friction
+    f  N    force that bypasses the motors: friction
     """
 
     u: float
@@ -79,20 +79,20 @@ class Inputs(NamedTuple):
 
 
 @jit
-def later(inputs: Inputs, h: float) -> Inputs:
-    """The inputs after `h` s: the goal has moved."""
+def advance_inputs(inputs: Inputs, h: float) -> Inputs:
+    """Return the inputs after `h` s: the goal has moved."""
     return Inputs(inputs.u, inputs.p + inputs.w * h, inputs.w, inputs.f)
 
 
 @jit
-def rubbed(axis: Axis, way: float, inputs: Inputs) -> Inputs:
-    """The inputs with friction against a motion that goes `way`, 1 or -1."""
-    return Inputs(inputs.u, inputs.p, inputs.w, -way * axis.friction)
+def with_friction(axis: Axis, direction: float, inputs: Inputs) -> Inputs:
+    """Return the inputs with friction against a motion in direction `direction`, 1 or -1."""
+    return Inputs(inputs.u, inputs.p, inputs.w, -direction * axis.friction)
 
 
 @jit
-def glide(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> tuple[float, float]:
-    """Position and velocity after a whole tick under constant forces: see `Axis`."""
+def move_freely(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> tuple[float, float]:
+    """Return position and velocity after a full tick under constant forces: see `Axis`."""
     u, p, w, f = inputs
     z = x - p
     return (
@@ -108,113 +108,118 @@ def acceleration(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> fl
 
 
 @jit
-def dips(way: float, h: float, v0: float, c0: float, v1: float, c1: float) -> bool:
-    """Whether a speed that is `way` at both ends of `h` s may come to zero between them.
+def may_reach_zero(direction: float, h: float, v0: float, c0: float, v1: float, c1: float) -> bool:
+    """Return True if a velocity of sign `direction` at both ends of `h` s may reach zero between them.
 
-    v0, c0, v1, c1  velocity and acceleration at the ends. Between its tangents at the ends the speed has its
-    minimum; where they meet above zero it stays there.
+    v0, c0, v1, c1  velocity and acceleration at the ends
+
+    The minimum of the speed is above the intersection of the tangents at the ends: if that is above zero, so is the
+    speed.
     """
-    if not (way * c0 < 0.0 and way * c1 > 0.0):
+    if not (direction * c0 < 0.0 and direction * c1 > 0.0):
         return False
     t = (v1 - c1 * h - v0) / (c0 - c1)
-    return way * (v0 + c0 * t) <= 0.0
+    return direction * (v0 + c0 * t) <= 0.0
 
 
 @jit
-def slowing(axis: Axis, way: float, behind: float, behind1: float, c0: float, c1: float) -> float:
-    """Strongest acceleration against `way` within a tick, m/s^2, 0 or below: never too small in magnitude.
+def deceleration_bound(axis: Axis, direction: float, lag: float, lag1: float, c0: float, c1: float) -> float:
+    """Return a bound of the acceleration against `direction` in a tick, m/s^2, at most 0; never too small in magnitude.
 
-    behind, behind1  N  what the motors' force lacks at both ends, c0 and c1 the acceleration there. The motors' part
-    decays, however fast; the rest changes slowly, and is at most half as much again as at the ends.
+    lag, lag1         N      difference of the motors' force from its command at both ends
+    c0, c1           m/s^2  acceleration at both ends
+
+    The contribution of the motors decays at any rate. The remainder changes slowly, and is at most 1.5 times its value
+    at the ends.
     """
-    rest0, rest1 = way * (c0 - axis.mobility * behind), way * (c1 - axis.mobility * behind1)
-    return 1.5 * min(rest0, rest1, 0.0) + min(way * axis.mobility * behind, 0.0)
+    rest0, rest1 = direction * (c0 - axis.mobility * lag), direction * (c1 - axis.mobility * lag1)
+    return 1.5 * min(rest0, rest1, 0.0) + min(direction * axis.mobility * lag, 0.0)
 
 
 @jit
 def move(axis: Axis, x: float, v: float, a: float, a1: float, inputs: Inputs) -> tuple[float, float]:
-    """One tick: position (m) and velocity (m/s) after it.
+    """Return position (m) and velocity (m/s) after one tick.
 
-    x, v    m, m/s  at its beginning
-    a, a1   N       the motors' force at its beginning and at its end
+    x, v    m, m/s  at its start
+    a, a1   N       force of the motors at its start and end
     inputs          without friction, f = 0
     """
     if axis.friction == 0.0:
-        return glide(axis, x, v, a, inputs)
+        return move_freely(axis, x, v, a, inputs)
     u, w = inputs.u, inputs.w
     h, limit = axis.period, axis.friction * axis.mobility
-    began = u if axis.lag_rate == 0.0 else a
+    initial_force = u if axis.lag_rate == 0.0 else a
     if v == 0.0:
-        c0 = acceleration(axis, x, 0.0, began, inputs)
-        c1 = acceleration(axis, x, 0.0, a1, later(inputs, h))
+        c0 = acceleration(axis, x, 0.0, initial_force, inputs)
+        c1 = acceleration(axis, x, 0.0, a1, advance_inputs(inputs, h))
         turn0 = axis.mobility * axis.lag_rate * (u - a) + axis.stiffness * w
         turn1 = axis.mobility * axis.lag_rate * (u - a1) + axis.stiffness * w
         if abs(c0) <= limit and abs(c1) <= limit and turn0 * turn1 >= 0.0:
             return x, 0.0
     elif h <= axis.slow:
-        way = copysign(1.0, v)
-        moving = rubbed(axis, way, inputs)
-        x1, v1 = glide(axis, x, v, a, moving)
-        if way * v1 > 0.0:
-            c0 = acceleration(axis, x, v, began, moving)
-            c1 = acceleration(axis, x1, v1, a1, later(moving, h))
+        direction = copysign(1.0, v)
+        moving = with_friction(axis, direction, inputs)
+        x1, v1 = move_freely(axis, x, v, a, moving)
+        if direction * v1 > 0.0:
+            c0 = acceleration(axis, x, v, initial_force, moving)
+            c1 = acceleration(axis, x1, v1, a1, advance_inputs(moving, h))
             if h <= axis.substep:
-                if not dips(way, h, v, c0, v1, c1):
+                if not may_reach_zero(direction, h, v, c0, v1, c1):
                     return x1, v1
-            elif way * v + h * slowing(axis, way, began - u, a1 - u, c0, c1) > 0.0:
+            elif direction * v + h * deceleration_bound(axis, direction, initial_force - u, a1 - u, c0, c1) > 0.0:
                 return x1, v1
-    return move_in_pieces(axis, x, v, began, inputs)
+    return move_in_pieces(axis, x, v, initial_force, inputs)
 
 
-@entry  # called and not compiled into `move`: it is long, and seldom needed
+@entry  # called, not inlined into `move`: it is long and seldom used
 def move_in_pieces(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> tuple[float, float]:
-    """One tick with friction, cut where the axis stops, is held and breaks away."""
-    left, events = axis.period, 0
-    way = copysign(1.0, v) if v != 0.0 else 0.0
-    while left > 0.0:
-        if way == 0.0:
+    """Return position and velocity after a tick with friction, divided where the axis stops, rests and breaks away."""
+    remaining, stops = axis.period, 0
+    direction = copysign(1.0, v) if v != 0.0 else 0.0
+    while remaining > 0.0:
+        if direction == 0.0:
             c = acceleration(axis, x, 0.0, a, inputs)
-            if abs(c) > axis.friction * axis.mobility and events < EVENTS:
-                way = copysign(1.0, c)
+            if abs(c) > axis.friction * axis.mobility and stops < STOPS_MAX:
+                direction = copysign(1.0, c)
             else:
-                held, way = time_held(axis, x, a, inputs, left)
-                if events >= EVENTS:
-                    held, way = left, 0.0
-                a = inputs.u + (a - inputs.u) * exp(-axis.lag_rate * held)
-                inputs = later(inputs, held)
-                left -= held
+                rest_time, direction = time_to_break_away(axis, x, a, inputs, remaining)
+                if stops >= STOPS_MAX:
+                    rest_time, direction = remaining, 0.0
+                a = inputs.u + (a - inputs.u) * exp(-axis.lag_rate * rest_time)
+                inputs = advance_inputs(inputs, rest_time)
+                remaining -= rest_time
                 continue
-        h, moving = min(left, axis.substep), rubbed(axis, way, inputs)
-        x1, v1, a1 = series(axis, x, v, a, moving, h)
+        h, moving = min(remaining, axis.substep), with_friction(axis, direction, inputs)
+        x1, v1, a1 = integrate_series(axis, x, v, a, moving, h)
         c0 = acceleration(axis, x, v, a, moving)
-        c1 = acceleration(axis, x1, v1, a1, later(moving, h))
-        ends = h
-        # An axis that has just broken away starts with no velocity and, but for rounding, no acceleration.
-        if way * v1 >= 0.0 and v != 0.0 and dips(way, h, v, c0, v1, c1):
-            ends = lowest(axis, x, v, a, moving, h)
-            x1, v1, a1 = series(axis, x, v, a, moving, ends)
-        if way * v1 < 0.0:
-            events += 1
-            h = stop_time(axis, x, v, a, moving, ends)
-            x1, _, a1 = series(axis, x, v, a, moving, h)
-            v1, way = 0.0, 0.0
-        elif ends < h:
-            x1, v1, a1 = series(axis, x, v, a, moving, h)
+        c1 = acceleration(axis, x1, v1, a1, advance_inputs(moving, h))
+        end = h
+        # After breaking away the axis has zero velocity and, except for rounding, zero acceleration.
+        if direction * v1 >= 0.0 and v != 0.0 and may_reach_zero(direction, h, v, c0, v1, c1):
+            end = time_of_lowest_speed(axis, x, v, a, moving, h)
+            x1, v1, a1 = integrate_series(axis, x, v, a, moving, end)
+        if direction * v1 < 0.0:
+            stops += 1
+            h = time_to_stop(axis, x, v, a, moving, end)
+            x1, _, a1 = integrate_series(axis, x, v, a, moving, h)
+            v1, direction = 0.0, 0.0
+        elif end < h:
+            x1, v1, a1 = integrate_series(axis, x, v, a, moving, h)
         x, v, a = x1, v1, a1
-        inputs = later(inputs, h)
-        left -= h
+        inputs = advance_inputs(inputs, h)
+        remaining -= h
     return x, v
 
 
 @jit
-def series(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -> tuple[float, float, float]:
-    """Position, velocity and motors' force after `h` s of a linear piece, at most `axis.substep`."""
-    behind = inputs.u - a
-    dx, dv, da = v, acceleration(axis, x, v, a, inputs), axis.lag_rate * behind
-    # Past the first derivative the goal does not move any more, and x and x - p have the same ones.
+def integrate_series(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -> tuple[float, float, float]:
+    """Return position, velocity and force of the motors after `h` s of a linear piece, at most `axis.substep`."""
+    lag = inputs.u - a
+    dx, dv, da = v, acceleration(axis, x, v, a, inputs), axis.lag_rate * lag
+    # The goal has only a first derivative; the higher ones of x and x - p are equal.
     dz = v - inputs.w
     share = h
-    for n in range(2, TERMS):
+    for n in range(2, SERIES_TERMS):
         x += share * dx
         v += share * dv
         a += share * da
@@ -229,38 +234,38 @@ def series(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -
 
 
 @jit
-def stop_time(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -> float:
-    """When the velocity, which friction `inputs.f` opposes, first comes to zero; after `h` s it has turned."""
-    way = -copysign(1.0, inputs.f)
+def time_to_stop(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -> float:
+    """Return the first zero of the velocity that friction `inputs.f` opposes; after `h` s it has changed sign."""
+    direction = -copysign(1.0, inputs.f)
     low, high = 0.0, h
     t = 0.5 * h
-    for _ in range(ROUNDS):
-        xt, vt, at = series(axis, x, v, a, inputs, t)
-        if way * vt > 0.0:
+    for _ in range(ITERATIONS_MAX):
+        xt, vt, at = integrate_series(axis, x, v, a, inputs, t)
+        if direction * vt > 0.0:
             low = t
         else:
             high = t
-        slope = acceleration(axis, xt, vt, at, later(inputs, t))
-        better = t - vt / slope if slope != 0.0 else low
-        if not low < better < high:
-            better = 0.5 * (low + high)
-        if better == t or better <= low or better >= high:
+        slope = acceleration(axis, xt, vt, at, advance_inputs(inputs, t))
+        next_t = t - vt / slope if slope != 0.0 else low
+        if not low < next_t < high:
+            next_t = 0.5 * (low + high)
+        if next_t == t or next_t <= low or next_t >= high:
             break
-        t = better
+        t = next_t
     return t
 
 
 @jit
-def lowest(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -> float:
-    """When the speed is lowest within `h` s, or a time at which it has turned already."""
-    way = -copysign(1.0, inputs.f)
+def time_of_lowest_speed(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -> float:
+    """Return the time of the lowest speed within `h` s, or a time at which the velocity has changed sign already."""
+    direction = -copysign(1.0, inputs.f)
     low, high = 0.0, h
     t = 0.5 * h
-    for _ in range(ROUNDS):
-        xt, vt, at = series(axis, x, v, a, inputs, t)
-        if way * vt < 0.0:
+    for _ in range(ITERATIONS_MAX):
+        xt, vt, at = integrate_series(axis, x, v, a, inputs, t)
+        if direction * vt < 0.0:
             break
-        if way * acceleration(axis, xt, vt, at, later(inputs, t)) < 0.0:
+        if direction * acceleration(axis, xt, vt, at, advance_inputs(inputs, t)) < 0.0:
             low = t
         else:
             high = t
@@ -271,40 +276,40 @@ def lowest(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -
 
 
 @jit
-def time_held(axis: Axis, x: float, a: float, inputs: Inputs, left: float) -> tuple[float, float]:
-    """How long friction holds the axis, at most `left` s, and which way it breaks away then; 0 if it does not.
+def time_to_break_away(axis: Axis, x: float, a: float, inputs: Inputs, remaining: float) -> tuple[float, float]:
+    """Return the time until the axis breaks away, at most `remaining` s, and the direction, 0 if it does not.
 
     inputs  without friction, f = 0
 
-    What pulls is mobility (u + (a - u) exp(-t / tau)) + stiffness (p + w t - x) + hand_damping w, over the mass: it
-    turns round once at most, and is followed up to there and from there.
+    The driving force over the mass is mobility (u + (a - u) exp(-t / tau)) + stiffness (p + w t - x) + hand_damping w.
+    It has at most one extremum; the search is before it, then after it.
     """
     limit, rate = axis.friction * axis.mobility, axis.lag_rate
     drive, ramp = axis.mobility * (a - inputs.u), axis.stiffness * inputs.w
     steady = acceleration(axis, x, 0.0, inputs.u, inputs)
-    turn = left
+    turn = remaining
     if rate * drive * ramp > 0.0 and abs(ramp) < abs(rate * drive):
-        turn = min(left, log(rate * drive / ramp) / rate)
-    begins = 0.0
-    for ends in (turn, left):
-        last = steady + ramp * ends + drive * exp(-rate * ends)
+        turn = min(remaining, log(rate * drive / ramp) / rate)
+    start = 0.0
+    for end in (turn, remaining):
+        last = steady + ramp * end + drive * exp(-rate * end)
         if abs(last) > limit:
-            way = copysign(1.0, last)
-            low, high, t = begins, ends, 0.5 * (begins + ends)
-            for _ in range(ROUNDS):
+            direction = copysign(1.0, last)
+            low, high, t = start, end, 0.5 * (start + end)
+            for _ in range(ITERATIONS_MAX):
                 fading = drive * exp(-rate * t)
-                over = way * (steady + ramp * t + fading) - limit
+                over = direction * (steady + ramp * t + fading) - limit
                 if over > 0.0:
                     high = t
                 else:
                     low = t
-                slope = way * (ramp - rate * fading)
-                better = t - over / slope if slope != 0.0 else low
-                if not low < better < high:
-                    better = 0.5 * (low + high)
-                if better == t or better <= low or better >= high:
+                slope = direction * (ramp - rate * fading)
+                next_t = t - over / slope if slope != 0.0 else low
+                if not low < next_t < high:
+                    next_t = 0.5 * (low + high)
+                if next_t == t or next_t <= low or next_t >= high:
                     break
-                t = better
-            return t, way
-        begins = ends
-    return left, 0.0
+                t = next_t
+            return t, direction
+        start = end
+    return remaining, 0.0

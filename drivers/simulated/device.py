@@ -1,9 +1,8 @@
-"""A device that is computed: handle, motors and hand of `drivers.plant`, behind the contract of any other.
+"""Simulated device: handle, motors and hand of `plant`, behind the device contract.
 
-A replay feels nothing. Here the force written moves the handle, and the hand on it follows what it intends, a
-recording or a place with a sinusoid about it, as far as the force lets it. Read number n gives the pose at tick n of
-the device's own time, so a run is reproducible to the bit whatever the clock does. Only a hand
-that a puck or a program leads does what it likes.
+Unlike in a replay, the written force moves the handle. The hand follows its intention (a recording, or a place with a
+sinusoid) against the force. Read number n returns the pose at tick n of the device's time, so that a run is
+reproducible to the bit regardless of the clock, unless a puck or a program leads the hand.
 """
 
 from __future__ import annotations
@@ -27,62 +26,61 @@ from softfinger.drivers.base import (
     DeviceIO,
 )
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
-from softfinger.drivers.simulated import hand as led
-from softfinger.drivers.simulated.options import Options, simulation
+from softfinger.drivers.simulated import hand as led_hand
+from softfinger.drivers.simulated.options import Options, make_simulation
 from softfinger.drivers.simulated.plant import (
-    LINE_SIZE,
+    DELAY_LINE_SIZE,
     Handle,
     Intention,
     Plant,
     PlantState,
     advance,
-    at_rest,
     goal_at,
     make_plant,
+    make_rest_state,
     sense,
 )
 from softfinger.drivers.spacemouse import device as spacemouse
-from softfinger.drivers.spacemouse.device import Puck, follow, mask, place, setup_of
+from softfinger.drivers.spacemouse.device import Puck, button_mask, fingertip_pose, read_setup, update_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
-from softfinger.drivers.wrench_log import LOG, ROW_BYTES, WrenchLog, Written
+from softfinger.drivers.wrench_log import LOG, ROW_BYTES, LoggedWrenches, WrenchLog
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unflatten, unpack, unpack_at
 from softfinger.proxy.kernels.jit.seqlock import Slot
 from softfinger.proxy.kernels.model import Vec3
 
-# No motor turns the handle, but the torque is taken: it belongs to the contact and to telemetry.
+# No motor turns the handle, but torque is accepted: contact and telemetry use it.
 TORQUE_MAX_NM: Final = 1e2
 
 _PLANT_LIKE: Final = make_plant(1.0, Handle((1.0, 1.0, 1.0)))
-_STATE_LIKE: Final = at_rest((0.0, 0.0, 0.0))
+_STATE_LIKE: Final = make_rest_state((0.0, 0.0, 0.0))
 _INTENTION_LIKE: Final = Intention(1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
 _PLANT_SIZE: Final = len(flatten(_PLANT_LIKE))
 _STATE_SIZE: Final = len(flatten(_STATE_LIKE))
 _INTENTION_SIZE: Final = len(flatten(_INTENTION_LIKE))
 
 
-class Words(NamedTuple):
-    """The words of a simulated device, behind those of the log."""
+class Fields(NamedTuple):
+    """Fields of a simulated device, after the fields of the log."""
 
     plant: Annotated[int, numbers("a `Plant`", _PLANT_SIZE)]
     state: Annotated[int, numbers("a `PlantState`", _STATE_SIZE)]
     intention: Annotated[int, numbers("an `Intention`", _INTENTION_SIZE)]
-    line: Annotated[int, numbers("forces under way", LINE_SIZE)]
+    delay_line: Annotated[int, numbers("queued forces", DELAY_LINE_SIZE)]
     poses: Annotated[int, address("(n, 7) float64 of the recording")]
     puck: Annotated[int, word("handle of the puck that leads the hand, 0 without one")]
     hand: Annotated[int, word("handle of the hand that a program may lead")]
 
 
-AT: Final = lay_out(Words, after=LOG)
+AT: Final = lay_out(Fields, after=LOG)
 
 
 @jit
-def _acting(handle: int) -> Vec3:
-    """Force (3,) N of the newest wrench, which acts until now.
+def _acting_force(handle: int) -> Vec3:
+    """Return the force (3,) N of the latest wrench, which acts until now.
 
-    A stop that writes its zero just now may be read in part: every component is the old one or zero, and the next
-    read has the zero.
+    If `stop` is writing its zero at this moment, each component is the old one or zero; the next read gets the zero.
     """
     word = int64_at(handle)
     if word[LOG.writes] == 0:
@@ -95,7 +93,7 @@ def _acting(handle: int) -> Vec3:
 
 
 @jit
-def _tell(sample: Any, plant: Plant, state: PlantState, n: int, buttons: float) -> None:
+def _fill_sample(sample: Any, plant: Plant, state: PlantState, n: int, buttons: float) -> None:
     position = sense(plant, state)
     for k in range(3):
         sample[k] = position[k]
@@ -111,8 +109,8 @@ def _read(handle: int, sample: Any) -> int:
     word = int64_at(handle)
     plant = unpack_at(_PLANT_LIKE, handle + 8 * AT.plant)
     intention = unpack_at(_INTENTION_LIKE, handle + 8 * AT.intention)
-    kept = carray(float64_at(handle + 8 * AT.state), (_STATE_SIZE,))
-    state = unpack(_STATE_LIKE, kept)
+    stored_state = carray(float64_at(handle + 8 * AT.state), (_STATE_SIZE,))
+    state = unpack(_STATE_LIKE, stored_state)
     n, status = word[LOG.reads], OK
     if n > 0:
         if intention.loop == 0.0 and n >= intention.length:
@@ -120,66 +118,68 @@ def _read(handle: int, sample: Any) -> int:
         else:
             own, own_turn = goal_at(intention, float64_at(word[AT.poses]), n)
             hand = word[AT.hand]
-            asked = carray(float64_at(hand + 8 * led.AT.asked), (led.ASKED,))
-            slot = Slot(carray(int64_at(hand + 8 * led.AT.sequence), (led.COUNTERS,)), asked)
-            led.hear(hand, slot, carray(float64_at(hand + 8 * led.AT.copied), (led.ASKED,)))
-            goal, orientation = led.intended(hand, own, own_turn, state.goal, 1.0 / plant.rate)
-            state = advance(plant, state, _acting(handle), goal, orientation, float64_at(handle + 8 * AT.line))
-            pack(kept, state)
+            request = carray(float64_at(hand + 8 * led_hand.AT.request), (led_hand.REQUEST_SIZE,))
+            slot = Slot(carray(int64_at(hand + 8 * led_hand.AT.sequence), (led_hand.COUNTERS,)), request)
+            led_hand.receive(hand, slot, carray(float64_at(hand + 8 * led_hand.AT.copied), (led_hand.REQUEST_SIZE,)))
+            goal, orientation = led_hand.next_intention(hand, own, own_turn, state.goal, 1.0 / plant.rate)
+            state = advance(
+                plant, state, _acting_force(handle), goal, orientation, float64_at(handle + 8 * AT.delay_line)
+            )
+            pack(stored_state, state)
     word[LOG.reads] += 1
-    _tell(sample, plant, state, n, 0.0)
+    _fill_sample(sample, plant, state, n, 0.0)
     return status
 
 
 @c_function(IO_SIGNATURE, on_demand=True)
-def _read_led(handle: int, sample: Any) -> int:
-    """The same with a hand that a puck leads, which moves by one period a read, as the plant does."""
+def _read_led_by_puck(handle: int, sample: Any) -> int:
+    """Implement `read` for a hand that a puck leads; like the plant, it moves by one period per read."""
     word = int64_at(handle)
     plant = unpack_at(_PLANT_LIKE, handle + 8 * AT.plant)
-    kept = carray(float64_at(handle + 8 * AT.state), (_STATE_SIZE,))
-    state = unpack(_STATE_LIKE, kept)
+    stored_state = carray(float64_at(handle + 8 * AT.state), (_STATE_SIZE,))
+    state = unpack(_STATE_LIKE, stored_state)
     puck, n = word[AT.puck], word[LOG.reads]
     if n > 0:
-        status = follow(puck, setup_of(puck), monotonic_ns(puck + 8 * spacemouse.AT.timespec), 1.0 / plant.rate)
+        status = update_pose(puck, read_setup(puck), monotonic_ns(puck + 8 * spacemouse.AT.timespec), 1.0 / plant.rate)
         if status < 0:
             return status
-        goal, orientation = place(puck)
-        state = advance(plant, state, _acting(handle), goal, orientation, float64_at(handle + 8 * AT.line))
-        pack(kept, state)
+        goal, orientation = fingertip_pose(puck)
+        state = advance(plant, state, _acting_force(handle), goal, orientation, float64_at(handle + 8 * AT.delay_line))
+        pack(stored_state, state)
     word[LOG.reads] += 1
-    _tell(sample, plant, state, n, mask(puck))
+    _fill_sample(sample, plant, state, n, button_mask(puck))
     return OK
 
 
 class Simulated(Device):
-    """The plant as a device; what is written to it acts on the handle, and is kept as a replay keeps it.
+    """Plant as a device; written wrenches act on the handle, and are logged.
 
-    Once stopped it stays disarmed: no force acts any more but those under way, and the hand goes on.
+    After `stop` it remains disarmed: only delayed forces still act, and the hand continues to move.
     """
 
     def __init__(self, options: Options, rate_hz: float, puck: tuple[int, str] | None = None) -> None:
-        """`puck`: file descriptor and name of an open one, for options that ask for it; it is this device's now."""
+        """Create the device; `puck`: file descriptor and name of an open puck, which the device then owns."""
         preset = presets()[options.preset]
-        self.simulation = simulation(options, rate_hz)
+        self.simulation = make_simulation(options, rate_hz)
         plant, state, intention, poses = self.simulation
         self._block = block = Block(LOG, AT)
         self._log = WrenchLog(block, int(intention.length), rate_hz, options.forces)
         block.numbers(AT.plant, _PLANT_SIZE)[:] = flatten(plant)
-        kept = block.numbers(AT.state, _STATE_SIZE)
-        kept[:] = flatten(state)
+        stored_state = block.numbers(AT.state, _STATE_SIZE)
+        stored_state[:] = flatten(state)
         block.numbers(AT.intention, _INTENTION_SIZE)[:] = flatten(intention)
-        block.point(AT.poses, poses)
-        self._hand = led.Hand(state.orientation, lambda: unflatten(_STATE_LIKE, kept).goal)
+        block.set_address(AT.poses, poses)
+        self._hand = led_hand.Hand(state.orientation, lambda: unflatten(_STATE_LIKE, stored_state).goal)
         block.word[AT.hand] = self._hand.handle
         self._puck: Puck | None = None
-        self._led_by = ""
+        self._puck_name = ""
         if options.puck is not None and puck is not None:
-            fd, self._led_by = puck
-            self._led_block = Block(LOG, spacemouse.AT)
-            # What a device does not sense, no puck turns.
+            fd, self._puck_name = puck
+            self._puck_block = Block(LOG, spacemouse.AT)
+            # a device that senses no orientation ignores rotations of the puck
             turning = options.puck if preset.sensed_dof == 6 else replace(options.puck, gain_rad_per_s=0.0)
-            self._puck = Puck(turning, fd, self._led_block)
-            block.word[AT.puck] = self._led_block.handle
+            self._puck = Puck(turning, fd, self._puck_block)
+            block.word[AT.puck] = self._puck_block.handle
         reach = preset.workspace_radius_m
         self.info = DeviceInfo(
             name=f"simulated {preset.name}",
@@ -195,7 +195,7 @@ class Simulated(Device):
         )
 
     def io(self) -> DeviceIO:
-        read = _read if self._puck is None else _read_led
+        read = _read if self._puck is None else _read_led_by_puck
         return DeviceIO(read.address, wrench_log.write.address, self._block.handle)
 
     def stop(self) -> None:
@@ -209,23 +209,23 @@ class Simulated(Device):
                 self._puck.close()
 
     def reason(self) -> str:
-        return f"its hand is led by {self._led_by}" if self._led_by else ""
+        return f"its hand is led by {self._puck_name}" if self._puck_name else ""
 
-    def hand(self) -> led.Hand | None:
+    def hand(self) -> led_hand.Hand | None:
         return self._hand if self._puck is None else None
 
     def counts(self) -> dict[str, int]:
-        return self._block.counts() | (self._led_block.counts(spacemouse.AT) if self._puck is not None else {})
+        return self._block.counts() | (self._puck_block.counts(spacemouse.AT) if self._puck is not None else {})
 
-    def written(self) -> Written:
-        """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""
-        return self._log.written()
+    def logged(self) -> LoggedWrenches:
+        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
+        return self._log.logged()
 
 
 def open_device(options: Options, rate_hz: float) -> Simulated:
     """Open a simulated device at `rate_hz`.
 
-    Raises RecordingError when its recording cannot be used, DeviceError and its kinds when its puck cannot.
+    Raises RecordingError if its recording cannot be used, DeviceError or a subclass if its puck cannot.
     """
     if options.puck is None:
         return Simulated(options, rate_hz)

@@ -1,7 +1,7 @@
-"""The hand of a simulated device, led by a program: where it is asked to be, written by one thread, read by the loop.
+"""Hand of a simulated device that a program leads: one thread writes the requested pose, the loop reads it.
 
-A seqlock stands between them: the loop never waits, and a writer that has gone leaves the hand where it last asked
-it to be. However far or seldom it asks, the hand goes there smoothly and no faster than a person's.
+A sequence lock protects the request: the loop never waits, and if the writer disappears, the last request remains in
+effect. The hand moves smoothly and no faster than a person's, however far apart or rare the requests are.
 """
 
 from __future__ import annotations
@@ -18,72 +18,72 @@ from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 
 SPEED_MAX_M_PER_S: Final = 0.3
-"""Of what the hand intends: a quick stroke."""
+"""Maximum speed of the intention: a quick stroke."""
 TURN_MAX_RAD_PER_S: Final = 6.0
-"""Of what the hand intends: a turn of the wrist within a second."""
+"""Maximum angular speed of the intention: a turn of the wrist within a second."""
 SMOOTHING_S: Final = 0.03
-"""Time constant on the way to where it is asked to be: a mouse tells its place some 20 times a second."""
+"""Time constant of the approach to the requested pose: a mouse sends about 20 positions per second."""
 
-ASKED: Final = 8
-"""Numbers of a request: what is asked, position (3,) m, orientation (4,), all 0 to leave it as it is."""
-OWN: Final = 0.0
-LED: Final = 1.0
-HELD: Final = 2.0
-"""What is asked: to do what it does by itself, to go there, or to stay where it wants to be."""
+REQUEST_SIZE: Final = 8
+"""Numbers of a request: mode, position (3,) m, orientation (4,), all 0 for an unchanged orientation."""
+MODE_OWN: Final = 0.0
+MODE_LED: Final = 1.0
+MODE_HOLD: Final = 2.0
+"""Modes: follow the configured intention, move to the requested pose, or hold the present intention."""
 COUNTERS: Final = 8
-"""Words of a seqlock's counter: a line of the cache."""
+"""Size of a sequence counter in int64: one cache line."""
 
 
-class Words(NamedTuple):
-    """The words of a hand that may be led."""
+class Fields(NamedTuple):
+    """Fields of a hand that a program may lead."""
 
     sequence: Annotated[int, numbers("counter of the seqlock", COUNTERS)]
-    asked: Annotated[int, numbers("what is asked", ASKED)]
-    copied: Annotated[int, numbers("the loop's copy, which may be torn", ASKED)]
-    heard: Annotated[int, numbers("the loop's last whole copy", ASKED)]
+    request: Annotated[int, numbers("of the writer", REQUEST_SIZE)]
+    copied: Annotated[int, numbers("the loop's copy, which may be torn", REQUEST_SIZE)]
+    received: Annotated[int, numbers("last complete copy of the loop", REQUEST_SIZE)]
     turn: Annotated[int, numbers("orientation that the hand intends", 4)]
-    seen: Annotated[int, word("counter of that copy, 0 before the first request")]
+    received_sequence: Annotated[int, word("counter of that copy, 0 before the first request")]
 
 
-AT: Final = lay_out(Words)
-
-
-@jit
-def hear(handle: int, slot: Slot, copied: Any) -> None:
-    """Take what is asked by now. `slot` and `copied` are the words of these names as arrays."""
-    at, heard = int64_at(handle), float64_at(handle + 8 * AT.heard)
-    newest = refresh(slot, at[AT.seen], copied)
-    if newest != at[AT.seen]:
-        at[AT.seen] = newest
-        for k in range(ASKED):
-            heard[k] = copied[k]
+AT: Final = lay_out(Fields)
 
 
 @jit
-def intended(handle: int, own: Vec3, own_turn: Quaternion, now: Vec3, dt: float) -> tuple[Vec3, Quaternion]:
-    """What the hand intends a tick from now, position (3,) m and orientation: on its way to where it is asked to be.
+def receive(handle: int, slot: Slot, copied: Any) -> None:
+    """Copy a new request, if there is one. `slot` and `copied` are the fields of these names as arrays."""
+    at, received = int64_at(handle), float64_at(handle + 8 * AT.received)
+    newest = refresh(slot, at[AT.received_sequence], copied)
+    if newest != at[AT.received_sequence]:
+        at[AT.received_sequence] = newest
+        for k in range(REQUEST_SIZE):
+            received[k] = copied[k]
 
-    own, own_turn  (3,) m  what it intends by itself: exactly that, until it is first asked for something else
-    now            (3,) m  what it intends at this tick
+
+@jit
+def next_intention(handle: int, own: Vec3, own_turn: Quaternion, now: Vec3, dt: float) -> tuple[Vec3, Quaternion]:
+    """Return the intention one tick from now, position (3,) m and orientation, on the path to the requested pose.
+
+    own, own_turn  (3,) m  configured intention, returned unchanged until the first request
+    now            (3,) m  intention at this tick
     dt             s
     """
-    at, heard = int64_at(handle), float64_at(handle + 8 * AT.heard)
+    at, received = int64_at(handle), float64_at(handle + 8 * AT.received)
     turn = float64_at(handle + 8 * AT.turn)
     position, orientation = own, own_turn
-    if at[AT.seen] > 0:
+    if at[AT.received_sequence] > 0:
         before = (turn[0], turn[1], turn[2], turn[3])
-        share = 1.0  # on the way back nothing is smoothed, so that it arrives
-        if heard[0] == HELD:
+        share = 1.0  # no smoothing on the return to the configured intention, so that the hand reaches it
+        if received[0] == MODE_HOLD:
             position, orientation = now, before
-        elif heard[0] == LED:
+        elif received[0] == MODE_LED:
             share = 1.0 - exp(-dt / SMOOTHING_S)
-            position = (heard[1], heard[2], heard[3])
+            position = (received[1], received[2], received[3])
             orientation = before
-            if heard[4] != 0.0 or heard[5] != 0.0 or heard[6] != 0.0 or heard[7] != 0.0:
-                orientation = (heard[4], heard[5], heard[6], heard[7])
-        position = vec3.add(now, shortened(vec3.sub(position, now), share, SPEED_MAX_M_PER_S * dt))
-        way = rotations.log(rotations.relative(orientation, before))
-        step = rotations.exp(shortened(way, share, TURN_MAX_RAD_PER_S * dt))
+            if received[4] != 0.0 or received[5] != 0.0 or received[6] != 0.0 or received[7] != 0.0:
+                orientation = (received[4], received[5], received[6], received[7])
+        position = vec3.add(now, clamp_step(vec3.sub(position, now), share, SPEED_MAX_M_PER_S * dt))
+        rotation_vector = rotations.log(rotations.relative(orientation, before))
+        step = rotations.exp(clamp_step(rotation_vector, share, TURN_MAX_RAD_PER_S * dt))
         orientation = rotations.normalize(rotations.multiply(step, before))
     for k in range(4):
         turn[k] = orientation[k]
@@ -91,48 +91,48 @@ def intended(handle: int, own: Vec3, own_turn: Quaternion, now: Vec3, dt: float)
 
 
 @jit
-def shortened(way: Vec3, share: float, most: float) -> Vec3:
-    """A share of a way (3,), and not more of it than `most`."""
-    length = vec3.norm(way)
-    if share * length <= most:
-        return vec3.scale(share, way)
-    return vec3.scale(most / length, way)
+def clamp_step(rotation_vector: Vec3, share: float, max_length: float) -> Vec3:
+    """Return a fraction `share` of a displacement (3,), of at most the length `max_length`."""
+    length = vec3.norm(rotation_vector)
+    if share * length <= max_length:
+        return vec3.scale(share, rotation_vector)
+    return vec3.scale(max_length / length, rotation_vector)
 
 
 class Hand:
-    """The writer's side. One thread only."""
+    """Writer's side of the hand. Use it from one thread only."""
 
     def __init__(self, orientation: Quaternion, goal: Callable[[], Vec3]) -> None:
-        """`orientation`: what the hand intends at first; `goal` (3,) m what it intends now."""
+        """Create a hand with the initial intention `orientation`; `goal` returns the intended position (3,) m."""
         self._block, self._goal = Block(AT), goal
         self._turn = self._block.numbers(AT.turn, 4)
         self._turn[:] = orientation
         self.handle: Final = self._block.handle
-        """For `intended`, as long as this object."""
+        """Handle for `next_intention`, valid as long as this object."""
         self._sequence = self._block.word[AT.sequence : AT.sequence + COUNTERS]
-        self._values = self._block.numbers(AT.asked, ASKED)
+        self._values = self._block.numbers(AT.request, REQUEST_SIZE)
         self._request: Any = self._values.copy()
 
     def lead(self, position_m: Vec3, orientation: Quaternion | None = None) -> None:
-        """Have the hand want to be at `position_m` (device's frame is the world's), turned so; None: as it is turned.
+        """Make the hand intend `position_m` (the device's frame is the world's) and the orientation; None: unchanged.
 
         orientation  unit quaternion, handle to world
         """
-        self._ask(LED, position_m, orientation or (0.0, 0.0, 0.0, 0.0))
+        self._publish_request(MODE_LED, position_m, orientation or (0.0, 0.0, 0.0, 0.0))
 
     def hold(self) -> None:
-        """Have the hand stay where it wants to be when this is heard: what it grips it goes on gripping."""
-        self._ask(HELD, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
+        """Make the hand keep its intention at the time of this request: a grip continues."""
+        self._publish_request(MODE_HOLD, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
 
     def release(self) -> None:
-        """Have the hand go back to what it intends by itself."""
-        self._ask(OWN, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
+        """Return the hand to its configured intention."""
+        self._publish_request(MODE_OWN, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
 
     def intends(self) -> tuple[Vec3, Quaternion]:
-        """Where the hand wants to be, (3,) m, and how turned; components may be of two ticks."""
+        """Return the intended position (3,) m and orientation; components may be from two consecutive ticks."""
         w, x, y, z = self._turn.tolist()
         return self._goal(), (w, x, y, z)
 
-    def _ask(self, what: float, position: Vec3, orientation: Quaternion) -> None:
-        self._request[:] = what, *position, *orientation
+    def _publish_request(self, mode: float, position: Vec3, orientation: Quaternion) -> None:
+        self._request[:] = mode, *position, *orientation
         publish(Slot(self._sequence, self._values), self._request)

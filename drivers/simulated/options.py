@@ -1,6 +1,6 @@
-"""A rig's keys of a simulated device, and the numbers that its plant and its hand come to.
+"""Configuration of a simulated device, and the resulting numbers of its plant and hand.
 
-Kept apart from the device itself: a study without a clock needs these and no C functions.
+Separate from the device, because a study without a clock needs these but no C functions.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from softfinger.drivers.simulated.plant import (
     Intention,
     Plant,
     PlantState,
-    at_rest,
     goal_at,
     make_plant,
+    make_rest_state,
 )
 from softfinger.drivers.spacemouse.puck import Options as PuckOptions
 
 RECORDING: Final = "press-roll-spin-drag"
-"""What the hand does when nothing else is said."""
+"""Default motion of the hand."""
 
 Mass = Annotated[float, Meta(ge=limits.MASS_KG.low, le=limits.MASS_KG.high)]
 Damping = Annotated[float, Meta(ge=limits.DAMPING_NS_PER_M.low, le=limits.DAMPING_NS_PER_M.high)]
@@ -43,28 +43,32 @@ class Hand(Table, frozen=True, kw_only=True):
     mass_kg: Annotated[float, within(limits.HAND_MASS_KG, "mass that moves with the handle", 0.1)] = 0.1
     damping_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "damping against the intended speed", 8.0)] = 8.0
     stiffness_n_per_m: Annotated[
-        float, Meta(ge=0.0, le=limits.STIFFNESS_N_PER_M.high, description="pull per way to the intended place")
+        float, Meta(ge=0.0, le=limits.STIFFNESS_N_PER_M.high, description="spring to the intended position")
     ] = 1000.0
 
 
 class Options(Table, frozen=True, kw_only=True):
     """Keys of a rig's [device] with `driver = "simulated"`; what is left out is the preset's."""
 
-    preset: Annotated[Literal["omega.3", "omega.6", "falcon"], said("device whose numbers are taken", "omega.6")] = (
+    preset: Annotated[Literal["omega.3", "omega.6", "falcon"], said("device whose data are used", "omega.6")] = (
         "omega.6"
     )
     mass_kg: Annotated[tuple[Mass, Mass, Mass], said("apparent mass along x, y, z")] | None = None
     damping_ns_per_m: Annotated[tuple[Damping, Damping, Damping], said("viscous damping")] | None = None
     friction_n: Annotated[tuple[Friction, Friction, Friction], said("Coulomb friction of the mechanism")] | None = None
     lag_s: Annotated[float, within(limits.LAG_S, "time constant of the amplifiers")] | None = None
-    force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "most that the motors give; direction kept")] | None = None
+    force_max_n: (
+        Annotated[float, within(limits.FORCE_MAX_N, "largest force of the motors; the direction is preserved")] | None
+    ) = None
     delay_ticks: Annotated[int, within(limits.DELAY_TICKS, "ticks until a force written acts")] | None = None
     resolution_m: Annotated[float, within(limits.RESOLUTION_M, "step of the encoders; 0: none")] | None = None
     orientation_lag_s: Annotated[float, within(limits.LAG_S, "time constant of the sensed orientation")] = 0.0
     hand: Hand = Hand()
     recording: Annotated[str, said("poses the hand intends: file or shipped recording", RECORDING)] | None = None
     loop: Annotated[bool, said("start again at the end, over a smooth return; false: stop after one pass")] = True
-    position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("where the hand stays instead")] | None = None
+    position_m: (
+        Annotated[tuple[Coordinate, Coordinate, Coordinate], said("fixed position of the hand instead")] | None
+    ) = None
     sway_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("amplitude of a sinusoid about it")] = (
         0.0,
         0.0,
@@ -72,7 +76,7 @@ class Options(Table, frozen=True, kw_only=True):
     )
     sway_hz: Annotated[float, within(limits.MOTION_FREQUENCY_HZ, "cycles per second of the sinusoid")] = 0.0
     sway_phase_rad: Annotated[float, within(limits.ANGLE_RAD, "where in its cycle it starts")] = 0.0
-    puck: Annotated[PuckOptions, said("a SpaceMouse moves what the hand intends, instead")] | None = None
+    puck: Annotated[PuckOptions, said("a SpaceMouse moves the intended position instead")] | None = None
     forces: Annotated[str, said("file (.csv or .npz) for the wrenches written, saved on close")] | None = None
 
     def faults(self) -> Iterator[Complaint]:
@@ -86,7 +90,7 @@ class Options(Table, frozen=True, kw_only=True):
 
 
 class Simulation(NamedTuple):
-    """A device ready to be computed: plant, state at tick 0, intention and its poses (7 length,), all for one rate."""
+    """Complete simulation for one rate: plant, state at tick 0, intention and its poses (7 length,)."""
 
     plant: Plant
     state: PlantState
@@ -94,13 +98,13 @@ class Simulation(NamedTuple):
     poses: Array
 
 
-def simulation(options: Options, rate_hz: float) -> Simulation:
-    """The numbers of a preset with what the options change; RecordingError when the recording cannot be used."""
+def make_simulation(options: Options, rate_hz: float) -> Simulation:
+    """Return a preset changed by the options; raises RecordingError if the recording cannot be used."""
     preset = presets()[options.preset]
 
     def chosen(key: str) -> Any:
-        given = getattr(options, key)
-        return getattr(preset, key) if given is None else given
+        value = getattr(options, key)
+        return getattr(preset, key) if value is None else value
 
     handle = Handle(
         mass=chosen("mass_kg"),
@@ -114,20 +118,20 @@ def simulation(options: Options, rate_hz: float) -> Simulation:
     )
     hand = Impedance(options.hand.mass_kg, options.hand.damping_ns_per_m, options.hand.stiffness_n_per_m)
     plant = make_plant(1.0 / rate_hz, handle, hand)
-    poses = _intended(options, preset, rate_hz)
+    poses = _make_poses(options, preset, rate_hz)
     x, y, z = (float(a) for a in options.sway_m)
     turns = options.sway_phase_rad / (2.0 * pi)
     endless = options.loop or options.puck is not None
     intention = Intention(float(len(poses)), float(endless), (x, y, z), options.sway_hz / rate_hz, float(turns))
     flat = np.ascontiguousarray(poses).reshape(-1)
     position, orientation = goal_at(intention, flat, 0)
-    return Simulation(plant, at_rest(position, orientation), intention, flat)
+    return Simulation(plant, make_rest_state(position, orientation), intention, flat)
 
 
-def _intended(options: Options, preset: Preset, rate_hz: float) -> Array:
-    place = options.position_m if options.puck is None else options.puck.start_m
-    if place is not None:
-        return np.array([[*place, 1.0, 0.0, 0.0, 0.0]])
+def _make_poses(options: Options, preset: Preset, rate_hz: float) -> Array:
+    fixed_position = options.position_m if options.puck is None else options.puck.start_m
+    if fixed_position is not None:
+        return np.array([[*fixed_position, 1.0, 0.0, 0.0, 0.0]])
     samples = resample(load_poses(options.recording or RECORDING), rate_hz)
     poses = close_loop(samples, rate_hz) if options.loop else samples
     if preset.sensed_dof < 6:

@@ -1,20 +1,20 @@
-"""A haptic handle with its motors and the hand on it, moved exactly from tick to tick.
+"""Haptic handle with motors and the hand that grips it, integrated exactly from tick to tick.
 
 Three translational axes. On each, in the world frame,
 
     M x'' + B x' + K (x - p) - c p' + Coulomb friction = a        M = handle + hand, B = b + c
-    tau a' + a = u                                                 a: force of the motors, u: what they are told
+    tau a' + a = u                                                 a: force of the motors, u: their command
 
-with handle mass and damping b, hand mass, stiffness K and damping c, and p the place that the hand wants to be.
-The hand grips: its mass moves with the handle. u is the force commanded d ticks ago, its norm brought down to what
-the motors can give; it is held during a tick (zero-order hold), and p runs straight from its value at this tick to
-that at the next (first-order hold). Between two ticks the system is then linear with constant inputs, and the
-matrix exponential moves it without error, whatever the tick; Coulomb friction cuts a tick into pieces
-(`drivers.axis`). Encoders round the position to their step. Orientation is sensed and not actuated: it follows
-the hand's, at once or through a first-order lag.
+with handle mass and damping b, hand mass, stiffness K and damping c, and p the position that the hand intends. The mass
+of the hand moves with the handle. u is the force commanded d ticks ago, its norm limited to the maximum of the motors;
+it is constant during a tick (zero-order hold), and p is linear from its value at this tick to the value at the next
+(first-order hold). Between two ticks the system is then linear with constant inputs, and the matrix exponential
+integrates it without error for any tick; Coulomb friction divides a tick into pieces (`axis`). Encoders round the
+position to their resolution. Orientation is sensed and not actuated: it follows that of the hand, immediately or
+through a first-order lag.
 
-Sources: matrix exponential and its integral as one exponential, Van Loan (1978); hand as mass, spring and damper
-about an intended place, Hogan (1985).
+Sources: matrix exponential and its integral as one exponential, Van Loan (1978); hand as mass, spring and damper about
+an intended position, Hogan (1985).
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from softfinger.proxy.kernels.numerics import rotations, vec3
 Array = NDArray[np.float64]
 
 DELAY_MAX: Final = 16
-"""Longest transport delay, ticks."""
-LINE_SIZE: Final = 3 * DELAY_MAX
-"""Numbers (float64) in a transport line, which the caller of `advance` keeps: forces under way; all 0 at the start."""
-SETTLED: Final = 1e-30
-"""m, m/s, N: below it a position, a velocity and a force are 0. Its square is still a normal number."""
+"""Maximum transport delay, ticks."""
+DELAY_LINE_SIZE: Final = 3 * DELAY_MAX
+"""Size (float64) of a transport line, which the caller of `advance` stores: delayed forces, initially 0."""
+FLUSH_MAX: Final = 1e-30
+"""m, m/s, N: smaller positions, velocities and forces are set to 0. Its square is still a normal number."""
 SUBSTEP: Final = 0.5
-"""Longest piece that is summed as a Taylor series, in time constants of the fastest mode."""
+"""Longest piece summed as a Taylor series, in time constants of the fastest mode."""
 
 
 class Handle(NamedTuple):
-    """What a plant is made of, but for the hand.
+    """Properties of a plant without the hand.
 
-    mass, damping, friction  (3,) kg, N s/m, N  along x, y, z; friction is Coulomb's
+    mass, damping, friction  (3,) kg, N s/m, N  along x, y, z; Coulomb friction
     lag                      s                  time constant of the amplifiers, 0 for none
-    force_max                N                  largest norm of the motors' force
-    delay                    ticks              until a force commanded acts, 0 to DELAY_MAX
+    force_max                N                  maximum norm of the motors' force
+    delay                    ticks              from a command to its effect, 0 to DELAY_MAX
     resolution               m                  step of the encoders, 0 for none
     orientation_lag          s                  time constant of the sensed orientation, 0 for none
     """
@@ -64,7 +64,7 @@ class Handle(NamedTuple):
 
 
 class Impedance(NamedTuple):
-    """Of the hand, the same along all axes: mass kg that moves with the handle, damping N s/m, stiffness N/m."""
+    """Impedance of the hand, equal along all axes: mass kg that moves with the handle, damping N s/m, stiffness N/m."""
 
     mass: float = 0.0
     damping: float = 0.0
@@ -72,26 +72,26 @@ class Impedance(NamedTuple):
 
 
 NO_HAND: Final = Impedance()
-"""A handle that nobody holds."""
+"""Impedance of a handle without a hand."""
 
 
 class Plant(NamedTuple):
-    """Three axes and what they share.
+    """Three axes and their common properties.
 
     axes              one Axis for each of x, y, z
     rate              Hz      ticks per second, 1 / T
-    lag_rest          1       exp(-T / tau), what is left of a difference after a tick; 0 for motors without lag
-    force_max         N       largest norm of the motors' force, and its square
+    lag_rest          1       exp(-T / tau), decay of a difference over a tick; 0 for motors without lag
+    force_max         N       maximum norm of the motors' force, and its square
     force_max_squared N^2
     delay             ticks   0 to DELAY_MAX
     resolution        m       step of the encoders and its inverse; both 0 for none
     per_resolution    1/m
-    orientation_gain  1       share of the way to the hand's orientation in a tick; 1 without lag
+    orientation_gain  1       fraction of the rotation to the hand's orientation per tick; 1 without lag
     """
 
     axes: tuple[Axis, Axis, Axis]
     rate: float
-    lag_rest: float
+    lag_decay: float
     force_max: float
     force_max_squared: float
     delay: float
@@ -101,13 +101,13 @@ class Plant(NamedTuple):
 
 
 class PlantState(NamedTuple):
-    """Everything a plant leaves for the next tick, but the forces under way (`LINE_SIZE`).
+    """State of a plant between ticks, without the delayed forces (`DELAY_LINE_SIZE`).
 
     position, velocity  (3,) m, m/s  of the handle
     force               (3,) N       a, of the motors at the end of the last tick
-    goal                (3,) m       p, where the hand wants to be now
+    goal                (3,) m       p, present intention of the hand
     orientation         (4,)         unit quaternion, fingertip to world
-    slot                             place in the transport line of the force that acts next
+    slot                             index in the transport line of the force that acts next
     """
 
     position: Vec3
@@ -119,11 +119,11 @@ class PlantState(NamedTuple):
 
 
 class Intention(NamedTuple):
-    """What the hand wants: poses, one a tick, and a sinusoid about them.
+    """Intention of the hand: one pose per tick, and a superposed sinusoid.
 
-    length     poses; after the last comes the first if `loop` is 1, else the last stays
+    length     number of poses; after the last the first follows if `loop` is 1, else the last is repeated
     amplitude  (3,) m
-    frequency  turns a tick
+    frequency  turns per tick
     phase      turns
     """
 
@@ -135,9 +135,9 @@ class Intention(NamedTuple):
 
 
 def make_plant(period: float, handle: Handle, hand: Impedance = NO_HAND) -> Plant:
-    """The plant for ticks of `period` s.
+    """Return the plant for ticks of `period` s.
 
-    Raises ValueError when a number is not in its range; a device checks its options before.
+    Raises ValueError if a number is out of range; a device checks its options before.
     """
     mass, damping, friction, lag, force_max, delay, resolution, orientation_lag = handle
     if not (period > 0.0 and min(mass) + hand.mass > 0.0 and 0 <= delay <= DELAY_MAX):
@@ -151,7 +151,7 @@ def make_plant(period: float, handle: Handle, hand: Impedance = NO_HAND) -> Plan
     return Plant(
         axes=(axes[0], axes[1], axes[2]),
         rate=1.0 / period,
-        lag_rest=exp(-period / lag) if lag else 0.0,
+        lag_decay=exp(-period / lag) if lag else 0.0,
         force_max=float(force_max),
         force_max_squared=float(force_max) * force_max,
         delay=float(delay),
@@ -161,18 +161,18 @@ def make_plant(period: float, handle: Handle, hand: Impedance = NO_HAND) -> Plan
     )
 
 
-def at_rest(position: Vec3, orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> PlantState:
-    """A handle that stands still where the hand wants it."""
+def make_rest_state(position: Vec3, orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> PlantState:
+    """Return the state of a handle at rest at the position that the hand intends."""
     zero, (x, y, z), (qw, qx, qy, qz) = (0.0, 0.0, 0.0), position, orientation
-    there = (float(x), float(y), float(z))  # whole numbers would make another type, and another compilation
-    return PlantState(there, zero, zero, there, (float(qw), float(qx), float(qy), float(qz)), 0.0)
+    position_floats = (float(x), float(y), float(z))  # ints would be another type, and compile again
+    return PlantState(position_floats, zero, zero, position_floats, (float(qw), float(qx), float(qy), float(qz)), 0.0)
 
 
 def _axis(
     period: float, mass: float, damping: float, stiffness: float, hand_damping: float, lag: float, friction: float
 ) -> Axis:
-    # Rows and columns: x, v T, a, p, then the inputs u, p', and a force that passes the amplifier by. Velocity in
-    # metres a tick keeps the matrix balanced.
+    # Rows and columns: x, v T, a, p, then the inputs u, p', and a force that bypasses the amplifier. Velocity in metres
+    # per tick balances the matrix.
     push = period * period / mass
     change = np.zeros((7, 7))
     change[0, 1] = 1.0
@@ -190,7 +190,7 @@ def _axis(
     hand = max(damping / mass, sqrt(stiffness / mass))
     fastest = max(hand, 1.0 / lag) if lag else hand
     substep, slow = SUBSTEP / fastest if fastest else inf, SUBSTEP / hand if hand else inf
-    # x = p needs no force, so the column of p is what x - p does, with the other sign and all its digits.
+    # x = p needs no force: the coefficient of x - p is minus the column of p, without cancellation
     coefficients = (
         -x[3], x[1] * period, x[2], x[4], x[5], x[6],
         -v[3], v[1] * period, v[2], v[4], v[5], v[6],
@@ -201,11 +201,11 @@ def _axis(
 
 
 def expm(matrix: Array) -> Array:
-    """Exponential of a square matrix: Taylor series of the matrix over 2^s, squared s times."""
+    """Return the exponential of a square matrix: Taylor series of the matrix over 2^s, squared s times."""
     size = float(np.linalg.norm(matrix, 1))
     squarings = max(0, int(np.ceil(np.log2(size))) + 1) if size > 0.0 else 0
     part = matrix / 2.0**squarings
-    # The norm is at most 1/2 now: the first term left out is below 1e-22.
+    # The norm is at most 1/2 now: the first omitted term is below 1e-22.
     total = np.eye(len(matrix))
     for n in range(18, 0, -1):
         total = np.eye(len(matrix)) + part @ total / n
@@ -214,12 +214,12 @@ def expm(matrix: Array) -> Array:
     return total
 
 
-class Drive(NamedTuple):
-    """What a plant is driven by from tick to tick: the hand, and the forces that were commanded.
+class PlantInputs(NamedTuple):
+    """Inputs of a plant from tick to tick: intention of the hand, and commanded forces.
 
-    intention  what the hand wants
-    poses      (7 length,)   x, y, z, qw, qx, qy, qz one after the other; an array or a pointer
-    line       (LINE_SIZE,)  N, forces under way, changed; zeros before the first tick
+    intention  of the hand
+    poses      (7 length,)   x, y, z, qw, qx, qy, qz of each pose in turn; an array or a pointer
+    line       (LINE_SIZE,)  N, delayed forces, updated; zeros before the first tick
     """
 
     intention: Intention
@@ -229,9 +229,9 @@ class Drive(NamedTuple):
 
 @jit
 def goal_at(intention: Intention, poses: Any, number: int) -> tuple[Vec3, Quaternion]:
-    """What the hand wants at tick `number`: position (3,) m and orientation.
+    """Return the intention of the hand at tick `number`: position (3,) m and orientation.
 
-    poses  (7 length,)  x, y, z, qw, qx, qy, qz one after the other; an array or a pointer
+    poses  (7 length,)  x, y, z, qw, qx, qy, qz of each pose in turn; an array or a pointer
     """
     count = int(intention.length)
     row = 0
@@ -245,7 +245,7 @@ def goal_at(intention: Intention, poses: Any, number: int) -> tuple[Vec3, Quater
     position = (poses[row], poses[row + 1], poses[row + 2])
     if intention.frequency != 0.0:
         turns = intention.frequency * number
-        # whole turns are taken off first: the sine of a large number has lost its digits
+        # remove full turns first: the sine of a large number loses digits
         wave = sin(2.0 * pi * (turns - floor(turns) + intention.phase))
         position = vec3.add_scaled(position, wave, intention.amplitude)
     return position, (poses[row + 3], poses[row + 4], poses[row + 5], poses[row + 6])
@@ -253,7 +253,7 @@ def goal_at(intention: Intention, poses: Any, number: int) -> tuple[Vec3, Quater
 
 @jit
 def sense(plant: Plant, state: PlantState) -> Vec3:
-    """Position (3,) m that the encoders tell: the nearest of their steps."""
+    """Return the position (3,) m that the encoders measure, rounded to their resolution."""
     x, y, z = state.position
     if plant.resolution == 0.0:
         return (x, y, z)
@@ -262,8 +262,8 @@ def sense(plant: Plant, state: PlantState) -> Vec3:
 
 
 @jit
-def limited(plant: Plant, command: Vec3) -> Vec3:
-    """What the motors make of a commanded force (3,) N: the direction is kept."""
+def clamp_command(plant: Plant, command: Vec3) -> Vec3:
+    """Return the force (3,) N of the motors for a command, limited with unchanged direction."""
     size = vec3.dot(command, command)
     if size <= plant.force_max_squared:
         return command
@@ -271,13 +271,13 @@ def limited(plant: Plant, command: Vec3) -> Vec3:
 
 
 @jit
-def settled(v: Vec3) -> Vec3:
-    """A vector whose components below `SETTLED` are 0: what decays for ever ends before it is denormal and slow."""
+def flush_small(v: Vec3) -> Vec3:
+    """Return a vector with components below `FLUSH_MAX` set to 0: a decaying one would become denormal and slow."""
     x, y, z = v
     return (
-        x if abs(x) >= SETTLED else 0.0,
-        y if abs(y) >= SETTLED else 0.0,
-        z if abs(z) >= SETTLED else 0.0,
+        x if abs(x) >= FLUSH_MAX else 0.0,
+        y if abs(y) >= FLUSH_MAX else 0.0,
+        z if abs(z) >= FLUSH_MAX else 0.0,
     )
 
 
@@ -285,40 +285,40 @@ def settled(v: Vec3) -> Vec3:
 def advance(
     plant: Plant, state: PlantState, command: Vec3, goal: Vec3, orientation: Quaternion, line: Any
 ) -> PlantState:
-    """One tick.
+    """Return the state after one tick.
 
-    command      (3,) N   written at the beginning of the tick
-    goal         (3,) m   where the hand wants to be at its end; `state.goal` is where it wants to be now
-    orientation  (4,)     how the hand holds the handle at its end, unit quaternion
-    line         (LINE_SIZE,) N  forces under way, an array or a pointer; changed. Not touched without delay
+    command      (3,) N   written at the start of the tick
+    goal         (3,) m   intention of the hand at its end; `state.goal` is the present one
+    orientation  (4,)     orientation of the hand at its end, unit quaternion
+    line         (LINE_SIZE,) N  delayed forces, an array or a pointer; updated. Unused without delay
     """
-    u, slot = limited(plant, command), state.slot
+    u, slot = clamp_command(plant, command), state.slot
     if plant.delay > 0.0:
         at = 3 * int(slot)
-        come = (line[at], line[at + 1], line[at + 2])
+        delayed = (line[at], line[at + 1], line[at + 2])
         line[at], line[at + 1], line[at + 2] = u
-        u = come
+        u = delayed
         slot = slot + 1.0 if slot + 1.0 < plant.delay else 0.0
     x, v, a, p = state.position, state.velocity, state.force, state.goal
     w = vec3.scale(plant.rate, vec3.sub(goal, p))
     ax, ay, az = plant.axes
-    after = settled(vec3.add_scaled(u, plant.lag_rest, vec3.sub(a, u)))
+    after = flush_small(vec3.add_scaled(u, plant.lag_decay, vec3.sub(a, u)))
     x0, v0 = move(ax, x[0], v[0], a[0], after[0], Inputs(u[0], p[0], w[0], 0.0))
     x1, v1 = move(ay, x[1], v[1], a[1], after[1], Inputs(u[1], p[1], w[1], 0.0))
     x2, v2 = move(az, x[2], v[2], a[2], after[2], Inputs(u[2], p[2], w[2], 0.0))
     return PlantState(
-        settled((x0, x1, x2)),
-        settled((v0, v1, v2)),
+        flush_small((x0, x1, x2)),
+        flush_small((v0, v1, v2)),
         after,
         goal,
-        follow(plant, state.orientation, orientation),
+        follow_orientation(plant, state.orientation, orientation),
         slot,
     )
 
 
 @jit
-def follow(plant: Plant, orientation: Quaternion, goal: Quaternion) -> Quaternion:
-    """Orientation after a tick: the angle to the hand's falls by the same share in each."""
+def follow_orientation(plant: Plant, orientation: Quaternion, goal: Quaternion) -> Quaternion:
+    """Return the orientation after a tick: the angle to the hand's orientation decreases by a constant fraction."""
     if plant.orientation_gain == 1.0:
         return goal
     turn = rotations.log(rotations.relative(goal, orientation))

@@ -1,4 +1,4 @@
-"""A puck of 3Dconnexion that moves the fingertip: its reports and its motion in `puck`, the rest in `device`.
+"""3Dconnexion puck that moves the fingertip: reports and motion in `puck`, device contract in `device`.
 
-No force: what is written to it is kept, and goes nowhere. A hand led by a puck is in `drivers.simulated`.
+It displays no force; written wrenches are only logged. `drivers.simulated` contains a hand led by a puck.
 """

@@ -1,7 +1,7 @@
-"""A SpaceMouse as a device: its puck moves the fingertip, and no force comes back.
+"""SpaceMouse as a device: the puck moves the fingertip, without force feedback.
 
-For looking at a scene without a haptic device: contact, forces and modes are in telemetry, and what is written is
-kept as a replay keeps it.
+For exploring a scene without a haptic device: telemetry contains contact, forces and modes, and written wrenches are
+logged.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from softfinger.drivers.base import (
     DeviceInfo,
     DeviceIO,
 )
-from softfinger.drivers.block import Block, counter, lay_out, numbers, octets, word
+from softfinger.drivers.block import Block, counter, lay_out, numbers, raw_bytes, word
 from softfinger.drivers.replay.device import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNESS_MAX_N_PER_M, TORQUE_MAX_NM
 from softfinger.drivers.spacemouse.puck import BUTTONS, REPORT_MAX, Options, Setup, decode, make_setup, move
 from softfinger.drivers.system import discovery
@@ -40,13 +40,13 @@ from softfinger.drivers.system.libc import (
     monotonic_ns,
     read_now,
 )
-from softfinger.drivers.wrench_log import LOG, WrenchLog, Written
+from softfinger.drivers.wrench_log import LOG, LoggedWrenches, WrenchLog
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 
-# Places in the state.
+# Indices of the state.
 POSITION: Final = 0
 ORIENTATION: Final = 3
 TIME: Final = 7  # s of motion so far
@@ -55,11 +55,11 @@ DEFLECTION: Final = 9  # (6,) counts
 STATE_SIZE: Final = 15
 
 QUEUE: Final = 64
-"""Reports that the kernel keeps for a node; what comes when they are all there is lost, and these are the oldest."""
+"""Reports that the kernel queues per node; when the queue is full, it drops later reports."""
 DRAIN_MAX: Final = 256
-"""Reports taken in one tick: four times what the kernel keeps for a node."""
+"""Maximum number of reports read in one tick: four times the kernel's queue."""
 STEP_MAX_S: Final = 0.05
-"""Most time that one read moves the fingertip over: after a pause it goes on, and does not jump."""
+"""Maximum time step of a read: after a pause the fingertip resumes without a jump."""
 
 _ZERO: Final = (0.0, 0.0, 0.0)
 SETUP_LIKE: Final = Setup(0.0, _ZERO, _ZERO, _ZERO, _ZERO)
@@ -69,30 +69,30 @@ LED_ON: Final = b"\x04\x01"
 LED_OFF: Final = b"\x04\x00"
 
 
-class Words(NamedTuple):
-    """The words of a puck, behind those of the log."""
+class Fields(NamedTuple):
+    """Fields of a puck, after the fields of the log."""
 
     reports: Annotated[int, counter("reports received")]
-    foreign: Annotated[int, counter("of these, of other kinds (a wireless puck tells its battery)")]
+    foreign: Annotated[int, counter("of these, of other kinds (such as the battery of a wireless puck)")]
     fd: Annotated[int, word("file descriptor of its node, below 0 once it is closed")]
-    heard_at: Annotated[int, word("ns, when it last reported its deflection")]
+    sampled_at: Annotated[int, word("ns, when it last reported its deflection")]
     moved_at: Annotated[int, word("ns, up to when the fingertip has been moved")]
     hold: Annotated[int, word("ns without a report after which it counts as let go")]
     timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
     setup: Annotated[int, numbers("a `Setup`", SETUP_SIZE)]
-    state: Annotated[int, numbers("where the fingertip is, see POSITION and those after it", STATE_SIZE)]
-    buffer: Annotated[int, octets("a report", REPORT_MAX)]
+    state: Annotated[int, numbers("pose of the fingertip, see POSITION and the next indices", STATE_SIZE)]
+    buffer: Annotated[int, raw_bytes("a report", REPORT_MAX)]
 
 
-AT: Final = lay_out(Words, after=LOG)
+AT: Final = lay_out(Fields, after=LOG)
 
 
 @jit
 def _drain(handle: int, now: int) -> int:
-    """Take every report that is there; OK if one said something, STALE if none came, or a status below 0.
+    """Read every queued report. Return OK if one had a deflection or buttons, STALE without one, or a status below 0.
 
-    Where the queue has been full, as after minutes between opening and the first tick, nobody knows where the puck is
-    now: it counts as let go until it says.
+    If the queue was full, as after minutes between opening and the first tick, the present deflection is unknown: it
+    counts as zero until the next report.
     """
     at = int64_at(handle)
     state = handle + 8 * AT.state
@@ -105,15 +105,15 @@ def _drain(handle: int, now: int) -> int:
             return LOST
         at[AT.reports] += 1
         report = uint8_at(handle + 8 * AT.buffer)
-        said = decode(report, count, float64_at(state + DEFLECTION * 8), float64_at(state + MASK * 8))
-        if said == PROTOCOL:
+        report_status = decode(report, count, float64_at(state + DEFLECTION * 8), float64_at(state + MASK * 8))
+        if report_status == PROTOCOL:
             return PROTOCOL
-        if said == STALE:
+        if report_status == STALE:
             at[AT.foreign] += 1
             continue
         status = OK
         if report[0] != BUTTONS:
-            at[AT.heard_at] = now
+            at[AT.sampled_at] = now
     if at[AT.reports] - before >= QUEUE:
         deflection = float64_at(state + DEFLECTION * 8)
         for k in range(6):
@@ -122,27 +122,27 @@ def _drain(handle: int, now: int) -> int:
 
 
 @jit
-def setup_of(handle: int) -> Setup:
-    """The numbers of a puck's options."""
+def read_setup(handle: int) -> Setup:
+    """Return the options of a puck, converted for kernels."""
     return unpack_at(SETUP_LIKE, handle + 8 * AT.setup)  # type: ignore[no-any-return]
 
 
 @jit
-def place(handle: int) -> tuple[Vec3, Quaternion]:
-    """Where the puck has moved to: position (3,) m and orientation."""
+def fingertip_pose(handle: int) -> tuple[Vec3, Quaternion]:
+    """Return the fingertip's position (3,) m and orientation."""
     state = float64_at(handle + 8 * AT.state)
     return (state[0], state[1], state[2]), (state[3], state[4], state[5], state[6])
 
 
 @jit
-def mask(handle: int) -> float:
-    """Its buttons, a bit each."""
+def button_mask(handle: int) -> float:
+    """Return the buttons, one bit each."""
     return float(float64_at(handle + 8 * AT.state)[MASK])
 
 
 @jit
-def follow(handle: int, setup: Setup, now: int, dt: float) -> int:
-    """Take the puck's reports and move the fingertip for `dt` (s); the status of the puck."""
+def update_pose(handle: int, setup: Setup, now: int, dt: float) -> int:
+    """Read the puck's reports and move the fingertip by `dt` (s); return the status of the puck."""
     at = int64_at(handle)
     if at[AT.fd] < 0:
         return LOST
@@ -151,11 +151,11 @@ def follow(handle: int, setup: Setup, now: int, dt: float) -> int:
         return status
     state = float64_at(handle + 8 * AT.state)
     deflection = float64_at(handle + 8 * (AT.state + DEFLECTION))
-    if now - at[AT.heard_at] > at[AT.hold]:
+    if now - at[AT.sampled_at] > at[AT.hold]:
         for k in range(6):
             deflection[k] = 0.0
-    before, turned = place(handle)
-    position, orientation = move(setup, before, turned, deflection, dt)
+    before, rotation = fingertip_pose(handle)
+    position, orientation = move(setup, before, rotation, deflection, dt)
     for k in range(3):
         state[POSITION + k] = position[k]
     for k in range(4):
@@ -164,13 +164,13 @@ def follow(handle: int, setup: Setup, now: int, dt: float) -> int:
     return status
 
 
-@c_function(IO_SIGNATURE, on_demand=True)  # the simulated device imports this, and has its own
+@c_function(IO_SIGNATURE, on_demand=True)  # the simulated device imports this module, but not `read`
 def read(handle: int, sample: Any) -> int:
     at = int64_at(handle)
     now = monotonic_ns(handle + 8 * AT.timespec)
     dt = min((now - at[AT.moved_at]) * 1e-9, STEP_MAX_S)
     at[AT.moved_at] = now
-    status = follow(handle, setup_of(handle), now, dt)
+    status = update_pose(handle, read_setup(handle), now, dt)
     if status < 0:
         return status
     at[LOG.reads] += 1
@@ -180,11 +180,11 @@ def read(handle: int, sample: Any) -> int:
     sample[SAMPLE_TIME] = state[TIME]
     sample[SAMPLE_BUTTONS] = state[MASK]
     sample[SAMPLE_GRIPPER] = 0.0
-    return OK  # a puck at rest is silent: where the fingertip stays is a new sample all the same
+    return OK  # a puck at rest is silent, so an unchanged pose is a new sample too
 
 
 class Puck:
-    """An open puck on the file descriptor `fd` of its node, which it owns from now on; LOG and AT lay out `block`."""
+    """Open puck, owner of the file descriptor `fd` of its node; LOG and AT lay out `block`."""
 
     def __init__(self, options: Options, fd: int, block: Block) -> None:
         self._word, self._led = block.word, options.led
@@ -193,11 +193,11 @@ class Puck:
         block.numbers(AT.setup, SETUP_SIZE)[:] = flatten(make_setup(options))
         word[AT.fd] = fd
         word[AT.hold] = round(options.hold_s * 1e9)
-        word[AT.moved_at] = word[AT.heard_at] = time.monotonic_ns()
+        word[AT.moved_at] = word[AT.sampled_at] = time.monotonic_ns()
         self._light(LED_ON)
 
     def close(self) -> None:
-        """Lamp off, node released. Any number of times, but not while the loop reads."""
+        """Switch the lamp off and close the node. May be called repeatedly, but not while the loop reads."""
         fd = int(self._word[AT.fd])
         if fd >= 0:
             self._light(LED_OFF)
@@ -206,12 +206,12 @@ class Puck:
 
     def _light(self, report: bytes) -> None:
         if self._led:
-            with contextlib.suppress(OSError):  # some have no lamp, and one that is gone needs none
+            with contextlib.suppress(OSError):  # some have no lamp, and a disconnected one needs none
                 os.write(int(self._word[AT.fd]), report)
 
 
 class SpaceMouse(Device):
-    """The puck's fingertip as a device. What is written goes nowhere, and is kept as a replay keeps it."""
+    """Fingertip of the puck as a device. Written wrenches are only logged."""
 
     def __init__(self, options: Options, fd: int, rate_hz: float, name: str = "puck") -> None:
         self._block = Block(LOG, AT)
@@ -219,8 +219,7 @@ class SpaceMouse(Device):
         self._puck = Puck(options, fd, self._block)
         x0, y0, z0 = (float(a) for a in options.workspace_min_m)
         x1, y1, z1 = (float(a) for a in options.workspace_max_m)
-        # It displays no force, so it limits none: the rig's guard does, and telemetry has the force that a hand
-        # would feel.
+        # It displays no force, so its limits are wide: the rig's guard limits the force in telemetry.
         self.info = DeviceInfo(
             name=f"spacemouse {name}",
             sensed_dof=6,
@@ -246,15 +245,15 @@ class SpaceMouse(Device):
     def counts(self) -> dict[str, int]:
         return self._block.counts()
 
-    def written(self) -> Written:
-        """The wrenches kept, oldest first. While the servo runs: those that were complete just now."""
-        return self._log.written()
+    def logged(self) -> LoggedWrenches:
+        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
+        return self._log.logged()
 
 
 def open_puck(options: Options) -> tuple[int, str]:
-    """File descriptor and name of the puck that the options name, or of the only one attached.
+    """Open the puck that the options select, or the only one attached; return file descriptor and name.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when the node is no puck's.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if the node is not a puck's.
     """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"a SpaceMouse is read through Linux's hidraw, and this is {sys.platform}")
@@ -263,26 +262,26 @@ def open_puck(options: Options) -> tuple[int, str]:
 
 
 def find(options: Options) -> Attached:
-    """The one puck that the options fit; DeviceNotFound when there is none or more than one."""
+    """Return the puck that matches the options; raises DeviceNotFound if there is none or more than one."""
     nodes = list(discovery.hidraw_nodes())
     if options.path is not None:
-        # a node that the tables do not have is said to be absent, or no node, when it is opened
+        # opening reports whether an unlisted node is missing or is no node
         return next(
-            (one for one in nodes if one.node == options.path), Attached("hid", *PUCKS[0], "", "", options.path)
+            (node for node in nodes if node.node == options.path), Attached("hid", *PUCKS[0], "", "", options.path)
         )
-    pucks = [one for one in nodes if (one.vendor, one.product) in PUCKS]
-    fitting = [one for one in pucks if options.serial in (None, one.serial)]
-    if len(fitting) == 1:
-        return fitting[0]
-    if fitting:
-        listed = ", ".join(f"{one.node} (serial '{one.serial}')" for one in fitting)
-        raise DeviceNotFound(f"{len(fitting)} pucks are attached: name one with serial or path: {listed}")
+    pucks = [node for node in nodes if (node.vendor, node.product) in PUCKS]
+    matching = [node for node in pucks if options.serial in (None, node.serial)]
+    if len(matching) == 1:
+        return matching[0]
+    if matching:
+        listed = ", ".join(f"{node.node} (serial '{node.serial}')" for node in matching)
+        raise DeviceNotFound(f"{len(matching)} pucks are attached: name one with serial or path: {listed}")
     others = ", ".join(map(str, pucks or nodes)) or "no HID device"
     asked = f" with serial = '{options.serial}'" if options.serial is not None else ""
     raise DeviceNotFound(f"no SpaceMouse{asked} is attached: plug it in; attached are: {others}")
 
 
 def open_device(options: Options, rate_hz: float) -> SpaceMouse:
-    """Open the puck a rig names; DeviceError and its kinds when it cannot be used."""
+    """Open the puck that a rig describes; raises DeviceError or a subclass if it cannot be used."""
     fd, name = open_puck(options)
     return SpaceMouse(options, fd, rate_hz, name)

@@ -1,6 +1,6 @@
-"""A puck of 3Dconnexion: what its reports say, and how its deflection moves a fingertip.
+"""Reports of a 3Dconnexion puck, and the motion of a fingertip from its deflection.
 
-Rate control: the puck springs back to its middle, so its deflection is a velocity and not a place.
+Rate control: the puck springs back to its centre, so its deflection is a velocity, not a position.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import exp, multiply, normalize
 
 FULL_SCALE: Final = 350.0
-"""Counts of an axis pushed all the way."""
+"""Counts of an axis at full deflection."""
 
 DEADBAND: Final = Range(0.0, 300.0, "an axis ends at 350 counts")
-GAIN_M_PER_S: Final = Range(0.0, 3e-3, "1 m/s at full deflection; a fingertip goes through every wall at that")
+GAIN_M_PER_S: Final = Range(0.0, 3e-3, "1 m/s at full deflection; at this speed a fingertip passes through every wall")
 GAIN_RAD_PER_S: Final = Range(0.0, 3e-2, "10 rad/s at full deflection")
 HOLD_S: Final = Range(0.05, 3600.0, "reports come every few hundredths of a second while the puck is moved")
 
@@ -29,7 +29,7 @@ ROTATION: Final = 2
 BUTTONS: Final = 3
 SPLIT_BYTES: Final = 7
 COMBINED_BYTES: Final = 13
-BUTTON_BYTES_MAX: Final = 6  # 48 buttons, which a float64 holds exactly
+BUTTON_BYTES_MAX: Final = 6  # 48 buttons, which a float64 represents exactly
 REPORT_MAX: Final = 64
 
 
@@ -45,10 +45,10 @@ class Options(Table, frozen=True, kw_only=True):
         tuple[bool, bool, bool, bool, bool, bool], said("axes to turn round: x, y, z, about x, about y, about z")
     ] = (False, False, False, False, False, False)
     start_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("where the fingertip begins", [0.0, 0.0, 0.03])
+        tuple[Coordinate, Coordinate, Coordinate], said("initial position of the fingertip", [0.0, 0.0, 0.03])
     ] = (0.0, 0.0, 0.03)
     workspace_min_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("lower corner of the box it stays in", [-0.1, -0.1, -0.1])
+        tuple[Coordinate, Coordinate, Coordinate], said("lower corner of its box", [-0.1, -0.1, -0.1])
     ] = (-0.1, -0.1, -0.1)
     workspace_max_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("upper corner", [0.1, 0.1, 0.1])] = (
         0.1,
@@ -71,11 +71,11 @@ class Options(Table, frozen=True, kw_only=True):
 
 
 class Setup(NamedTuple):
-    """The numbers of a puck's options.
+    """Options of a puck, converted for kernels.
 
     deadband     counts
-    linear       (3,) m/s per count, negative where an axis is turned round
-    angular      (3,) rad/s per count, the same
+    linear       (3,) m/s per count, negative for an inverted axis
+    angular      (3,) rad/s per count, likewise
     low, high    (3,) m  corners of the box, world frame
     """
 
@@ -87,7 +87,7 @@ class Setup(NamedTuple):
 
 
 def make_setup(options: Options) -> Setup:
-    """The numbers of `options`."""
+    """Return `options` converted for kernels."""
     signs = [-1.0 if turned else 1.0 for turned in options.invert]
     v, w = options.gain_m_per_s, options.gain_rad_per_s
     x0, y0, z0 = (float(a) for a in options.workspace_min_m)
@@ -103,30 +103,30 @@ def make_setup(options: Options) -> Setup:
 
 @jit
 def _axis(report: Any, at: int) -> float:
-    """Little-endian int16."""
+    """Return a little-endian int16."""
     value = int(report[at]) + 256 * int(report[at + 1])
     return float(value - 65536 if value > 32767 else value)
 
 
 @jit
 def decode(report: Any, count: int, deflection: Any, buttons: Any) -> int:
-    """Take a report of `count` bytes into `deflection` (6,) counts and `buttons` (1,), a bit each.
+    """Decode a report of `count` bytes into `deflection` (6,) counts and `buttons` (1,), one bit each.
 
     deflection  x, y, z and the rotations about them, world axes: x right, y away from the user, z up
-    returns     OK, STALE for a report of another kind, PROTOCOL for one that is too short
+    returns     OK, STALE for a report of another kind, PROTOCOL for a report that is too short
 
-    The device has y towards the user and z down, which is the world turned by half a turn about x, so components y
-    and z change their sign, of rotation vectors too. In the words of other drivers these are x = w0, y = -w1,
-    z = -w2, and for the nose down, pitch = -w3; to the right, roll = -w4; clockwise from above, yaw = w5.
+    The device has y towards the user and z down, which is the world rotated by half a turn about x, so components y and
+    z change sign, also of rotation vectors. In the convention of other drivers these are x = w0, y = -w1, z = -w2, and
+    nose down: pitch = -w3; to the right: roll = -w4; clockwise from above: yaw = w5.
     """
     if count < 1:
         return PROTOCOL
     kind = report[0]
     if kind == BUTTONS:
-        mask, place = 0.0, 1.0
+        mask, scale = 0.0, 1.0
         for k in range(1, min(count, BUTTON_BYTES_MAX + 1)):
-            mask += place * float(report[k])
-            place *= 256.0
+            mask += scale * float(report[k])
+            scale *= 256.0
         buttons[0] = mask
         return OK
     if kind not in (TRANSLATION, ROTATION):
@@ -145,8 +145,8 @@ def decode(report: Any, count: int, deflection: Any, buttons: Any) -> int:
 
 
 @jit
-def _past(deadband: float, counts: float) -> float:
-    """Counts past the deadband, so that speed begins at 0 at its edge."""
+def _beyond_deadband(deadband: float, counts: float) -> float:
+    """Return the counts beyond the deadband, so that the speed is continuous at its edge."""
     if counts > deadband:
         return counts - deadband
     if counts < -deadband:
@@ -156,20 +156,20 @@ def _past(deadband: float, counts: float) -> float:
 
 @jit
 def move(setup: Setup, position: Vec3, orientation: Quaternion, deflection: Any, dt: float) -> tuple[Vec3, Quaternion]:
-    """Fingertip after `dt` (s) of a deflection (6,) counts, which stays what it is over that time.
+    """Return the fingertip after `dt` (s) of a constant deflection (6,) counts.
 
-    Velocities are in the world frame; the position stays in the box, the orientation turns freely.
+    Velocities are in the world frame; the position is clamped to the box, the orientation is unlimited.
     """
     d = setup.deadband
     step = (
-        dt * setup.linear[0] * _past(d, deflection[0]),
-        dt * setup.linear[1] * _past(d, deflection[1]),
-        dt * setup.linear[2] * _past(d, deflection[2]),
+        dt * setup.linear[0] * _beyond_deadband(d, deflection[0]),
+        dt * setup.linear[1] * _beyond_deadband(d, deflection[1]),
+        dt * setup.linear[2] * _beyond_deadband(d, deflection[2]),
     )
     turn = (
-        dt * setup.angular[0] * _past(d, deflection[3]),
-        dt * setup.angular[1] * _past(d, deflection[4]),
-        dt * setup.angular[2] * _past(d, deflection[5]),
+        dt * setup.angular[0] * _beyond_deadband(d, deflection[3]),
+        dt * setup.angular[1] * _beyond_deadband(d, deflection[4]),
+        dt * setup.angular[2] * _beyond_deadband(d, deflection[5]),
     )
     moved = vec3.add(position, step)
     inside = (

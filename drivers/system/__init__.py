@@ -1,4 +1,4 @@
-"""What the operating system knows of devices: what is attached, whose it is, its node opened for one process alone.
+"""Operating system's view of devices: attached devices, their drivers, permissions, and exclusive opening of nodes.
 
-Nothing of any device's protocol.
+Nothing here depends on the protocol of a device.
 """

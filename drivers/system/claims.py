@@ -1,7 +1,7 @@
-"""Which driver a device belongs to, by its USB ids, without an import of that driver.
+"""Assignment of devices to drivers by USB ids, without importing the driver.
 
-A device whose ids a rig of this program names (`driver = "hid"` or `"serial"`) belongs to that rig, if it also has the
-reports of the rig, and if its product string is not another maker's: boards share their ids with other programs.
+A device with ids from a shipped rig (`driver = "hid"` or `"serial"`) belongs to that rig, if it has the rig's reports
+and no product string of another maker: other programs use boards with the same ids.
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ from typing import Any, Final, NamedTuple
 
 from softfinger.config.load import load_rig, shipped
 from softfinger.config.schema import Rig
-from softfinger.drivers.system.descriptor import Announced, announced
+from softfinger.drivers.system.descriptor import ReportLengths, parse_descriptor
 from softfinger.drivers.system.discovery import NO_PRODUCT, Attached, Bus
 
 PUCKS: Final = (
     *((0x046D, product) for product in (0xC625, 0xC626, 0xC627, 0xC629, 0xC62B)),
     *((0x256F, product) for product in (0xC62E, 0xC632, 0xC633, 0xC635, 0xC638, 0xC63A, 0xC652)),
 )
-"""Ids of 3Dconnexion's pucks and their receivers."""
+"""Ids of 3Dconnexion pucks and their receivers."""
 
 TEENSY_SERIAL: Final = (0x16C0, 0x0483)
-"""Ids of every Teensy with a serial port, whatever program it runs."""
+"""Ids of every Teensy with a serial port, regardless of its program."""
 HAPLY: Final = "haply"
-OTHER_PRODUCTS: Final = {TEENSY_SERIAL: {HAPLY: "a Haply Inverse3"}}
-"""By ids that several makers use: how the product string of another maker's device begins, in small letters."""
+FOREIGN_PRODUCTS: Final = {TEENSY_SERIAL: {HAPLY: "a Haply Inverse3"}}
+"""Start of the product string of another maker's device, in lower case, by ids that several makers use."""
 
 
 class Claim(NamedTuple):
-    """A driver's word that devices of these ids are its own; `product` None: every one of the vendor.
+    """Claim of a driver to the devices of these ids; `product` None: every product of the vendor.
 
-    reports  that a HID device has to announce; None: any
-    begins   how its product string has to begin, in small letters, where others have the same ids
+    reports  reports that a HID device has to announce; None: any
+    begins   required start of its product string, in lower case, if devices of other makers have the same ids
     """
 
     driver: str
@@ -42,71 +42,73 @@ class Claim(NamedTuple):
     vendor: int
     product: int | None
     rigs: tuple[str, ...] = ()
-    reports: Announced | None = None
-    begins: str = ""
+    reports: ReportLengths | None = None
+    product_prefix: str = ""
 
 
-def claim_on(device: Attached) -> Claim | None:
-    """Who claims a device, with the shipped rigs for it; None if nobody does.
+def find_claim(device: Attached) -> Claim | None:
+    """Return the claim to a device, with the shipped rigs for it; None if no driver claims it.
 
-    A driver over hidraw or a serial port claims the device on the USB bus too: it is there without a node when the
-    system's support for these is missing.
+    Drivers of hidraw nodes and serial ports also claim the device on the USB bus, where it is listed without a node if
+    the system lacks support for these nodes.
     """
-    if other_product(device) is not None:
-        return next((claim for claim in claims_by_ids(device) if _begins(device, claim.begins)), None)
-    fitting = [claim for claim in claims_by_ids(device) if not claim.begins and _has_reports(device, claim)]
-    if len(fitting) < 2:
-        return fitting[0] if fitting else None
-    return fitting[0]._replace(rigs=tuple(rig for claim in fitting for rig in claim.rigs), reports=None)
+    if describe_foreign_product(device) is not None:
+        return next((claim for claim in claims_by_ids(device) if _has_prefix(device, claim.product_prefix)), None)
+    matching = [claim for claim in claims_by_ids(device) if not claim.product_prefix and _has_reports(device, claim)]
+    if len(matching) < 2:
+        return matching[0] if matching else None
+    return matching[0]._replace(rigs=tuple(rig for claim in matching for rig in claim.rigs), reports=None)
 
 
 def claims_by_ids(device: Attached) -> list[Claim]:
-    """Whose the ids of a device are, whatever else it says of itself."""
+    """Return the claims to the ids of a device, regardless of its reports and product string."""
     return [claim for claim in claims() if claim.vendor == device.vendor and claim.product in (None, device.product)]
 
 
-def other_product(device: Attached) -> str | None:
-    """What a device is that has the ids of one of ours and the product string of another maker's; else None."""
-    known = OTHER_PRODUCTS.get((device.vendor, device.product), {})
-    return next((what for begins, what in known.items() if _begins(device, begins)), None)
+def describe_foreign_product(device: Attached) -> str | None:
+    """Return a description of a device with known ids, but the product string of another maker; else None."""
+    known = FOREIGN_PRODUCTS.get((device.vendor, device.product), {})
+    return next((what for product_prefix, what in known.items() if _has_prefix(device, product_prefix)), None)
 
 
-def _begins(device: Attached, begins: str) -> bool:
-    return begins != "" and device.name.lower().startswith(begins)
+def _has_prefix(device: Attached, product_prefix: str) -> bool:
+    return product_prefix != "" and device.name.lower().startswith(product_prefix)
 
 
-def may_be(device: Attached, options: Mapping[str, Any]) -> bool:
-    """Whether a device may be the one that a rig's [device] table describes by its USB ids."""
-    if (device.vendor, device.product) != (options["vendor_id"], options.get("product_id")) or other_product(device):
+def matches(device: Attached, options: Mapping[str, Any]) -> bool:
+    """Return True if a device matches the USB ids and reports in a rig's [device] table."""
+    if (device.vendor, device.product) != (options["vendor_id"], options.get("product_id")) or describe_foreign_product(
+        device
+    ):
         return False
     format_ = options.get("reports")
     claim = Claim("", device.bus, device.vendor, None, (), _lengths(format_ if isinstance(format_, str) else None))
     return _has_reports(device, claim)
 
 
-def undecided(device: Attached) -> str | None:
-    """Why nobody can tell what a device is before it is opened; None where ids and product string do.
+def explain_ambiguity(device: Attached) -> str | None:
+    """Return why ids and product string do not identify a device; None if they do.
 
-    The product string of WoodenHaptics' own board is not published, so no string is taken for it.
+    The product string of WoodenHaptics' board is unpublished, so no string identifies it.
     """
-    if (device.vendor, device.product) != TEENSY_SERIAL or other_product(device) is not None:
+    if (device.vendor, device.product) != TEENSY_SERIAL or describe_foreign_product(device) is not None:
         return None
     said = "it names no product" if device.name == NO_PRODUCT else f"its product is '{device.name}'"
-    return f"{said}, and {device.ids} is any Teensy with a serial port, whatever program it runs"
+    return f"{said}, and {device.ids} is any Teensy with a serial port, with any firmware"
 
 
 def _has_reports(device: Attached, claim: Claim) -> bool:
     if claim.reports is None or not device.descriptor:
         return True
     try:
-        return announced(device.descriptor).has(claim.reports)
+        return parse_descriptor(device.descriptor).includes(claim.reports)
     except ValueError:
         return False
 
 
 @cache
 def claims() -> tuple[Claim, ...]:
-    """Every claim. The rigs are read once: they belong to the program and stay what they are while it runs."""
+    """Return every claim. The shipped rigs are read once, because they do not change at run time."""
     return tuple(_claims())
 
 
@@ -114,22 +116,22 @@ def _claims() -> Iterator[Claim]:
     rigs: dict[tuple[str, int | None, int | None], dict[str | None, list[str]]] = {}
     for name in shipped(Rig):
         device = load_rig(name).device
-        if device is None:  # its devices are told by the rigs of each alone
+        if device is None:  # a rig of several devices; other rigs describe each of them
             continue
         ids = (device.driver, device.options.get("vendor_id"), device.options.get("product_id"))
         format_ = device.options.get("reports")
-        of_ids = rigs.setdefault(ids, {})
-        of_ids.setdefault(format_ if isinstance(format_, str) else None, []).append(name)
+        formats = rigs.setdefault(ids, {})
+        formats.setdefault(format_ if isinstance(format_, str) else None, []).append(name)
 
-    def of(driver: str) -> tuple[str, ...]:
+    def rigs_of(driver: str) -> tuple[str, ...]:
         return tuple(rigs.get((driver, None, None), {}).get(None, ()))
 
-    yield Claim("forcedimension", "usb", 0x1451, None, of("forcedimension"))
-    yield Claim("falcon", "usb", 0x0403, 0xCB48, of("falcon"))
-    yield Claim("haply", "serial", *TEENSY_SERIAL, of("haply"), begins=HAPLY)
-    yield Claim("openhaptics", "serial", 0x2988, None, of("openhaptics"))
+    yield Claim("forcedimension", "usb", 0x1451, None, rigs_of("forcedimension"))
+    yield Claim("falcon", "usb", 0x0403, 0xCB48, rigs_of("falcon"))
+    yield Claim("haply", "serial", *TEENSY_SERIAL, rigs_of("haply"), product_prefix=HAPLY)
+    yield Claim("openhaptics", "serial", 0x2988, None, rigs_of("openhaptics"))
     for vendor, product in PUCKS:
-        yield Claim("spacemouse", "hid", vendor, product, of("spacemouse"))
+        yield Claim("spacemouse", "hid", vendor, product, rigs_of("spacemouse"))
     for (driver, vendor_id, product_id), by_format in rigs.items():
         if vendor_id is not None and product_id is not None:
             for format_, names in by_format.items():
@@ -137,9 +139,9 @@ def _claims() -> Iterator[Claim]:
                 yield Claim(driver, bus, vendor_id, product_id, tuple(names), _lengths(format_))
 
 
-def _lengths(format_: str | None) -> Announced | None:
-    """Report lengths of a format of the library, which is read here without its driver."""
+def _lengths(format_: str | None) -> ReportLengths | None:
+    """Return the report lengths of a shipped format, read here without importing its driver."""
     if format_ is None:
         return None
     one = tomllib.loads((Path(__file__).parents[1] / "hid" / "reports.toml").read_text(encoding="utf-8"))[format_]
-    return Announced(*({one[way].get("id", 0): one[way]["bytes"]} for way in ("input", "output")))
+    return ReportLengths(*({one[direction].get("id", 0): one[direction]["bytes"]} for direction in ("input", "output")))

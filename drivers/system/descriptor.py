@@ -1,4 +1,4 @@
-"""The reports that a HID report descriptor announces: how long each is.
+"""Lengths of the reports that a HID report descriptor announces.
 
 Source: Device Class Definition for Human Interface Devices 1.11, section 6.2.2.
 """
@@ -14,25 +14,25 @@ _REPORT_SIZE, _REPORT_ID, _REPORT_COUNT, _PUSH, _POP = 0x74, 0x84, 0x94, 0xA4, 0
 _LONG: Final = 0xFE
 
 
-class Announced(NamedTuple):
-    """Report lengths in bytes without the id, by id (0: not numbered)."""
+class ReportLengths(NamedTuple):
+    """Report lengths in bytes without the id, by id (0: reports without id)."""
 
     input: dict[int, int]
     output: dict[int, int]
 
-    def has(self, other: Announced) -> bool:
-        """Whether every report of `other` is among these, with its length."""
+    def includes(self, other: ReportLengths) -> bool:
+        """Return True if every report of `other` is included with the same length."""
         return other.input.items() <= self.input.items() and other.output.items() <= self.output.items()
 
     def __str__(self) -> str:
-        return f"input {_listed(self.input)}, output {_listed(self.output)}"
+        return f"input {_format_lengths(self.input)}, output {_format_lengths(self.output)}"
 
 
-def announced(descriptor: bytes) -> Announced:
-    """The reports of a descriptor. ValueError when its items do not add up to its length."""
+def parse_descriptor(descriptor: bytes) -> ReportLengths:
+    """Return the reports of a descriptor. Raises ValueError if its last item is incomplete."""
     bits: dict[Kind, dict[int, int]] = {"input": {}, "output": {}}
     size = count = number = 0
-    kept: list[tuple[int, int, int]] = []
+    stack: list[tuple[int, int, int]] = []
     at = 0
     while at < len(descriptor):
         prefix = descriptor[at]
@@ -54,15 +54,15 @@ def announced(descriptor: bytes) -> Announced:
         elif tag == _REPORT_COUNT:
             count = value
         elif tag == _PUSH:
-            kept.append((size, count, number))
-        elif tag == _POP and kept:
-            size, count, number = kept.pop()
+            stack.append((size, count, number))
+        elif tag == _POP and stack:
+            size, count, number = stack.pop()
         at += 1 + length
     lengths_in, lengths_out = ({n: (b + 7) // 8 for n, b in bits[kind].items()} for kind in ("input", "output"))
-    return Announced(lengths_in, lengths_out)
+    return ReportLengths(lengths_in, lengths_out)
 
 
-def _listed(lengths: dict[int, int]) -> str:
+def _format_lengths(lengths: dict[int, int]) -> str:
     if not lengths:
         return "none"
     return " and ".join(f"{length} bytes" + (f" with id {n}" if n else "") for n, length in sorted(lengths.items()))

@@ -1,4 +1,4 @@
-"""Why an attached device cannot be opened by its driver, and the command that mends it. Nothing is opened for it."""
+"""Diagnosis why the driver of an attached device cannot open it, and the command that repairs it. Nothing is opened."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from softfinger.config.errors import HapticError
 from softfinger.config.schema import DeviceConfig
 from softfinger.drivers import registry
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import Claim, claims_by_ids, other_product, undecided
+from softfinger.drivers.system.claims import Claim, claims_by_ids, describe_foreign_product, explain_ambiguity
 from softfinger.drivers.system.discovery import Attached
-from softfinger.drivers.system.rules import command
+from softfinger.drivers.system.rules import install_command
 
 MODULES: Final = {"hid": ("hidraw node", "usbhid"), "serial": ("serial port", "cdc_acm")}
-"""What the system gives a device of a bus, and the module of the kernel that makes it."""
+"""Node that the system creates for a device of a bus, and the kernel module for it."""
 
 
-OVER_A_LIBRARY: Final = ("forcedimension", "openhaptics")
-"""Drivers over a library of the maker's, which does not come with this program."""
+LIBRARY_DRIVERS: Final = ("forcedimension", "openhaptics")
+"""Drivers that need a maker's library, which this program does not include."""
 
 
 class Diagnosis(NamedTuple):
-    """Whether a device can be used, in a word; if not, why and what to do.
+    """State of a device: usable or not, with reason and remedy.
 
-    state   usable, unclaimed, or what is in the way: driver, node, permission, busy, product, library, service,
-            firmware; error, where a device that was asked failed
+    state   usable, unclaimed, error (communication with the device failed), or the obstacle: driver, node, permission,
+            busy, product, library, service, firmware
     """
 
     state: str
@@ -36,13 +36,13 @@ class Diagnosis(NamedTuple):
 
 
 def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = None) -> Diagnosis:
-    """Why a device cannot be opened by its driver; the first reason of those that have to be mended in turn.
+    """Return the first obstacle to opening a device with its driver; they have to be removed in this order.
 
-    rig  names the files that its driver needs
+    rig  configures files that the driver needs
     """
     if claim is None:
-        if (other := other_product(device)) is not None:
-            return Diagnosis("unclaimed", f"it is {other}, which no driver knows")
+        if (foreign_product := describe_foreign_product(device)) is not None:
+            return Diagnosis("unclaimed", f"it is {foreign_product}, which no driver knows")
         if device.bus == "hid" and claims_by_ids(device):
             return Diagnosis(
                 "unclaimed", "its reports are of no rig with these ids: another channel of a board, or another firmware"
@@ -55,15 +55,15 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
             return Diagnosis(
                 "unclaimed",
                 "no driver knows it by its ids",
-                "if it is a Hapkit, a Haply 2DIY or a board of your own, name this port: docs/devices/serial.md",
+                "if it is a Hapkit, a Haply 2DIY or another board, set this port: docs/devices/serial.md",
             )
         return Diagnosis("unclaimed", "no driver knows it")
     if claim.driver not in registry.names():
         return Diagnosis("driver", f"its driver '{claim.driver}' is not in this installation")
-    if claim.driver == "haply":  # its port is the service's, which holds it all the time
-        return needs(claim, options_for(claim, rig))
-    bare = device.bus == "usb" and claim.bus in MODULES
-    if bare and claim.driver != "hid":
+    if claim.driver == "haply":  # the service has the port open all the time
+        return diagnose_requirements(claim, options_for(claim, rig))
+    has_no_node = device.bus == "usb" and claim.bus in MODULES
+    if has_no_node and claim.driver != "hid":
         node, module = MODULES[claim.bus]
         return Diagnosis("node", f"the system gives it no {node}", f"sudo modprobe {module}, and plug it in again")
     if not os.path.exists(device.node):
@@ -75,54 +75,56 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
     if not discovery.permitted(device.node):
         return Diagnosis("permission", f"this user may not write to {device.node}", how_to_permit(device))
     if (holder := discovery.holder(device.node)) is not None:
-        return Diagnosis("busy", f"{device.node} is held by {holder}", f"kill {holder.pid}")
-    if bare:
+        return Diagnosis("busy", f"{device.node} is used by {holder}", f"kill {holder.pid}")
+    if has_no_node:
         return Diagnosis("usable", "the system gives it no hidraw node, so threads carry its reports over libusb")
     options = options_for(claim, rig)
-    named = options.get("path") == device.node or options.get("serial") == device.serial != ""
-    if not named and (why := undecided(device)) is not None:
+    is_named = options.get("path") == device.node or options.get("serial") == device.serial != ""
+    if not is_named and (why := explain_ambiguity(device)) is not None:
         return Diagnosis("product", why, f'if it is the one: path = "{device.node}" under [device] of the rig')
-    return needs(claim, options)
+    return diagnose_requirements(claim, options)
 
 
 def makers_library(driver: str) -> Any:
-    """The module of a driver that finds the maker's library: NAME, `load(file)`, and REMEDY where it is missing."""
+    """Return the library module of a driver: NAME, `load(file)`, and REMEDY if it is missing."""
     return importlib.import_module(f"softfinger.drivers.{driver}.library")
 
 
 def options_for(claim: Claim, rig: DeviceConfig | None) -> Mapping[str, Any]:
-    """The keys of a rig for a device; a rig of another driver has none."""
+    """Return a rig's options for a device; empty for a rig of another driver."""
     return rig.options if rig is not None and rig.driver == claim.driver else {}
 
 
-def needs(claim: Claim, options: Mapping[str, Any], said: Mapping[str, Any] | None = None) -> Diagnosis:
-    """What a driver needs besides the device, with the options of a rig for it and what the device said itself."""
-    if claim.driver in OVER_A_LIBRARY:
+def diagnose_requirements(
+    claim: Claim, options: Mapping[str, Any], answers: Mapping[str, Any] | None = None
+) -> Diagnosis:
+    """Return the diagnosis of a driver's other requirements, given a rig's options and the device's answers."""
+    if claim.driver in LIBRARY_DRIVERS:
         library = makers_library(claim.driver)
         try:
             library.load(options.get("library_file"))
         except HapticError as error:
             return Diagnosis("library", str(error), library.REMEDY)
-    if claim.driver == "haply" and said is None:
-        from softfinger.drivers.haply import link, opening
+    if claim.driver == "haply" and answers is None:
+        from softfinger.drivers.haply import dial, opening
 
         try:
             opening.identify(options.get("port", opening.PORT), options.get("version"))
         except HapticError as error:
-            return Diagnosis("service", str(error), link.START)
-    loaded = said is not None and said.get("firmware", False)
+            return Diagnosis("service", str(error), dial.START)
+    loaded = answers is not None and answers.get("firmware", False)
     if claim.driver == "falcon" and not loaded and not os.path.isfile(firmware := options.get("firmware", "")):
-        named = f"'{firmware}' is no file" if firmware else "no rig named one (--rig)"
+        is_named = f"'{firmware}' is no file" if firmware else "no rig named one (--rig)"
         return Diagnosis(
             "firmware",
-            f"it needs its firmware after every power-up, which does not come with this program, and {named}",
+            f"it needs its firmware after every power-up, which does not come with this program, and {is_named}",
             'firmware = "/path/to/firmware.bin" under [device] of the rig',
         )
     return Diagnosis("usable")
 
 
 def how_to_permit(device: Attached) -> str:
-    """The command that lets this user open a node: a group that has the right already, else the udev rules."""
+    """Return the command that permits this user to open a node: membership of a group, else the udev rules."""
     if (group := discovery.group_with_access(device.node)) is not None:
         return f"sudo usermod -aG {group} $USER   # then log in again"
-    return f"{command(device.vendor, device.product)}   # then plug the device in again"
+    return f"{install_command(device.vendor, device.product)}   # then plug the device in again"

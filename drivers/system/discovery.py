@@ -1,8 +1,7 @@
-"""What is attached to this machine: its USB devices, hidraw nodes and serial ports, who holds them, and who may open
-them.
+"""Discovery of USB devices, hidraw nodes and serial ports, with the processes and users that may access them.
 
-Nothing is opened: names and numbers come from the system's tables, so that a look disturbs no device in use.
-On Linux these are sysfs, which also tells what this user may not open; elsewhere USB is asked through pyusb.
+Nothing is opened: names and numbers are read from the system's tables, so that discovery does not disturb a device in
+use. On Linux the table is sysfs, which also lists devices that this user may not open; elsewhere pyusb is used for USB.
 """
 
 from __future__ import annotations
@@ -24,18 +23,21 @@ USB: Final = Path("sys/bus/usb/devices")
 HIDRAW: Final = Path("sys/class/hidraw")
 TTY: Final = Path("sys/class/tty")
 USB_PORTS: Final = ("ttyACM", "ttyUSB")
-"""How the names of serial ports on USB begin; the table also has every terminal of the system."""
+"""Prefixes of serial ports on USB; the table also contains every terminal of the system."""
 
 READ_AND_WRITE_BY_GROUP: Final = stat.S_IRGRP | stat.S_IWGRP
 
 
 NO_PRODUCT: Final = "serial port"
-"""Name of a port whose device gives no product string."""
+"""Name of a port whose device has no product string."""
 
 
 class Attached(NamedTuple):
-    """A device of the system's tables. `node` is what a driver opens, empty where the system has none; `descriptor` the
-    report descriptor of a HID device, empty where the system does not tell."""
+    """Device listed by the system.
+
+    node        path that a driver opens; empty if there is none
+    descriptor  report descriptor of a HID device; empty if the system does not provide it
+    """
 
     bus: Bus
     vendor: int
@@ -54,7 +56,7 @@ class Attached(NamedTuple):
 
 
 class Holder(NamedTuple):
-    """A process that has a node open."""
+    """Process that has a node open."""
 
     pid: int
     name: str
@@ -64,32 +66,32 @@ class Holder(NamedTuple):
 
 
 def attached(root: Path = ROOT) -> list[Attached]:
-    """Every hidraw node and serial port on USB, and every USB device that has neither, hubs left out.
+    """Return every hidraw node and serial port on USB, and every USB device that has neither, except hubs.
 
-    root  holds sys and dev
+    root  folder that contains sys and dev
     """
     nodes = [*hidraw_nodes(root), *serial_ports(root)]
-    seen = {(one.vendor, one.product) for one in nodes}
-    return [*nodes, *(one for one in usb_devices(root) if (one.vendor, one.product) not in seen)]
+    status = {(one.vendor, one.product) for one in nodes}
+    return [*nodes, *(one for one in usb_devices(root) if (one.vendor, one.product) not in status)]
 
 
 def has_usb(root: Path = ROOT) -> bool:
-    """Whether the system has a USB bus at all."""
-    return os.path.isdir(root / USB)  # False, too, where this user may not look
+    """Return True if the system has a USB bus."""
+    return os.path.isdir(root / USB)  # also False if this user may not read the folder
 
 
 def names(root: Path = ROOT) -> frozenset[str]:
-    """Names under which the system lists what is attached; cheap enough to be asked every second."""
+    """Return the names of attached devices in the system's tables; cheap enough to call every second."""
     return frozenset(
         str(folder / name)
         for folder, is_one in ((USB, _is_device), (HIDRAW, bool), (TTY, _is_port))
-        for name in _listed(root / folder)
+        for name in _list_names(root / folder)
         if is_one(name)
     )
 
 
-def described(name: str, root: Path = ROOT) -> Attached | None:
-    """The device of one of `names`; None when it is gone already, or is a hub."""
+def read_device(name: str, root: Path = ROOT) -> Attached | None:
+    """Return the device for one of `names`; None if it was unplugged, or is a hub."""
     path = root / name
     if path.parent == root / TTY:
         return _serial_port(path)
@@ -97,82 +99,82 @@ def described(name: str, root: Path = ROOT) -> Attached | None:
 
 
 def hidraw_nodes(root: Path = ROOT) -> Iterator[Attached]:
-    """Every hidraw node, in the order of its number."""
+    """Yield every hidraw node, in numeric order."""
     folder = root / HIDRAW
-    for name in _in_order(_listed(folder)):
+    for name in _sorted_by_number(_list_names(folder)):
         if (found := _hidraw_node(folder / name)) is not None:
             yield found
 
 
 def serial_ports(root: Path = ROOT) -> Iterator[Attached]:
-    """Every serial port on USB, in the order of its number."""
+    """Yield every serial port on USB, in numeric order."""
     folder = root / TTY
-    for name in _in_order(filter(_is_port, _listed(folder))):
+    for name in _sorted_by_number(filter(_is_port, _list_names(folder))):
         if (found := _serial_port(folder / name)) is not None:
             yield found
 
 
 def serial_port(node: str, root: Path = ROOT) -> Attached | None:
-    """The device behind a port's node, which may be a link to it; None if the port is not one on USB."""
+    """Return the device of a port's node or of a link to it; None if the port is not on USB."""
     return _serial_port(root / TTY / os.path.basename(os.path.realpath(node)))
 
 
 def usb_devices(root: Path = ROOT) -> Iterator[Attached]:
-    """Every USB device but hubs, by sysfs, or through pyusb where there is no such table."""
+    """Yield every USB device except hubs, from sysfs, or through pyusb if there is no sysfs."""
     folder = root / USB
     if not os.path.isdir(folder):
-        yield from _through_pyusb()
+        yield from _usb_devices_of_pyusb()
         return
-    for name in sorted(_listed(folder)):
+    for name in sorted(_list_names(folder)):
         if _is_device(name) and (found := _usb_device(folder / name)) is not None:
             yield found
 
 
 def permitted(node: str) -> bool:
-    """Whether this user may read and write a node."""
+    """Return True if this user may read and write a node."""
     acting_for_another = os.geteuid() != os.getuid()
     return os.access(node, os.R_OK | os.W_OK, effective_ids=acting_for_another)
 
 
 def holder(node: str) -> Holder | None:
-    """Who has locked a node, else another process that has it open; None when nobody can be seen to.
+    """Return the process that has locked a node, else another process that has it open; None if none is visible.
 
-    The locks of every user are in /proc/locks, the open files only of processes that this user may look into.
+    /proc/locks lists the locks of all users, but open files are visible only for processes that this user may inspect.
     """
     try:
         wanted = os.stat(node)
     except OSError:
         return None
-    for pid in _lockers(wanted.st_ino):
-        return Holder(pid, _name_of(pid))
+    for pid in _pids_with_lock(wanted.st_ino):
+        return process(pid)
     for folder in Path("/proc").glob("[0-9]*/fd"):
         pid = int(folder.parent.name)
         if pid == os.getpid():
             continue
-        for entry in _listed(folder):
+        for entry in _list_names(folder):
             try:
                 if os.path.samestat(os.stat(folder / entry), wanted):
-                    return Holder(pid, _name_of(pid))
+                    return process(pid)
             except OSError:
                 continue
     return None
 
 
 def group_with_access(node: str) -> str | None:
-    """A group other than root's that may read and write a node."""
+    """Return a group other than root's that may read and write a node; None if there is none."""
     try:
-        seen = os.stat(node)
-        opens = seen.st_gid != 0 and seen.st_mode & READ_AND_WRITE_BY_GROUP == READ_AND_WRITE_BY_GROUP
-        return grp.getgrgid(seen.st_gid).gr_name if opens else None
+        status = os.stat(node)
+        has_access = status.st_gid != 0 and status.st_mode & READ_AND_WRITE_BY_GROUP == READ_AND_WRITE_BY_GROUP
+        return grp.getgrgid(status.st_gid).gr_name if has_access else None
     except (OSError, KeyError):
         return None
 
 
-def _in_order(names: Iterable[str]) -> list[str]:
+def _sorted_by_number(names: Iterable[str]) -> list[str]:
     return sorted(names, key=lambda text: (len(text), text))
 
 
-def _listed(folder: Path) -> list[str]:
+def _list_names(folder: Path) -> list[str]:
     try:
         return os.listdir(folder)
     except OSError:
@@ -180,7 +182,7 @@ def _listed(folder: Path) -> list[str]:
 
 
 def _is_device(name: str) -> bool:
-    """Interfaces have a colon in their name (1-1:1.0), and root hubs none but their own (usb1)."""
+    """Return True for a device: interfaces have a colon in their name (1-1:1.0), root hubs start with usb (usb1)."""
     return ":" not in name and not name.startswith("usb")
 
 
@@ -188,21 +190,21 @@ def _is_port(name: str) -> bool:
     return name.startswith(USB_PORTS)
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
         return ""
 
 
-def _bytes(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError:
         return b""
 
 
-def _number(text: str, base: int) -> int | None:
+def _parse_int(text: str, base: int) -> int | None:
     try:
         return int(text, base)
     except ValueError:
@@ -211,31 +213,33 @@ def _number(text: str, base: int) -> int | None:
 
 def _hidraw_node(path: Path) -> Attached | None:
     # HID_ID=bus:vendor:product in hexadecimal digits, HID_NAME, HID_UNIQ
-    said = dict(line.split("=", 1) for line in _text(path / "device" / "uevent").splitlines() if "=" in line)
-    numbers = [_number(part, 16) for part in said.get("HID_ID", "").split(":")]
+    uevent = dict(line.split("=", 1) for line in _read_text(path / "device" / "uevent").splitlines() if "=" in line)
+    numbers = [_parse_int(part, 16) for part in uevent.get("HID_ID", "").split(":")]
     if len(numbers) != 3 or numbers[1] is None or numbers[2] is None:
         return None
-    name = said.get("HID_NAME") or "HID device"
-    descriptor = _bytes(path / "device" / "report_descriptor")
-    return Attached("hid", numbers[1], numbers[2], name, said.get("HID_UNIQ", ""), f"/dev/{path.name}", descriptor)
+    name = uevent.get("HID_NAME") or "HID device"
+    descriptor = _read_bytes(path / "device" / "report_descriptor")
+    return Attached("hid", numbers[1], numbers[2], name, uevent.get("HID_UNIQ", ""), f"/dev/{path.name}", descriptor)
 
 
 def _usb_device(path: Path) -> Attached | None:
-    vendor, product = (_number(_text(path / key), 16) for key in ("idVendor", "idProduct"))
-    if vendor is None or product is None or _text(path / "bDeviceClass") == "09":  # a hub
+    vendor, product = (_parse_int(_read_text(path / key), 16) for key in ("idVendor", "idProduct"))
+    if vendor is None or product is None or _read_text(path / "bDeviceClass") == "09":  # a hub
         return None
-    bus, number = (_number(_text(path / key), 10) for key in ("busnum", "devnum"))
+    bus, number = (_parse_int(_read_text(path / key), 10) for key in ("busnum", "devnum"))
     node = "" if bus is None or number is None else _usb_node(bus, number)
-    return Attached("usb", vendor, product, _text(path / "product") or "USB device", _text(path / "serial"), node)
+    return Attached(
+        "usb", vendor, product, _read_text(path / "product") or "USB device", _read_text(path / "serial"), node
+    )
 
 
 def _serial_port(path: Path) -> Attached | None:
-    # `device` leads to the port's interface, which lies in the folder of its USB device.
+    # `device` links to the port's interface, in a subfolder of its USB device
     for folder in (path / "device").resolve().parents:
-        vendor, product = (_number(_text(folder / key), 16) for key in ("idVendor", "idProduct"))
+        vendor, product = (_parse_int(_read_text(folder / key), 16) for key in ("idVendor", "idProduct"))
         if vendor is not None and product is not None:
-            name = _text(folder / "product") or NO_PRODUCT
-            return Attached("serial", vendor, product, name, _text(folder / "serial"), f"/dev/{path.name}")
+            name = _read_text(folder / "product") or NO_PRODUCT
+            return Attached("serial", vendor, product, name, _read_text(folder / "serial"), f"/dev/{path.name}")
     return None
 
 
@@ -243,8 +247,8 @@ def _usb_node(bus: int, number: int) -> str:
     return f"/dev/bus/usb/{bus:03d}/{number:03d}"
 
 
-def seen_by_pyusb(**ids: int) -> list[Any]:
-    """pyusb's devices of these ids; none also where there is no USB, no right to list it, or no libusb to look with."""
+def find_usb(**ids: int) -> list[Any]:
+    """Return pyusb's devices with these ids; none without USB, without permission to list it, or without libusb."""
     import usb.core
 
     try:
@@ -253,8 +257,8 @@ def seen_by_pyusb(**ids: int) -> list[Any]:
         return []
 
 
-def _through_pyusb() -> Iterator[Attached]:
-    for device in seen_by_pyusb():
+def _usb_devices_of_pyusb() -> Iterator[Attached]:
+    for device in find_usb():
         if device.bDeviceClass != 0x09:
             yield Attached(
                 "usb",
@@ -266,8 +270,8 @@ def _through_pyusb() -> Iterator[Attached]:
             )
 
 
-def _lockers(inode: int) -> Iterator[int]:
-    for line in _text(Path("/proc/locks")).splitlines():
+def _pids_with_lock(inode: int) -> Iterator[int]:
+    for line in _read_text(Path("/proc/locks")).splitlines():
         part = line.split()
         try:
             if part[1] == "FLOCK" and int(part[-3].rsplit(":", 1)[1]) == inode:
@@ -276,5 +280,6 @@ def _lockers(inode: int) -> Iterator[int]:
             continue
 
 
-def _name_of(pid: int) -> str:
-    return _text(Path(f"/proc/{pid}/comm")) or "not to be seen"
+def process(pid: int) -> Holder:
+    """Return a process with its name."""
+    return Holder(pid, _read_text(Path(f"/proc/{pid}/comm")) or "not visible")

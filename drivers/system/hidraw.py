@@ -1,4 +1,4 @@
-"""The node of a HID device, opened for this process alone, and known to be the device that was meant."""
+"""Exclusive opening of a HID device's node, with a check that it is the intended device."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _GET_INFO: Final = 0x80084803  # an ioctl request of <linux/hidraw.h>
 
 
 def open_path(path: str, vendor: int, product: int) -> int:
-    """File descriptor of a node of a device with these ids, non-blocking, locked.
+    """Open the node of a device with these ids, non-blocking and locked, and return its file descriptor.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError when it is another device.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device.
     """
     fd = open_locked(path, how_to_permit(vendor, product))
     try:
@@ -31,9 +31,9 @@ def open_path(path: str, vendor: int, product: int) -> int:
 
 
 def hidapi(backend: str) -> Any:
-    """hidapi's module `hidraw` or `hid`; DeviceError where it, or a library that it needs, is missing.
+    """Import module `hidraw` or `hid` of hidapi; raises DeviceError if it, or a library that it needs, is missing.
 
-    Called where it is used: the module opens the system's device list when it is imported.
+    Call it only when needed: the import opens the system's device list.
     """
     try:
         return importlib.import_module(backend)

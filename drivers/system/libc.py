@@ -1,4 +1,4 @@
-"""What kernels call of the C library on a file descriptor, without an allocation and without the interpreter lock."""
+"""Calls of the C library on a file descriptor, for kernels: without allocation and without the interpreter lock."""
 
 from __future__ import annotations
 
@@ -18,10 +18,13 @@ EAGAIN: Final = 11
 ETIMEDOUT: Final = 110
 
 _FIONREAD: Final = 0x541B
+_TIOCOUTQ: Final = 0x5411
+_TCFLSH: Final = 0x540B
+_TCOFLUSH: Final = 1
 
 TIMESPEC_WORDS: Final = 2
 INTERRUPTED_MAX: Final = 4
-"""Times a call is made again that a signal has interrupted."""
+"""Number of attempts of a call that signals interrupt."""
 
 read_fd: Any = types.ExternalFunction("read", types.int64(types.int32, types.int64, types.uint64))
 write_fd: Any = types.ExternalFunction("write", types.int64(types.int32, types.int64, types.uint64))
@@ -33,15 +36,15 @@ _clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.
 
 @jit
 def monotonic_ns(timespec: int) -> int:
-    """Time of the monotonic clock (ns); `timespec` is the address of two words for it."""
+    """Return the time of the monotonic clock (ns); `timespec` is the address of two int64 for scratch."""
     at = int64_at(timespec)
     _clock_gettime(1, at)
     return int(at[0] * 1_000_000_000 + at[1])
 
 
-def _unless_interrupted(call: Any) -> Any:
+def _retry_interrupted(call: Any) -> Any:
     @jit
-    def again(fd: int, address: int, size: int) -> int:
+    def retry(fd: int, address: int, size: int) -> int:
         for _ in range(INTERRUPTED_MAX):
             count: int = call(fd, address, size)
             if count >= 0:
@@ -51,25 +54,26 @@ def _unless_interrupted(call: Any) -> Any:
                 return -int(error)
         return -EAGAIN
 
-    return again
+    return retry
 
 
-read_now: Any = _unless_interrupted(read_fd)
-"""read_now(fd, address, size): bytes read from a non-blocking file, 0 at its end, or minus the error's number."""
+read_now: Any = _retry_interrupted(read_fd)
+"""read_now(fd, address, size): bytes read from a non-blocking file, 0 at its end, or minus the error number."""
 
-write_now: Any = _unless_interrupted(write_fd)
-"""write_now(fd, address, size): bytes that a non-blocking file took, or minus the error's number."""
+write_now: Any = _retry_interrupted(write_fd)
+"""write_now(fd, address, size): bytes accepted by a non-blocking file, or minus the error number."""
 
 
 @jit
 def read_waiting(fd: int, address: int, size: int, word: int) -> int:
-    """`read_now` of a terminal, 0 where nothing waits there; `word` is the address of one word for the system's count.
+    """Read from a terminal like `read_now`, but return 0 if no byte is available.
 
-    A plain read that finds nothing there does not return at once: it waits until a thread of the kernel has handed on
-    what may be under way (`n_tty_read` flushes the port's work), a quarter of a second where all processors are busy.
+    `word` is the address of an int64 for scratch. A plain read without available bytes does not return at once. It
+    waits until a kernel thread has delivered bytes in transit (`n_tty_read` flushes the port's work): a quarter of a
+    second if all processors are busy.
     """
     at = int64_at(word)
-    at[0] = 0  # the system fills the lower half
+    at[0] = 0  # the ioctl writes only the lower half
     if _ioctl(fd, _FIONREAD, word) != 0:
         return -int(errno_location()[0])
     if at[0] == 0:
@@ -78,3 +82,23 @@ def read_waiting(fd: int, address: int, size: int, word: int) -> int:
     if count == 0:
         return -EIO
     return 0 if count == -EAGAIN else count
+
+
+@jit
+def count_unsent(fd: int, word: int) -> int:
+    """Return the bytes written to a terminal that the system has not sent, or minus the error number.
+
+    `word` is the address of an int64 for scratch. A USB modem (cdc-acm) counts a full buffer per write, a pseudo
+    terminal nothing.
+    """
+    at = int64_at(word)
+    at[0] = 0  # the ioctl writes only the lower half
+    if _ioctl(fd, _TIOCOUTQ, word) != 0:
+        return -int(errno_location()[0])
+    return int(at[0])
+
+
+@jit
+def drop_unsent(fd: int) -> None:
+    """Drop the bytes written to a terminal that the system has not sent; those in a USB serial chip remain."""
+    _ioctl(fd, _TCFLSH, _TCOFLUSH)

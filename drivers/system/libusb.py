@@ -1,7 +1,6 @@
-"""libusb for pyusb: the one that the loader finds, which is the system's, else the one that libusb-package brings.
+"""libusb for pyusb: the system's if the loader finds it, else that of libusb-package.
 
-Every search for USB devices through pyusb uses this module, so that a process loads one libusb only. pyusb loads it
-once and keeps it.
+Every search for USB devices through pyusb uses this module, so that a process loads only one libusb, once.
 """
 
 from __future__ import annotations
@@ -17,41 +16,41 @@ REMEDY: Final = "pip install --force-reinstall libusb-package, or apt install li
 
 
 def backend() -> Any | None:
-    """pyusb's backend; None where neither libusb can be loaded."""
+    """Return the backend of pyusb; None if no libusb can be loaded."""
     import usb.backend.libusb1
 
-    for find in (_by_the_loader, _of_the_package()):
+    for find in (_system_soname, _package_finder()):
         if find is not None and (found := usb.backend.libusb1.get_backend(find_library=find)) is not None:
             return found
     return None
 
 
 def origin() -> str:
-    """Name or path of the libusb that pyusb uses; empty where none can be loaded."""
+    """Return the name or path of the libusb that pyusb uses; empty if none can be loaded."""
     return str(found.lib._name) if (found := backend()) is not None else ""
 
 
 def find(**ids: int) -> list[Any]:
-    """pyusb's devices of these ids.
+    """Return the devices of pyusb with these ids.
 
-    Raises DeviceError where no libusb can be loaded, usb.core.USBError where the bus cannot be listed.
+    Raises DeviceError if no libusb can be loaded, usb.core.USBError if the bus cannot be listed.
     """
     import usb.core
 
-    through = backend()
-    if through is None:
+    usb_backend = backend()
+    if usb_backend is None:
         raise DeviceError(f"{MISSING}: `{REMEDY}`")
-    return list(usb.core.find(find_all=True, backend=through, **ids))
+    return list(usb.core.find(find_all=True, backend=usb_backend, **ids))
 
 
-def _by_the_loader(_: str) -> str:
-    """Its soname. pyusb's own search runs ldconfig, a compiler and a linker where this does not find one."""
+def _system_soname(_: str) -> str:
+    """Return the soname: pyusb's default search runs ldconfig, a compiler and a linker if it finds no library."""
     return SONAME
 
 
-def _of_the_package() -> Callable[[str], str | None] | None:
+def _package_finder() -> Callable[[str], str | None] | None:
     try:
         import libusb_package
-    except ImportError:  # a distribution that has libusb itself may leave it out
+    except ImportError:  # a distribution with a system libusb may omit the package
         return None
     return libusb_package.find_library

@@ -1,4 +1,4 @@
-"""A maker's C library, found at run time: opened, and each function of it declared before the first call."""
+"""C library of a maker, found at run time and opened, with prototypes declared before the first call."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
+from softfinger.config.files import expanded
 
 
 class MakersLibrary(NamedTuple):
-    """A library as a driver knows it.
+    """Properties of a maker's library.
 
-    name        in messages
-    sonames     what the loader is asked for last
+    name        for messages
+    sonames     names to try with the loader, after all files
     prototypes  result and parameters of every function used
-    advice      where to get it
-    needs       why a file that is there cannot be loaded
-    version     to take, where a function is missing
+    advice      source of the library, for messages
+    needs       reason why an existing file cannot be loaded, for messages
+    version     version to install if a function is missing
     """
 
     name: str
@@ -31,50 +32,49 @@ class MakersLibrary(NamedTuple):
 
 
 def load(library: MakersLibrary, named: str | None, patterns: Sequence[Path], note: str = "") -> ctypes.CDLL:
-    """The library, from the file `named` or from where it is usually put, with every prototype declared.
+    """Load the library from the file `named` or from its usual places, and declare every prototype.
 
-    patterns  where it may be, in the order in which it is looked for; the last part of each is a pattern
-    note      said where it is nowhere, behind the places
+    patterns  places to search, in order; the last part of each is a glob pattern
+    note      appended to the list of searched places in the message
 
-    Raises DeviceNotFound when it is nowhere, with each place looked in, and DeviceError when a file is there but
-    cannot be used.
+    Raises DeviceNotFound, with every place searched, if no file exists, and DeviceError if a file cannot be used.
     """
     if named is not None:
-        path = Path(named).expanduser()
-        if not os.path.isfile(path):  # also where this user may not look
+        path = expanded(named)
+        if not os.path.isfile(path):  # also if this user may not read the folder
             raise DeviceNotFound(f"library_file = '{named}': there is no such file; {library.advice}")
-        return _opened(library, str(path))
+        return _open(library, str(path))
     for pattern in patterns:
-        # The longest name has the whole version in it; of several versions the newest sorts last.
+        # The longest name contains the full version; the latest version sorts last.
         for path in sorted(pattern.parent.glob(pattern.name), key=lambda p: (len(p.name), p.name), reverse=True):
-            return _opened(library, str(path))
+            return _open(library, str(path))
     for name in library.sonames:
         try:
-            return _declared(library, ctypes.CDLL(name), name)
+            return _declare_prototypes(library, ctypes.CDLL(name), name)
         except OSError:
             continue
-    looked = ", ".join([*map(str, patterns), *(f"{name} by the loader" for name in library.sonames)])
-    raise DeviceNotFound(f"{library.name} is not on this machine: looked for {looked}{note}; {library.advice}")
+    searched = ", ".join([*map(str, patterns), *(f"{name} by the loader" for name in library.sonames)])
+    raise DeviceNotFound(f"{library.name} is not on this machine: searched for {searched}{note}; {library.advice}")
 
 
 def address(library: ctypes.CDLL, name: str) -> int:
-    """Address of a function for the loop."""
+    """Return the address of a function for the loop."""
     return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
 
 
-def _opened(library: MakersLibrary, path: str) -> ctypes.CDLL:
+def _open(library: MakersLibrary, path: str) -> ctypes.CDLL:
     try:
-        found = ctypes.CDLL(path)
+        loaded = ctypes.CDLL(path)
     except OSError as error:
         raise DeviceError(f"{path} cannot be loaded: {error}: {library.needs}") from error
-    return _declared(library, found, path)
+    return _declare_prototypes(library, loaded, path)
 
 
-def _declared(library: MakersLibrary, found: ctypes.CDLL, path: str) -> ctypes.CDLL:
+def _declare_prototypes(library: MakersLibrary, loaded: ctypes.CDLL, path: str) -> ctypes.CDLL:
     for name, (result, parameters) in library.prototypes.items():
         try:
-            function = getattr(found, name)
+            function = getattr(loaded, name)
         except AttributeError:
             raise DeviceError(f"{path} has no function {name}: take {library.version}") from None
         function.restype, function.argtypes = result, list(parameters)
-    return found
+    return loaded

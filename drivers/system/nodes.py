@@ -1,4 +1,4 @@
-"""A device node opened for this process alone: hidraw and serial ports alike."""
+"""Exclusive opening of a device node, used for hidraw nodes and serial ports."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from softfinger.drivers.system import discovery
 
 
 def open_locked(path: str, permit: str) -> int:
-    """File descriptor of a node for reading and writing, non-blocking, locked.
+    """Open a node for reading and writing, non-blocking and locked, and return its file descriptor.
 
-    permit  what a user has to do who may not open it
+    permit  remedy for a missing permission, for the message
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy or DeviceError.
     """
     try:
         fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     except OSError as error:
-        raise _unopened(path, permit, error) from error
+        raise _open_error(path, permit, error) from error
     try:
         _lock(fd, path)
     except BaseException:
@@ -29,26 +29,26 @@ def open_locked(path: str, permit: str) -> int:
     return fd
 
 
-def _unopened(path: str, permit: str, error: OSError) -> DeviceError:
+def _open_error(path: str, permit: str, error: OSError) -> DeviceError:
     reason = error.strerror or str(error)
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
         return DeviceNotFound(f"{path} cannot be opened: {reason}: plug the device in, or leave `path` out")
     if error.errno in (errno.EACCES, errno.EPERM):
         return DevicePermission(f"{path} may not be opened by this user: {reason}: {permit}")
     if error.errno == errno.EBUSY:
-        return _busy(path)
+        return _busy_error(path)
     return DeviceError(f"{path} cannot be opened: {reason}")
 
 
 def _lock(fd: int, path: str) -> None:
-    # The system itself lets any number of programs write to one device; two that command forces must not.
+    # The system lets any number of programs write to a device; two that command forces would interfere.
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise _busy(path) from error
+        raise _busy_error(path) from error
     except OSError:
         pass  # a node on a file system without locks
 
 
-def _busy(path: str) -> DeviceBusy:
-    return DeviceBusy(f"{path} is held by {discovery.holder(path) or 'another process'}: end that one first")
+def _busy_error(path: str) -> DeviceBusy:
+    return DeviceBusy(f"{path} is used by {discovery.holder(path) or 'another process'}: end that process first")

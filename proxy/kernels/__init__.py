@@ -1,4 +1,4 @@
-"""The numeric core: nopython functions of scalars and tuples. `step` is one tick, in the order of its equations.
+"""Numeric core: nopython functions of scalars and tuples. `step` computes one tick, in the order of its equations.
 
-No allocation, no exception, and no import but of numerics and of each other.
+No allocation, no exceptions, and no imports except numerics and each other.
 """

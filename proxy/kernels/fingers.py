@@ -1,4 +1,4 @@
-"""What is done for several fingers one after the other; with one finger nothing of it is left once it is compiled."""
+"""Operations on several fingers in turn: rows, poses and records as tuples. With one finger they compile to nothing."""
 
 from typing import Any
 
@@ -12,19 +12,19 @@ from softfinger.proxy.record import AT
 
 @jit
 def pose_in(row: Any) -> Pose:
-    """Pose in a row x, y, z, qw, qx, qy, qz."""
+    """Return the Pose of a row x, y, z, qw, qx, qy, qz."""
     return Pose((row[0], row[1], row[2]), as_unit((row[3], row[4], row[5], row[6])))
 
 
 @jit
 def poses_in(rows: Any) -> Any:
-    """The Pose in each row of a tuple."""
+    """Return the Pose of each row of a tuple."""
     return map_each(pose_in, (rows,))
 
 
 @jit
 def write_contacts(contacts: Any, rows: Any, probes: Any, tick: int, dt: float) -> None:
-    """Fill a record for each finger, of tick number `tick`; its time is that times dt (s)."""
+    """Fill a record for each finger for tick number `tick`; its timestamp is that number times dt (s)."""
     map_each(write_one_contact, (contacts, rows, probes), tick, dt)
 
 

@@ -1,4 +1,4 @@
-"""Writing the contact's part of a record: the layout of `softfinger.proxy.record`, compiled."""
+"""Writer of the contact's part of a record: the compiled form of the table `softfinger.proxy.record`."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ def write_contact(
     force: Vec3,
     torque: Vec3,
 ) -> None:
-    """Fill a record (RECORD_SIZE,) with one tick; the servo's and the device's fields are left as they are."""
+    """Fill a record (RECORD_SIZE,) with one tick; the fields of servo and device do not change."""
     row[AT.tick] = tick
     row[AT.dt] = dt
     put3(row, AT.probe_position, position)
@@ -59,7 +59,7 @@ def write_contact(
 
 @jit
 def write_each_contact(contacts: Any, row: Any) -> None:
-    """Fill what a record (RECORD_SIZE,) has of each contact."""
+    """Fill the fields of each contact in a record (RECORD_SIZE,)."""
     one, two, three = padded(contacts, NO_OUTCOME, 3)
     write_outcome(row, AT.contacts0_object, one)
     write_outcome(row, AT.contacts1_object, two)
@@ -68,7 +68,7 @@ def write_each_contact(contacts: Any, row: Any) -> None:
 
 @jit
 def write_outcome(row: Any, at: int, outcome: ContactOutcome) -> None:
-    """One of them, from column `at` on."""
+    """Write the fields of one contact, from column `at` on."""
     row[at] = outcome.object
     put3(row, at + AT.contacts0_point - AT.contacts0_object, outcome.point)
     put3(row, at + AT.contacts0_normal - AT.contacts0_object, outcome.normal)

@@ -1,21 +1,31 @@
-"""One tick of contact: probe poses in, forces and torques out, in the order of the equations."""
+"""Contact step: forces and torques of one tick from the poses of the probes, in the order of the equations.
+
+`step` is called by the tick of the servo loop and of `simulate`, and by the engine of the Python interface.
+"""
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.contact_friction import ProbeMotion, ground_at, load_on
-from softfinger.proxy.kernels.contact.detection import STUCK_TICKS, detect_or_continue, is_clear
+from softfinger.proxy.kernels.contact.contact_friction import (
+    ProbeMotion,
+    apply_friction,
+    ground_at,
+    load_on,
+    rough_ground_at,
+)
+from softfinger.proxy.kernels.contact.continuation import detect_or_continue
+from softfinger.proxy.kernels.contact.detection import STUCK_TICKS, is_clear
 from softfinger.proxy.kernels.contact.effects import effects_of_tick
 from softfinger.proxy.kernels.contact.fingertip import seen_by
-from softfinger.proxy.kernels.contact.one_contact import land_on_one, outcome_of_one, rub_first
+from softfinger.proxy.kernels.contact.one_contact import land_on_one, outcome_of_one
 from softfinger.proxy.kernels.contact.outcome import remember, remember_free, report, report_free
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.several_contacts import (
     approach_among_several,
     land_in_company,
-    outcome_of_several,
     rub_each,
-    settle_after_friction,
 )
+from softfinger.proxy.kernels.contact.several_outcome import outcome_of_several
+from softfinger.proxy.kernels.contact.several_rest import settle_after_friction
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type_of
 from softfinger.proxy.kernels.jit.outlined import outlined_where
@@ -42,19 +52,19 @@ from softfinger.proxy.kernels.shapes.budget import BUDGET
 
 @by_type_of("bodies")
 def step(scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    """Advance the world by one tick, and every finger over it; the reaction of each contact is put on its body.
+    """Advance the world and all fingers by one tick, and apply the reaction of each contact to the touched body.
 
-    scene     Scene   what is modelled, with its parameters
-    state     State   what the last tick left
+    scene     Scene   model and parameters
+    state     State   state after the last tick
     poses             a Pose for each finger: probe position, m, and orientation, unit quaternion, fingertip to world
     dt        s       time since the last tick; 0 freezes velocity and damping
-    returns   State, and a Contact for each finger
+    returns           State, and a tuple of a Contact for each finger
     """
 
 
 @step.of(None)
 def step_once(scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    """The contact step of all fingers, with every object where the world has it now."""
+    """Compute one contact step of all fingers, with all objects at their new poses."""
     world = advance(scene.objects, state.world, dt)
     objects = place_all(scene.objects, world)
     fingers, contacts = unzip(map_each(step_finger, (scene.fingers, state.fingers, poses), scene, objects, dt))
@@ -63,9 +73,9 @@ def step_once(scene: Scene, state: State, poses: Any, dt: float) -> Any:
 
 @step.of(Bodies)
 def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    """In substeps of equal length, the fingers going straight from their last poses to these.
+    """Compute a tick in substeps of equal length; the fingers move on a straight path from their last poses to these.
 
-    While the bodies have a fault nothing is touched: where they are is not known.
+    While the bodies have a fault, nothing is touched: their poses are unknown.
     """
     bodies = scene.bodies
     if faulty(bodies):
@@ -86,14 +96,14 @@ def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
 
 @jit
 def let_go(scene: Scene, world: World, fingers: Any, poses: Any, dt: float) -> Any:
-    """The world as it is, which no finger touches: states before the tick to State and Contacts."""
+    """Return State and Contacts for an unchanged world without contact; `fingers` are the states before the tick."""
     states, contacts = unzip(map_each(release_finger, (scene.fingers, fingers, poses), dt))
     return State(world=world, fingers=states), contacts
 
 
 @jit
 def release_finger(finger: Finger, state: FingerState, pose: Pose, dt: float) -> tuple[FingerState, Contact]:
-    """FingerState and Contact of a finger that touches nothing and feels nothing, whatever is there."""
+    """Return FingerState and Contact of a finger without contact and without effects."""
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
     return remember_free(state, probe, state.effects, True), report_free(state, probe, (0.0, 0.0, 0.0), 0.0)
@@ -101,7 +111,10 @@ def release_finger(finger: Finger, state: FingerState, pose: Pose, dt: float) ->
 
 @jit
 def on_the_way(state: FingerState, pose: Pose, share: float) -> Pose:
-    """Pose a share of the way from that of a FingerState to the given one; a finger without one is there."""
+    """Return the pose at the fraction `share` of the path from the last pose to the given one.
+
+    Before its first pose, a finger is at the given pose.
+    """
     probe = state.probe
     if share == 1.0 or state.started == 0.0:
         return pose
@@ -115,7 +128,7 @@ def on_the_way(state: FingerState, pose: Pose, share: float) -> Pose:
 def step_finger(
     finger: Finger, state: FingerState, pose: Pose, scene: Scene, objects: Any, dt: float
 ) -> tuple[FingerState, Contact]:
-    """One finger's contact in a world that has been advanced: `objects` are where `place_all` has put them."""
+    """Compute the contact of one finger in the advanced world; `objects` are those of `place_all`."""
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
     seen = seen_by(finger.form, finger.radius, objects, pose.orientation)
@@ -124,7 +137,7 @@ def step_finger(
 
 @jit
 def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant: float) -> Vec3:
-    """Probe velocity (3,) m/s: backward difference through a first-order low-pass."""
+    """Return the probe velocity (3,) m/s: the backward difference, filtered by a first-order low-pass."""
     if state.started == 0.0 or dt <= 0.0:
         return state.probe.velocity
     gain = 1.0 / (time_constant + dt)
@@ -134,7 +147,10 @@ def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant
 
 @by_patches
 def update_contact(objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float) -> Any:
-    """The finger's state and Contact: with one object there is one contact, and the proxy follows it where it slips."""
+    """Return the finger's FingerState and Contact.
+
+    A scene of one object has one contact, and its proxy follows the slip on that object.
+    """
 
 
 @update_contact.of(ONE_PATCH)
@@ -145,7 +161,8 @@ def contact_with_one_object(
     state, approach = detect_or_continue(scene, finger, shapes, state, probe, dt)
     if approach.active[0].body < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
-    ground, forces = rub_first(finger, objects, approach, motion)
+    ground = rough_ground_at(objects, 0.0, approach.active, approach.center)
+    forces = apply_friction(finger, objects, ground, approach.predicted[0], 1.0, motion)
     landing = land_on_one(finger, shapes, approach, forces, probe.position)
     load = load_on(finger, objects, ground, landing.active[0], motion, approach.began)
     effects = effects_of_tick(scene, finger, objects, state, landing.active, probe, dt)
@@ -181,7 +198,7 @@ def contact_with_several_objects(
 def out_of_contact(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float, budget: int
 ) -> tuple[FingerState, Contact]:
-    """Free space; or, with a `budget` below 0, a first pose that was not searched to the end."""
+    """Return state and Contact in free space, or at a first pose with an incomplete search (`budget` below 0)."""
     nothing = one_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
     effects = effects_of_tick(scene, finger, objects, state, nothing, probe, dt)
     unsearched = 1.0 if budget < 0 else effects.unknown

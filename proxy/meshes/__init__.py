@@ -1,4 +1,4 @@
-"""Meshes before they are rendered: read from files, mended, described, made into trees, and those kept on disk.
+"""Preparation of meshes from files: reading, repair, report, tree over the triangles, and cache on disk.
 
-No distances and no contact: what runs in a tick is in `kernels/`.
+Contains no distance queries and no contact: the code of a tick is in `kernels/`.
 """

@@ -1,8 +1,8 @@
-"""Arrays on disk, found again in a small part of the time that they take to compute.
+"""Cache of arrays on disk, which are loaded in a small fraction of the time needed to compute them.
 
-A file has a head of JSON, with a checksum, and behind it the arrays as they lie in memory, 64 bytes apart. Who else
-may write to the folder is looked at as for compiled kernels; what the head says of each array, and the sum of its
-words, is held against what is there. A file that fails in any of this is not used.
+A file has a JSON header with a checksum, followed by the raw arrays, aligned to 64 bytes. The folder is checked for
+write access by other users, as for compiled kernels. Type, shape and checksum of each array are compared with the
+header. A file that fails any check is ignored.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ MAGIC: Final = b"softfinger mesh 1\n"
 HEAD_MAX: Final = 1 << 20
 ALIGNED: Final = 64
 BYTES_MAX: Final = 4 << 30
-"""Of all that is kept; past it what was not used for longest goes. The largest mesh has 2.5 GB."""
+"""Size limit of the cache; beyond it, the least recently used files are removed. The largest mesh takes 2.5 GB."""
 ENDING: Final = ".mesh"
 
 KEPT: Final = Folder(
-    None if CACHE_DIR is None else CACHE_DIR.parent / "meshes", "meshes are not kept, so every start builds them"
+    None if CACHE_DIR is None else CACHE_DIR.parent / "meshes", "meshes are not cached, so every start builds them"
 )
 
 _DTYPE: Final = re.compile("<[fiu][1248]|[|][iu]1")
@@ -42,43 +42,48 @@ log: Final = logging.getLogger(__name__)
 
 
 class Kept(NamedTuple):
-    """Arrays and plain values, each by name. Arrays that come from disk are read-only."""
+    """Arrays and plain values by name. Arrays loaded from disk are read-only."""
 
     arrays: Mapping[str, NDArray[Any]]
     values: Mapping[str, Any]
 
 
 def load(key: str, folder: Folder = KEPT) -> Kept | None:
-    """What was kept under a key; None if it is not there, or damaged."""
+    """Return the entry of a key, or None if it is missing or damaged."""
     name = f"{key}{ENDING}"
     try:
         with folder.opened(name) as file:
-            # Read, not mapped: what becomes of the file later is nothing to a process that renders.
+            # Read, not mapped: later changes of the file must not affect a process that renders.
             seen = _room(os.fstat(file.fileno()).st_size)
             if file.readinto(seen) != len(seen):  # type: ignore[attr-defined]
                 raise Unsound("it was cut off")
-            with contextlib.suppress(OSError):  # of another user's folder only its age is lost
+            with contextlib.suppress(OSError):  # in another user's folder; only the time of last use is lost
                 os.utime(file.fileno())
         return _read(key, seen)
     except FileNotFoundError:
         return None
     except (Unsound, OSError, ValueError, TypeError, KeyError) as error:
         if folder.problem() is None:
-            log.warning("kept mesh %s is not used but built anew: %s", name, error)
+            log.warning("cached mesh %s is not used and is built again: %s", name, error)
         return None
 
 
 def _room(size: int) -> mmap.mmap:
-    """Memory in huge pages, where the system has them: a page is cleared when it is first written to, and in small ones
-    that takes three quarters of the time of reading."""
+    """Return anonymous memory in huge pages, if the system has them.
+
+    The kernel clears each page on its first write; with small pages that takes three quarters of the reading time.
+    """
     room = mmap.mmap(-1, max(1, size), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-    with contextlib.suppress(OSError):  # a kernel without them
+    with contextlib.suppress(OSError):  # a kernel without huge pages
         room.madvise(mmap.MADV_HUGEPAGE)
     return room
 
 
 def save(key: str, kept: Kept, folder: Folder = KEPT) -> None:
-    """Keep arrays and values of JSON under a key, if that can be; what was not used for longest makes room."""
+    """Store arrays, and values of JSON types, under a key, and remove the least recently used files over the limit.
+
+    If the folder cannot be used, nothing is stored and the folder logs a warning, once.
+    """
     folder.put(f"{key}{ENDING}", _parts(key, kept))
     if folder.path is not None and folder.problem() is None:
         with contextlib.suppress(OSError):
@@ -86,7 +91,7 @@ def save(key: str, kept: Kept, folder: Folder = KEPT) -> None:
 
 
 def _parts(key: str, kept: Kept) -> Iterator[Any]:
-    """The file, piece by piece."""
+    """Yield the contents of the file in pieces."""
     arrays = {name: np.ascontiguousarray(array) for name, array in kept.arrays.items()}
     at, table = 0, {}
     for name, array in arrays.items():
@@ -123,7 +128,10 @@ def _array(seen: mmap.mmap, start: int, said: Mapping[str, Any]) -> NDArray[Any]
 
 
 def _sum(array: NDArray[Any]) -> int:
-    """The sum of its words modulo 2^64: no flipped bit leaves it as it was, and memory is no faster."""
+    """Return the sum of the 64-bit words modulo 2^64.
+
+    Any single flipped bit changes it. Its computation is limited by memory bandwidth.
+    """
     data = array.reshape(-1).view(np.uint8)
     whole = len(data) // 8 * 8
     rest = int.from_bytes(data[whole:].tobytes(), "little")

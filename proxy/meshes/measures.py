@@ -1,4 +1,4 @@
-"""Areas and volumes of triangles, in compiled code: arrays of every edge of millions would take gigabytes."""
+"""Compiled functions for areas and volumes of triangles: NumPy arrays of all edges of millions would take gigabytes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Indices = NDArray[np.int32]
 
 @entry
 def mark_flat(vertices: Numbers, triangles: Indices, flatness: float, flat: NDArray[np.bool_]) -> None:
-    """Mark the triangles (m, 3) that are at most `flatness` times as high as their longest edge."""
+    """Mark the triangles (m, 3) whose height is at most `flatness` times their longest edge."""
     for i in range(len(triangles)):
         a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
         p = (vertices[a, 0], vertices[a, 1], vertices[a, 2])
@@ -24,14 +24,17 @@ def mark_flat(vertices: Numbers, triangles: Indices, flatness: float, flat: NDAr
         v = sub((vertices[c, 0], vertices[c, 1], vertices[c, 2]), p)
         w = sub(v, u)
         longest = sqrt(max(dot(u, u), dot(v, v), dot(w, w)))
-        scale = 1.0 / longest if longest > 0.0 else 0.0  # the square of a small area would be zero
+        scale = 1.0 / longest if longest > 0.0 else 0.0  # the square of a small area would underflow to zero
         n = cross((scale * u[0], scale * u[1], scale * u[2]), (scale * v[0], scale * v[1], scale * v[2]))
         flat[i] = not sqrt(dot(n, n)) > flatness
 
 
 @entry
 def add_volumes(vertices: Numbers, triangles: Indices, middle: Numbers, body: Indices, volumes: Numbers) -> None:
-    """Add to the volume of each body (bodies,) what its triangles (m, 3) span with a point (3,), m^3."""
+    """Add to each body (bodies,) the signed volume, m^3, of the tetrahedra from `middle` (3,) to its triangles.
+
+    vertices (n, 3) m, triangles (m, 3), body (m,) of each triangle
+    """
     o = (middle[0], middle[1], middle[2])
     for i in range(len(triangles)):
         a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]

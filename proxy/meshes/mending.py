@@ -1,8 +1,7 @@
-"""What can be mended of a mesh without changing its shape, is; the rest is counted, for `report.py` to say.
+"""Repair of a mesh without a change of its shape; `report.py` describes the repairs and the remaining faults.
 
-Vertices that coincide are merged, triangles without area, those that are there twice and vertices that no triangle has
-are dropped, and triangles that face each other's backs are turned. Holes are not filled, and triangles that go
-through each other are not looked for.
+Coincident vertices are merged. Triangles without area, duplicate triangles and unused vertices are removed. Triangles
+wound against their neighbours are turned. Holes are not filled, and intersecting triangles are not searched for.
 """
 
 from __future__ import annotations
@@ -19,16 +18,16 @@ from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices
 from softfinger.proxy.meshes.winding import Wound, wind
 
 MERGED_WITHIN: Final = 1e-9
-"""Share of the mesh's size: vertices of an STL file, which has each several times, are one within it."""
+"""Merging distance as a fraction of the mesh's size. The repeated vertices of an STL file are within it."""
 FLATNESS: Final = 1e-12
-"""Height over the longest edge below which a triangle has no area: float64 gives no direction to its normal."""
+"""Height over the longest edge below which a triangle has no area: float64 cannot resolve its normal."""
 
 
 class Mended(NamedTuple):
-    """A mesh as it is rendered, m, and what was done and found.
+    """Repaired mesh, m, and counts of repairs and of remaining faults.
 
     merged, unused              vertices
-    degenerate, duplicate       triangles dropped
+    degenerate, duplicate       removed triangles
     open_edges, crowded_edges   edges of one triangle, and of more than two
     wound                       pieces, and how they were turned
     """
@@ -44,16 +43,29 @@ class Mended(NamedTuple):
 
     @property
     def watertight(self) -> bool:
-        """Whether it has an inside: every edge has two triangles, which agree on it."""
+        """True if the mesh has an inside: each edge has two triangles with consistent winding."""
         return self.open_edges == self.crowded_edges == self.wound.one_sided == 0
 
 
 def mend(given: Arrays, loose: bool) -> Mended:
-    """Mend a mesh in m, whose numbers are finite and whose indices are right.
+    """Repair a mesh, and wind its triangles.
 
-    ValueError for one that is too small, too large or too far from its origin, or of which no triangle is left.
+    Parameters
+    ----------
+    given
+        Vertices, m, finite, and triangles with valid indices.
+    loose
+        Merge vertices within MERGED_WITHIN of the mesh's size, not only equal ones.
 
-    loose   vertices count as one within MERGED_WITHIN of the mesh's size, and not only if they are the same
+    Returns
+    -------
+    Mended
+        Repaired mesh, with counts of repairs and of remaining faults.
+
+    Raises
+    ------
+    ValueError
+        If the mesh is too small, too large or too far from its origin, or if no triangle has an area.
     """
     vertices, triangles = given
     used, triangles = _used(given)
@@ -106,7 +118,7 @@ def _check_size(vertices: Vertices) -> None:
 
 
 def _ends(vertices: Vertices) -> tuple[list[float], list[float]]:
-    """The least and the largest of each coordinate; one by one, which takes numpy a tenth of the time."""
+    """Return the minimum and maximum of each coordinate; column by column takes NumPy a tenth of the time."""
     columns = vertices.T
     return [float(each.min()) for each in columns], [float(each.max()) for each in columns]
 
@@ -116,7 +128,7 @@ def _size(vertices: Vertices) -> float:
 
 
 def _used(given: Arrays) -> tuple[NDArray[np.int64], Triangles]:
-    """Numbers of the vertices that triangles have, and the triangles (m, 3) by places among these."""
+    """Return the indices of the used vertices, and the triangles (m, 3) as indices into these."""
     has = np.zeros(len(given.vertices), np.bool_)
     has[given.triangles.ravel()] = True
     place = np.cumsum(has, dtype=np.int32) - np.int32(1)
@@ -124,8 +136,8 @@ def _used(given: Arrays) -> tuple[NDArray[np.int64], Triangles]:
 
 
 def _merged(vertices: Vertices, loose: bool) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Numbers of the vertices that stay, and for each vertex its place among these."""
-    first = first_alike((vertices + 0.0).view(np.uint64))  # + 0.0: there is no minus in front of a zero
+    """Return the indices of the vertices to keep, and the new index of each vertex."""
+    first = first_alike((vertices + 0.0).view(np.uint64))  # + 0.0 turns -0.0 into 0.0
     kept, place = _places(first)
     if not loose:
         return kept, place
@@ -141,7 +153,7 @@ def _places(first: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def _steps(values: NDArray[np.float64], tolerance: float) -> NDArray[np.uint32]:
-    """A number for each value, the same for those with no gap above the tolerance between them."""
+    """Return a label for each value; values share a label if no gap between them exceeds the tolerance."""
     order = np.argsort(values)
     number = np.empty(len(values), np.uint32)
     number[order] = np.concatenate([[0], np.cumsum(np.diff(values[order]) > tolerance)])

@@ -1,4 +1,4 @@
-"""Rows that are alike, and triangles that hang together, found in compiled code: in a pass over millions."""
+"""Compiled search for equal rows and connected triangles, in one pass over millions."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ Rows = NDArray[Any]
 Numbers = NDArray[np.int32]
 
 _SEED: Final = secrets.randbits(63) | 1
-"""Unlike in every process: nobody can write a file whose rows all meet in one place of the table."""
+"""Differs between processes, so that no file can be crafted whose rows all collide in the hash table."""
 
 
 class Edges(NamedTuple):
-    """The edges of triangles (m, 3). Side s of them, of 3 m, goes from corner s % 3 of triangle s // 3 to the next.
+    """Edges of triangles (m, 3). Side s of 3 m connects corner s % 3 of triangle s // 3 with the next corner.
 
-    first    (3 m,)  the first side along the same edge
-    forward  (3 m,)  whether a side goes from the lower vertex to the higher
-    many     (3 m,)  at the first side of an edge how many there are, else 0
+    first    (3 m,)  first side along the same edge
+    forward  (3 m,)  True if the vertex index increases along a side
+    many     (3 m,)  at the first side of an edge the number of its sides, else 0
     """
 
     first: Numbers
@@ -31,11 +31,11 @@ class Edges(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Triangles that hang together over edges that just two of them share.
+    """Pieces of a mesh: triangles connected over edges that exactly two of them share.
 
-    body       (m,)  number of each triangle's piece, from 0
-    turned     (m,)  whether it is wound against the first triangle of its piece
-    one_sided  (bodies,)  whether no winding suits all triangles of the piece
+    body       (m,)  index of each triangle's piece, from 0
+    turned     (m,)  True if the triangle is wound against the first triangle of its piece
+    one_sided  (bodies,)  True if no winding is consistent over the piece
     """
 
     body: Numbers
@@ -44,16 +44,16 @@ class Pieces(NamedTuple):
 
 
 def first_alike(rows: Rows) -> Numbers:
-    """For each row (n, k) of uint64 or uint32 the number of the first that is the same."""
+    """Return for each row (n, k) of uint64 or uint32 the index of the first equal row."""
     slots = 1 << max(4, (2 * len(rows)).bit_length())
     first = np.empty(len(rows), np.int32)
-    with np.errstate(over="ignore"):  # as plain Python, numpy would tell of each product that is taken modulo 2^64
+    with np.errstate(over="ignore"):  # as plain Python, NumPy would warn about each product modulo 2^64
         _alike(rows, np.uint64(_SEED), np.full(slots, -1, np.int32), first)
     return first
 
 
 def edges_of(triangles: Numbers) -> Edges:
-    """The edges of triangles (m, 3)."""
+    """Return the edges of triangles (m, 3)."""
     a = triangles.ravel()
     b = np.roll(triangles, -1, axis=1).ravel()
     first = first_alike(np.stack([np.minimum(a, b), np.maximum(a, b)], axis=1).view(np.uint32))
@@ -61,7 +61,7 @@ def edges_of(triangles: Numbers) -> Edges:
 
 
 def pieces_of(edges: Edges) -> Pieces:
-    """Which triangles hang together, and how each is wound."""
+    """Return the connected pieces and the winding of their triangles."""
     sides = len(edges.first)
     parent, turned = np.arange(sides // 3, dtype=np.int32), np.zeros(sides // 3, np.bool_)
     torn = np.zeros(sides // 3, np.bool_)
@@ -73,9 +73,9 @@ def pieces_of(edges: Edges) -> Pieces:
 
 @entry
 def _alike(rows: Rows, seed: np.uint64, table: Numbers, first: Numbers) -> None:
-    """`first_alike` with a table of a power of two places, all -1, more than rows.
+    """Write `first_alike` to `first`, with a hash table of a power of two entries, all -1, more than the rows.
 
-    Open addressing: a row is looked for from the place that its mixed bits name, onward to the first free one.
+    Open addressing with linear probing, from the slot of a row's hash.
     """
     mask = np.uint64(len(table) - 1)
     for i in range(rows.shape[0]):
@@ -108,14 +108,14 @@ def _unite(
     turned: NDArray[np.bool_],
     torn: NDArray[np.bool_],
 ) -> None:
-    """Union by the lower root, with the parity of the winding on the way to it; in the end every parent is a root."""
+    """Unite pieces under the lower root and track the parity of the winding; in the end each parent is a root."""
     for side in range(len(first)):
         other = first[side]
         if other == side or count[other] != 2:
             continue
         a, b = side // 3, other // 3
         against = forward[side] == forward[other]
-        while parent[a] != a:  # halving the way as it is gone
+        while parent[a] != a:  # path halving
             above = parent[a]
             turned[a] ^= turned[above]
             parent[a] = parent[above]
@@ -133,7 +133,7 @@ def _unite(
             parent[b], turned[b] = a, against
         else:
             parent[a], turned[a] = b, against
-    for each in range(len(parent)):  # a parent is a lower one, and has its root already
+    for each in range(len(parent)):  # a parent has a lower index, so its root is already known
         above = parent[each]
         if above != each:
             turned[each] ^= turned[above]

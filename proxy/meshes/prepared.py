@@ -1,6 +1,7 @@
-"""A scene's mesh, from its file to the tree that is rendered: read and mended, or as it was kept the last time.
+"""Meshes of a scene, from the file to the tree that is rendered.
 
-What was made of a file is remembered while the file, its scale and the program stay the same.
+Results are cached in memory and on disk while the file, its scale and the program stay the same. Called when a scene is
+built, described or drawn.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
+from softfinger.config.mjcf import read_mesh
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.decorators import SOURCE_HASH
 from softfinger.proxy.meshes import kept
@@ -30,27 +32,30 @@ from softfinger.proxy.meshes.thinning import thinned
 Tree = TypeVar("Tree", bound=tuple[Any, ...])
 
 TREES: Final = 16
-"""Meshes whose trees stay in memory; others are found on disk."""
+"""Number of meshes whose trees stay in memory; the disk cache has the others."""
 ABOUTS: Final = 2 * int(limits.OBJECTS.high)
-"""Reports and pictures, a megabyte each at most; each is remembered by its file's state, and by its name."""
+"""Number of reports and pictures in memory, each at most a megabyte.
+
+Each is stored twice: under the state of its file, and under its path and scale.
+"""
 
 
 class Builder(NamedTuple, Generic[Tree]):
-    """What makes a tree of a mended mesh, m: a named tuple of arrays and numbers of the type `kind`."""
+    """Function that builds a tree from a repaired mesh, m. The tree is a named tuple `kind` of arrays and numbers."""
 
     build: Callable[[Vertices, Triangles], Tree]
     kind: type[Tree]
 
 
 class About(NamedTuple):
-    """What a mesh is, and the triangles of its picture, m."""
+    """Report on a mesh, and the triangles of its picture, m."""
 
     report: Report
     picture: Arrays
 
 
 class _Memory:
-    """The newest of what was made, by what it was made of."""
+    """Least-recently-used cache of at most `most` values, for several threads."""
 
     def __init__(self, most: int) -> None:
         self._made: OrderedDict[Any, Any] = OrderedDict()
@@ -75,7 +80,10 @@ _trees: Final = _Memory(TREES)
 
 
 def about(thing: schema.Mesh) -> About:
-    """What an object's mesh is. ConfigError for a file that cannot be used, naming the object."""
+    """Return report and picture of an object's mesh.
+
+    Raises ConfigError, with the object's name, if the file is unusable.
+    """
     state = _state(thing)
     found: About | None = _abouts.get(state)
     if found is None:
@@ -85,13 +93,16 @@ def about(thing: schema.Mesh) -> About:
 
 
 def rendered(thing: schema.Mesh) -> About:
-    """What was known of an object's mesh when it was built last, whatever has become of its file; else as `about`."""
-    found: About | None = _abouts.get((thing.file, thing.scale))
+    """Return report and picture as of the last build of an object's mesh, even if its file has changed since.
+
+    Without a previous build, return the result of `about`.
+    """
+    found: About | None = _abouts.get(_source(thing))
     return about(thing) if found is None else found
 
 
 def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KEPT) -> Tree:
-    """The tree of an object's mesh, kept on disk for the next time. ConfigError as from `about`."""
+    """Return the tree of an object's mesh, and store it on disk for later runs. Raises ConfigError as `about` does."""
     state = _state(thing)
     tree: Tree | None = _trees.get((state, builder))
     if tree is not None:
@@ -110,28 +121,39 @@ def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KE
 
 def _remember(thing: schema.Mesh, state: Any, found: About) -> None:
     _abouts.put(state, found)
-    _abouts.put((thing.file, thing.scale), found)
+    _abouts.put(_source(thing), found)
+
+
+def _source(thing: schema.Mesh) -> tuple[Any, ...]:
+    """Return the keys of an object that name its triangles."""
+    return thing.file, thing.mesh, thing.root, thing.scale
 
 
 def _bytes(thing: schema.Mesh) -> bytes:
+    """Return the content of a file, or the numbers of a model's mesh."""
     try:
-        return read_bytes(thing.file)
+        if thing.mesh is None:
+            return read_bytes(thing.file)
+        return b"".join(each.tobytes() for each in read_mesh(thing.file, thing.root, thing.mesh))
     except ConfigError as error:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
 
 
 def _mended(thing: schema.Mesh, data: bytes) -> tuple[Arrays, Report]:
     try:
-        vertices, triangles = arrays_of(thing.file, data)
+        if thing.mesh is None:
+            vertices, triangles = arrays_of(thing.file, data)
+        else:
+            vertices, triangles = read_mesh(thing.file, thing.root, thing.mesh)
         loose = thing.file.lower().endswith(".stl")
-        with np.errstate(over="ignore"):  # what is infinite then is refused
+        with np.errstate(over="ignore"):  # infinite coordinates are rejected later
             vertices = vertices * thing.scale
         mended = mend(Arrays(vertices, triangles), loose)
     except ConfigError as error:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
     except ValueError as error:
         raise ConfigError(f"object '{thing.name}': file: {thing.file}: {error}") from error
-    return mended.arrays, report_of(mended, loose)
+    return mended.arrays, report_of(mended, loose, thing.scale if thing.mesh is None else None)
 
 
 def _about(mended: tuple[Arrays, Report]) -> About:
@@ -139,16 +161,18 @@ def _about(mended: tuple[Arrays, Report]) -> About:
 
 
 def _state(thing: schema.Mesh) -> Any:
-    """What tells whether a file may have changed."""
+    """Return a key that changes if the triangles of an object may have changed."""
+    if thing.mesh is not None:
+        return hashlib.sha256(_bytes(thing)).digest(), *_source(thing)
     try:
         found = os.stat(thing.file)
     except (OSError, ValueError):
-        return None, thing.file, thing.scale
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, thing.file, thing.scale
+        return None, *_source(thing)
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, *_source(thing)
 
 
 def _key(data: bytes, thing: schema.Mesh, builder: Builder[Any]) -> str:
-    """A name for what is made of these bytes by this program."""
+    """Return a hash of the file's bytes, its ending and scale, the type of the tree, and the program's source."""
     digest = hashlib.sha256(data)
     made = SOURCE_HASH, len(data), Path(thing.file).suffix.lower(), thing.scale, builder.kind
     digest.update(repr(made).encode())

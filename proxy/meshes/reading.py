@@ -1,15 +1,10 @@
-"""A mesh's numbers from its file, by trimesh: as they are there, in one piece, with no other file opened.
-
-trimesh is an extra, and imported late.
-"""
+"""Triangles of a mesh file, as they are in it: in one piece, in its unit, with no other file opened."""
 
 from __future__ import annotations
 
-import io
-import logging
-import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +12,22 @@ from numpy.typing import NDArray
 from softfinger.config import limits
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
-from softfinger.proxy.meshes.promises import CHECKS
+from softfinger.proxy.meshes.formats import glb, obj, ply, stl
+from softfinger.proxy.meshes.formats.polygons import Faces, triangulate
 
 Vertices = NDArray[np.float64]
 Triangles = NDArray[np.int32]
 
 BYTES_MAX: Final = int(limits.MESH_BYTES.high)
-SAYS_MORE: Final = {"ply": "faces of a binary one all have as many corners as the first: triangulate it"}
-"""What else it may be that trimesh cannot read."""
+READERS: Final[dict[str, Callable[[bytes], Faces]]] = {
+    "ply": ply.read,
+    "stl": stl.read,
+    "obj": obj.read,
+    "glb": glb.read,
+}
+"""Reader of the files of each ending."""
 _REASON_MAX: Final = 200
-"""Of a library's own words in a message."""
+"""Characters of an exception's text in a message."""
 
 
 class Arrays(NamedTuple):
@@ -37,9 +38,9 @@ class Arrays(NamedTuple):
 
 
 def read_bytes(path: str | Path) -> bytes:
-    """All of a mesh's file. ConfigError for one that is not there, too large, or of an ending that is not known."""
-    if _kind(path) not in CHECKS:
-        raise ConfigError(f"{path}: is none of {', '.join(f'.{kind}' for kind in CHECKS)}: export it as one of these")
+    """Return the content of a mesh file. Raises ConfigError if it is missing, too large, or of an unknown ending."""
+    if _kind(path) not in READERS:
+        raise ConfigError(f"{path}: is none of {', '.join(f'.{kind}' for kind in READERS)}: export it as one of these")
     try:
         return read_input(path, BYTES_MAX)
     except (OSError, MemoryError, ValueError) as error:
@@ -48,113 +49,45 @@ def read_bytes(path: str | Path) -> bytes:
 
 
 def arrays_of(path: str | Path, data: bytes) -> Arrays:
-    """The numbers in the bytes of a mesh's file, whose kind its ending says. ConfigError with file and fault."""
+    """Return the triangles in the bytes of a mesh file, whose ending selects the format.
+
+    Raises ConfigError with file and fault, also if the file has another number of faces than it states.
+    """
     kind = _kind(path)
     try:
-        promised = CHECKS[kind](data)
-        scene = _scene(path, data)
-        vertices, triangles = _joined(scene)
-        _check(vertices, triangles, promised)
-    except ConfigError:
-        raise
+        faces = READERS[kind](data)
+        _check(faces)
+        triangles = triangulate(faces)
     except ValueError as error:
         raise ConfigError(f"{path}: {_line(error)}") from error
-    except Exception as error:  # what trimesh puts off until it is asked for
+    except Exception as error:  # damaged bytes fail in many ways
         raise ConfigError(f"{path}: is damaged, or no {kind.upper()} file: {_line(error)}") from error
-    return Arrays(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles, dtype=np.int32))
+    return Arrays(np.ascontiguousarray(faces.points), np.ascontiguousarray(triangles, dtype=np.int32))
 
 
 def _kind(path: str | Path) -> str:
     return Path(path).suffix.lower().removeprefix(".")
 
 
-def _scene(path: str | Path, data: bytes) -> Any:
-    """What trimesh makes of it. ConfigError for what it cannot read."""
-    try:
-        import trimesh
-    except ImportError as error:
-        raise ConfigError(f"a mesh needs trimesh: pip install 'softfinger[mesh]' ({error})") from error
-    from trimesh.resolvers import Resolver
-
-    class Refusing(Resolver):  # type: ignore[misc]
-        """Materials and pictures that a file names are somewhere else, on another machine perhaps."""
-
-        def __init__(self) -> None: ...
-
-        def get(self, key: str) -> bytes:
-            raise ValueError(f"has its numbers in another file, {key[:80]!r}: export it as one file")
-
-        def write(self, name: str, data: Any) -> None: ...
-
-        def namespaced(self, namespace: str) -> Resolver:
-            return self
-
-        def keys(self) -> list[str]:
-            return []
-
-    kind = _kind(path)
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what it warns of is looked at here
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        warnings.filterwarnings("error", message="string or file could not be read to its end")
-        try:
-            return trimesh.load_scene(
-                io.BytesIO(data), file_type=kind, resolver=Refusing(), process=False, skip_materials=True
-            )
-        except Exception as error:  # its readers fail in many ways on damaged bytes
-            known = ("; " + SAYS_MORE[kind]) if kind in SAYS_MORE else ""
-            raise ConfigError(f"{path}: is damaged, or no {kind.upper()} file: {_line(error)}{known}") from error
-
-
-def _joined(scene: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The triangles of all parts, each where the file has it."""
-    points, corners, start = [], [], 0
-    for node in scene.graph.nodes_geometry:
-        place, name = scene.graph[node]
-        part = scene.geometry[name]
-        if not hasattr(part, "faces"):  # points or lines
-            continue
-        vertices = np.asarray(part.vertices, dtype=np.float64)
-        triangles = np.asarray(part.faces, dtype=np.int64)
-        _check_shapes(vertices, triangles)
-        if not np.array_equal(place, np.eye(4)):
-            vertices = vertices @ place[:3, :3].T + place[:3, 3]
-            triangles = triangles[:, ::-1] if np.linalg.det(place[:3, :3]) < 0.0 else triangles
-        points.append(vertices)
-        corners.append(triangles + start if start else triangles)
-        start += len(vertices)
-    if not points:
-        return np.empty((0, 3)), np.empty((0, 3), np.int64)
-    if len(points) == 1:
-        return points[0], corners[0]
-    return np.concatenate(points), np.concatenate(corners)
-
-
-def _check(vertices: NDArray[np.float64], triangles: NDArray[np.int64], promised: int) -> None:
-    if len(triangles) == 0:
-        raise ValueError("has no triangles: it is damaged, or has points alone, which have no surface; mesh them first")
-    if len(triangles) > limits.MESH_TRIANGLES.high:
-        raise ValueError(f"has {len(triangles):,} triangles, {limits.MESH_TRIANGLES.high:,} are the most: decimate it")
-    if promised > len(triangles):
-        raise ValueError(f"promises {promised:,} faces, and has {len(triangles):,}: it was cut off, or is damaged")
-    if not np.isfinite(vertices).all():
-        bad = np.argmin(np.isfinite(vertices).all(axis=1))
-        x, y, z = vertices[bad]
+def _check(faces: Faces) -> None:
+    points, corners, counts, promised = faces
+    if len(counts) != promised:
+        raise ValueError(f"promises {promised:,} faces, and has {len(counts):,}: it was cut off, or is damaged")
+    if len(counts) == 0:
+        raise ValueError("has no triangles: it is damaged, or has only points, which have no surface; mesh them first")
+    triangles = int(np.maximum(counts - 2, counts > 0).sum())
+    if triangles > limits.MESH_TRIANGLES.high:
+        raise ValueError(f"has {triangles:,} triangles, {limits.MESH_TRIANGLES.high:,} are the most: decimate it")
+    if not (corners.min(initial=0) >= 0 and corners.max(initial=0) < len(points)):
+        bad = int(((corners < 0) | (corners >= len(points))).argmax())
+        face = int(np.searchsorted(np.cumsum(counts), bad, side="right"))
+        raise ValueError(f"face {face} has the corner {corners[bad]}, and there are vertices 0 to {len(points) - 1}")
+    if not np.isfinite(points).all():
+        bad = int(np.isfinite(points).all(axis=1).argmin())
+        x, y, z = points[bad]
         raise ValueError(f"vertex {bad} is ({x:g}, {y:g}, {z:g}): coordinates must be finite; clean the mesh")
 
 
-def _check_shapes(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> None:
-    vertices = len(points)
-    if points.ndim != 2 or points.shape[1:] != (3,):
-        raise ValueError(f"is damaged: its vertices are of the shape {points.shape}, must have three coordinates")
-    if triangles.ndim != 2 or triangles.shape[1:] != (3,):
-        raise ValueError(f"has faces of {triangles.shape[1:]} corners, must have triangles: triangulate it")
-    if len(triangles) and not (triangles.min() >= 0 and triangles.max() < vertices):
-        bad = np.argmax(((triangles < 0) | (triangles >= vertices)).any(axis=1))
-        corners = ", ".join(map(str, triangles[bad]))
-        raise ValueError(f"triangle {bad} has the corners {corners}, and there are vertices 0 to {vertices - 1}")
-
-
 def _line(error: Exception) -> str:
-    """What an exception says, in one line."""
+    """Return the text of an exception in one line."""
     return " ".join(str(error).split())[:_REASON_MAX] or type(error).__name__

@@ -1,22 +1,26 @@
-"""What a mesh is, what was mended of it, and what was only noted."""
+"""Report on a mesh: its properties, the repairs, and the remaining faults."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from softfinger.proxy.meshes.mending import MERGED_WITHIN, Mended
 
+USUAL_M: Final = (1e-3, 1.0)
+"""Sizes of things that a hand explores; others may come from a file in another unit."""
+
 
 @dataclass(frozen=True)
 class Report:
-    """A mesh as it is rendered: counts, m, m^3.
+    """Properties of a mesh as it is rendered: counts, m, m^3.
 
-    size_m      along its axes, scaled
-    watertight  every edge has two triangles, which agree on which side is outside
-    volume_m3   None where it is not watertight
-    bodies      pieces that hang together over edges of two triangles
+    size_m      extent along its axes, scaled
+    watertight  each edge has two triangles, consistent about which side is outside
+    volume_m3   None if the mesh is not watertight
+    bodies      pieces connected over edges of two triangles
     """
 
     triangles: int
@@ -36,7 +40,7 @@ class Report:
     noted: tuple[str, ...]
 
     def rows(self, inside: bool = False) -> list[tuple[str, str]]:
-        """For people: what, and what about it, for an object that is touched from `inside` or not."""
+        """Return label and text of each property; `inside`: the object is touched from inside."""
         size = " x ".join(f"{edge:.4g}" for edge in self.size_m)
         bodies = "" if self.bodies == 1 else f", {self.bodies:,} bodies"
         found = [("triangles", f"{self.triangles:,} on {self.vertices:,} vertices{bodies}"), ("size", f"{size} m")]
@@ -48,21 +52,35 @@ class Report:
         return found
 
     def _no_inside(self) -> str:
-        why, what = "it is not watertight", "mend what is noted"
+        why, what = "it is not watertight", "correct the faults in the notes"
         if self.open_edges:
             why, what = f"it has {self.open_edges:,} open edges", "close its holes"
-        return f"inside = true does nothing here: {why}, so it is felt from the side where the hand begins; or {what}"
+        return (
+            f"inside = true does nothing here: {why}, so it is felt from the side on which the hand starts; or {what}"
+        )
 
     def _surface(self) -> str:
         if self.watertight:
             return f"watertight, {self.volume_m3:.4g} m^3"
         if self.open_edges:
             return f"open, {self.open_edges:,} edges of one triangle: felt from both sides, as a sheet"
-        return "closed, but not watertight: see what is noted"
+        return "closed, but not watertight: see the notes"
 
 
-def report_of(mended: Mended, loose: bool) -> Report:
-    """The report on a mesh that `mend` gave."""
+def unit_note(size: float, scale: float | None) -> tuple[str, ...]:
+    """Return a question about the unit of a mesh that no hand surrounds, or none can feel; `size` in m, scaled."""
+    if scale is None or USUAL_M[0] <= size <= USUAL_M[1]:
+        return ()
+    if size > USUAL_M[1]:
+        units = [("millimetres", 1e-3), ("centimetres", 1e-2)] if scale == 1.0 else [("a thousandth of it", 1e-3)]
+    else:
+        units = [("a thousand times larger", 1e3)]
+    asked = ", or ".join(f"scale = {scale * factor:g} ({unit}, {size * factor:.3g} m)" for unit, factor in units)
+    return (f"it is {size:.3g} m in size: if that is not meant, give {asked}",)
+
+
+def report_of(mended: Mended, loose: bool, scale: float | None) -> Report:
+    """Return the report on a mesh that `mend` gave; `scale` is the object's, None if its unit is certain."""
     wound, (vertices, triangles) = mended.wound, mended.arrays
     x, y, z = (float(edge) for edge in np.ptp(vertices, axis=0))
     within = f" within {MERGED_WITHIN:g} of its size" if loose else ""
@@ -71,8 +89,8 @@ def report_of(mended: Mended, loose: bool) -> Report:
         (mended.unused, "vertices dropped that no triangle has"),
         (mended.degenerate, "triangles dropped that have no area"),
         (mended.duplicate, "triangles dropped that were there already"),
-        (wound.alike, "triangles turned that were wound against those beside them"),
-        (wound.outward, "triangles turned whose body was wound inward"),
+        (wound.alike, "triangles flipped because they were wound opposite to their neighbours"),
+        (wound.outward, "triangles flipped because their body was wound inward"),
     ]
     left = [
         (mended.open_edges, "edges of one triangle, at holes or the border of a sheet"),
@@ -96,7 +114,8 @@ def report_of(mended: Mended, loose: bool) -> Report:
         turned_triangles=wound.alike + wound.outward,
         mended=tuple(f"{text}: {count:,}" for count, text in done if count),
         noted=(
+            *unit_note(max(x, y, z), scale),
             *(f"{text}: {count:,}" for count, text in left if count),
-            "not looked for: triangles that go through each other",
+            "not checked: triangles that intersect each other",
         ),
     )

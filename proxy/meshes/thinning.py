@@ -1,4 +1,4 @@
-"""A mesh with fewer triangles, for pictures: vertices of a cell become one, in their middle."""
+"""Simplification of a mesh for pictures: the vertices in each cell of a grid are replaced by their mean."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from softfinger.proxy.meshes.pieces import first_alike
 from softfinger.proxy.meshes.reading import Arrays
 
 PICTURE_TRIANGLES: Final = 50_000
-"""A page draws them 30 times a second, without a graphics card too; sent they are one megabyte."""
+"""The page draws this many 30 times a second even without a graphics card; they are one megabyte on the wire."""
 FINEST: Final = 1e-6
-"""Least size of a cell, of the mesh's: a needle's box has hardly a surface."""
+"""Smallest cell size, as a fraction of the mesh's: the bounding box of a needle has almost no surface."""
 _COARSER: Final = 1.1
 
 
 def thinned(mesh: Arrays, most: int = PICTURE_TRIANGLES) -> Arrays:
-    """The mesh with at most so many triangles; the same where it has no more.
+    """Return the mesh with at most `most` triangles; the same mesh if it has no more.
 
-    Its cells are as large as that needs. What is smaller than one goes: this is no mesh to touch.
+    The cell size is as small as that allows. Details smaller than a cell vanish: the result is only for pictures.
     """
     edges = np.ptp(mesh.vertices, axis=0)
     around = 2.0 * float(edges @ np.roll(edges, 1))

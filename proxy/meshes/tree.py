@@ -1,4 +1,4 @@
-"""A mesh as the kernels take it: the tree over its triangles, built by them."""
+"""Tree over the triangles of a mesh, built by kernels, in the form that the kernels of a tick take."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ Whole = NDArray[np.int32]
 
 
 class Tree(NamedTuple):
-    """Arrays and numbers of a `model.Mesh`; the triangles are those given, in another order.
+    """Arrays and numbers of a `model.Mesh`; the triangles are the given ones in another order.
 
-    closed  whether every edge has one triangle on either side, both the same way round
+    closed  True if each edge has two triangles with consistent winding
     """
 
     nodes: NDArray[np.float32]
@@ -33,16 +33,16 @@ class Tree(NamedTuple):
 
 
 def build_tree(vertices: Doubles, triangles: Whole) -> Tree:
-    """The tree over `triangles` (m, 3) of `vertices` (n, 3) m."""
+    """Return the tree over `triangles` (m, 3) of `vertices` (n, 3) m."""
     count = len(triangles)
     middles = np.empty((count, 3), np.float32)
-    columns = [vertices[:, axis] for axis in range(3)]  # one at a time: five times as fast
+    columns = [vertices[:, axis] for axis in range(3)]  # column by column: five times as fast
     least, most = np.array([x.min() for x in columns]), np.array([x.max() for x in columns])
     center = 0.5 * (least + most)
     middle = (float(center[0]), float(center[1]), float(center[2]))
     triangles = np.ascontiguousarray(triangles, np.int32)
     build.take_middles(vertices, triangles, middle, middles)
-    room = count // 2 + 64  # at the worst nine triangles make two leaves, under a node of their own
+    room = count // 2 + 64  # at worst, nine triangles make two leaves under one node
     low, high = np.empty(room, np.int64), np.empty(room, np.int64)
     nodes = build.count_nodes(count, low, high)
     order = np.arange(count, dtype=np.int32)
@@ -58,7 +58,7 @@ def build_tree(vertices: Doubles, triangles: Whole) -> Tree:
     lanes, first = np.empty(nodes * NODE, np.float32), np.empty(nodes, np.int32)
     tree, node, child = build.Branches(low, high, lanes, first), 0, 1
     across, upward = np.empty((count, 3), np.int32), np.zeros((used, 3))
-    with ThreadPoolExecutor(2) as beside:  # neither asks for the tree, and no kernel holds the interpreter's lock
+    with ThreadPoolExecutor(2) as beside:  # neither needs the tree, and kernels release the GIL
         rooms = np.zeros(used + 1, np.int32), np.empty(3 * count, np.int32)
         loose = beside.submit(build.join, corners, *rooms, across)
         normals = beside.submit(build.raise_normals, arranged, corners, upward)

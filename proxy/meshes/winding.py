@@ -1,4 +1,4 @@
-"""How the triangles of a mesh are wound: alike within each piece, and outward where there is an outside."""
+"""Winding of the triangles of a mesh: consistent within each piece, and outward if the piece has an outside."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from softfinger.proxy.meshes.pieces import Edges, Pieces, pieces_of
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices
 
 HOLDERS: Final = 16
-"""So many of the largest pieces are looked at for one that a hollow could be in."""
+"""Number of largest pieces that are tested for containing a hollow."""
 
 
 class Wound(NamedTuple):
-    """Triangles (m, 3) int32 after those that were wrong have been turned.
+    """Triangles (m, 3) int32 with corrected winding.
 
-    bodies     pieces that hang together over edges of two triangles
-    alike      triangles turned because they were wound against those beside them
-    outward    triangles turned because their piece was wound inward as a whole
-    hollows    pieces left wound inward, since they lie within another: the walls of a hollow in it
-    one_sided  pieces that no winding suits
-    volume     m^3, of pieces without open edges, hollows subtracted
+    bodies     pieces connected over edges of two triangles
+    alike      triangles turned because they were wound against their neighbours
+    outward    triangles turned because their piece was wound inward
+    hollows    pieces that keep their inward winding, as walls of a hollow within another piece
+    one_sided  pieces without a consistent winding
+    volume     m^3, of pieces without open edges, minus hollows
     """
 
     triangles: Triangles
@@ -36,13 +36,13 @@ class Wound(NamedTuple):
 
 
 def wind(mesh: Arrays, edges: Edges) -> Wound:
-    """Wind the triangles of a mesh (m) so that each piece agrees with itself, and its front is outside."""
+    """Wind the triangles of a mesh (m) consistently within each piece, with the front outside."""
     pieces = pieces_of(edges)
     bodies = len(pieces.one_sided)
     turned = _majority(pieces) & ~pieces.one_sided[pieces.body]
     triangles = _turned(mesh.triangles, turned)
     closed = ~pieces.one_sided
-    # An edge with another count than two is at the rim of all pieces that it belongs to.
+    # An edge without exactly two triangles is a boundary of all pieces that it belongs to.
     rim = (edges.many[edges.first] != 2).nonzero()[0] // 3
     closed[pieces.body[rim]] = False
     volumes = np.zeros(bodies)
@@ -65,7 +65,7 @@ def wind(mesh: Arrays, edges: Edges) -> Wound:
 
 
 def _majority(pieces: Pieces) -> NDArray[np.bool_]:
-    """Which triangles to turn so that all of a piece are wound as most of it is."""
+    """Return which triangles to turn so that each piece has the winding of its majority."""
     bodies = len(pieces.one_sided)
     against = np.bincount(pieces.body, pieces.turned, bodies)
     most = 2.0 * against > np.bincount(pieces.body, minlength=bodies)
@@ -83,7 +83,10 @@ def _turned(triangles: Triangles, which: NDArray[np.bool_]) -> Triangles:
 def _within(
     vertices: Vertices, triangles: Triangles, body: NDArray[np.int32], volumes: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Which pieces (bodies,) are wound inward and lie, by their extents, within one of the largest wound outward."""
+    """Return which pieces (bodies,) are hollows.
+
+    A hollow is wound inward, and its bounding box is within that of one of the largest pieces wound outward.
+    """
     hollow = np.zeros(len(volumes), np.bool_)
     if not (volumes < 0.0).any() or not (volumes > 0.0).any():
         return hollow

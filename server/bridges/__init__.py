@@ -1,4 +1,5 @@
-"""What other programs make of a run: Foxglove and Rerun show it, Gymnasium learns from it.
+"""Bridges to other programs: Foxglove and Rerun show a run, Gymnasium environments train agents on it.
 
-Thin, on their own libraries, which are extras and imported late. No wire of our own: that is in `wire` and `gateway`.
+Thin layers over the programs' libraries, which are extras and imported late. Contains no wire format: that is in `wire`
+and `gateway`.
 """

@@ -1,12 +1,12 @@
-"""A fingertip to learn with: an environment of Gymnasium's over the contact and a simulated hand, compiled, no clock.
+"""Gymnasium environment of a fingertip, on the contact model and a simulated hand, compiled and without a clock.
 
     import gymnasium
-    import softfinger.server.bridges.environment        # makes the name known
+    import softfinger.server.bridges.environment        # registers the name
 
     env = gymnasium.make("softfinger/Touch-v0", scene="sphere")
 
-The agent leads the hand: where it wants the fingertip to be, and how turned. Its spring and damper pull the handle
-there, as far as the contact lets it, tick by tick as in the daemon with the device `simulated`.
+The agent sets the goal of the hand, position and orientation. Spring and damper of the hand pull the handle there, as
+far as the contact allows, tick by tick as in the daemon with the device `simulated`.
 """
 
 from __future__ import annotations
@@ -20,39 +20,39 @@ from softfinger.config.load import SceneSource
 from softfinger.drivers.simulated.options import Hand
 from softfinger.proxy.records import Records
 from softfinger.server.bridges.led_hands import (
-    FAR_M,
+    POSITION_BOUND_M,
     Array,
     LedHands,
     Observation,
-    Place,
-    bounded,
+    Point,
+    box_space,
     gymnasium,
     spaces,
 )
 
 NAME: Final = "softfinger/Touch-v0"
-FAST_M_PER_S: Final = 100.0
-DEEP_M: Final = 0.1
-MANY_RAD: Final = 1e3
-"""Bounds of observations that nothing real comes near."""
+SPEED_BOUND_M_PER_S: Final = 100.0
+DEPTH_BOUND_M: Final = 0.1
+SPIN_BOUND_RAD: Final = 1e3
+"""Bounds of observations, far beyond real values."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What an environment is like, but for the scene.
+    """Parameters of an environment, except the scene.
 
-    home_m           (3,) m       where hand and fingertip begin, at rest
+    home_m           (3,) m       initial position of hand and fingertip, at rest
     reach_m          m            largest distance of the hand's goal from there, along each axis
-    speed_m_per_s    m/s          of the goal, along each axis, at most
-    turn_rad_per_s   rad/s        of the goal, about each axis of the world, at most
+    speed_m_per_s    m/s          largest speed of the goal, along each axis
+    turn_rad_per_s   rad/s        largest angular velocity of the goal, about each world axis
     step_ticks       ticks        of a step of the environment
-    episode_steps    steps        until an episode is cut off
-    goal_n           N            of the task: the normal force that is to be kept
+    episode_steps    steps        until an episode is truncated
+    goal_n           N            target of the task: normal force to maintain
     rate_hz          Hz           of the ticks
-    hand                          that holds the handle of an omega.6
+    hand                          impedance of the hand on the handle of an omega.6
     """
 
-    home_m: Place = (0.0, 0.0, 0.015)
+    home_m: Point = (0.0, 0.0, 0.015)
     reach_m: float = 0.03
     speed_m_per_s: float = 0.05
     turn_rad_per_s: float = 2.0
@@ -64,15 +64,15 @@ class Setup:
 
 
 class Touch(LedHands):
-    """A fingertip that is led to a scene's objects, for one finger.
+    """Fingertip that the agent leads to a scene's objects; for scenes with one finger.
 
-    scene    what `load_scene` takes
-    setup    the rest; keywords of `Setup` may be given instead: Touch("sphere", goal_n=1.0)
+    scene    as for `load_scene`
+    setup    parameters; keywords of `Setup` may be given instead: Touch("sphere", goal_n=1.0)
 
-    action       (6,) from -1 to 1, held for a step: velocity of the hand's goal along x, y, z as a share of
-                 `speed_m_per_s`, its turning about x, y, z as a share of `turn_rad_per_s`, world frame
-    observation  a dict of arrays, with names and units of the telemetry at the step's last tick, and where the goal is
-    reward       minus the mean distance (N) of the normal force from `goal_n` over the ticks of the step
+    action       (6,) from -1 to 1, constant during a step: velocity of the hand's goal along x, y, z as a fraction of
+                 `speed_m_per_s`, angular velocity about x, y, z as a fraction of `turn_rad_per_s`, world frame
+    observation  dict of arrays, with names and units of the telemetry at the step's last tick, and pose of the goal
+    reward       negative mean distance (N) of the normal force from `goal_n` over the ticks of the step
     info         "records": Records (step_ticks, RECORD_SIZE), every tick of the step
 
     Never terminated; truncated after `episode_steps`. For another task override `reward` and `terminated`.
@@ -92,53 +92,53 @@ class Touch(LedHands):
         super().__init__(scene, setup, [setup.home_m])
         force, torque = self._guard.force_max_n, self._guard.torque_max_nm
         self._fields: Final[dict[str, spaces.Space[Any]]] = {
-            "probe.position": bounded(FAR_M, 3),
-            "probe.orientation": bounded(1.0 + 1e-9, 4),
-            "probe.velocity": bounded(FAST_M_PER_S, 3),
-            "force": bounded(force * (1.0 + 1e-9), 3),
-            "torque": bounded(torque * (1.0 + 1e-9), 3),
+            "probe.position": box_space(POSITION_BOUND_M, 3),
+            "probe.orientation": box_space(1.0 + 1e-9, 4),
+            "probe.velocity": box_space(SPEED_BOUND_M_PER_S, 3),
+            "force": box_space(force * (1.0 + 1e-9), 3),
+            "torque": box_space(torque * (1.0 + 1e-9), 3),
             "contact.mode": spaces.Discrete(3),
-            "contact.penetration": bounded(DEEP_M),
-            "contact.normal": bounded(1.0 + 1e-9, 3),
-            "contact.spin": bounded(MANY_RAD),
+            "contact.penetration": box_space(DEPTH_BOUND_M),
+            "contact.normal": box_space(1.0 + 1e-9, 3),
+            "contact.spin": box_space(SPIN_BOUND_RAD),
         }
-        goal = {"goal.position": bounded(FAR_M, 3), "goal.orientation": bounded(1.0 + 1e-9, 4)}
+        goal = {"goal.position": box_space(POSITION_BOUND_M, 3), "goal.orientation": box_space(1.0 + 1e-9, 4)}
         self.observation_space = spaces.Dict({**self._fields, **goal})
         self._start()
 
     def reward(self, records: Records) -> float:
-        """Of a step, from its records: minus the mean distance (N) of the normal force from the goal."""
+        """Return the negative mean distance (N) of the normal force from the goal, from the records of a step."""
         return -float(np.abs(records["contact.normal_force"] - self.setup.goal_n).mean())
 
     def terminated(self, records: Records) -> bool:
-        """Whether a step ended the task, from its records: never."""
+        """Return False: a step never ends the task."""
         return False
 
-    def _way(self, action: Array) -> Array:
-        goals = super()._way(action)
-        goals[:, 0, 3:] = _turned(self._times * (self.setup.turn_rad_per_s * action[3:]), self._goals[0, 3:])
+    def _plan_goals(self, action: Array) -> Array:
+        goals = super()._plan_goals(action)
+        goals[:, 0, 3:] = _rotate_by(self._times * (self.setup.turn_rad_per_s * action[3:]), self._goals[0, 3:])
         return goals
 
     def _run(self, goals: Array) -> Records:
         records: list[Records] = list(super()._run(goals).values())
         return records[0]
 
-    def _observed(self, records: Records) -> Observation:
+    def _observe(self, records: Records) -> Observation:
         last = records[-1]
-        seen: Observation = {
+        observation: Observation = {
             name: np.int64(last[name]) if isinstance(space, spaces.Discrete) else np.array(last[name])
             for name, space in self._fields.items()
         }
-        return seen | {"goal.position": self._goals[0, :3].copy(), "goal.orientation": self._goals[0, 3:].copy()}
+        return observation | {"goal.position": self._goals[0, :3].copy(), "goal.orientation": self._goals[0, 3:].copy()}
 
 
-def _turned(turns: Array, orientation: Array) -> Array:
-    """Quaternions (n, 4): an orientation (4,) turned by rotation vectors (n, 3), world frame."""
-    angles = np.linalg.norm(turns, axis=1, keepdims=True)
-    w, v = np.cos(0.5 * angles), 0.5 * np.sinc(0.5 * angles / np.pi) * turns
+def _rotate_by(rotations: Array, orientation: Array) -> Array:
+    """Return quaternions (n, 4): an orientation (4,) rotated by rotation vectors (n, 3), world frame."""
+    angles = np.linalg.norm(rotations, axis=1, keepdims=True)
+    w, v = np.cos(0.5 * angles), 0.5 * np.sinc(0.5 * angles / np.pi) * rotations
     w0, v0 = orientation[0], orientation[1:]
-    made = np.hstack([w * w0 - (v @ v0)[:, None], w * v0 + w0 * v + np.cross(v, v0)])
-    unit: Array = made / np.linalg.norm(made, axis=1, keepdims=True)
+    rotated = np.hstack([w * w0 - (v @ v0)[:, None], w * v0 + w0 * v + np.cross(v, v0)])
+    unit: Array = rotated / np.linalg.norm(rotated, axis=1, keepdims=True)
     return unit
 
 

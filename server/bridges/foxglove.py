@@ -1,4 +1,4 @@
-"""A running daemon in Foxglove, live: its own server, with the topics and messages that a recording has."""
+"""Live view of a running daemon in Foxglove: a WebSocket server with the topics and messages of a recording."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from softfinger.config.schema import Scene
 from softfinger.server.recording.writer import Bytes, Times, Topics
 
 PORT: Final = 8765
-"""Where Foxglove looks unless it is told otherwise."""
+"""Default port of Foxglove."""
 BACKLOG: Final = 8192
-"""Messages that wait for a slow viewer, seconds at 1 kHz; beyond, the oldest are dropped."""
+"""Queued messages of a slow viewer, seconds at 1 kHz; beyond it, the oldest are dropped."""
 
 
 class Server:
-    """A WebSocket server of Foxglove's, on this machine only; a `Sink` for `Topics`.
+    """Foxglove's WebSocket server, for this machine only; a `Sink` for `Topics`.
 
-    port  0: a free one
+    port  0: a free port
 
-    Raises ConfigError where foxglove-sdk is missing, AddressInUse where the port cannot be had.
+    Raises ConfigError if foxglove-sdk is not installed, and AddressInUse if the port is not available.
     """
 
     def __init__(self, port: int = PORT) -> None:
@@ -38,31 +38,31 @@ class Server:
             self._server: Any = foxglove.start_server(
                 name="softfinger", port=port, context=self._context, message_backlog_size=BACKLOG
             )
-        except Exception as error:  # a FoxgloveError, which is no class of its own
+        except Exception as error:  # a FoxgloveError, which is not a separate class
             raise AddressInUse(
                 f"Foxglove's server cannot listen on port {port}: {error}: --port 0 takes a free one"
             ) from error
 
     @property
     def url(self) -> str:
-        """What to open in Foxglove."""
+        """Address to open in Foxglove."""
         return f"ws://127.0.0.1:{self._server.port}"
 
     @property
     def app(self) -> str:
-        """The same as a link for a browser."""
+        """Link to the same connection for a browser."""
         return str(self._server.app_url())
 
     def channel(self, topic: str, schema: str, descriptors: bytes) -> int:
-        """Number of a new topic with protobuf messages of this type."""
-        known = self._sdk.Schema(name=schema, encoding="protobuf", data=descriptors)
+        """Add a topic with protobuf messages of type `schema`, and return its number."""
+        foxglove_schema = self._sdk.Schema(name=schema, encoding="protobuf", data=descriptors)
         self._channels.append(
-            self._sdk.Channel(topic, schema=known, message_encoding="protobuf", context=self._context)
+            self._sdk.Channel(topic, schema=foxglove_schema, message_encoding="protobuf", context=self._context)
         )
         return len(self._channels) - 1
 
     def message(self, channel: int, time_ns: int, data: bytes) -> None:
-        """Send one message to whoever wants its topic."""
+        """Send one message to the subscribers of its topic."""
         self._channels[channel].log(data, log_time=time_ns)
 
     def block(self, channel: int, times_ns: Times, messages: Bytes, sequences: NDArray[np.int64]) -> None:
@@ -72,12 +72,12 @@ class Server:
             log(message.tobytes(), log_time=time_ns)
 
     def close(self) -> None:
-        """Let the viewers go."""
+        """Stop the server and disconnect the viewers."""
         self._server.stop()
 
 
-class Shown:
-    """Takes what a daemon sends, and sends it on to a server."""
+class FoxgloveSink:
+    """Forwards the data of a daemon to a server."""
 
     failed = False
 
@@ -85,13 +85,13 @@ class Shown:
         self._fingers, self._topics = list(fingers), Topics(server, fingers, scene)
 
     def take(self, records: NDArray[np.float64], finger: int) -> None:
-        """Records (n, RECORD_SIZE) of a finger, by its place."""
+        """Send records (n, RECORD_SIZE) of a finger, given by its index."""
         self._topics.ticks(records, self._fingers[finger])
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """An event's map, as the wire has it."""
+        """Send an event, a map as on the wire."""
         self._topics.event(event)
 
     def world(self, world: Mapping[str, Any]) -> None:
-        """A message of `world`, a map as the wire has it."""
+        """Send a message of `world`, a map as on the wire."""
         self._topics.world(world)

@@ -1,4 +1,4 @@
-"""Simulated hands that an agent leads: what the environments of Gymnasium share."""
+"""Simulated hands that an agent leads: the common base of the Gymnasium environments."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, load_rig, load_scene
-from softfinger.drivers.simulated.options import Options, simulation
-from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Intention
+from softfinger.drivers.simulated.options import Options, make_simulation
+from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, Intention, PlantInputs
 from softfinger.proxy.bodies import begin_bodies, check_bodies
+from softfinger.proxy.engine import PoseError
 from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.closed_loop import Held, record_ticks
+from softfinger.server.offline.closed_loop import DrivenPlant, record_ticks
 
 try:
     import gymnasium
@@ -27,40 +28,40 @@ try:
 except ImportError as missing:
     raise ConfigError(f"gymnasium is not installed ({missing}): pip install 'softfinger[gymnasium]'") from missing
 
-__all__ = ["FAR_M", "Array", "LedHands", "Observation", "Place", "bounded", "gymnasium", "spaces"]
+__all__ = ["POSITION_BOUND_M", "Array", "LedHands", "Observation", "Point", "box_space", "gymnasium", "spaces"]
 
 Array = NDArray[np.float64]
 Observation = dict[str, Any]
-Place = tuple[float, float, float]
+Point = tuple[float, float, float]
 
-FAR_M: Final = 1.0
-"""A bound of observed positions that nothing real comes near."""
+POSITION_BOUND_M: Final = 1.0
+"""Bound of observed positions, far beyond real values."""
 RAMP_S: Final = 0.01
-"""The guard's, as short as it may be: over before the first step."""
+"""Shortest ramp of the guard: complete before the first step."""
 
 
-def bounded(most: float, *shape: int) -> spaces.Box:
-    """Arrays of a shape, each number between -most and most."""
-    return spaces.Box(-most, most, shape, np.float64)
+def box_space(bound: float, *shape: int) -> spaces.Box:
+    """Return a space of arrays with elements between -bound and bound."""
+    return spaces.Box(-bound, bound, shape, np.float64)
 
 
 class LedHands(gymnasium.Env[Observation, Array], ABC):
-    """Simulated hands that an agent leads, one for each finger of a scene. A subclass says what is seen and rewarded.
+    """Simulated hands that an agent leads, one per finger of a scene. Subclasses define observation and reward.
 
-    scene     what `load_scene` takes; ConfigError where it has another number of fingers
-    setup     the dataclass of the subclass
-    homes_m   (3,) m of each hand, where it begins, at rest
+    scene     as for `load_scene`; ConfigError if its number of fingers differs
+    setup     dataclass of the subclass
+    homes_m   (3,) m of each hand, its initial position, at rest
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  (as the base class declares it)
     setup: Any
 
-    def __init__(self, scene: SceneSource, setup: Any, homes_m: Sequence[Place]) -> None:
+    def __init__(self, scene: SceneSource, setup: Any, homes_m: Sequence[Point]) -> None:
         self.setup, self.config = setup, load_scene(scene)
         if (count := len(self.config.fingers)) != len(homes_m):
             raise ConfigError(f"fingers of the scene: {count}; hands of this environment: {len(homes_m)}")
         self._guard = load_rig("simulated", {"guard.ramp_s": RAMP_S}).guard
-        self._devices = [simulation(Options(position_m=home, hand=setup.hand), setup.rate_hz) for home in homes_m]
+        self._devices = [make_simulation(Options(position_m=home, hand=setup.hand), setup.rate_hz) for home in homes_m]
         self._tuning = packed(make_tuning(self.config, self._guard))
         self._homes, self._dt = np.array(homes_m), 1.0 / setup.rate_hz
         self._times = self._dt * np.arange(setup.step_ticks + 1)[:, None]
@@ -69,57 +70,78 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """A new episode: hands at home, bodies where the model has them, no contact remembered. Nothing is random."""
+        """Start an episode: hands at home, bodies at their initial poses, no contact history. Nothing is random."""
         super().reset(seed=seed)
         self._start()
         settling = max(self.setup.step_ticks, round(RAMP_S * self.setup.rate_hz))
         records = self._run(np.tile(self._goals, (settling + 1, 1, 1)))
-        return self._observed(records), {"records": records}
+        return self._observe(records), {"records": records}
 
     def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Lead the hands for `step_ticks`; what is out of the action's range is brought into it."""
-        records = self._run(self._way(np.clip(np.asarray(action, np.float64), -1.0, 1.0)))
+        """Lead the hands for `step_ticks`; elements of the action beyond -1 and 1 are clamped.
+
+        Raises PoseError unless the action is six finite numbers.
+        """
+        try:
+            velocities = np.asarray(action, np.float64)
+        except (TypeError, ValueError):
+            velocities = np.zeros(0)
+        if velocities.shape != (6,) or not np.isfinite(velocities).all():
+            raise PoseError(f"action {action!r}: must be 6 finite numbers, each from -1 to 1")
+        records = self._run(self._plan_goals(np.clip(velocities, -1.0, 1.0)))
         self._steps += 1
-        over = self._steps >= self.setup.episode_steps
-        return self._observed(records), self.reward(records), self.terminated(records), over, {"records": records}
+        is_truncated = self._steps >= self.setup.episode_steps
+        return (
+            self._observe(records),
+            self.reward(records),
+            self.terminated(records),
+            is_truncated,
+            {"records": records},
+        )
 
     @abstractmethod
     def reward(self, records: Any) -> float:
-        """Of a step, from its records."""
+        """Return the reward of a step from its records."""
 
     @abstractmethod
     def terminated(self, records: Any) -> bool:
-        """Whether a step ended the task, from its records."""
+        """Return True if a step ends the task, from its records."""
 
     @abstractmethod
-    def _observed(self, records: Any) -> Observation:
-        """What the agent sees at the end of a step, from its records."""
+    def _observe(self, records: Any) -> Observation:
+        """Return the observation at the end of a step, from its records."""
 
     def _start(self) -> None:
         scene = self._tuning.like.scene
         begin_bodies(scene, self._dt)
         self._memory, self._states = packed(begin(scene)), packed(tuple(each.state for each in self._devices))
-        self._lines = [np.zeros(LINE_SIZE) for _ in self._devices]
+        self._lines = [np.zeros(DELAY_LINE_SIZE) for _ in self._devices]
         self._goals: Array = np.array([[*home, 1.0, 0.0, 0.0, 0.0] for home in self._homes])
         self._ticks = self._steps = 0
 
-    def _way(self, action: Array) -> Array:
-        """Goals (ticks + 1, hands, 7) from where they are, straight: along x, y, z of each hand in turn."""
+    def _plan_goals(self, action: Array) -> Array:
+        """Return goals (ticks + 1, hands, 7) on straight lines from the current ones.
+
+        The action has velocities along x, y, z for each hand in turn.
+        """
         goals = np.tile(self._goals, (len(self._times), 1, 1))
         velocity = self.setup.speed_m_per_s * action[: 3 * len(self._homes)].reshape(-1, 3)
-        led = self._goals[:, :3] + self._times[:, None] * velocity
-        goals[:, :, :3] = np.clip(led, self._homes - self.setup.reach_m, self._homes + self.setup.reach_m)
+        goal_positions = self._goals[:, :3] + self._times[:, None] * velocity
+        goals[:, :, :3] = np.clip(goal_positions, self._homes - self.setup.reach_m, self._homes + self.setup.reach_m)
         return goals
 
     def _run(self, goals: Array) -> Any:
-        """Records by finger of the ticks that lead along goals (ticks + 1, hands, 7), the first of which is now."""
+        """Run the ticks along goals (ticks + 1, hands, 7), of which the first is the current one.
+
+        Returns records by finger.
+        """
         intention = Intention(float(len(goals)), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
         hands = tuple(
-            Held(device.plant, Drive(intention, goals[:, place].reshape(-1), line))
-            for place, (device, line) in enumerate(zip(self._devices, self._lines, strict=True))
+            DrivenPlant(device.plant, PlantInputs(intention, goals[:, index].reshape(-1), line))
+            for index, (device, line) in enumerate(zip(self._devices, self._lines, strict=True))
         )
         records = np.zeros((len(goals) - 1, len(hands), RECORD_SIZE))
-        # From tick 0 on, as the goals are numbered; what the first tick of all does is in the memory.
+        # Tick numbers start at 0, as the index of the goals; the memory distinguishes the first tick of an episode.
         record_ticks(self._tuning, self._memory, hands, self._states, self._dt, 0, records)
         check_bodies(self._tuning.like.scene)
         records[:, :, AT.timestamp] += self._ticks * self._dt
@@ -127,4 +149,4 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         self._ticks += len(records)
         self._goals = goals[-1]
         names = [finger.name for finger in self.config.fingers]
-        return {name: Records(np.ascontiguousarray(records[:, place])) for place, name in enumerate(names)}
+        return {name: Records(np.ascontiguousarray(records[:, index])) for index, name in enumerate(names)}

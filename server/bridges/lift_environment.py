@@ -1,11 +1,11 @@
-"""Two fingertips to learn a grasp with: an environment of Gymnasium's on the scene `lift-a-box`.
+"""Gymnasium environment of a grasp with two fingertips, on the scene `lift-a-box`.
 
     import gymnasium
-    import softfinger.server.bridges.lift_environment    # makes the name known
+    import softfinger.server.bridges.lift_environment    # registers the name
 
     env = gymnasium.make("softfinger/Lift-v0")
 
-The agent leads two hands as that of `environment.Touch` leads one; MuJoCo moves the box between them.
+The agent leads two hands like the single one in `environment.Touch`; MuJoCo moves the box between them.
 """
 
 from __future__ import annotations
@@ -20,28 +20,36 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource
 from softfinger.drivers.simulated.options import Hand
 from softfinger.proxy.records import Records
-from softfinger.server.bridges.led_hands import FAR_M, LedHands, Observation, Place, bounded, gymnasium, spaces
+from softfinger.server.bridges.led_hands import (
+    POSITION_BOUND_M,
+    LedHands,
+    Observation,
+    Point,
+    box_space,
+    gymnasium,
+    spaces,
+)
 
 NAME: Final = "softfinger/Lift-v0"
-GONE_M: Final = 0.5
-"""A box that is so far from where it stood is lost."""
+LOST_DISTANCE_M: Final = 0.5
+"""A box farther than this from its initial position is lost."""
 
 
 @dataclass(frozen=True)
 class LiftSetup:
-    """What the environment is like, but for the scene.
+    """Parameters of the environment, except the scene.
 
-    homes_m          (2, 3) m     where thumb and index finger begin, at rest
+    homes_m          (2, 3) m     initial positions of thumb and index finger, at rest
     reach_m          m            largest distance of a hand's goal from there, along each axis
-    speed_m_per_s    m/s          of the goals, along each axis, at most
+    speed_m_per_s    m/s          largest speed of the goals, along each axis
     step_ticks       ticks        of a step of the environment
-    episode_steps    steps        until an episode is cut off
-    goal_m           m            of the task: how far the box is to be lifted
+    episode_steps    steps        until an episode is truncated
+    goal_m           m            target of the task: height by which to lift the box
     rate_hz          Hz           of the ticks
-    hand                          that holds each handle, of an omega.6
+    hand                          impedance of each hand, on the handle of an omega.6
     """
 
-    homes_m: tuple[Place, Place] = ((-0.04, 0.0, 0.02), (0.04, 0.0, 0.02))
+    homes_m: tuple[Point, Point] = ((-0.04, 0.0, 0.02), (0.04, 0.0, 0.02))
     reach_m: float = 0.15
     speed_m_per_s: float = 0.1
     step_ticks: int = 20
@@ -52,20 +60,20 @@ class LiftSetup:
 
 
 class Lift(LedHands):
-    """Two fingertips that are led to a body, and are to lift it.
+    """Two fingertips that the agent leads to a body, to lift it.
 
-    scene    what `load_scene` takes: with two fingers, and a [world] whose first moving body is to be lifted
-    setup    the rest; keywords of `LiftSetup` may be given instead: Lift(goal_m=0.05)
+    scene    as for `load_scene`: with two fingers, and a [world]; its first moving body is to be lifted
+    setup    parameters; keywords of `LiftSetup` may be given instead: Lift(goal_m=0.05)
 
-    action       (6,) from -1 to 1, held for a step: velocity of the thumb's goal along x, y, z, then of the index
-                 finger's, as shares of `speed_m_per_s`, world frame
-    observation  position (3,) m of each fingertip, force (3,) N on each hand, where each goal is (3,) m, and the body's
-                 position (3,) m and orientation (4,), at the end of the step
-    reward       minus the distance (m) of the body's height from `goal_m` above where it stood
+    action       (6,) from -1 to 1, constant during a step: velocity of the thumb's goal along x, y, z, then of the
+                 index finger's, as fractions of `speed_m_per_s`, world frame
+    observation  position (3,) m of each fingertip, force (3,) N on each hand, position of each goal (3,) m, and the
+                 body's position (3,) m and orientation (4,), at the end of the step
+    reward       negative distance (m) of the body's height from `goal_m` above its initial height
     info         "records": Records by finger, every tick of the step
 
-    Terminated when the body is lost; truncated after `episode_steps`. Bodies that MuJoCo cannot simulate raise
-    SafetyStop. For another task override `reward` and `terminated`.
+    Terminated when the body is lost; truncated after `episode_steps`. Raises SafetyStop if MuJoCo cannot simulate the
+    bodies. For another task override `reward` and `terminated`.
     """
 
     setup: LiftSetup
@@ -79,36 +87,46 @@ class Lift(LedHands):
             raise ConfigError("the scene has no [world]: this environment needs a body that moves by itself")
         self.world: Final = bodies.block.owner
         self._body = self.world.moving[0]
-        far, force = bounded(FAR_M, 3), self._guard.force_max_n * (1.0 + 1e-9)
-        parts: dict[str, spaces.Space[Any]] = {"body.position": far, "body.orientation": bounded(1.0 + 1e-9, 4)}
+        position_space, force = box_space(POSITION_BOUND_M, 3), self._guard.force_max_n * (1.0 + 1e-9)
+        parts: dict[str, spaces.Space[Any]] = {
+            "body.position": position_space,
+            "body.orientation": box_space(1.0 + 1e-9, 4),
+        }
         for name in self.fingers:
-            parts |= {f"{name}.position": far, f"{name}.force": bounded(force, 3), f"{name}.goal": far}
+            parts |= {
+                f"{name}.position": position_space,
+                f"{name}.force": box_space(force, 3),
+                f"{name}.goal": position_space,
+            }
         self.observation_space = spaces.Dict(parts)
         self._start()
 
     def reward(self, records: Mapping[str, Records]) -> float:
-        """Of a step, from its records and `world`: minus the distance (m) of the body from its goal's height."""
-        return -abs(float(self.world.data.xpos[self._body, 2] - self._stood[2]) - self.setup.goal_m)
+        """Return the negative distance (m) of the body from its goal height, from the records of a step and `world`."""
+        return -abs(float(self.world.data.xpos[self._body, 2] - self._initial_position[2]) - self.setup.goal_m)
 
     def terminated(self, records: Mapping[str, Records]) -> bool:
-        """Whether a step ended the task, from its records and `world`: the body is lost."""
-        return bool(np.linalg.norm(self.world.data.xpos[self._body] - self._stood) > GONE_M)
+        """Return True if the body is lost, from the records of a step and `world`."""
+        return bool(np.linalg.norm(self.world.data.xpos[self._body] - self._initial_position) > LOST_DISTANCE_M)
 
     def _start(self) -> None:
         super()._start()
-        self._stood = self.world.data.xpos[self._body].copy()
+        self._initial_position = self.world.data.xpos[self._body].copy()
 
-    def _observed(self, records: Mapping[str, Records]) -> Observation:
+    def _observe(self, records: Mapping[str, Records]) -> Observation:
         data = self.world.data
-        seen: Observation = {
-            "body.position": np.clip(data.xpos[self._body], -FAR_M, FAR_M),
+        observation: Observation = {
+            "body.position": np.clip(data.xpos[self._body], -POSITION_BOUND_M, POSITION_BOUND_M),
             "body.orientation": data.xquat[self._body].copy(),
         }
-        for place, (name, rows) in enumerate(records.items()):
+        for index, (name, rows) in enumerate(records.items()):
             last = rows[-1]
-            seen[f"{name}.position"], seen[f"{name}.force"] = np.array(last["probe.position"]), np.array(last["force"])
-            seen[f"{name}.goal"] = self._goals[place, :3].copy()
-        return seen
+            observation[f"{name}.position"], observation[f"{name}.force"] = (
+                np.array(last["probe.position"]),
+                np.array(last["force"]),
+            )
+            observation[f"{name}.goal"] = self._goals[index, :3].copy()
+        return observation
 
 
 gymnasium.register(NAME, entry_point=Lift)

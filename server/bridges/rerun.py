@@ -1,8 +1,8 @@
-"""A run in Rerun, from a recording or live: objects, fingertips and forces in space, figures and events over time.
+"""View of a recording or a live run in Rerun: objects, fingertips and forces in space, plots and events over time.
 
-`world` is the scene; below it `objects/NAME`, those on a body of [world] below `bodies/NAME`, and of each finger its
-fingertip, its proxy and its force. `plots/...` are the telemetry's fields of these names, every tick of them; `events`
-is a log. The timelines are `time` and `tick`.
+`world` is the scene. Below it are `objects/NAME`, objects on a body of [world] in `bodies/NAME`, and for each finger
+its fingertip, its proxy and its force. `plots/...` are the telemetry's fields of these names at every tick; `events` is
+a log. The timelines are `time` and `tick`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.schema import Body, Object, Scene
 from softfinger.proxy.records import Records
 from softfinger.server.recording import picture
-from softfinger.server.recording.reader import Event, Note, Ticks, World, contents
-from softfinger.server.recording.writer import driven, event_time_ns, scene_of, times_ns
+from softfinger.server.recording.reader import Event, Note, Ticks, World, read_contents
+from softfinger.server.recording.writer import apply_drive, event_time_ns, parse_scene, times_ns
 
 Array = NDArray[np.float64]
 
@@ -30,33 +30,33 @@ PLOTTED: Final = (
 
 
 def stream(save: Path | None = None, connect: str | None = None) -> Any:
-    """A recording of Rerun's: into a file, to a viewer that runs, or to one that is started here.
+    """Return a Rerun recording stream: into a file, to a running viewer, or to a viewer that is started here.
 
-    Raises ConfigError where rerun-sdk is missing, or has not what it is told to use.
+    Raises ConfigError if rerun-sdk is not installed, or if the file or viewer is not available.
     """
     try:
         import rerun
     except ImportError as error:
         raise ConfigError(f"rerun-sdk is not installed ({error}): pip install 'softfinger[rerun]'") from error
-    made: Any = rerun.RecordingStream("softfinger")
+    stream: Any = rerun.RecordingStream("softfinger")
     try:
         if save is not None:
-            made.save(str(save))
+            stream.save(str(save))
         elif connect is not None:
-            made.connect_grpc(connect)
+            stream.connect_grpc(connect)
         else:
-            made.spawn()
+            stream.spawn()
     except RuntimeError as error:
         where = f"--save {save}" if save else f"--connect {connect}" if connect else "its viewer cannot be started"
         raise ConfigError(f"{where}: Rerun says: {error}") from error
-    return made
+    return stream
 
 
-class Shown:
-    """Takes what a daemon sends or a recording has, and logs it to a stream of Rerun's.
+class RerunSink:
+    """Logs the data of a daemon or a recording to a Rerun stream.
 
     fingers  names of several fingers, one empty name for a single one
-    scene    what is drawn beside them, None for nothing
+    scene    scene to draw, None for none
     """
 
     failed = False
@@ -73,47 +73,47 @@ class Shown:
         radii = {finger.name: finger.radius_m for finger in scene.fingers} if scene else {}
         for name in self._fingers:
             ball = self._rr.Ellipsoids3D(radii=[radii.get(name, 0.01)], colors=[(230, 140, 90)])
-            stream.log(f"world/{picture.frames(name)[0]}", ball, static=True)
+            stream.log(f"world/{picture.frame_names(name)[0]}", ball, static=True)
             proxy = self._rr.Points3D([(0.0, 0.0, 0.0)], radii=[0.001], colors=[(255, 255, 255)])
-            stream.log(f"world/{picture.frames(name)[1]}", proxy, static=True)
+            stream.log(f"world/{picture.frame_names(name)[1]}", proxy, static=True)
         self._draw_objects()
 
     def take(self, records: Array, finger: int) -> None:
-        """Records (n, RECORD_SIZE) of a finger, by its place."""
+        """Log records (n, RECORD_SIZE) of a finger, given by its index."""
         name, rows = self._fingers[finger], Records(records)
         for field in PLOTTED:
             path = f"plots/{name}/{field}" if name else f"plots/{field}"
             values = np.asarray(rows[field], np.float64).reshape(len(rows), -1)
             series = self._rr.Scalars.columns(scalars=values.ravel())
             self._send(path, rows, series.partition([values.shape[1]] * len(rows)))
-        shown, self._pictures[name] = picture.displayed(records, self._pictures[name])
-        if len(shown):
-            self._place(Records(records[shown]), name)
+        indices, self._pictures[name] = picture.select_displayed(records, self._pictures[name])
+        if len(indices):
+            self._send_poses(Records(records[indices]), name)
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """An event's map, as the wire has it."""
+        """Log an event, a map as on the wire."""
         self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(event), "ns"))
         self._stream.log("events", self._rr.TextLog(f"{event['kind']} {event['name']}: {event.get('message', '')}"))
-        if self._scene is not None and (moved := driven(self._scene, event)) is not None:
-            self._scene = moved
+        if self._scene is not None and (driven_scene := apply_drive(self._scene, event)) is not None:
+            self._scene = driven_scene
             self._draw_objects()
 
     def world(self, world: Mapping[str, Any]) -> None:
-        """A message of `world`, a map as the wire has it."""
+        """Log a message of `world`, a map as on the wire."""
         self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(world), "ns"))
         self._stream.set_time("tick", sequence=world["tick"])
         for body in world["bodies"]:
             w, x, y, z = body["orientation"]
-            place = self._rr.Transform3D(translation=body["position"], quaternion=[x, y, z, w])
-            self._stream.log(f"world/bodies/{body['name']}", place)
+            transform = self._rr.Transform3D(translation=body["position"], quaternion=[x, y, z, w])
+            self._stream.log(f"world/bodies/{body['name']}", transform)
         self._stream.disable_timeline("tick")
 
-    def _place(self, rows: Records, name: str) -> None:
-        tip, proxy = (f"world/{frame}" for frame in picture.frames(name))
-        turn = rows["probe.orientation"][:, [1, 2, 3, 0]]  # Rerun has w last
-        place = self._rr.Transform3D.columns
-        self._send(tip, rows, place(translation=rows["probe.position"], quaternion=turn))
-        self._send(proxy, rows, place(translation=rows["proxy.position"], quaternion=turn))
+    def _send_poses(self, rows: Records, name: str) -> None:
+        tip, proxy = (f"world/{frame}" for frame in picture.frame_names(name))
+        rotation = rows["probe.orientation"][:, [1, 2, 3, 0]]  # Rerun expects w last
+        transform = self._rr.Transform3D.columns
+        self._send(tip, rows, transform(translation=rows["probe.position"], quaternion=rotation))
+        self._send(proxy, rows, transform(translation=rows["proxy.position"], quaternion=rotation))
         arrows = self._rr.Arrows3D.columns(
             origins=rows["proxy.position"], vectors=picture.ARROW_M_PER_N * rows["force"]
         )
@@ -122,19 +122,19 @@ class Shown:
     def _send(self, path: str, rows: Records, columns: Any) -> None:
         times = times_ns(np.asarray(rows)).astype("datetime64[ns]")
         index = self._rr.TimeColumn
-        when = [index("time", timestamp=times), index("tick", sequence=rows["tick"])]
-        self._stream.send_columns(path, when, columns)
+        time_columns = [index("time", timestamp=times), index("tick", sequence=rows["tick"])]
+        self._stream.send_columns(path, time_columns, columns)
 
     def _draw_objects(self) -> None:
-        for thing in self._scene.object if self._scene else ():
-            for kind, primitives in picture.drawn(thing).items():
+        for obj in self._scene.object if self._scene else ():
+            for kind, primitives in picture.draw_object(obj).items():
                 for number, primitive in enumerate(primitives):
-                    path = f"{_path_of(thing)}/{kind}{number}"
+                    path = f"{_entity_path(obj)}/{kind}{number}"
                     for part in self._parts(kind, primitive):
                         self._stream.log(path, part, static=True)
 
     def _parts(self, kind: str, primitive: Mapping[str, Any]) -> Iterator[Any]:
-        """A primitive of Foxglove's as what Rerun calls the same, and where it is."""
+        """Yield Rerun's pose and archetype for a primitive of Foxglove."""
         rr, at = self._rr, primitive["pose"]
         yield rr.Transform3D(
             translation=list(at["position"].values()),
@@ -155,27 +155,27 @@ class Shown:
             yield rr.Points3D([(0.0, 0.0, 0.0)], labels=[primitive["text"]], colors=color)
 
 
-def _path_of(thing: Object) -> str:
-    motion = thing.motion
-    return f"world/bodies/{motion.body}/{thing.name}" if isinstance(motion, Body) else f"world/objects/{thing.name}"
+def _entity_path(obj: Object) -> str:
+    motion = obj.motion
+    return f"world/bodies/{motion.body}/{obj.name}" if isinstance(motion, Body) else f"world/objects/{obj.name}"
 
 
 def show_recording(recording: Path, stream: Any) -> int:
-    """Log a recording whole; returns how many ticks. Raises RecordingError for a file that has none to show."""
+    """Log a complete recording; return the number of ticks. Raises RecordingError if the file has nothing to show."""
     about: dict[str, Any] = {}
     fingers: list[str] = []
-    for part in contents(recording):  # the first pass: who is in it
+    for part in read_contents(recording):  # first pass: metadata and fingers
         if isinstance(part, Note):
             about[part.name] = part.value
         elif isinstance(part, Ticks) and part.finger not in fingers:
             fingers.append(part.finger)
-    shown, count = Shown(stream, fingers, scene_of(about)), 0
-    for part in contents(recording):
+    sink, count = RerunSink(stream, fingers, parse_scene(about)), 0
+    for part in read_contents(recording):
         if isinstance(part, Ticks):
-            shown.take(part.records(), fingers.index(part.finger))
+            sink.take(part.records(), fingers.index(part.finger))
             count += len(part.rows)
         elif isinstance(part, Event):
-            shown.event(part.event)
+            sink.event(part.event)
         elif isinstance(part, World):
-            shown.world(part.world)
+            sink.world(part.world)
     return count

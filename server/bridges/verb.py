@@ -1,4 +1,4 @@
-"""`bridge`: a running daemon, or a recording, in a viewer that has a library of its own."""
+"""`softfinger bridge`: show a running daemon or a recording in Foxglove or Rerun."""
 
 from __future__ import annotations
 
@@ -13,16 +13,22 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.schema import Scene
 from softfinger.server import keys, signals
 from softfinger.server.bridges import foxglove, rerun
-from softfinger.server.gateway.addresses import addresses_of
-from softfinger.server.recording.verbs.live import Live, Taker, Taking, begin, go_on, subscribed
-from softfinger.server.recording.writer import scene_of
+from softfinger.server.gateway.addresses import find_addresses
+from softfinger.server.recording.verbs.live import (
+    RecordingJob,
+    TickBatcher,
+    TickReceiver,
+    receive_first,
+    record_until_end,
+    subscribe_all,
+)
+from softfinger.server.recording.writer import parse_scene
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the verb's arguments."""
     parser.description = (
         "Show a running daemon in Foxglove or Rerun (extras foxglove and rerun), or a recording in Rerun; "
         "ends with the server, or with Ctrl-C."
@@ -34,7 +40,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
-    parser.add_argument("--commands", metavar="URL", help="where the daemon describes itself (default: beside that)")
+    parser.add_argument(
+        "--commands", metavar="URL", help="endpoint of the daemon's description (default: next to that of telemetry)"
+    )
     keys.add_options(parser)
     parser.add_argument(
         "--port", type=int, default=foxglove.PORT, help="of the server for Foxglove, on this machine only (%(default)s)"
@@ -48,7 +56,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb. Raises NoTelemetry if nothing arrives, RecordingError for a file that cannot be read."""
+    """Run the verb; return the exit code.
+
+    Raises NoTelemetry if nothing arrives, and RecordingError if a recording cannot be read.
+    """
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not 0.0 < value < math.inf:
@@ -62,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         if args.recording:
             log.info("%d ticks shown", rerun.show_recording(Path(args.recording), stream))
             return 0
-        return follow(args, lambda fingers, scene: rerun.Shown(stream, fingers, scene))
+        return follow(args, lambda fingers, scene: rerun.RerunSink(stream, fingers, scene))
     finally:
         stream.flush()
 
@@ -72,20 +83,20 @@ def to_foxglove(args: argparse.Namespace) -> int:
     server = foxglove.Server(args.port)
     try:
         log.info("in Foxglove open the connection %s, or %s", server.url, server.app)
-        return follow(args, lambda fingers, scene: foxglove.Shown(server, fingers, scene))
+        return follow(args, lambda fingers, scene: foxglove.FoxgloveSink(server, fingers, scene))
     finally:
         server.close()
 
 
-def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], Taker]) -> int:
-    """Hand on what the daemon sends until an end of one of many kinds."""
+def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], TickReceiver]) -> int:
+    """Forward the data of the daemon to a viewer until the daemon ends, times out, or a limit or signal stops it."""
     stop: list[bool] = []
-    lock = keys.of_options(args)
-    found = addresses_of(args.endpoint, lock, args.commands)
-    live = Live(found, lock, args.duration, args.timeout, lambda: bool(stop))
-    with signals.asked(lambda: stop.append(True)), subscribed(live) as wire:
-        early, fingers, about = begin(wire, live)
-        taking = Taking(show(fingers, scene_of(about)), fingers)
-        ended = go_on(wire, live, early, taking)
-    log.info("ticks %d to %d, %d lost; %s", taking.first, taking.last, taking.lost, ended)
-    return signals.code_of_stop()
+    lock = keys.keys_from_options(args)
+    addresses = find_addresses(args.endpoint, lock, args.commands)
+    job = RecordingJob(addresses, lock, args.duration, args.timeout, lambda: bool(stop))
+    with signals.stop_on_signal(lambda: stop.append(True)), subscribe_all(job) as wire:
+        first_samples, fingers, about = receive_first(wire, job)
+        batcher = TickBatcher(show(fingers, parse_scene(about)), fingers)
+        end_reason = record_until_end(wire, job, first_samples, batcher)
+    log.info("ticks %d to %d, %d lost; %s", batcher.first, batcher.last, batcher.lost, end_reason)
+    return signals.stop_exit_code()

@@ -1,4 +1,4 @@
-"""Experiments with participants: the design, the trials, the folder they leave, and the figures of it.
+"""Experiments with participants: design, trials, result folder, and figures.
 
-Clients of the wire: nothing here touches the loop or a device, and the daemon needs nothing of it.
+Contains only clients of the wire: no access to the loop or a device, and no code that the daemon needs.
 """

@@ -1,4 +1,7 @@
-"""From factors to the order of trials: every choice by the seed and the participant's number, so made again alike."""
+"""Order of trials from the factors of a design.
+
+Each random choice is determined by the seed and the participant's number, so that the order is reproducible.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +16,16 @@ from softfinger.server.experiment.schema import ExperimentFile
 T = TypeVar("T")
 
 _ORDER: Final = 1
-"""Streams of random numbers: of the order, and below of each trial."""
+"""Stream of random numbers for the order; TRIAL: for each trial."""
 TRIAL: Final = 2
 
 
 class Condition(NamedTuple):
-    """A combination of levels.
+    """Combination of factor levels.
 
-    name     of all factors' levels, "all" without factors
+    name     levels of all factors, "all" without factors
     levels   by factor
-    scene    that it needs, None: the experiment's
+    scene    scene of the condition, None: the experiment's
     changes  parameters by dotted path
     """
 
@@ -32,14 +35,14 @@ class Condition(NamedTuple):
     changes: dict[str, Any]
 
 
-class Planned(NamedTuple):
-    """A trial as designed.
+class PlannedTrial(NamedTuple):
+    """Trial of the design.
 
     number      from 1
-    practice    does not count
-    condition   place in the list of conditions
-    level       None: a procedure chooses it when the trial comes
-    test_first  of two touches the first is not the reference
+    practice    True if the trial does not count
+    condition   index in the list of conditions
+    level       None: chosen by a procedure at the time of the trial
+    test_first  True if the first of two touches is the test stimulus, not the reference
     """
 
     number: int
@@ -50,8 +53,8 @@ class Planned(NamedTuple):
 
 
 def conditions(experiment: ExperimentFile) -> list[Condition]:
-    """All combinations of the factors' levels, the last factor's changing fastest."""
-    made = []
+    """Return all combinations of the factors' levels; the level of the last factor changes fastest."""
+    combinations = []
     for levels in itertools.product(*(factor.levels for factor in experiment.factor)):
         scene, changes = None, dict[str, Any]()
         for factor, level in zip(experiment.factor, levels, strict=True):
@@ -59,41 +62,43 @@ def conditions(experiment: ExperimentFile) -> list[Condition]:
             changes |= {factor.parameter: level} if factor.parameter else factor.values.get(str(level), {})
         names = [str(level) for level in levels]
         by_factor = dict(zip((factor.name for factor in experiment.factor), levels, strict=True))
-        made.append(Condition(", ".join(names) or "all", by_factor, scene, changes))
-    return made
+        combinations.append(Condition(", ".join(names) or "all", by_factor, scene, changes))
+    return combinations
 
 
 def williams(count: int, row: int) -> list[int]:
-    """Row `row` of a latin square of `count` in which each follows each other equally often (Williams 1949).
+    """Return a row of a Latin square in which each of `count` items follows each other equally often (Williams 1949).
 
-    For an odd count it takes two squares, the second one the mirror image of the first: rows repeat after 2 count.
+    An odd count needs two squares, the second being the mirror image of the first: rows repeat after 2 count.
     """
     first = [0, *itertools.chain.from_iterable(zip(range(1, count), range(count - 1, 0, -1), strict=True))][:count]
     line = [(each + row) % count for each in first]
     return line[::-1] if count % 2 and row // count % 2 else line
 
 
-def planned(experiment: ExperimentFile, participant: int) -> list[Planned]:
-    """The trials of a participant, practice first."""
+def plan_trials(experiment: ExperimentFile, participant: int) -> list[PlannedTrial]:
+    """Return the trials of a participant, practice first."""
     rng = np.random.default_rng([experiment.design.seed, participant, _ORDER])
     count = len(conditions(experiment))
     blocks = [_block(experiment, condition, rng) for condition in range(count)]
     match experiment.design.order:
         case "random":
-            trials = _mixed(blocks, rng)
+            trials = _mix(blocks, rng)
         case "latin-square":
-            trials = [trial for at in williams(count, participant - 1) for trial in blocks[at]]
+            trials = [trial for index in williams(count, participant - 1) for trial in blocks[index]]
         case _:
             trials = [trial for block in blocks for trial in block]
     practice = [trials[int(k)] for k in rng.integers(len(trials), size=experiment.design.practice)]
-    both = [(True, trial) for trial in practice] + [(False, trial) for trial in trials]
-    first = rng.permutation(len(both)) % 2 == 0  # as often first as second
-    return [Planned(k + 1, early, *trial, bool(first[k])) for k, (early, trial) in enumerate(both)]
+    all_trials = [(True, trial) for trial in practice] + [(False, trial) for trial in trials]
+    first = rng.permutation(len(all_trials)) % 2 == 0  # balanced
+    return [
+        PlannedTrial(k + 1, is_practice, *trial, bool(first[k])) for k, (is_practice, trial) in enumerate(all_trials)
+    ]
 
 
 def summary(experiment: ExperimentFile) -> list[tuple[str, str]]:
-    """What a participant meets, in rows of a name and a text."""
-    trials, trial = planned(experiment, 1), experiment.trial
+    """Return rows of name and text that describe a session for the participant."""
+    trials, trial = plan_trials(experiment, 1), experiment.trial
     touches = 1 + (experiment.task.kind == "compare")
     minutes = len(trials) * touches * (trial.touch_s + trial.gap_s) / 60.0
     every = experiment.design.break_every
@@ -106,22 +111,22 @@ def summary(experiment: ExperimentFile) -> list[tuple[str, str]]:
 
 
 def _block(experiment: ExperimentFile, condition: int, rng: np.random.Generator) -> list[tuple[int, float | None]]:
-    """Trials of a condition: its number, and the level where that is known."""
+    """Return the trials of a condition: its index, and the level if it is known."""
     procedure = experiment.procedure
     if procedure.kind != "constant":
         return [(condition, None)] * procedure.trials
-    levels = [level for _ in range(procedure.repetitions) for level in _shuffled(procedure.levels, rng)]
+    levels = [level for _ in range(procedure.repetitions) for level in _shuffle(procedure.levels, rng)]
     return [(condition, level) for level in levels]
 
 
-def _mixed(
+def _mix(
     blocks: Sequence[Sequence[tuple[int, float | None]]], rng: np.random.Generator
 ) -> list[tuple[int, float | None]]:
-    """Trials of all blocks in random order, those of each in its own."""
-    whose = _shuffled([at for at, block in enumerate(blocks) for _ in block], rng)
-    left = [iter(block) for block in blocks]
-    return [next(left[at]) for at in whose]
+    """Return the trials of all blocks in random order; the order within each block is unchanged."""
+    block_order = _shuffle([index for index, block in enumerate(blocks) for _ in block], rng)
+    remaining = [iter(block) for block in blocks]
+    return [next(remaining[index]) for index in block_order]
 
 
-def _shuffled(values: Sequence[T], rng: np.random.Generator) -> list[T]:
-    return [values[int(at)] for at in rng.permutation(len(values))]
+def _shuffle(values: Sequence[T], rng: np.random.Generator) -> list[T]:
+    return [values[int(index)] for index in rng.permutation(len(values))]

@@ -1,11 +1,10 @@
-"""An experiment from Python: read it, rehearse it, run it with a participant or with the simulated observer."""
+"""Python interface to experiments: load one, rehearse it, run it with a participant or the simulated observer."""
 
 from __future__ import annotations
 
 import logging
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -19,31 +18,31 @@ from softfinger.config.load import load_rig
 from softfinger.config.words import shown
 from softfinger.server import signals
 from softfinger.server.experiment import files, rigs
-from softfinger.server.experiment.answers import DryRun, Person
+from softfinger.server.experiment.answers import DryRun, Participant
 from softfinger.server.experiment.design import Condition, conditions
-from softfinger.server.experiment.folder import Folder, load, trials_in
+from softfinger.server.experiment.folder import Folder, load, read_trials
 from softfinger.server.experiment.haptics import Haptics
 from softfinger.server.experiment.journal import Entry, Journal, Memory
-from softfinger.server.experiment.masses import scene_with
-from softfinger.server.experiment.session import Nothing, Session, Stopped
-from softfinger.server.viewer.door.process import Shown
+from softfinger.server.experiment.masses import load_changed_scene
+from softfinger.server.experiment.session import NullApparatus, Session, Stopped
+from softfinger.server.viewer.door.process import PageProcess
 from softfinger.server.viewer.roles import Role
 
 log: Final = logging.getLogger(__name__)
 
 PARTICIPANT_MAX: Final = 9999
-DOCTOR_S: Final = 120.0
+DOCTOR_TIMEOUT_S: Final = 120.0
 FIRST_TICK_S: Final = 30.0
-ENDED_S: Final = 0.0
+EXIT_WAIT_S: Final = 0.0
 
 
-class Running(NamedTuple):
-    """How a session runs.
+class RunOptions(NamedTuple):
+    """Options of a session.
 
     dry_run     the simulated observer answers
-    no_daemon   nothing is rendered: the simulated observer, the journal and the tables alone
-    doctor      `softfinger doctor` looks at the machine first
-    view        a page in the browser shows the participant what is asked
+    no_daemon   without rendering: only the simulated observer, the journal and the tables
+    doctor      run `softfinger doctor` first
+    view        show the prompts to the participant on a page in the browser
     rig         values for the rig by dotted key, such as telemetry.endpoint
     """
 
@@ -55,13 +54,22 @@ class Running(NamedTuple):
 
 
 class Experiment:
-    """An experiment with participants.
+    """Experiment with participants.
 
-    source   a file, the name of a shipped experiment, or a mapping like a file
-    changes  other values by dotted key, such as {"design.seed": 2, "procedure.trials": 60}
+    Parameters
+    ----------
+    source
+        File, name of a shipped experiment, or mapping with the contents of a file.
+    changes
+        Replacement values by dotted key, such as {"design.seed": 2, "procedure.trials": 60}.
 
-    Raises ConfigError with every fault of the file, also of its scenes and rig.
+    Raises
+    ------
+    ConfigError
+        With every fault of the file, of its scenes and of its rig.
 
+    Examples
+    --------
     >>> from softfinger import Experiment
     >>> rows = Experiment("stiffness-discrimination").rehearse(participant=1)
     >>> len(rows), rows[0]["answer"] in ("first", "second")
@@ -81,133 +89,179 @@ class Experiment:
         return f"<Experiment: {self.file.title}>"
 
     def rehearse(self, participant: int = 1) -> list[Entry]:
-        """Trials answered by the simulated observer, without a daemon and without a file; a row each."""
+        """Run the trials with the simulated observer, without daemon and files; return one row per trial."""
         journal = Memory()
-        Session(self.file, _checked(participant)).run(journal, Nothing(), DryRun(self.file, participant))
+        Session(self.file, _check_participant(participant)).run(
+            journal, NullApparatus(), DryRun(self.file, participant)
+        )
         return [entry for entry in journal.entries if entry["kind"] == "done"]
 
-    def run(self, folder: str | Path, participant: int, running: Running = Running()) -> list[Entry]:  # noqa: B008
-        """Run the trials of a participant that have no answer yet, and write into `folder`; returns all rows.
+    def run(self, folder: str | Path, participant: int, running: RunOptions = RunOptions()) -> list[Entry]:  # noqa: B008
+        """Run the unanswered trials of a participant, and write the results into a folder.
 
-        The daemon runs in this process, on the experiment's rig. Raises what ends a daemon; Stopped where a signal
-        asked for the end; ConfigError for a folder of another experiment.
+        The daemon runs in this process, on the rig of the experiment.
+
+        Parameters
+        ----------
+        folder
+            Result folder, shared by all participants; created if it does not exist.
+        participant
+            Number, from 1.
+        running
+            Options of the session.
+
+        Returns
+        -------
+        list of Entry
+            All answered trials of the participant, one row each.
+
+        Raises
+        ------
+        Stopped
+            If a signal ends the session.
+        ConfigError
+            If the folder belongs to another experiment, or the rig takes no commands.
+        HapticError
+            Errors that end a daemon.
         """
-        own = Folder(Path(folder), self.file, _checked(participant), files.hashes(self.file, self._folder))
+        participant_folder = Folder(
+            Path(folder), self.file, _check_participant(participant), files.hashes(self.file, self._folder)
+        )
         session = Session(self.file, participant, log.debug if running.no_daemon else log.info)
-        session.check(own)
-        own.check_same(running.dry_run)
-        with ExitStack() as opened:
-            # A journal that is there is locked before the device is opened, which another session may have.
-            journal = opened.enter_context(Journal(own.journal)) if own.journal.exists() else None
+        session.check(participant_folder)
+        participant_folder.check_answer_kind(running.dry_run)
+        with ExitStack() as stack:
+            # Lock an existing journal before the device is opened: another session may be using both.
+            journal = (
+                stack.enter_context(Journal(participant_folder.journal))
+                if participant_folder.journal.exists()
+                else None
+            )
             if journal is None or not journal.of("finished"):
-                self._go_on(session, opened, journal, own, running)
-            own.tables()
-            return trials_in([own.journal])
+                self._run_unanswered(session, stack, journal, participant_folder, running)
+            participant_folder.tables()
+            return read_trials([participant_folder.journal])
 
-    def _go_on(
-        self, session: Session, opened: ExitStack, journal: Journal | None, own: Folder, running: Running
+    def _run_unanswered(
+        self,
+        session: Session,
+        stack: ExitStack,
+        journal: Journal | None,
+        participant_folder: Folder,
+        running: RunOptions,
     ) -> None:
-        """Run what has no answer. Nothing is written until the device ticks: before that, much can be refused."""
-        dry = DryRun(self.file, own.participant)
+        """Run the unanswered trials. Files are written only after the device ticks: earlier steps can fail."""
+        simulated = DryRun(self.file, participant_folder.participant)
         if running.no_daemon:
-            journal, _ = _begun(session, opened, journal, own, {"about.json": {"daemon": False}}, True)
-            session.run(journal, Nothing(), dry, own)
+            journal, _ = _begin_run(
+                session, stack, journal, participant_folder, {"about.json": {"daemon": False}}, True
+            )
+            session.run(journal, NullApparatus(), simulated, participant_folder)
             return
-        rig = files.beside(self._folder, self.file.rig)
-        # The doctor looks at the device, so before that is opened.
-        kept = {"doctor.json": doctors_answer(str(rig))} if running.doctor else {}
-        with self._rendered(own, rig, running) as (haptics, about):
-            kept |= {"about.json": about}
-            journal, number = _begun(session, opened, journal, own, kept, running.dry_run)
-            person = None if running.dry_run else Person(self.file, haptics)
-            if person is not None:
-                person.instruct()
-            with recorded(haptics, f"{own.label}/{own.name(number, 'ticks.mcap')}"):
-                session.run(journal, haptics, person or dry, own)
-            if person is not None:
-                person.end()
+        rig = files.resolve_source(self._folder, self.file.rig)
+        # Before the device is opened: the doctor needs access to it.
+        run_files = {"doctor.json": run_doctor(str(rig))} if running.doctor else {}
+        with self._start_daemon(participant_folder, rig, running) as (haptics, about):
+            run_files |= {"about.json": about}
+            journal, number = _begin_run(session, stack, journal, participant_folder, run_files, running.dry_run)
+            participant = None if running.dry_run else Participant(self.file, haptics)
+            if participant is not None:
+                participant.instruct()
+            with record_ticks(haptics, f"{participant_folder.label}/{participant_folder.name(number, 'ticks.mcap')}"):
+                session.run(journal, haptics, participant or simulated, participant_folder)
+            if participant is not None:
+                participant.end()
 
     @contextmanager
-    def _rendered(self, own: Folder, rig: str | Path, running: Running) -> Iterator[tuple[Haptics, dict[str, Any]]]:
-        """A daemon on the rig with the experiment's scene, and what presents stimuli on it."""
+    def _start_daemon(
+        self, participant_folder: Folder, rig: str | Path, running: RunOptions
+    ) -> Iterator[tuple[Haptics, dict[str, Any]]]:
+        """Start a daemon with rig and scene of the experiment; yield its `Haptics` and its description."""
         from softfinger.server.app import Daemon
         from softfinger.server.remote import Client
 
-        values = {"recording.directory": str(own.root.absolute()), **running.rig}
-        of_rig, of_scene = rigs.split(self.file.overrides, "overrides")
-        scene = scene_with(self._scene(self.file.scene), of_scene, "overrides")
-        with ExitStack() as opened:
-            daemon = opened.enter_context(
-                Daemon(load_rig(rig, values | of_rig), scene, scene_name=Path(self.file.scene).stem[:64])
+        values = {"recording.directory": str(participant_folder.root.absolute()), **running.rig}
+        rig_values, scene_values = rigs.split(self.file.overrides, "overrides")
+        scene = load_changed_scene(self._scene(self.file.scene), scene_values, "overrides")
+        with ExitStack() as stack:
+            daemon = stack.enter_context(
+                Daemon(load_rig(rig, values | rig_values), scene, scene_name=Path(self.file.scene).stem[:64])
             )
             if daemon.commands_endpoint is None:
                 raise ConfigError(
                     f"{rig}: takes no commands, and an experiment needs them: leave commands.endpoint out"
                 )
-            for where, name, parameters in files.ends(self.file):
-                rig_there, scene_there = rigs.split(parameters, where)
-                there = scene_with(self._scene(name), scene_there, where)
+            for where, name, parameters in files.level_extremes(self.file):
+                condition_rig, condition_scene = rigs.split(parameters, where)
+                scene_at_level = load_changed_scene(self._scene(name), condition_scene, where)
                 try:
-                    daemon.rendering.check(there, load_rig(rig, values | rig_there))
+                    daemon.rendering.check(scene_at_level, load_rig(rig, values | condition_rig))
                 except ConfigError as error:
                     raise ConfigError(f"{where}: {error}") from error
-            asked = ((where, parameters) for where, _, parameters in files.ends(self.file))
-            rigs.check_rated(asked, [device.info for device in daemon.devices])
-            opened.enter_context(signals.asked(daemon.stop, daemon.pause))
+            parameters_by_location = ((where, parameters) for where, _, parameters in files.level_extremes(self.file))
+            rigs.check_rated(parameters_by_location, [device.info for device in daemon.devices])
+            stack.enter_context(signals.stop_on_signal(daemon.stop, daemon.pause))
             daemon.start()
-            client = opened.enter_context(Client(daemon.publisher.endpoint, daemon.commands_endpoint))
+            client = stack.enter_context(Client(daemon.publisher.endpoint, daemon.commands_endpoint))
             log.info("telemetry on %s, commands on %s", daemon.publisher.endpoint, daemon.commands_endpoint)
-            models = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="softfinger-models-")))
-            looks = list[Callable[[], None]]()
+            polls = list[Callable[[], None]]()
             if running.view:
-                loudness = [] if log.isEnabledFor(logging.INFO) else ["-q"]
-                ends = daemon.publisher.endpoint, daemon.commands_endpoint
-                page = Shown(*ends, loudness, daemon.page_ended, Role.PARTICIPANT)
-                opened.callback(page.close)
-                looks.append(page.look)
+                log_options = [] if log.isEnabledFor(logging.INFO) else ["-q"]
+                endpoints = daemon.publisher.endpoint, daemon.commands_endpoint
+                page = PageProcess(*endpoints, log_options, daemon.publish_page_exit, Role.PARTICIPANT)
+                stack.callback(page.close)
+                polls.append(page.supervise)
             haptics = Haptics(
-                client, self.file, self._scene, models, lambda: _check(daemon.wait, looks),
+                client, self.file, self._scene, lambda: _poll(daemon.wait, polls),
                 lambda changed: daemon.replace(rig=load_rig(rig, {**values, **changed})),
-                daemon.recordings.kept_to,
+                daemon.recordings.last_written_tick,
             )  # fmt: skip
             yield haptics, client.describe()
 
     def _scene(self, name: str) -> str | Path:
-        return files.beside(self._folder, name)
+        return files.resolve_source(self._folder, name)
 
 
-def _begun(
-    session: Session, opened: ExitStack, journal: Journal | None, own: Folder, kept: Mapping[str, Any], dry_run: bool
+def _begin_run(
+    session: Session,
+    stack: ExitStack,
+    journal: Journal | None,
+    participant_folder: Folder,
+    run_files: Mapping[str, Any],
+    dry_run: bool,
 ) -> tuple[Journal, int]:
-    """The journal, with a start in it, and the number of the start; `kept` are files of the start, by name."""
-    session.begin(own)
-    number = own.run()
+    """Append a start to the journal; return the journal and the number of the start.
+
+    run_files  additional files of the start, by name
+    """
+    session.begin(participant_folder)
+    number = participant_folder.next_run()
     if journal is None:
-        journal = opened.enter_context(Journal(own.journal))
-    for name, values in kept.items():
-        own.keep(own.name(number, name), values)
+        journal = stack.enter_context(Journal(participant_folder.journal))
+    for name, values in run_files.items():
+        participant_folder.write_json(participant_folder.name(number, name), values)
     journal.write("started", run=number, dry_run=dry_run, time=time.time())
     return journal, number
 
 
 def results(folder: str | Path) -> list[Entry]:
-    """All answered trials of an experiment's folder, a row each, from its journals."""
+    """Return all answered trials of an experiment's folder, one row each, from its journals."""
     return load(Path(folder))[1]
 
 
-def doctors_answer(rig: str) -> Any:
-    """What `softfinger doctor` says of this machine, in a process of its own; a text where it says nothing of use."""
-    words = [sys.executable, "-m", "softfinger.server.cli", "doctor", "--json", "--seconds", "1", "--rig", rig]
+def run_doctor(rig: str) -> Any:
+    """Run `softfinger doctor` in a separate process; return its report on this machine, or its failure."""
+    command = [sys.executable, "-m", "softfinger.server.cli", "doctor", "--json", "--seconds", "1", "--rig", rig]
     try:
-        said = subprocess.run(words, capture_output=True, timeout=DOCTOR_S, check=False)
-        return msgspec.json.decode(said.stdout)
+        process = subprocess.run(command, capture_output=True, timeout=DOCTOR_TIMEOUT_S, check=False)
+        return msgspec.json.decode(process.stdout)
     except (subprocess.TimeoutExpired, msgspec.DecodeError) as error:
         return {"failed": str(error)}
 
 
 @contextmanager
-def recorded(haptics: Haptics, file: str) -> Iterator[None]:
-    """Every tick and marker of the block in a file of the rig's folder of recordings."""
+def record_ticks(haptics: Haptics, file: str) -> Iterator[None]:
+    """Record all ticks and markers during the block, in a file of the rig's recording folder."""
     haptics.client.record_start(file)
     try:
         yield
@@ -218,15 +272,15 @@ def recorded(haptics: Haptics, file: str) -> Iterator[None]:
             haptics.client.record_stop()
 
 
-def _check(ended: Callable[[float], bool], looks: Iterable[Callable[[], None]]) -> None:
-    """Look after what runs beside it; raise what ended the daemon, or Stopped."""
-    for look in looks:
-        look()
-    if ended(ENDED_S):
-        raise Stopped("stopped; the same command goes on at this trial")
+def _poll(ended: Callable[[float], bool], polls: Iterable[Callable[[], None]]) -> None:
+    """Poll the viewer; raise the error that ended the daemon, or Stopped."""
+    for poll in polls:
+        poll()
+    if ended(EXIT_WAIT_S):
+        raise Stopped("stopped; the same command continues at this trial")
 
 
-def _checked(participant: int) -> int:
+def _check_participant(participant: int) -> int:
     if type(participant) is not int or not 1 <= participant <= PARTICIPANT_MAX:
-        raise ConfigError(f"participant = {shown(participant)}: must be a whole number from 1 to {PARTICIPANT_MAX}")
+        raise ConfigError(f"participant = {shown(participant)}: must be an integer from 1 to {PARTICIPANT_MAX}")
     return participant

@@ -1,4 +1,4 @@
-"""`softfinger figure`: the folder of an experiment as figures, and the numbers that they show."""
+"""`softfinger figure`: draw the results of an experiment's folder, and write the numbers shown."""
 
 from __future__ import annotations
 
@@ -9,44 +9,43 @@ from pathlib import Path
 from typing import Any
 
 from softfinger.config.files import new_file
-from softfinger.server.experiment.analysis import analysed, said, table
+from softfinger.server.experiment.analysis import fit_groups, format_fit, table
 from softfinger.server.experiment.figures import draw
 from softfinger.server.experiment.folder import load, write_csv
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.description = (
         "Fit the answers of an experiment's folder and draw them as PNG and SVG, the numbers beside as CSV and JSON. "
         "Made anew each time."
     )
-    parser.add_argument("folder", metavar="FOLDER", help="what `softfinger experiment` wrote")
+    parser.add_argument("folder", metavar="FOLDER", help="folder written by `softfinger experiment`")
     parser.add_argument("--out", metavar="FOLDER", help="where figures go (default: FOLDER/figures)")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw and print; returns 0. ConfigError for a folder without answers."""
+    """Draw, print and return 0. Raises ConfigError if the folder has no answers."""
     root = Path(args.folder)
     experiment, rows = load(root)
-    groups = analysed(experiment, rows)
+    groups = fit_groups(experiment, rows)
     numbers = table(groups)
     out = Path(args.out) if args.out else root / "figures"
     out.mkdir(parents=True, exist_ok=True)
-    drawn = draw(experiment, groups, out)
+    paths = draw(experiment, groups, out)
     write_csv(out / "numbers.csv", numbers)
-    text = json.dumps([without_nan(row) for row in numbers], indent=1)
+    text = json.dumps([replace_nan(row) for row in numbers], indent=1)
     with new_file(out / "numbers.json") as file:
         file.write(text.encode() + b"\n")
     if args.json:
         print(text)
         return 0
     for group in groups:
-        print(f"{group.participant}, {group.condition}: {said(group.fit)}; {group.trials} trials")
-    print(f"drawn: {', '.join(str(path) for path in drawn)}")
+        print(f"{group.participant}, {group.condition}: {format_fit(group.fit)}; {group.trials} trials")
+    print(f"drawn: {', '.join(str(path) for path in paths)}")
     return 0
 
 
-def without_nan(row: dict[str, Any]) -> dict[str, Any]:
-    """JSON has no nan."""
+def replace_nan(row: dict[str, Any]) -> dict[str, Any]:
+    """Replace nan by None: JSON has no nan."""
     return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}

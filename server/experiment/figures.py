@@ -1,4 +1,4 @@
-"""Figures of an experiment: the psychometric functions or power laws, and what was felt, by condition."""
+"""Figures of an experiment by condition: psychometric functions or power laws, and forces, paths and durations."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.experiment.analysis import ALL, FELT, Group, PowerLaw, said
+from softfinger.server.experiment.analysis import ALL, AVERAGED_COLUMNS, Group, PowerLaw, format_fit
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.schema import ExperimentFile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-ENDINGS: Final = ("png", "svg")
+SUFFIXES: Final = ("png", "svg")
 LABELS: Final = {
     "peak_force_n": "peak force (N)",
     "mean_force_n": "mean force (N)",
@@ -26,7 +26,10 @@ LABELS: Final = {
 
 
 def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list[Path]:
-    """Draw the fits, and what was felt where something was; returns the files. ConfigError without matplotlib."""
+    """Draw the fits, and the columns in AVERAGED_COLUMNS if there are any; return the files.
+
+    Raises ConfigError if matplotlib is not installed.
+    """
     try:
         import matplotlib
 
@@ -34,37 +37,39 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
         import matplotlib.pyplot as plt
     except ImportError as error:
         raise ConfigError(f"figures need matplotlib ({error}): pip install 'softfinger[plots]'") from error
-    people = list(dict.fromkeys(group.participant for group in groups))
-    shown = ALL if ALL in people else people[0]
-    plt.rcParams["svg.hashsalt"] = "softfinger"  # the same file from the same answers
-    drawn = []
+    participants = list(dict.fromkeys(group.participant for group in groups))
+    main_participant = ALL if ALL in participants else participants[0]
+    plt.rcParams["svg.hashsalt"] = "softfinger"  # same file for the same answers
+    paths = []
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     for group in groups:
-        (_power if isinstance(group.fit, PowerLaw) else _psychometric)(axes, group, faint=group.participant != shown)
-    axes.set(xscale="log", title=f"{experiment.title} ({shown})", xlabel=_level(experiment))
+        (_draw_power_law if isinstance(group.fit, PowerLaw) else _draw_psychometric)(
+            axes, group, is_faint=group.participant != main_participant
+        )
+    axes.set(xscale="log", title=f"{experiment.title} ({main_participant})", xlabel=_level(experiment))
     if experiment.task.kind == "compare":
         axes.set(ylabel="share of right answers", ylim=(0.0, 1.02))
     else:
         axes.set(yscale="log", ylabel="duration (s)" if experiment.task.kind == "trace" else "answer")
     _plain_ticks(axes)
     axes.legend(fontsize="small")
-    drawn += _saved(figure, out / "fit")
-    main = [group for group in groups if group.participant == shown]
-    if any(group.felt for group in main):
-        figure, several = plt.subplots(1, len(FELT), figsize=(11, 3.2), layout="constrained")
-        for axes, name in zip(several, FELT, strict=True):
-            _felt(axes, main, name)
-        drawn += _saved(figure, out / "felt")
+    paths += _save(figure, out / "fit")
+    shown_groups = [group for group in groups if group.participant == main_participant]
+    if any(group.means for group in shown_groups):
+        figure, all_axes = plt.subplots(1, len(AVERAGED_COLUMNS), figsize=(11, 3.2), layout="constrained")
+        for axes, name in zip(all_axes, AVERAGED_COLUMNS, strict=True):
+            _draw_means(axes, shown_groups, name)
+        paths += _save(figure, out / "felt")
     plt.close("all")
-    return drawn
+    return paths
 
 
 def _plain_ticks(axes: Axes) -> None:
-    """Numbers as people write them on axes that are logarithmic; matplotlib's own are powers of ten."""
+    """Label logarithmic axes with decimal numbers; matplotlib uses powers of ten."""
     from matplotlib.ticker import LogFormatter
 
     class Plain(LogFormatter):
-        """Says which ticks have a number, as its base does, and that number in full."""
+        """Formatter that labels the same ticks as its base class, with decimal numbers."""
 
         def __call__(self, x: float, pos: int | None = None) -> str:
             return f"{x:g}" if super().__call__(x, pos) else ""
@@ -80,45 +85,45 @@ def _level(experiment: ExperimentFile) -> str:
     return "difference, as a share of the reference" if task.kind == "compare" else task.parameter
 
 
-def _psychometric(axes: Axes, group: Group, faint: bool) -> None:
+def _draw_psychometric(axes: Axes, group: Group, is_faint: bool) -> None:
     fit: Any = group.fit
     x, chance, low, high = fit.curve.T
-    if faint:
+    if is_faint:
         axes.plot(x, chance, color="0.75", lw=0.8)
         return
     (line,) = axes.plot(x, chance, label=_label(group))
     axes.fill_between(x, low, high, color=line.get_color(), alpha=0.2, lw=0)
-    levels, place = np.unique([row["level"] for row in group.rows], return_inverse=True)
-    right, count = np.bincount(place, [row["right"] for row in group.rows]), np.bincount(place)
+    levels, index = np.unique([row["level"] for row in group.rows], return_inverse=True)
+    right, count = np.bincount(index, [row["right"] for row in group.rows]), np.bincount(index)
     axes.scatter(levels, right / count, 8.0 * np.sqrt(count), color=line.get_color())
 
 
 def _label(group: Group) -> str:
-    return said(group.fit) if group.condition == "all" else f"{group.condition}: {said(group.fit)}"
+    return format_fit(group.fit) if group.condition == "all" else f"{group.condition}: {format_fit(group.fit)}"
 
 
-def _power(axes: Axes, group: Group, faint: bool) -> None:
+def _draw_power_law(axes: Axes, group: Group, is_faint: bool) -> None:
     fit: Any = group.fit
     levels = np.array([row["level"] for row in group.rows])
     x = np.geomspace(levels.min(), levels.max(), 50)
     y = fit.scale * x ** np.nan_to_num(fit.exponent)
-    if faint:
+    if is_faint:
         axes.plot(x, y, color="0.75", lw=0.8)
         return
     (line,) = axes.plot(x, y, label=_label(group))
-    around = np.abs(np.subtract(fit.answer_95, fit.answer))[:, None]
-    axes.errorbar(fit.middle, fit.answer, around, color=line.get_color(), capsize=4)
+    answer_margin = np.abs(np.subtract(fit.answer_95, fit.answer))[:, None]
+    axes.errorbar(fit.middle, fit.answer, answer_margin, color=line.get_color(), capsize=4)
     axes.scatter(levels, [row["answer"] for row in group.rows], 10.0, color=line.get_color(), alpha=0.4)
 
 
-def _felt(axes: Axes, groups: Sequence[Group], name: str) -> None:
-    """The values of all trials of each condition, and their mean."""
-    for place, group in enumerate(groups):
+def _draw_means(axes: Axes, groups: Sequence[Group], name: str) -> None:
+    """Draw the values of all trials of each condition, and their mean."""
+    for index, group in enumerate(groups):
         values = _values(group.rows, name)
         if values:
             spread = np.linspace(-0.15, 0.15, len(values))
-            axes.plot(place + spread, values, ".", ms=3, alpha=0.5)
-            axes.plot(place, np.mean(values), "k_", ms=16)
+            axes.plot(index + spread, values, ".", ms=3, alpha=0.5)
+            axes.plot(index, np.mean(values), "k_", ms=16)
     axes.set_xticks(range(len(groups)), [group.condition for group in groups])
     axes.set(ylabel=LABELS[name], xlim=(-0.5, len(groups) - 0.5))
     axes.set_ylim(bottom=0.0)
@@ -128,8 +133,8 @@ def _values(rows: Sequence[Entry], name: str) -> list[float]:
     return [row[name] for row in rows if name in row]
 
 
-def _saved(figure: Any, name: Path) -> list[Path]:
-    paths = [name.with_suffix(f".{ending}") for ending in ENDINGS]
+def _save(figure: Any, name: Path) -> list[Path]:
+    paths = [name.with_suffix(f".{suffix}") for suffix in SUFFIXES]
     for path in paths:
         figure.savefig(path, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else None)
     return paths

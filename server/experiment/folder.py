@@ -1,16 +1,16 @@
-"""The folder of an experiment: names after BIDS, files that are written once, tables made from the journals.
+"""Result folder of an experiment: names after BIDS, files that are written once, and tables made from the journals.
 
 FOLDER/
-    dataset_description.json, experiment.json     what it is, the same for all participants
-    files.json                                    hashes of scenes and rig beside the experiment, where there are any
-    participants.tsv, trials.csv                  tables of all, made from the journals
+    dataset_description.json, experiment.json     description, the same for all participants
+    files.json                                    hashes of scenes and rig next to the experiment, if there are any
+    participants.tsv, trials.csv                  tables of all participants, made from the journals
     sub-01/
-        sub-01_journal.jsonl                      what happened, a line each: the source of every table
-        sub-01_order.csv, sub-01_design.json      the trials as designed; seed, conditions
+        sub-01_journal.jsonl                      events, one per line: the source of every table
+        sub-01_order.csv, sub-01_design.json      trials as designed; seed, conditions
         sub-01_run-01_about.json                  versions, rig, scene, machine; of each start
-        sub-01_run-01_doctor.json                 what `softfinger doctor` found
+        sub-01_run-01_doctor.json                 report of `softfinger doctor`
         sub-01_run-01_ticks.mcap                  every tick, with markers
-        sub-01_trials.csv                         a row a trial
+        sub-01_trials.csv                         one row per trial
         trials/sub-01_trial-0001.csv              every tick of the touches of a trial
 """
 
@@ -28,8 +28,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.files import new_file
 from softfinger.config.load import build, describe
 from softfinger.config.materials import flat
-from softfinger.server.experiment.design import Condition, Planned
-from softfinger.server.experiment.journal import Entry, not_written, read
+from softfinger.server.experiment.design import Condition, PlannedTrial
+from softfinger.server.experiment.journal import Entry, make_write_error, read
 from softfinger.server.experiment.schema import ExperimentFile
 
 JOURNAL: Final = "sub-*/sub-*_journal.jsonl"
@@ -37,43 +37,48 @@ BIDS_VERSION: Final = "1.10.0"
 
 
 class Folder:
-    """What one participant's sessions write. Nothing is written before `begin`.
+    """Files of one participant's sessions. Nothing is written before `begin`.
 
-    files  hashes of the scenes and the rig beside the experiment, by name
+    files  hashes of the scenes and the rig next to the experiment, by name
 
-    Raises ConfigError where the folder is of another experiment, or cannot be one.
+    Raises ConfigError if the folder belongs to another experiment.
     """
 
     def __init__(self, root: Path, experiment: ExperimentFile, participant: int, files: Mapping[str, str]) -> None:
         self.root, self.participant = root, participant
         self.label: Final = f"sub-{participant:02d}"
-        self.own: Final = root / self.label
-        self.journal: Final = self.own / f"{self.label}_journal.jsonl"
+        self.participant_dir: Final = root / self.label
+        self.journal: Final = self.participant_dir / f"{self.label}_journal.jsonl"
         about = {"Name": experiment.title, "BIDSVersion": BIDS_VERSION, "DatasetType": "raw"}
         shared = {"experiment.json": describe(experiment), "files.json": files, "dataset_description.json": about}
-        self._same = {root / name: _json(values) for name, values in shared.items() if values}
-        for path, text in self._same.items():
+        self._shared_files = {root / name: _json(values) for name, values in shared.items() if values}
+        for path, text in self._shared_files.items():
             _check_same(path, text)
 
-    def begin(self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[Planned]) -> None:
-        """Write what is not there yet: what the experiment is, the design and the order."""
+    def begin(
+        self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[PlannedTrial]
+    ) -> None:
+        """Write the missing files: description of the experiment, design and order.
+
+        Raises ConfigError if a file cannot be written, or exists with another content.
+        """
         rows = _rows(conditions, trials)
         try:
-            (self.own / "trials").mkdir(parents=True, exist_ok=True)
+            (self.participant_dir / "trials").mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise not_written(self.own / "trials", error) from error
-        for path, text in (self._same | self._design(experiment, conditions, rows)).items():
+            raise make_write_error(self.participant_dir / "trials", error) from error
+        for path, text in (self._shared_files | self._design(experiment, conditions, rows)).items():
             if not path.exists():
                 _write(path, text)
             _check_same(path, text)
-        order = self.own / f"{self.label}_order.csv"
+        order = self.participant_dir / f"{self.label}_order.csv"
         if not order.exists():
             write_csv(order, rows)
 
     def check_design(
-        self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[Planned]
+        self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[PlannedTrial]
     ) -> None:
-        """Raise ConfigError where another design of this participant is there."""
+        """Raise ConfigError if the folder has another design of this participant."""
         for path, text in self._design(experiment, conditions, _rows(conditions, trials)).items():
             _check_same(path, text)
 
@@ -81,43 +86,46 @@ class Folder:
         self, experiment: ExperimentFile, conditions: Sequence[Condition], rows: Sequence[Entry]
     ) -> dict[Path, bytes]:
         design = {"seed": experiment.design.seed, "conditions": [each._asdict() for each in conditions]}
-        return {self.own / f"{self.label}_design.json": _json(design | {"trials": rows})}
+        return {self.participant_dir / f"{self.label}_design.json": _json(design | {"trials": rows})}
 
-    def check_same(self, dry_run: bool) -> None:
-        """Raise ConfigError where the folder has answers of the other kind: of participants, or of a dry run."""
+    def check_answer_kind(self, dry_run: bool) -> None:
+        """Raise ConfigError if the folder has answers of the other kind: participants or a dry run."""
         for journal in sorted(self.root.glob(JOURNAL)):
             if any(entry["kind"] == "started" and entry["dry_run"] != dry_run for entry in read(journal)):
                 kind = "participants" if dry_run else "the simulated observer (--dry-run)"
                 raise ConfigError(f"{journal}: has answers of {kind}: give another folder, --out FOLDER")
 
-    def run(self) -> int:
-        """The number of the next start, from 1."""
-        return 1 + len(list(self.own.glob(f"{self.label}_run-*_about.json")))
+    def next_run(self) -> int:
+        """Return the number of the next start, from 1."""
+        return 1 + len(list(self.participant_dir.glob(f"{self.label}_run-*_about.json")))
 
     def name(self, run: int, what: str) -> str:
-        """Of a file of a start."""
+        """Return the name of a file of a start."""
         return f"{self.label}_run-{run:02d}_{what}"
 
-    def keep(self, name: str, values: Any) -> None:
-        """A new JSON file of this participant."""
-        _new(self.own / name, _json(values))
+    def write_json(self, name: str, values: Any) -> None:
+        """Write a new JSON file of this participant."""
+        _write_new(self.participant_dir / name, _json(values))
 
     def ticks(self, number: int, attempt: int, rows: Iterable[Mapping[str, Any]]) -> None:
-        """A new table of the ticks of a trial."""
-        again = f"_attempt-{attempt}" if attempt > 1 else ""
-        _new(self.own / "trials" / f"{self.label}_trial-{number:04d}{again}.csv", csv_text(list(rows)).encode())
+        """Write a new table of the ticks of a trial."""
+        suffix = f"_attempt-{attempt}" if attempt > 1 else ""
+        _write_new(
+            self.participant_dir / "trials" / f"{self.label}_trial-{number:04d}{suffix}.csv",
+            format_csv(list(rows)).encode(),
+        )
 
     def tables(self) -> None:
-        """Make the tables anew from the journals."""
-        write_csv(self.own / f"{self.label}_trials.csv", trials_in([self.journal]))
+        """Write the tables from the journals."""
+        write_csv(self.participant_dir / f"{self.label}_trials.csv", read_trials([self.journal]))
         journals = sorted(self.root.glob(JOURNAL))
-        write_csv(self.root / "trials.csv", trials_in(journals))
+        write_csv(self.root / "trials.csv", read_trials(journals))
         names = b"".join(f"{each.parent.name}\n".encode() for each in journals)
         _write(self.root / "participants.tsv", b"participant_id\n" + names)
 
 
-def _rows(conditions: Sequence[Condition], trials: Sequence[Planned]) -> list[Entry]:
-    """The trials as designed, a row each."""
+def _rows(conditions: Sequence[Condition], trials: Sequence[PlannedTrial]) -> list[Entry]:
+    """Return the trials as designed, one row each."""
     return [trial._asdict() | {"condition": conditions[trial.condition].name} for trial in trials]
 
 
@@ -126,26 +134,26 @@ def _json(values: Any) -> bytes:
 
 
 def _check_same(path: Path, text: bytes) -> None:
-    """Raise ConfigError where a file has another text than this; one that is not there has none."""
+    """Raise ConfigError if an existing file has another content than `text`."""
     if path.exists() and path.read_bytes() != text:
         raise ConfigError(
-            f"{path}: is of an experiment with other values{_other(path, text)}: name another folder "
+            f"{path}: is of an experiment with other values{_different_keys(path, text)}: name another folder "
             "(--out), or run the experiment as it was"
         )
 
 
-def _other(path: Path, text: bytes) -> str:
-    """Which keys of a JSON file have other values than in `text`."""
+def _different_keys(path: Path, text: bytes) -> str:
+    """Return the keys of a JSON file with other values than in `text`, for a message."""
     try:
-        there, here = (dict(flat(msgspec.json.decode(each))) for each in (path.read_bytes(), text))
+        existing, expected = (dict(flat(msgspec.json.decode(each))) for each in (path.read_bytes(), text))
     except (msgspec.DecodeError, AttributeError):
         return ""
-    keys = [key for key in here | there if here.get(key, msgspec.UNSET) != there.get(key, msgspec.UNSET)]
+    keys = [key for key in expected | existing if expected.get(key, msgspec.UNSET) != existing.get(key, msgspec.UNSET)]
     return f" ({', '.join(keys[:4])}{', ...' if len(keys) > 4 else ''})"
 
 
-def trials_in(journals: Iterable[Path]) -> list[Entry]:
-    """A row for each trial that has been answered, practice included, in the order of the journals."""
+def read_trials(journals: Iterable[Path]) -> list[Entry]:
+    """Return a row for each answered trial, practice included, in the order of the journals."""
     rows = []
     for journal in journals:
         for entry in read(journal):
@@ -156,28 +164,28 @@ def trials_in(journals: Iterable[Path]) -> list[Entry]:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """A table in place of the one that is there, whole or not at all."""
-    _write(path, csv_text(rows).encode())
+    """Write or replace a table atomically."""
+    _write(path, format_csv(rows).encode())
 
 
-def _new(path: Path, data: bytes) -> None:
-    """A file that was not there before, whole or not at all."""
+def _write_new(path: Path, data: bytes) -> None:
+    """Write a new file atomically. Raises ConfigError if it exists."""
     if path.exists():
         raise ConfigError(f"{path}: is there already, and nothing of a participant is overwritten: move it away")
     _write(path, data)
 
 
 def _write(path: Path, data: bytes) -> None:
-    """A file, in place of one that is there, whole or not at all."""
+    """Write or replace a file atomically."""
     try:
         with new_file(path) as file:
             file.write(data)
     except OSError as error:
-        raise not_written(path, error) from error
+        raise make_write_error(path, error) from error
 
 
-def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """A header and a line a row; columns in the order of their first appearance."""
+def format_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Format rows as CSV with a header; columns are in the order of their first appearance."""
     columns = list(dict.fromkeys(key for row in rows for key in row))
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
@@ -187,7 +195,7 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def load(root: Path) -> tuple[ExperimentFile, list[Entry]]:
-    """The experiment of a folder, and its trials; ConfigError where it is no such folder."""
+    """Return the experiment of a folder and its trials. Raises ConfigError if the folder is not of an experiment."""
     path = root / "experiment.json"
     try:
         values = msgspec.json.decode(path.read_bytes())
@@ -195,4 +203,4 @@ def load(root: Path) -> tuple[ExperimentFile, list[Entry]]:
         raise ConfigError(
             f"{path}: cannot be read: {error}: is this a folder that `softfinger experiment` made?"
         ) from error
-    return build(ExperimentFile, values, str(path)), trials_in(sorted(root.glob(JOURNAL)))
+    return build(ExperimentFile, values, str(path)), read_trials(sorted(root.glob(JOURNAL)))

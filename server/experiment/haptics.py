@@ -1,4 +1,4 @@
-"""Touches on a running daemon, by its commands and its telemetry: from zero force, through the ramp, to zero force."""
+"""Touches on a running daemon, by commands and telemetry: each ramps up from zero force and ends at zero force."""
 
 from __future__ import annotations
 
@@ -14,38 +14,37 @@ from softfinger.config.errors import RecordingError, SafetyStop
 from softfinger.config.load import describe, load_scene, numbered, value_at
 from softfinger.config.schema import Scene
 from softfinger.server.experiment import rigs
-from softfinger.server.experiment.masses import scene_with, split
+from softfinger.server.experiment.masses import load_changed_scene, split
 from softfinger.server.experiment.schema import ONE, ExperimentFile
-from softfinger.server.experiment.session import Felt, Stimulus
+from softfinger.server.experiment.session import Stimulus, TouchResult
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import Sample, Subscription
 from softfinger.server.wire.protocol import CONTACT, FINGERS, finger_of
 
-SLICE_S: Final = 0.02
-"""How long a wait for telemetry lasts before anything else is looked at."""
-ZERO_S: Final = 5.0
-"""The guard takes the force off in milliseconds; a ramp of parameters takes 10 s at most."""
-BACK_S: Final = 2.0
-BACK_M: Final = 0.002
-"""How long a touch waits for a hand that is led back, and how near that comes: a hand is held by a spring, and sags."""
+POLL_S: Final = 0.02
+"""Duration of a single wait for telemetry, between which other conditions are checked."""
+ZERO_FORCE_TIMEOUT_S: Final = 5.0
+"""Timeout for zero force. The guard removes the force in milliseconds; a ramp of parameters takes at most 10 s."""
+START_TIMEOUT_S: Final = 2.0
+START_TOLERANCE_M: Final = 0.002
+"""Tolerance of a led hand at the start of a touch, and its timeout: a spring holds the hand, so it sags."""
 HEARTBEAT_S: Final = 0.1
-DISK_S: Final = 30.0
-"""How long the ticks of a touch may take to the disk: less than what waits for it in memory."""
-AGAIN: Final = (
+DISK_TIMEOUT_S: Final = 30.0
+"""Timeout for writing the ticks of a touch to disk; shorter than the time that the recorder can buffer in memory."""
+REPEAT_REMEDY: Final = (
     ": the force is off, and no answer before is lost: make room on the disk and repeat the command, which presents "
     "this trial again"
 )
-"""What to do where a recording does not have the ticks of a trial."""
+"""Remedy if the recording lacks the ticks of a trial."""
 
 
 class Haptics:
     """Presents stimuli on a daemon.
 
-    scene_of  where a scene is that the experiment names
-    models    folder for models of bodies with other masses
-    running   raises what ended the daemon, or Stopped where it was asked to end
-    change_rig  has the daemon go on, from zero force, with these values of the rig and its own for all others
-    kept_to     the last tick that the recording has; raises RecordingError where that has ended on its own
+    scene_of            returns the source of a scene that the experiment names
+    check_running       raises the error of a failed daemon, or Stopped on request
+    change_rig          resumes the daemon, from zero force, with these values of the rig, and the file's for other keys
+    last_recorded_tick  returns the last recorded tick; raises RecordingError if the recording stopped unexpectedly
     """
 
     def __init__(
@@ -53,113 +52,120 @@ class Haptics:
         client: Client,
         experiment: ExperimentFile,
         scene_of: Callable[[str], str | Path],
-        models: Path,
-        running: Callable[[], None],
+        check_running: Callable[[], None],
         change_rig: Callable[[Mapping[str, Any]], Any],
-        kept_to: Callable[[], int],
+        last_recorded_tick: Callable[[], int],
     ) -> None:
         self.client: Final = client
-        self._experiment, self._scene_of, self._models, self._running = experiment, scene_of, models, running
+        self._experiment, self._scene_of, self._check_running = experiment, scene_of, check_running
         self._change_rig: Final = change_rig
-        self._kept_to: Final = kept_to
-        self._rig, self._set = rigs.split(experiment.overrides, "overrides")
+        self._last_recorded_tick: Final = last_recorded_tick
+        self._rig, self._set_values = rigs.split(experiment.overrides, "overrides")
         self._scene: str | None = None
-        self.newest: dict[str, Sample] = {}
-        """The last tick of each finger, by name."""
-        self._heard_s = 0.0
-        self._kept: list[dict[str, Any]] | None = None
+        self.latest: dict[str, Sample] = {}
+        """Latest tick of each finger, by name."""
+        self._last_heartbeat_s = 0.0
+        self._touch_ticks: list[dict[str, Any]] | None = None
         self.samples: Final[Subscription] = client.subscribe((CONTACT, FINGERS))
-        self._until(lambda: bool(self.newest), "there is no tick")
+        self._wait_until(lambda: bool(self.latest), "there is no tick")
         self._led = self._hands()
 
     # --- a touch ----------------------------------------------------------------------------------------
 
-    def touch(self, stimulus: Stimulus) -> Felt:
-        """Present a stimulus; the change is made at zero force, and without a compile where only values change.
+    def touch(self, stimulus: Stimulus) -> TouchResult:
+        """Present a stimulus, which is changed at zero force; if only values change, nothing is compiled.
 
-        Raises RecordingError where its ticks are not in the recording: a trial without them is not to be answered.
+        Raises RecordingError if its ticks are not in the recording: a trial without them must not be answered.
         """
         client = self.client
-        self._recorded_to()
+        self._read_recorded_tick()
         self.release()
         ramp_s = self._change(stimulus)
-        self._lead_back(max(self._experiment.trial.gap_s, ramp_s))
+        self._lead_to_start(max(self._experiment.trial.gap_s, ramp_s))
         client.mark("touch", {"trial": stimulus.trial, "touch": stimulus.touch, "changes": stimulus.changes})
-        self._kept = []
+        self._touch_ticks = []
         try:
             client.arm()
-            begun = time.monotonic()
-            reached = self._move(begun)
+            start_s = time.monotonic()
+            reached_s = self._run_touch(start_s)
             client.mark("release", {"trial": stimulus.trial, "touch": stimulus.touch})
             self.release()
         finally:
-            ticks, self._kept = self._kept, None
+            ticks, self._touch_ticks = self._touch_ticks, None
         self._wait_for_disk(ticks)
-        return Felt(summary(ticks, reached), ticks)
+        return TouchResult(summary(ticks, reached_s), ticks)
 
     def release(self) -> None:
-        """Take the force off, and wait until it is zero."""
+        """Remove the force, and wait until it is zero."""
         self.client.disarm()
-        ticks = {name: sample.tick for name, sample in self.newest.items()}
-        self._until(
+        ticks = {name: sample.tick for name, sample in self.latest.items()}
+        self._wait_until(
             lambda: all(
-                sample.tick > ticks.get(name, -1) and not any(sample.data.force) for name, sample in self.newest.items()
+                sample.tick > ticks.get(name, -1) and not any(sample.data.force) for name, sample in self.latest.items()
             ),
             "the force does not become zero",
         )
 
-    def _recorded_to(self) -> int:
-        """The last tick that the recording has; of one that has ended, RecordingError says what to do."""
+    def _read_recorded_tick(self) -> int:
+        """Return the last recorded tick; raise RecordingError with the remedy if the recording stopped."""
         try:
-            return self._kept_to()
+            return self._last_recorded_tick()
         except RecordingError as error:
-            raise RecordingError(f"{error}{AGAIN}") from error
+            raise RecordingError(f"{error}{REPEAT_REMEDY}") from error
 
     def _wait_for_disk(self, ticks: list[dict[str, Any]]) -> None:
-        """Return when the recording has these ticks; a disk that stalls is given some time."""
-        until = time.monotonic() + DISK_S
-        while ticks and self._recorded_to() < ticks[-1]["tick"]:
+        """Wait until the ticks are recorded, at most DISK_TIMEOUT_S for a disk that stalls."""
+        until = time.monotonic() + DISK_TIMEOUT_S
+        while ticks and self._read_recorded_tick() < ticks[-1]["tick"]:
             if time.monotonic() > until:
-                raise RecordingError(f"the disk has not taken the ticks of the touch within {DISK_S:g} s{AGAIN}")
-            self.wait(SLICE_S)
+                raise RecordingError(
+                    f"the disk has not taken the ticks of the touch within {DISK_TIMEOUT_S:g} s{REPEAT_REMEDY}"
+                )
+            self.wait(POLL_S)
 
     def _change(self, stimulus: Stimulus) -> float:
-        """Have the scene and its parameters; returns how long they take to be there, s.
+        """Apply scene and parameters of a stimulus; return the duration of the ramp, s.
 
-        Another scene, mass or material by name, and a parameter that goes back to what its scene does not have, take
-        set_scene; all else is set_params.
+        Calls set_scene for another scene, for masses and materials by name, and to remove a parameter that the scene
+        does not have; otherwise set_params.
         """
         name = stimulus.scene or self._experiment.scene
-        of_rig, wanted = rigs.split(self._experiment.overrides | stimulus.changes, f"trial {stimulus.trial}")
-        if of_rig != self._rig:
-            self._change_rig(of_rig)
-            self._rig = of_rig
-        back = self._own(name, self._set.keys() - wanted.keys()) if stimulus.scene == self._scene else {}
-        changed = {path: value for path, value in (wanted | back).items() if self._set.get(path) != value}
+        rig_values, new_values = rigs.split(self._experiment.overrides | stimulus.changes, f"trial {stimulus.trial}")
+        if rig_values != self._rig:
+            self._change_rig(rig_values)
+            self._rig = rig_values
+        restored = (
+            self._scene_values(name, self._set_values.keys() - new_values.keys())
+            if stimulus.scene == self._scene
+            else {}
+        )
+        changed = {
+            path: value for path, value in (new_values | restored).items() if self._set_values.get(path) != value
+        }
         ramp_s = 0.0
-        whole = None in back.values() or any(isinstance(value, str | dict) for value in changed.values())
-        if stimulus.scene != self._scene or whole or split(changed)[0]:
-            scene = scene_with(self._scene_of(name), wanted, f"trial {stimulus.trial}", self._models)
-            self.client.set_scene(as_file(scene), name=Path(name).stem[:64])
+        needs_scene = None in restored.values() or any(isinstance(value, str | dict) for value in changed.values())
+        if stimulus.scene != self._scene or needs_scene or split(changed)[0]:
+            scene = load_changed_scene(self._scene_of(name), new_values, f"trial {stimulus.trial}")
+            self.client.set_scene(to_file_mapping(scene), name=Path(name).stem[:64])
             self._led = self._hands()
         elif changed:
             ramp_s = self.client.set_params(changed).ramp_s
-        self._scene, self._set = stimulus.scene, wanted
+        self._scene, self._set_values = stimulus.scene, new_values
         return ramp_s
 
-    def _own(self, name: str, paths: Iterable[str]) -> dict[str, Any]:
-        """The values that a scene itself has, None where it has none."""
+    def _scene_values(self, name: str, paths: Iterable[str]) -> dict[str, Any]:
+        """Return the values in the scene's file, None for missing ones."""
         scene = describe(load_scene(self._scene_of(name)))
         return {path: value_at(scene, numbered(scene, path)) for path in paths}
 
     def _hands(self) -> dict[str, bool]:
-        """Whether a program may lead the hand of each finger, by name."""
+        """Return for each finger, by name, whether a program may lead its hand."""
         return {finger["name"]: finger["led"] for finger in self.client.describe()["fingers"]}
 
     # --- hands that can be led --------------------------------------------------------------------------
 
-    def _lead_back(self, seconds: float) -> None:
-        """Hands that can be led go where their path begins, or to the trial's start; takes so long at the least."""
+    def _lead_to_start(self, seconds: float) -> None:
+        """Lead hands to the start of their path, or of the trial; takes at least `seconds`."""
         starts = dict[str, tuple[float, float, float]]()
         for name, led in self._led.items():
             path = self._experiment.motion.get(name or ONE)
@@ -171,90 +177,94 @@ class Haptics:
                 self._lead(name, 0.0)
             else:
                 self.client.hand(start, finger=name or None)
-        until = time.monotonic() + BACK_S
+        until = time.monotonic() + START_TIMEOUT_S
         self.wait(seconds)
         while time.monotonic() < until and any(
-            math.dist(self.newest[name].data.probe.position, start) > BACK_M for name, start in starts.items()
+            math.dist(self.latest[name].data.probe.position, start) > START_TOLERANCE_M
+            for name, start in starts.items()
         ):
-            self.wait(SLICE_S)
+            self.wait(POLL_S)
 
-    def _lead(self, name: str, passed: float) -> None:
-        """Have a hand want to be where its path is at a time of the touch, s, and turned as it says."""
+    def _lead(self, name: str, elapsed_s: float) -> None:
+        """Set the goal of a hand, position and orientation, to the point of its path at a time of the touch, s."""
         if not self._led[name]:
             return
-        path, turns = self._experiment.motion[name or ONE], self._experiment.turn.get(name or ONE)
-        turned = quaternion(along(turns, passed)) if turns else None
-        self.client.hand(along(path, passed), turned, finger=name or None)
+        path, rotations = self._experiment.motion[name or ONE], self._experiment.turn.get(name or ONE)
+        orientation = quaternion(interpolate_path(rotations, elapsed_s)) if rotations else None
+        self.client.hand(interpolate_path(path, elapsed_s), orientation, finger=name or None)
 
-    def _move(self, begun: float) -> float | None:
-        """Let it be touched; hands that can be led follow their path. Returns when a target was reached, s."""
+    def _run_touch(self, start_s: float) -> float | None:
+        """Run a touch and lead hands along their paths; return when a target was reached, s from `start_s`, or None."""
         experiment = self._experiment
-        moved = [name for name in self._led if experiment.motion.get(name or ONE)]
-        while (passed := time.monotonic() - begun) < experiment.trial.touch_s:
-            for name in moved:
-                self._lead(name, passed)
-            self._recorded_to()  # a long touch is not gone on with for nothing
-            self.wait(SLICE_S)
+        moving_hands = [name for name in self._led if experiment.motion.get(name or ONE)]
+        while (elapsed_s := time.monotonic() - start_s) < experiment.trial.touch_s:
+            for name in moving_hands:
+                self._lead(name, elapsed_s)
+            self._read_recorded_tick()  # end a long touch early if its recording failed
+            self.wait(POLL_S)
             target = experiment.task.target_m
-            if target is not None and self._near(target, experiment.task.target_radius_m):
-                return time.monotonic() - begun
+            if target is not None and self._is_near(target, experiment.task.target_radius_m):
+                return time.monotonic() - start_s
         return None
 
-    def _near(self, target: tuple[float, float, float], radius: float) -> bool:
-        return any(math.dist(sample.data.probe.position, target) <= radius for sample in self.newest.values())
+    def _is_near(self, target: tuple[float, float, float], radius: float) -> bool:
+        return any(math.dist(sample.data.probe.position, target) <= radius for sample in self.latest.values())
 
     # --- telemetry --------------------------------------------------------------------------------------
 
     def wait(self, seconds: float) -> None:
-        """Take telemetry for so long, and give signs of life."""
+        """Receive telemetry for a time, and send heartbeats."""
         until = time.monotonic() + seconds
         while True:
             now = time.monotonic()
-            if now - self._heard_s > HEARTBEAT_S:
-                self._running()
+            if now - self._last_heartbeat_s > HEARTBEAT_S:
+                self._check_running()
                 self.client.heartbeat()
-                self._heard_s = now
+                self._last_heartbeat_s = now
             sample = self.samples.receive(max(0.0, min(until - now, HEARTBEAT_S)))
             if sample is not None:
-                self._take(sample)
+                self._store(sample)
             elif now >= until:
                 return
-            if now >= until + SLICE_S:  # more comes than is taken: that shows as ticks lost
+            if now >= until + POLL_S:  # telemetry arrives faster than it is processed; lost ticks show it
                 return
 
-    def _until(self, true: Callable[[], bool], what: str) -> None:
-        until = time.monotonic() + ZERO_S
-        while not true():
-            self.wait(SLICE_S)
+    def _wait_until(self, condition: Callable[[], bool], fault: str) -> None:
+        until = time.monotonic() + ZERO_FORCE_TIMEOUT_S
+        while not condition():
+            self.wait(POLL_S)
             if time.monotonic() > until:
-                raise SafetyStop(f"{what} within {ZERO_S:g} s: the session ends")
+                raise SafetyStop(f"{fault} within {ZERO_FORCE_TIMEOUT_S:g} s: the session ends")
 
-    def _take(self, sample: Sample) -> None:
+    def _store(self, sample: Sample) -> None:
         name = finger_of(sample.topic)
         if name is None:
             return
-        self.newest[name] = sample
-        if self._kept is not None:
-            self._kept.append(row(name, sample))
+        self.latest[name] = sample
+        if self._touch_ticks is not None:
+            self._touch_ticks.append(row(name, sample))
 
 
-def as_file(scene: Scene) -> dict[str, Any]:
-    """A scene as its file would have it: what a [world] adds is left to whoever reads it."""
+def to_file_mapping(scene: Scene) -> dict[str, Any]:
+    """Return the mapping of a scene as in its file: without the objects that loading adds for a [world]."""
     mapping = describe(scene)
     if scene.world is not None:
         mapping["object"] = [each for each in mapping["object"] if (each.get("motion") or {}).get("kind") != "body"]
     return mapping
 
 
-def along(path: tuple[tuple[float, float, float, float], ...], t: float) -> tuple[float, float, float]:
-    """Where a path of waypoints t, x, y, z is at a time, s; before the first and after the last it rests."""
+def interpolate_path(path: tuple[tuple[float, float, float, float], ...], t: float) -> tuple[float, float, float]:
+    """Return the point x, y, z at time t, s, on a path of waypoints t, x, y, z; it rests before and after them."""
     times = [point[0] for point in path]
     x, y, z = (float(np.interp(t, times, [point[axis] for point in path])) for axis in (1, 2, 3))
     return x, y, z
 
 
 def quaternion(rotation: tuple[float, float, float]) -> tuple[float, float, float, float]:
-    """Unit quaternion w, x, y, z of a rotation vector, rad. Without the kernels': those would compile in a touch."""
+    """Return the unit quaternion w, x, y, z of a rotation vector, rad.
+
+    The function of the kernels is not used, since it would compile during a touch.
+    """
     angle = math.hypot(*rotation)
     share = 0.5 if angle == 0.0 else math.sin(0.5 * angle) / angle
     x, y, z = (share * part for part in rotation)
@@ -262,7 +272,7 @@ def quaternion(rotation: tuple[float, float, float]) -> tuple[float, float, floa
 
 
 def row(finger: str, sample: Sample) -> dict[str, Any]:
-    """A tick as the table of a trial has it."""
+    """Return a tick as a row of the table of a trial."""
     tick = sample.data
     (x, y, z), (fx, fy, fz) = tick.probe.position, tick.force
     return {
@@ -273,7 +283,10 @@ def row(finger: str, sample: Sample) -> dict[str, Any]:
 
 
 def summary(ticks: list[dict[str, Any]], reached_s: float | None) -> dict[str, Any]:
-    """What the table of trials has of a touch: of several fingers the first one's path and the largest force."""
+    """Return the columns of a touch for the table of trials.
+
+    With several fingers, the path is that of the first one; the forces are over all.
+    """
     if not ticks:
         return {}
     force = np.array([[tick["fx_n"], tick["fy_n"], tick["fz_n"]] for tick in ticks])

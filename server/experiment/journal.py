@@ -1,4 +1,7 @@
-"""What happened in a session, a line each, on the disk before the session goes on: a power cut takes no answer."""
+"""Journal of a session, one event per line, synchronised to disk before the session continues.
+
+A power failure loses no answer.
+"""
 
 from __future__ import annotations
 
@@ -10,31 +13,31 @@ from typing import IO, Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.closing import Closing
+from softfinger.server.closing import Closeable
 
 Entry = dict[str, Any]
 _DECODER: Final = msgspec.json.Decoder(dict)
 
 
 class Memory:
-    """Entries that are kept nowhere: of a rehearsal."""
+    """Entries in memory only, for a rehearsal."""
 
     def __init__(self) -> None:
         self.entries: Final = list[Entry]()
 
     def write(self, kind: str, **values: Any) -> None:
-        """Add an entry."""
+        """Append an entry."""
         self.entries.append({"kind": kind, **values})
 
     def of(self, kind: str) -> list[Entry]:
-        """Entries of a kind, in order."""
+        """Return the entries of a kind, in order."""
         return [entry for entry in self.entries if entry["kind"] == kind]
 
 
-class Journal(Memory, Closing):
-    """A file that only grows; `entries` begin with those of before. One session at a time: others are refused.
+class Journal(Memory, Closeable):
+    """Append-only file; `entries` include the existing ones. Locked: a second session on the file is refused.
 
-    Raises ConfigError where the file is damaged or another session writes to it.
+    Raises ConfigError if the file is damaged or another session writes to it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -45,27 +48,27 @@ class Journal(Memory, Closing):
             self._lock()
             self.entries.extend(read(path))
             if path.stat().st_size and not path.read_bytes().endswith(b"\n"):
-                self._file.write(b"\n")  # behind a line that a crash cut short
+                self._file.write(b"\n")  # terminate a line that a crash cut short
             _sync_folder(path.parent)
         except BaseException:
             self.close()
             raise
 
     def write(self, kind: str, **values: Any) -> None:
-        """Add an entry; it is on the disk when this returns. Of one that does not fit there, nothing stays."""
+        """Append an entry, which is on the disk when this returns. If it does not fit there, the file is unchanged."""
         line, descriptor = msgspec.json.encode({"kind": kind, **values}) + b"\n", self._file.fileno()
         before = os.fstat(descriptor).st_size
         try:
-            while line:  # a disk that is nearly full takes a part, and refuses the next
+            while line:  # an almost full disk accepts a part, and refuses the next write
                 line = line[os.write(descriptor, line) :]
             os.fsync(descriptor)
         except OSError as error:
             os.ftruncate(descriptor, before)
-            raise not_written(self.path, error) from error
+            raise make_write_error(self.path, error) from error
         super().write(kind, **values)
 
     def close(self) -> None:
-        """Any number of times."""
+        """Close the file; may be called repeatedly."""
         self._file.close()
 
     def _lock(self) -> None:
@@ -78,10 +81,10 @@ class Journal(Memory, Closing):
 
 
 def read(path: Path) -> list[Entry]:
-    """Entries of a journal; none where there is no file. A line that a crash cut short is left out.
+    """Return the entries of a journal; empty if there is no file. A line that a crash cut short is skipped.
 
-    Such a line is the last one, or one before the entry `started` of the session that went on. Raises ConfigError for
-    any other line that is no entry.
+    Such a line is the last one, or is followed by the entry `started` of the resumed session. Raises ConfigError if any
+    other line is invalid.
     """
     if not path.exists():
         return []
@@ -102,7 +105,7 @@ def read(path: Path) -> list[Entry]:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Have the file's name on the disk as well."""
+    """Synchronise the folder, and with it the name of a new file, to disk."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
@@ -110,8 +113,8 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def not_written(path: Path, error: OSError) -> ConfigError:
-    """What to say of a file of a session that the disk did not take."""
+def make_write_error(path: Path, error: OSError) -> ConfigError:
+    """Return the error for a file of a session that the disk did not accept."""
     return ConfigError(
         f"{path}: cannot be written: {error.strerror}: no answer before is lost; mend that and repeat the command"
     )

@@ -1,4 +1,4 @@
-"""The psychometric function of a comparison, and what answers say of it: the posterior of its threshold and slope."""
+"""Psychometric function of a comparison, and the posterior of its threshold and slope from answers."""
 
 from __future__ import annotations
 
@@ -10,40 +10,43 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 GUESS: Final = 0.5
-"""Of two touches one is right by chance."""
+"""Probability of a right answer by chance, one of two touches."""
 SLOPES: Final = np.geomspace(0.5, 12.0, 40)
-"""Slopes that are looked at: flatter nobody answers, steeper is a step."""
+"""Grid of slopes: no observer is flatter than the first, and the last is almost a step."""
 SLOPE: Final = 1.8
 SLOPE_SD: Final = 0.7
-"""What a slope is thought to be before the answers: its logarithm normal about that of SLOPE."""
+"""Prior of the slope: its logarithm is normal with mean log(SLOPE) and this standard deviation."""
 THRESHOLDS: Final = 300
-LIKELY: Final = 1.920729410347062
-"""Half of the 95 % quantile of chi squared with one degree of freedom: less likely ends of the grid are ruled out."""
+LOG_LIKELIHOOD_DROP: Final = 1.920729410347062
+"""Half of the 95 % quantile of chi squared with one degree of freedom.
+
+An end of the grid is excluded if its log likelihood is below the maximum by more than this.
+"""
 QUANTILES: Final = (0.025, 0.5, 0.975)
-UNLIKELY: Final = 1e-7
-"""Points of the grid with so little of the weight of the best one are left out of the curve."""
-MARGIN: Final = 4.0
-"""Thresholds are sought from the least level over this to the largest level times this."""
+MIN_RELATIVE_WEIGHT: Final = 1e-7
+"""Grid points with a smaller weight relative to the best one are omitted from the curve."""
+THRESHOLD_MARGIN: Final = 4.0
+"""The grid of thresholds extends from the lowest level over this to the highest level times this."""
 
 
 def probability(
     level: ArrayLike, threshold: ArrayLike, slope: ArrayLike, guess: float = GUESS, lapse: float = 0.0
 ) -> Array:
-    """Probability of a right answer, by a Weibull function of the level: guess + (1 - guess - lapse) F.
+    """Return the probability of a right answer, a Weibull function of the level: guess + (1 - guess - lapse) F.
 
-    F = 1 - exp(-(level / threshold)^slope), so 63 % of the way at the threshold. The arguments are broadcast.
+    F = 1 - exp(-(level / threshold)^slope), hence 63 % of the range at the threshold. The arguments are broadcast.
     """
-    reached = np.power(np.asarray(level, np.float64) / np.asarray(threshold, np.float64), slope)
-    chance: Array = guess + (1.0 - guess - lapse) * -np.expm1(-np.minimum(reached, 700.0))
+    scaled = np.power(np.asarray(level, np.float64) / np.asarray(threshold, np.float64), slope)
+    chance: Array = guess + (1.0 - guess - lapse) * -np.expm1(-np.minimum(scaled, 700.0))
     return chance
 
 
 class Fit(NamedTuple):
     """Threshold and slope, medians with 95 % intervals (low, high), and the function with its band.
 
-    log_likelihood  the highest, with the prior of the slope
-    curve   (n, 4): level, probability, and the 95 % interval of the probability
-    bounded  the answers do not rule out an end of the thresholds that were looked at
+    log_likelihood  maximum, including the prior of the slope
+    bounded         the answers do not exclude an end of the grid of thresholds
+    curve           (n, 4): level, probability, and the 95 % interval of the probability
     """
 
     threshold: float
@@ -56,46 +59,67 @@ class Fit(NamedTuple):
 
 
 def fit(levels: ArrayLike, right: ArrayLike, lapse: float, points: int = 60) -> Fit:
-    """Fit the Weibull function to answers (n,) at levels (n,), the lapse rate being given.
+    """Fit the Weibull function to answers (n,) at levels (n,) with a given lapse rate.
 
-    Estimates are medians, intervals the central 95 % of the posterior on a grid of 300 thresholds by 40 slopes, whose
-    prior is even in the threshold's logarithm and normal in the slope's. Answers of an adaptive procedure stand close
-    together and say little of the slope: with the most likely slope alone the interval of the threshold is too short,
-    and without a prior the threshold too low (Kaernbach, Perception and Psychophysics 63 (2001) 1389-1398).
+    Parameters
+    ----------
+    levels, right
+        (n,) level of each trial, and whether its answer was right.
+    lapse
+        Fraction of wrong answers at the highest levels.
+    points
+        Number of levels in the curve of the result.
 
-    Source: Kuss, Jaekel and Wichmann, Journal of Vision 5 (2005) 478-492. ValueError without answers.
+    Returns
+    -------
+    Fit
+        Medians, and central 95 % intervals, of the posterior on a grid of 300 thresholds by 40 slopes.
+
+    Raises
+    ------
+    ValueError
+        If there are no answers.
+
+    Notes
+    -----
+    The prior is uniform in the threshold's logarithm and normal in the slope's. Levels of an adaptive procedure are
+    close together and carry little information on the slope: with only the most likely slope the interval of the
+    threshold would be too short, and without a prior the threshold too low (Kaernbach, Perception and Psychophysics 63
+    (2001) 1389-1398).
+
+    Source: Kuss, Jaekel and Wichmann, Journal of Vision 5 (2005) 478-492.
     """
-    each, place = np.unique(np.asarray(levels, np.float64), return_inverse=True)
-    if not len(each):
+    unique_levels, index = np.unique(np.asarray(levels, np.float64), return_inverse=True)
+    if not len(unique_levels):
         raise ValueError("no answers: nothing to fit")
-    correct = np.bincount(place, np.asarray(right, np.float64))
-    wrong = np.bincount(place) - correct
-    thresholds = np.geomspace(each[0] / MARGIN, each[-1] * MARGIN, THRESHOLDS)
+    correct = np.bincount(index, np.asarray(right, np.float64))
+    wrong = np.bincount(index) - correct
+    thresholds = np.geomspace(unique_levels[0] / THRESHOLD_MARGIN, unique_levels[-1] * THRESHOLD_MARGIN, THRESHOLDS)
     threshold, slope = np.meshgrid(thresholds, SLOPES, indexing="ij")
-    chance = np.clip(probability(each, threshold[..., None], slope[..., None], GUESS, lapse), 1e-9, 1.0 - 1e-9)
+    chance = np.clip(probability(unique_levels, threshold[..., None], slope[..., None], GUESS, lapse), 1e-9, 1.0 - 1e-9)
     likelihood = np.log(chance) @ correct + np.log1p(-chance) @ wrong
     likelihood -= 0.5 * (np.log(slope / SLOPE) / SLOPE_SD) ** 2
     best = likelihood.max()
     weight = np.exp(likelihood - best)
     low, middle, high = np.exp(_quantiles(np.log(thresholds), weight.sum(axis=1)))
     flat, slope_middle, steep = np.exp(_quantiles(np.log(SLOPES), weight.sum(axis=0)))
-    some = weight > UNLIKELY
-    x = np.geomspace(each[0], each[-1], points) if len(each) > 1 else each
-    curves = probability(x[:, None], threshold[some], slope[some], GUESS, lapse)
-    band = np.array([_quantiles(row, weight[some]) for row in curves])
+    likely = weight > MIN_RELATIVE_WEIGHT
+    x = np.geomspace(unique_levels[0], unique_levels[-1], points) if len(unique_levels) > 1 else unique_levels
+    curves = probability(x[:, None], threshold[likely], slope[likely], GUESS, lapse)
+    band = np.array([_quantiles(row, weight[likely]) for row in curves])
     return Fit(
         float(middle),
         (float(low), float(high)),
         float(slope_middle),
         (float(flat), float(steep)),
         float(best),
-        bool(likelihood[[0, -1]].max() >= best - LIKELY),
+        bool(likelihood[[0, -1]].max() >= best - LOG_LIKELIHOOD_DROP),
         np.column_stack([x, band[:, 1], band[:, 0], band[:, 2]]),
     )
 
 
 def _quantiles(values: Array, weights: Array) -> Array:
-    """The QUANTILES of values (n,) with weights (n,)."""
+    """Return the QUANTILES of values (n,) with weights (n,)."""
     order = np.argsort(values)
     share = np.cumsum(weights[order]) - 0.5 * weights[order]
     quantiles: Array = np.interp(QUANTILES, share / weights.sum(), values[order])

@@ -1,4 +1,4 @@
-"""The tables of an experiment's file, and what they demand of each other."""
+"""Schema of an experiment's file, with checks across its keys."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from softfinger.config import limits
 from softfinger.config.limits import NAME_LENGTH, Range
 from softfinger.config.schema.fields import Complaint, Coordinate, Table, known, said, sized, within
 
-LEVELS: Final = Range(1, 200, "nobody feels more")
+LEVELS: Final = Range(1, 200, "more levels cannot be told apart")
 TRIALS: Final = Range(1, 2000, "longer than any session")
 SECONDS: Final = Range(0.0, 600.0, "ten minutes are longer than any touch")
 SHARE: Final = Range(0.0, 0.5, "half of the answers at random is no observer")
@@ -21,7 +21,7 @@ POSITIVE: Final = Range(1e-9, 1e9, "a level above 0")
 TEXT: Final = Range(0, 4000, "a screen")
 MARKS_MAX: Final = 20
 ONE: Final = "fingertip"
-"""Name of the only finger of a scene, where an experiment names fingers."""
+"""Name in an experiment for the finger of a scene with only one."""
 WAYPOINTS: Final = Range(1, 10_000, "a path of a hand")
 
 Seconds = Annotated[float, Meta(ge=SECONDS.low, le=SECONDS.high)]
@@ -62,25 +62,25 @@ class Task(Table, frozen=True, kw_only=True):
             "compare: whether more is a larger value, reference (1 + level), or a smaller one, reference / (1 + level)"
         ),
     ] = "up"
-    question: Annotated[str, sized(TEXT, "what the participant is asked", "Which was stiffer?")]
+    question: Annotated[str, sized(TEXT, "question to the participant", "Which was stiffer?")]
     scale: Annotated[
         tuple[int, int] | None, said("rate: first and last mark of a rating scale; default: any number above 0", [1, 7])
     ] = None
     scale_ends: Annotated[
-        tuple[Label, ...], said("rate: what its first and last mark mean", ["not at all", "very"])
+        tuple[Label, ...], said("rate: labels of the first and the last mark", ["not at all", "very"])
     ] = ()
     target_m: Annotated[Point | None, said("trace: where it ends", [0.0, 0.0, 0.0])] = None
     target_radius_m: Annotated[float, within(Range(1e-4, 1.0, "a target"), "trace: how near", 0.005)] = 0.005
 
     def value(self, level: float) -> float:
-        """The parameter's value at a level: of a comparison the reference changed by the share `level`."""
+        """Return the parameter's value at a level; for a comparison, the reference changed by the fraction `level`."""
         if self.reference is None:
             return level
         return self.reference * (1.0 + level) if self.more == "up" else self.reference / (1.0 + level)
 
     @property
     def marks(self) -> tuple[str, ...]:
-        """The marks of the rating scale."""
+        """Marks of the rating scale."""
         return () if self.scale is None else tuple(map(str, range(self.scale[0], self.scale[1] + 1)))
 
     def faults(self) -> Iterator[Complaint]:
@@ -90,7 +90,7 @@ class Task(Table, frozen=True, kw_only=True):
             if self.scale is not None and not 1 <= self.scale[0] < self.scale[1] < self.scale[0] + MARKS_MAX:
                 yield "scale", self.scale, f"must be the first mark, from 1, and the last of at most {MARKS_MAX}"
             if len(self.scale_ends) not in ((0,) if self.scale is None else (0, 2)):
-                yield "scale_ends", self.scale_ends, "goes with scale, and has two words"
+                yield "scale_ends", self.scale_ends, "requires scale, and has two labels"
         if known(self.kind, self.reference) and (self.kind == "compare") != (self.reference is not None):
             yield "reference", self.reference, "compare needs a reference, and nothing else has one"
         if known(self.kind, self.target_m) and (self.kind == "trace") != (self.target_m is not None):
@@ -103,7 +103,7 @@ class Procedure(Table, frozen=True, kw_only=True):
     kind: Annotated[
         Literal["constant", "staircase", "questplus"],
         said(
-            "constant: every level as often, in random order; staircase: `down` right answers in a row make it "
+            "constant: every level equally often, in random order; staircase: `down` right answers in a row make it "
             "smaller, a wrong one larger (Levitt 1971); questplus: the level whose answer is expected to tell most "
             "(Watson 2017)"
         ),
@@ -219,11 +219,13 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
     """What all trials share."""
 
     title: Annotated[str, sized(Range(1, 200, ""), "title of the page and of the figures", "Stiffness discrimination")]
-    scene: Annotated[str, sized(Range(1, 4096, ""), "scene: a shipped name, or a file beside this one", "paper-plane")]
-    rig: Annotated[str, sized(Range(1, 4096, ""), "rig: a shipped name, or a file beside this one", "omega-6")] = (
-        "simulated-hand"
-    )
-    instructions: Annotated[str, sized(TEXT, "what the participant reads first")] = ""
+    scene: Annotated[
+        str, sized(Range(1, 4096, ""), "scene: a shipped name, or a file in the folder of this one", "paper-plane")
+    ]
+    rig: Annotated[
+        str, sized(Range(1, 4096, ""), "rig: a shipped name, or a file in the folder of this one", "omega-6")
+    ] = "simulated-hand"
+    instructions: Annotated[str, sized(TEXT, "first text that the participant reads")] = ""
     overrides: Annotated[dict[str, Any], said("parameters of the scene, or rig.guard.KEY, that hold throughout")] = (
         msgspec.field(default_factory=dict)
     )
@@ -253,10 +255,10 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
                     "turns a hand that [motion] does not move: give the finger a path",
                 )
         if known(self.motion, self.turn, self.trial) and known(self.trial.touch_s):
-            for key, ways in (("motion", self.motion), ("turn", self.turn)):
-                for finger, way in ways.items():
-                    if way and way[-1][0] > self.trial.touch_s:
-                        yield f"{key}.{finger}", msgspec.UNSET, f"ends at {way[-1][0]:g} s: make trial.touch_s as long"
+            for key, paths in (("motion", self.motion), ("turn", self.turn)):
+                for finger, path in paths.items():
+                    if path and path[-1][0] > self.trial.touch_s:
+                        yield f"{key}.{finger}", msgspec.UNSET, f"ends at {path[-1][0]:g} s: make trial.touch_s as long"
         if known(self.factor):
             names = [factor.name for factor in self.factor if known(factor)]
             if len(set(names)) < len(names):

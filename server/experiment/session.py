@@ -1,4 +1,4 @@
-"""A session: the trials of one participant in their order, from the first one that has no answer yet."""
+"""Session: the unanswered trials of one participant, in order."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, Protocol
 
 from softfinger.config.errors import HapticError
-from softfinger.server.experiment.design import Condition, Planned, conditions, planned
+from softfinger.server.experiment.design import Condition, PlannedTrial, conditions, plan_trials
 from softfinger.server.experiment.folder import Folder
 from softfinger.server.experiment.journal import Entry, Memory
-from softfinger.server.experiment.procedures import adaptive
+from softfinger.server.experiment.procedures import make_procedure
 from softfinger.server.experiment.schema import ExperimentFile
 
 
 class Stopped(HapticError):
-    """The session was asked to end before its last trial; started again, it goes on at that trial."""
+    """End of a session on request, before its last trial; a new start resumes at that trial."""
 
     exit_code = 0
 
 
 class Stimulus(NamedTuple):
-    """What is felt in a touch.
+    """Stimulus of a touch.
 
     trial, touch  number of the trial, and of the touch in it, from 1
-    scene         that it needs, None: the experiment's
+    scene         scene of the condition, None: the experiment's
     changes       parameters by dotted path
     """
 
@@ -33,13 +33,13 @@ class Stimulus(NamedTuple):
     changes: dict[str, Any]
 
 
-class Place(NamedTuple):
-    """Where a session is.
+class Progress(NamedTuple):
+    """Progress of a session.
 
-    trial, trials    number of the trial, of how many
-    block, blocks    the same of the block
-    practice         the trial does not count
-    touch, touches   number of the touch in the trial
+    trial, trials    number of the trial, and of all
+    block, blocks    the same for the block
+    practice         True if the trial does not count
+    touch, touches   number of the touch in the trial, and of all in it
     """
 
     trial: int
@@ -52,18 +52,18 @@ class Place(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Trial and block, as the participant may know them: no condition is named."""
+        """Trial and block for the participant; omits the condition."""
         block = f"Block {self.block} of {self.blocks}, " if self.blocks > 1 else ""
         return f"{block}{'trial' if block else 'Trial'} {self.trial} of {self.trials}{', practice' * self.practice}"
 
     @property
     def text(self) -> str:
-        """Which touch is next, where there are several."""
+        """Number of the next touch, if there are several."""
         return f"Touch {self.touch} of {self.touches}" if self.touches > 1 else ""
 
 
-class Felt(NamedTuple):
-    """What became of a touch: numbers for the table of trials, and every tick."""
+class TouchResult(NamedTuple):
+    """Result of a touch: numbers for the table of trials, and every tick."""
 
     summary: dict[str, Any]
     ticks: list[dict[str, Any]]
@@ -72,90 +72,93 @@ class Felt(NamedTuple):
 class Apparatus(Protocol):
     """Presents stimuli."""
 
-    def touch(self, stimulus: Stimulus) -> Felt:
-        """Present one, from zero force to zero force."""
+    def touch(self, stimulus: Stimulus) -> TouchResult:
+        """Present a stimulus, from zero force to zero force."""
 
 
-class Nothing:
-    """No apparatus: design, answers, journal and tables alone, as fast as they go."""
+class NullApparatus:
+    """No apparatus: only design, answers, journal and tables, as fast as possible."""
 
-    def touch(self, stimulus: Stimulus) -> Felt:
-        return Felt({}, [])
+    def touch(self, stimulus: Stimulus) -> TouchResult:
+        return TouchResult({}, [])
 
 
-class Given(NamedTuple):
-    """An answer: `first` or `second` of a comparison, else a number; and how long it took (s), where that is known."""
+class Answer(NamedTuple):
+    """Answer: `first` or `second` of a comparison, else a number; and the response time (s), if known."""
 
     value: str | float
     after_s: float | None = None
 
 
-class Answering(Protocol):
-    """Where answers come from."""
+class AnswerSource(Protocol):
+    """Source of answers."""
 
-    def follow(self, place: Place) -> None:
-        """A touch is next."""
+    def prepare(self, progress: Progress) -> None:
+        """Prepare for the next touch."""
 
-    def answer(self, trial: Planned, condition: Condition, level: float, felt: Felt) -> Given:
-        """The answer to a trial, the last that was followed."""
+    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Answer:
+        """Return the answer to a trial, after its touches."""
 
     def pause(self, done: int, of: int) -> None:
-        """Wait until the participant goes on."""
+        """Wait until the participant continues."""
 
 
 class Session:
-    """The trials of a participant.
+    """Trials of a participant.
 
-    tell  says what a person beside it may want to know, a line each
+    report  receives progress lines for the experimenter
     """
 
     def __init__(
-        self, experiment: ExperimentFile, participant: int, tell: Callable[[str], None] = lambda line: None
+        self, experiment: ExperimentFile, participant: int, report: Callable[[str], None] = lambda line: None
     ) -> None:
         self.experiment: Final = experiment
         self.conditions: Final = conditions(experiment)
-        self.trials: Final = planned(experiment, participant)
-        self._tell = tell
-        self._blocks = blocks_of(self.trials, experiment.design.order == "random")
-        self._procedures = [adaptive(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
+        self.trials: Final = plan_trials(experiment, participant)
+        self._report = report
+        self._blocks = number_blocks(self.trials, experiment.design.order == "random")
+        self._procedures = [make_procedure(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
 
     def check(self, folder: Folder) -> None:
-        """Raise ConfigError where the participant's folder has another design; nothing is written."""
+        """Raise ConfigError if the participant's folder has another design; write nothing."""
         folder.check_design(self.experiment, self.conditions, self.trials)
 
     def begin(self, folder: Folder) -> None:
         """Write the design into the participant's folder."""
         folder.begin(self.experiment, self.conditions, self.trials)
 
-    def run(self, journal: Memory, apparatus: Apparatus, answering: Answering, folder: Folder | None = None) -> None:
-        """Run what has no answer in the journal. Answers of before are told to the procedures first, in their order."""
+    def run(self, journal: Memory, apparatus: Apparatus, answers: AnswerSource, folder: Folder | None = None) -> None:
+        """Run the trials without an answer in the journal.
+
+        The procedures first receive the previous answers, in order.
+        """
         answered = {entry["trial"]: entry for entry in journal.of("done")}
-        begun = [entry["trial"] for entry in journal.of("begun")]
+        started = [entry["trial"] for entry in journal.of("begun")]
         for trial in self.trials:
             if trial.number in answered:
-                self._learn(trial, answered[trial.number])
+                self._update_procedure(trial, answered[trial.number])
                 continue
-            attempt = 1 + begun.count(trial.number)
+            attempt = 1 + started.count(trial.number)
             if attempt == 1:
-                self._break(trial, answering)
+                self._pause_if_due(trial, answers)
             journal.write("begun", trial=trial.number, attempt=attempt)
-            entry, ticks = self._one(trial, attempt, apparatus, answering)
+            entry, ticks = self._run_trial(trial, attempt, apparatus, answers)
             if folder is not None and ticks:
                 folder.ticks(trial.number, attempt, ticks)
             journal.write("done", **entry)
-            self._learn(trial, entry)
+            self._update_procedure(trial, entry)
         if not journal.of("finished"):
             journal.write("finished", trials=len(self.trials))
 
-    def _break(self, trial: Planned, answering: Answering) -> None:
+    def _pause_if_due(self, trial: PlannedTrial, answers: AnswerSource) -> None:
         every, done = self.experiment.design.break_every, trial.number - 1 - self.experiment.design.practice
         if (every and done > 0 and done % every == 0) or (done == 0 and trial.number > 1):
-            answering.pause(trial.number - 1, len(self.trials))
+            answers.pause(trial.number - 1, len(self.trials))
 
-    def _one(
-        self, trial: Planned, attempt: int, apparatus: Apparatus, answering: Answering
+    def _run_trial(
+        self, trial: PlannedTrial, attempt: int, apparatus: Apparatus, answers: AnswerSource
     ) -> tuple[Entry, list[dict[str, Any]]]:
-        """Present a trial and take its answer; its entry in the journal, and its ticks."""
+        """Present a trial and wait for its answer; return its journal entry and its ticks."""
         condition, task = self.conditions[trial.condition], self.experiment.task
         procedure = self._procedures[trial.condition]
         level = trial.level if trial.level is not None or procedure is None else procedure.level()
@@ -163,15 +166,15 @@ class Session:
         values = [task.value(level)]
         if task.reference is not None:
             values.insert(1 if trial.test_first else 0, task.reference)
-        felt = []
+        results = []
         for touch, value in enumerate(values, 1):
-            place = self._place(trial, touch, len(values))
-            self._tell(f"{place.title}{f': {place.text}' if place.text else ''}")
-            answering.follow(place)
+            progress = self._progress(trial, touch, len(values))
+            self._report(f"{progress.title}{f': {progress.text}' if progress.text else ''}")
+            answers.prepare(progress)
             changes = condition.changes | parameters(self.experiment, value)
-            felt.append(apparatus.touch(Stimulus(trial.number, touch, condition.scene, changes)))
-        test = felt[0 if trial.test_first or len(felt) == 1 else 1]
-        answer, after_s = answering.answer(trial, condition, level, test)
+            results.append(apparatus.touch(Stimulus(trial.number, touch, condition.scene, changes)))
+        test = results[0 if trial.test_first or len(results) == 1 else 1]
+        answer, after_s = answers.answer(trial, condition, level, test)
         entry = {
             "trial": trial.number,
             "practice": trial.practice,
@@ -181,30 +184,30 @@ class Session:
             "value": task.value(level),
             "test_first": trial.test_first,
             "answer": answer,
-            "right": right(trial, answer) if task.kind == "compare" else None,
+            "right": is_right_answer(trial, answer) if task.kind == "compare" else None,
             "attempt": attempt,
         } | ({} if after_s is None else {"answer_s": after_s})
-        ticks = [{"touch": touch} | row for touch, each in enumerate(felt, 1) for row in each.ticks]
+        ticks = [{"touch": touch} | row for touch, each in enumerate(results, 1) for row in each.ticks]
         return entry | test.summary, ticks
 
-    def _place(self, trial: Planned, touch: int, touches: int) -> Place:
+    def _progress(self, trial: PlannedTrial, touch: int, touches: int) -> Progress:
         block = self._blocks[trial.number - 1]
-        return Place(trial.number, len(self.trials), block, self._blocks[-1], trial.practice, touch, touches)
+        return Progress(trial.number, len(self.trials), block, self._blocks[-1], trial.practice, touch, touches)
 
-    def _learn(self, trial: Planned, entry: Entry) -> None:
+    def _update_procedure(self, trial: PlannedTrial, entry: Entry) -> None:
         procedure = self._procedures[trial.condition]
         if procedure is not None and not trial.practice:
-            procedure.answered(entry["level"], entry["right"])
+            procedure.update(entry["level"], entry["right"])
 
 
-def blocks_of(trials: Sequence[Planned], mixed: bool) -> list[int]:
-    """The number of each trial's block, from 1: trials of one condition in a row, all trials where they are `mixed`.
+def number_blocks(trials: Sequence[PlannedTrial], is_mixed: bool) -> list[int]:
+    """Return the number of each trial's block, from 1: consecutive trials of one condition, or all if `is_mixed`.
 
-    Practice belongs to the block behind it.
+    Practice trials belong to the block that follows them.
     """
     block, numbers, last = 1, list[int](), None
     for trial in trials:
-        if not (mixed or trial.practice):
+        if not (is_mixed or trial.practice):
             block += last not in (None, trial.condition)
             last = trial.condition
         numbers.append(block)
@@ -212,11 +215,11 @@ def blocks_of(trials: Sequence[Planned], mixed: bool) -> list[int]:
 
 
 def parameters(experiment: ExperimentFile, value: float) -> dict[str, Any]:
-    """Parameters of a touch whose level has the value."""
+    """Return the parameters of a touch for a value of the level."""
     also: Mapping[str, float] = experiment.task.also
     return {experiment.task.parameter: value} | {path: factor * value for path, factor in also.items()}
 
 
-def right(trial: Planned, answer: str | float) -> bool:
-    """Whether the answer to a comparison names the touch that was not the reference."""
+def is_right_answer(trial: PlannedTrial, answer: str | float) -> bool:
+    """Return True if the answer to a comparison names the test stimulus, not the reference."""
     return (answer == "first") == trial.test_first

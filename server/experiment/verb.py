@@ -9,16 +9,15 @@ from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
 from softfinger.server import signals
-from softfinger.server.experiment.experiment import Experiment, Running
+from softfinger.server.arguments import parse_parameter
+from softfinger.server.experiment.experiment import Experiment, RunOptions
 from softfinger.server.experiment.session import Stopped
-from softfinger.server.verbs.ctl import parameter
 from softfinger.server.viewer.door.process import check_viewer
 
 log: Final = logging.getLogger(__name__)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.description = (
         "Run an experiment: the trials of one participant in their order, from the first one without an answer. "
         "Started again after a crash or Ctrl-C it goes on where it ended."
@@ -39,21 +38,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the session; returns 0, also where it was asked to end."""
+    """Run the session; return 0, or the exit code of a stop by a signal."""
     if args.no_daemon and not args.dry_run:
         raise ConfigError("--no-daemon: only the simulated observer needs none: give --dry-run too")
     if args.view:
         check_viewer()
-    changes: dict[str, Any] = dict(map(parameter, args.set)) | ({"rig": args.rig} if args.rig else {})
+    changes: dict[str, Any] = dict(map(parse_parameter, args.set)) | ({"rig": args.rig} if args.rig else {})
     experiment = Experiment(args.file, changes)
     folder = Path(args.out or Path(args.file).stem)
     rig = {"telemetry.endpoint": args.endpoint, "commands.endpoint": args.commands}
     rig = {key: value for key, value in rig.items() if value is not None}
-    running = Running(args.dry_run, args.no_daemon, not args.no_doctor, args.view, rig)
+    running = RunOptions(args.dry_run, args.no_daemon, not args.no_doctor, args.view, rig)
     try:
         rows = experiment.run(folder, args.participant, running)
     except Stopped as stopped:
         log.info("%s", stopped)
-        return signals.code_of_stop()
+        return signals.stop_exit_code()
     print(f"{len(rows)} trials of participant {args.participant} in {folder}; to see them: softfinger figure {folder}")
     return 0

@@ -1,4 +1,4 @@
-"""The gateway: a process that hands telemetry and commands on, by libzmq's own sockets, to other machines by CURVE.
+"""Gateway: a process that forwards telemetry and commands over ZeroMQ sockets, to other machines with CURVE keys.
 
-No servo and no device: what a peer does to it stays in its process.
+Contains no servo and no device: the effects of a misbehaving peer are limited to the process.
 """

@@ -1,4 +1,4 @@
-"""Where a daemon publishes and where it takes commands, found from either of its two addresses."""
+"""Search for the telemetry and command endpoints of a daemon, given either of them."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from typing import Any, Final, NamedTuple
 from softfinger.config.errors import CommandRefused, ConfigError
 from softfinger.config.schema import BESIDE, commands_beside, is_public, telemetry_of
 from softfinger.server.keys import ClientKeys
-from softfinger.server.wire.asking import NoAnswer
 from softfinger.server.wire.client import subscribe
+from softfinger.server.wire.client_requests import NoAnswer
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import SCHEMA_TOPIC, ProtocolError
 
 EXPECTED_S: Final = 0.5
-"""Time of a turn to ask, first for what an address is expected to be. A daemon answers within milliseconds."""
+"""Duration of one attempt; the first one assumes the expected kind of endpoint. A daemon answers in milliseconds."""
 BUSY_S: Final = 10.0
-"""Time that it has to be either, where nobody says another."""
+"""Default time after which the search ends."""
 
 
 class Addresses(NamedTuple):
-    """Endpoints of one daemon; `commands` is None where it takes none."""
+    """Endpoints of one daemon; `commands` is None if it accepts none."""
 
     telemetry: str
     commands: str | None
 
-    def commanded(self) -> str:
-        """Where to command it; ConfigError where it takes no commands."""
+    def command_endpoint(self) -> str:
+        """Return the command endpoint; raises ConfigError if there is none."""
         if self.commands is None:
             raise ConfigError(f"the daemon that publishes on {self.telemetry} takes no commands: its rig has them off")
         return self.commands
 
 
-def addresses_of(
+def find_addresses(
     endpoint: str,
     keys: ClientKeys | None = None,
     commands: str | None = None,
@@ -45,56 +45,56 @@ def addresses_of(
     to_command: bool = False,
     within_s: float = BUSY_S,
 ) -> Addresses:
-    """Both addresses of the daemon of which `endpoint` is one.
+    """Return both addresses of the daemon that has the address `endpoint`.
 
-    commands    where it takes them, if that is known: nothing is sought then
-    to_command  whether `endpoint` is more likely that of commands
-    within_s    how long the daemon is asked, where anything listens there at all; the machine may be busy
+    commands    the command endpoint, if it is known: then nothing is searched
+    to_command  whether `endpoint` is more likely the command endpoint
+    within_s    time limit of the search if something listens at the address; the machine may be busy
 
-    Where the rig does not say, commands are beside the telemetry (`commands_beside`), and so they are for an address
-    that other machines reach. Else the daemon is asked. One that does not answer, since it is not there yet, has the
-    commands where a rig has them that does not say.
+    By default, and for an address that other machines can reach, the command endpoint follows from the telemetry
+    endpoint (`commands_beside`). Otherwise the daemon is queried. If it does not answer, because it is not running yet,
+    the default is returned.
     """
     if commands is not None:
         return Addresses(telemetry_of(endpoint), commands)
     if endpoint.startswith("ipc://") and endpoint.endswith(BESIDE):
-        return _answered([_commanded], endpoint, keys, within_s) or Addresses(telemetry_of(endpoint), endpoint)
+        return _first_answer([_query_commands], endpoint, keys, within_s) or Addresses(telemetry_of(endpoint), endpoint)
     beside = commands_beside(endpoint)
     if beside.startswith("ipc://") and Path(beside.removeprefix("ipc://")).is_socket():
         return Addresses(endpoint, beside)
     likely = Addresses(endpoint, endpoint if to_command else beside)
     if is_public(endpoint):
         return likely
-    asks = [_commanded, _published] if to_command else [_published, _commanded]
-    return _answered(asks, endpoint, keys, within_s) or likely
+    queries = [_query_commands, _query_telemetry] if to_command else [_query_telemetry, _query_commands]
+    return _first_answer(queries, endpoint, keys, within_s) or likely
 
 
-def _answered(
-    asks: Sequence[Callable[[str, ClientKeys | None, float], Addresses | None]],
+def _first_answer(
+    queries: Sequence[Callable[[str, ClientKeys | None, float], Addresses | None]],
     endpoint: str,
     keys: ClientKeys | None,
     within_s: float,
 ) -> Addresses | None:
-    """What the first of the ways to ask finds that has an answer; each has its turns while anything listens."""
+    """Return the first result of the queries, which take turns as long as something listens; None without a result."""
     until = time.monotonic() + within_s
-    for ask in cycle(asks):
-        if (found := ask(endpoint, keys, min(EXPECTED_S, within_s))) is not None:
+    for query in cycle(queries):
+        if (found := query(endpoint, keys, min(EXPECTED_S, within_s))) is not None:
             return found
         if time.monotonic() > until or not _listens(endpoint):
             return None
     return None
 
 
-def _published(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:
-    """Both, where an endpoint is that of the telemetry: its first message says where the commands are."""
+def _query_telemetry(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:
+    """Return both addresses if an endpoint is telemetry: its first message has the command endpoint."""
     with subscribe(endpoint, (SCHEMA_TOPIC,), keys=keys) as samples, suppress(ProtocolError):
         if (sample := samples.receive(wait_s)) is not None:
             return Addresses(endpoint, sample.data.get("commands", commands_beside(endpoint)) or None)
     return None
 
 
-def _commanded(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:
-    """Both, where an endpoint is that of commands: the daemon describes itself."""
+def _query_commands(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Addresses | None:
+    """Return both addresses if an endpoint takes commands: the daemon describes itself."""
     with Control(endpoint, wait_s, keys) as control, suppress(NoAnswer, CommandRefused):
         described: dict[str, Any] = control.describe()
         return Addresses(described["endpoints"]["telemetry"], endpoint)
@@ -102,7 +102,7 @@ def _commanded(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Address
 
 
 def _listens(endpoint: str) -> bool:
-    """Whether anything does, at an address of this machine; True where that cannot be told."""
+    """Return whether a process listens at an address of this machine; True if that is unknown."""
     scheme, _, address = endpoint.partition("://")
     host, _, port = address.rpartition(":")
     try:

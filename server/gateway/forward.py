@@ -1,4 +1,4 @@
-"""The gateway's loop: one thread, all its sockets, until it is told to end."""
+"""Main loop of the gateway: a single thread for all its sockets."""
 
 from __future__ import annotations
 
@@ -16,70 +16,70 @@ from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.gateway.requests import Commanders
 from softfinger.server.gateway.streams import QUEUE, Stream
 from softfinger.server.keys import ClientKeys
-from softfinger.server.publishing.front import Front, Gate, Lock, bound_resources
+from softfinger.server.publishing.peer_socket import KeyLock, PeerSocket, SocketContext, bound_resources
 from softfinger.server.publishing.readers import Readers
 from softfinger.server.wire.endpoint import Bound
 
-LOOK_S: Final = 1.0
-"""How often the folders of keys are looked at, and connections counted."""
+KEY_CHECK_S: Final = 1.0
+"""Interval of the check of the folders of keys and of the count of connections."""
 POLL_MS: Final = 100
 
 
 class Source(NamedTuple):
-    """A server's endpoint, and the keys that it wants."""
+    """Endpoint of a server, and the keys it requires."""
 
     endpoint: str
     keys: ClientKeys | None = None
 
 
-class Way(NamedTuple):
-    """From a server to where others connect, and who may; without a lock everybody who reaches it."""
+class CommandPath(NamedTuple):
+    """Path of commands from a server to an endpoint for peers; without a lock, every peer in reach may connect."""
 
     source: Source
     bound: Bound
-    lock: Lock | None = None
+    lock: KeyLock | None = None
 
 
 class Forward:
-    """Everything that is handed on.
+    """Forwarding of telemetry and commands.
 
-    stream    where telemetry comes from, if any is wanted
-    readers   where it goes by ZeroMQ, a Bound and its lock
-    commands  the way of commands, if there is one
-    outlets   where it goes by Lab Streaming Layer
+    stream    source of the telemetry, if any
+    readers   endpoint for ZeroMQ subscribers, with its lock
+    commands  path of commands, if any
+    outlets   streams of Lab Streaming Layer
     """
 
     def __init__(
         self,
         stream: Source | None,
-        readers: tuple[Bound, Lock | None] | None = None,
-        commands: Way | None = None,
+        readers: tuple[Bound, KeyLock | None] | None = None,
+        commands: CommandPath | None = None,
         outlets: Outlets | None = None,
     ) -> None:
         self._files = ExitStack()
         self._context: zmq.Context[Any] = zmq.Context()
         self._files.callback(self._context.destroy, 0)
-        self._begun_s = time.monotonic()
+        self._start_s = time.monotonic()
         self.stream = self.readers = self.commanders = None
         self.outlets: Final = outlets
-        self._fronts: list[Front] = []
+        self._peer_sockets: list[PeerSocket] = []
         try:
             authenticator = ThreadAuthenticator(self._context)
             authenticator.start()
             self._files.callback(authenticator.stop)
-            gate = Gate(self._context, authenticator)
+            gate = SocketContext(self._context, authenticator)
             if stream is not None:
                 self.stream = Stream(self._context, *stream)
             if self.stream is not None and readers is not None:
                 self.readers = Readers(gate, *readers, QUEUE)
-                self.stream.takers.append(self.readers.send)
-                self._open(self.readers.front)
+                self.stream.consumers.append(self.readers.send)
+                self._open(self.readers.peers)
             if self.stream is not None and outlets is not None:
-                self.stream.takers.append(outlets.send)
+                self.stream.consumers.append(outlets.send)
             if commands is not None:
                 self.commanders = Commanders(gate, *commands.source, commands.bound, commands.lock)
                 self._files.callback(self.commanders.close)
-                self._open(self.commanders.front)
+                self._open(self.commanders.peers)
         except zmq.ZMQError as error:
             self._files.close()
             raise ConfigError(f"nothing is forwarded: {error}; endpoints look like tcp://127.0.0.1:5555") from error
@@ -87,60 +87,60 @@ class Forward:
             self._files.close()
             raise
 
-    def _open(self, front: Front) -> None:
-        self._fronts.append(front)
-        self._files.callback(front.close)
+    def _open(self, peers: PeerSocket) -> None:
+        self._peer_sockets.append(peers)
+        self._files.callback(peers.close)
 
     def run(self, ended: Callable[[], bool], show: Callable[[str], None] | None = None) -> None:
-        """Hand on until `ended` says so."""
+        """Forward until the function `ended` returns True."""
         bound_resources()
         due = 0.0
         while not ended():
-            ways = dict(self._ways())
+            handlers = dict(self._handlers())
             poller = zmq.Poller()
-            for socket in ways:
+            for socket in handlers:
                 poller.register(socket, zmq.POLLIN)
-            changed, renewed = False, self._renewed()
+            changed, renewals = False, self._renewals()
             while not (changed or ended()):
                 for socket, _ in poller.poll(POLL_MS):
-                    changed |= bool(ways[socket]())
+                    changed |= bool(handlers[socket]())
                 if (now := time.monotonic()) >= due:
-                    due = now + LOOK_S
-                    for front in self._fronts:
-                        front.look()
-                        front.look_at_keys()
+                    due = now + KEY_CHECK_S
+                    for peers in self._peer_sockets:
+                        peers.process_events()
+                        peers.refresh_keys()
                     if show is not None:
                         show(self.line())
-                changed |= self._renewed() != renewed
+                changed |= self._renewals() != renewals
 
-    def _renewed(self) -> int:
-        return sum(front.renewed for front in self._fronts)
+    def _renewals(self) -> int:
+        return sum(peers.renewals for peers in self._peer_sockets)
 
-    def _ways(self) -> Iterator[tuple[Any, Callable[[], Any]]]:
-        """Sockets, and what is done when something has come; it is True where the sockets are others now."""
+    def _handlers(self) -> Iterator[tuple[Any, Callable[[], Any]]]:
+        """Yield each socket with its handler; a handler returns True if the set of sockets has changed."""
         if self.stream is not None:
             yield self.stream.socket, self.stream.take
         if self.readers is not None:
-            yield self.readers.front.socket, self.readers.take
+            yield self.readers.peers.socket, self.readers.take
         if self.commanders is not None:
-            yield self.commanders.front.socket, self.commanders.take
-            for behind in self.commanders.sockets:
-                yield behind, partial(self.commanders.answer, behind)
+            yield self.commanders.peers.socket, self.commanders.take
+            for upstream in self.commanders.sockets:
+                yield upstream, partial(self.commanders.answer, upstream)
 
     def statistics(self) -> dict[str, Any]:
-        """What was handed on so far."""
-        found: dict[str, Any] = {"seconds": time.monotonic() - self._begun_s}
+        """Return the counts of forwarded messages so far."""
+        found: dict[str, Any] = {"seconds": time.monotonic() - self._start_s}
         if self.stream is not None:
             found |= {"messages": self.stream.messages, "bytes": self.stream.size, "lost": self.stream.lost}
         if self.outlets is not None:
             found["lsl"] = {"streams": self.outlets.names, "samples": self.outlets.samples}
         for name, part in (("telemetry", self.readers), ("commands", self.commanders)):
             if part is not None:
-                part.front.look()
+                part.peers.process_events()
                 found[name] = {
-                    "endpoint": part.front.endpoint,
-                    "connections_max": part.front.most,
-                    "refused": part.front.refused,
+                    "endpoint": part.peers.endpoint,
+                    "connections_max": part.peers.max_connections,
+                    "refused": part.peers.refused,
                 }
         if self.commanders is not None:
             found["commands"] |= {
@@ -151,22 +151,22 @@ class Forward:
         return found
 
     def line(self) -> str:
-        """The same in words."""
+        """Return the statistics as text."""
         found = self.statistics()
-        said = []
+        parts = []
         if "messages" in found:
-            said.append(f"{found['messages']} messages, {found['lost']} ticks missing")
+            parts.append(f"{found['messages']} messages, {found['lost']} ticks missing")
         if "lsl" in found:
-            said.append(f"{found['lsl']['samples']} samples to LSL")
-        said += [
+            parts.append(f"{found['lsl']['samples']} samples to LSL")
+        parts += [
             f"{name}: at most {found[name]['connections_max']} connections, {found[name]['refused']} refused"
             for name in ("telemetry", "commands")
             if name in found
         ]
         if "commands" in found:
-            said.append(f"{found['commands']['requests']} requests")
-        return "; ".join(said)
+            parts.append(f"{found['commands']['requests']} requests")
+        return "; ".join(parts)
 
     def close(self) -> None:
-        """Disconnect all. Any number of times."""
+        """Disconnect all; may be called repeatedly."""
         self._files.close()

@@ -1,7 +1,7 @@
-"""Telemetry as streams of Lab Streaming Layer: a channel for every number of a record, and events as markers, all
-stamped with the tick's time.
+"""Telemetry as streams of Lab Streaming Layer: a channel for every number of a record, and events as markers.
 
-LSL finds and opens streams without any key, from every machine of the network.
+All samples are stamped with the tick's time. LSL finds and opens streams without any key, from every machine of the
+network.
 """
 
 from __future__ import annotations
@@ -17,41 +17,41 @@ from softfinger.server.wire.client import Sample, record_of
 from softfinger.server.wire.protocol import EVENT, STATE, ProtocolError, decode, finger_of
 
 NAME: Final = "softfinger"
-"""Of a single finger's stream; of several fingers each has this, a hyphen and its name."""
+"""Name of the stream of a single finger; with several fingers, a hyphen and the finger's name are appended."""
 TYPE: Final = "Haptics"
 MARKERS: Final = "softfinger-events"
 MARKERS_TYPE: Final = "Markers"
 SAME_CLOCK_S: Final = 5.0
-"""A `state` whose CLOCK_MONOTONIC is that near to ours comes from this machine: two have been up for as long by a rare
-chance alone."""
+"""A `state` with a CLOCK_MONOTONIC this close to ours is from this machine: two machines have the same uptime only by
+rare coincidence."""
 
 
 class Outlets:
-    """Takes messages; opens a finger's stream with its first tick. Raises ConfigError where pylsl is missing."""
+    """Consumer of messages that opens a finger's stream at its first tick; raises ConfigError if pylsl is missing."""
 
     def __init__(self, source: str) -> None:
         try:
             import pylsl
-        except (ImportError, RuntimeError) as error:  # RuntimeError: there is no liblsl
+        except (ImportError, RuntimeError) as error:  # RuntimeError: liblsl is missing
             raise ConfigError(f"--lsl needs pylsl and liblsl: {error}: pip install 'softfinger[lsl]'") from error
         self._lsl: Any = pylsl
         self._source = source
         self._outlets: dict[str, Any] = {}
         self._to_local_s = pylsl.local_clock() - time.time()
-        """From the epoch of telemetry to LSL's clock."""
+        """Offset from the epoch of telemetry to LSL's clock."""
         self._lsl_s = pylsl.local_clock() - time.monotonic()
-        """From CLOCK_MONOTONIC to LSL's clock: 0 on Linux, but for the time between the two calls."""
+        """Offset from CLOCK_MONOTONIC to LSL's clock: 0 on Linux, except for the time between the two calls."""
         self._newest = (-1, 0.0)
         self._markers = pylsl.StreamOutlet(self._info(MARKERS, MARKERS_TYPE, 1, "string"))
         self.samples = self.markers = 0
 
     @property
     def names(self) -> list[str]:
-        """Of the streams of ticks."""
+        """Names of the streams of ticks."""
         return [stream_name(finger) for finger in self._outlets]
 
     def send(self, topic: bytes, body: bytes) -> None:
-        """A message; those that are neither tick nor event are none of a stream's."""
+        """Send a message to its stream; ignores messages that are neither tick nor event."""
         name = topic.decode("ascii", "replace")
         finger = finger_of(name)
         if finger is None and name not in (EVENT, STATE):
@@ -76,10 +76,10 @@ class Outlets:
         self.samples += 1
 
     def _set_clock(self, tick: int, monotonic_s: float) -> None:
-        """Take the offset from a tick whose time is known on both clocks.
+        """Set the offset from a tick with a known time on both clocks.
 
-        The daemon's epoch is fixed to CLOCK_MONOTONIC when it starts. The machine's own may have been set since, and so
-        is used for a daemon on another machine alone.
+        The daemon's epoch is fixed relative to CLOCK_MONOTONIC when it starts. This machine's clock may have been set
+        since then, and is therefore used only for a daemon on another machine.
         """
         if tick == self._newest[0] and abs(monotonic_s - time.monotonic()) < SAME_CLOCK_S:
             self._to_local_s = monotonic_s - self._newest[1] + self._lsl_s
@@ -93,17 +93,17 @@ class Outlets:
         return info
 
     def _info(self, name: str, kind: str, channels: int, form: str) -> Any:
-        # Irregular: every sample says when it was, and none is where ticks were missed.
+        # Irregular: every sample has its time, and missed ticks have no sample.
         rate = self._lsl.IRREGULAR_RATE
         return self._lsl.StreamInfo(name, kind, channels, rate, form, f"{name} {self._source}")
 
 
 def marker(event: dict[str, Any]) -> str:
-    """An event as the text of a marker, JSON: `tick`, `kind`, `name` and what else it has."""
+    """Return an event as the text of a marker, JSON: `tick`, `kind`, `name` and its other keys."""
     shown = {key: value for key, value in event.items() if key not in ("schema", "timestamp")}
     return msgspec.json.encode(shown).decode()
 
 
 def stream_name(finger: str) -> str:
-    """What the stream of a finger is called; the single one has no name."""
+    """Return the name of a finger's stream; a single finger has no name."""
     return f"{NAME}-{finger}" if finger else NAME

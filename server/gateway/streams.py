@@ -1,4 +1,4 @@
-"""Telemetry through the gateway: every message of a server, once, for whoever subscribes here."""
+"""Telemetry through the gateway: every message of a server is received once and passed to all consumers."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.protocol import CONTACT, FINGERS, MAX_BYTES
 
 QUEUE: Final = 8192
-"""Messages that wait for a slow subscriber, 8 s at 1 kHz; then libzmq drops the newest, for that one."""
+"""Messages queued for a slow subscriber, 8 s at 1 kHz; beyond that, libzmq drops new messages for it."""
 AT_ONCE: Final = 256
 
 _TICKING: Final = (CONTACT.encode(), FINGERS.encode())
 
 
 class _Tick(msgspec.Struct):
-    """What of a message tells whether one is missing."""
+    """Part of a message that is needed to count missing ticks."""
 
     tick: int
     every: int
 
 
 class Stream:
-    """A subscription to a server, and what has come of it.
+    """Subscription to a server, with counts of its messages.
 
-    Subscribers' topics are not passed on: the server hears of one subscriber, whatever they do.
+    Subscribers' topics are not passed on: for the server, the gateway is a single subscriber.
     """
 
     def __init__(self, context: zmq.Context[Any], endpoint: str, keys: ClientKeys | None) -> None:
@@ -36,18 +36,18 @@ class Stream:
         self.socket.linger, self.socket.rcvhwm, self.socket.maxmsgsize = 0, QUEUE, MAX_BYTES
         self.socket.ipv6 = "[" in endpoint
         if keys is not None:
-            keys.put_on(self.socket)
+            keys.apply_to(self.socket)
         self.socket.subscribe(b"")
         self.socket.connect(endpoint)
-        self.takers: list[Callable[[bytes, bytes], None]] = []
-        """What each message is given to."""
+        self.consumers: list[Callable[[bytes, bytes], None]] = []
+        """Functions called with each message."""
         self.messages = self.size = self.lost = 0
-        """Messages and their bytes so far, and ticks that are missing among them."""
+        """Number and bytes of messages so far, and number of missing ticks."""
         self._decode = msgspec.msgpack.Decoder(_Tick).decode
         self._ticks: dict[bytes, int] = {}
 
     def take(self) -> None:
-        """Hand on what has come."""
+        """Pass on the messages received."""
         for _ in range(AT_ONCE):
             try:
                 frames = self.socket.recv_multipart(zmq.NOBLOCK)
@@ -55,8 +55,8 @@ class Stream:
                 return
             if len(frames) != 2:
                 continue
-            for taker in self.takers:
-                taker(*frames)
+            for consumer in self.consumers:
+                consumer(*frames)
             self.messages += 1
             self.size += len(frames[0]) + len(frames[1])
             if frames[0].startswith(_TICKING):
@@ -64,9 +64,9 @@ class Stream:
 
     def _count(self, topic: bytes, body: bytes) -> None:
         try:
-            seen = self._decode(body)
+            message = self._decode(body)
         except msgspec.MsgspecError:
             return
-        before, self._ticks[topic] = self._ticks.get(topic), seen.tick
-        if before is not None and seen.tick > before:
-            self.lost += (seen.tick - before - 1) // max(seen.every, 1)
+        before, self._ticks[topic] = self._ticks.get(topic), message.tick
+        if before is not None and message.tick > before:
+            self.lost += (message.tick - before - 1) // max(message.every, 1)

@@ -1,4 +1,4 @@
-"""The installation: udev rules, limits, a systemd unit, the man page, completion; written, recorded, taken away again.
+"""Installation on a machine, with a record for removal: udev rules, limits, systemd unit, man page and completion.
 
-No servo and no device: what is installed is text, and the daemon runs without any of it.
+Contains no code that the daemon needs: only texts are installed.
 """

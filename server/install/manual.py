@@ -1,4 +1,4 @@
-"""The man page, made from the options of every verb."""
+"""Man page, generated from the options of all verbs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ ENDING: Final = r"""
 .SH FILES
 .TP
 .I ~/.cache/softfinger
-compiled kernels; SOFTFINGER_CACHE_DIR names another folder
+compiled kernels; SOFTFINGER_CACHE_DIR sets another folder
 .TP
 .I /etc/softfinger/installed.json
 what `softfinger install \-\-system` has written; without \-\-system: ~/.local/state/softfinger/installed.json
@@ -21,7 +21,7 @@ https://github.com/softfinger/softfinger
 
 
 def manual(parser: argparse.ArgumentParser) -> str:
-    """softfinger.1 in the language of man(7), from the program's parser with the options of every verb."""
+    """Return the text of softfinger.1 in man(7) macros, from the program's parser with the options of all verbs."""
     lines = [
         f'.TH SOFTFINGER 1 "" "softfinger {version("softfinger")}" "User Commands"',
         *(".SH NAME", rf"softfinger \- {_roff('real-time haptic rendering server')}"),
@@ -43,7 +43,7 @@ def _verbs(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.Argu
 
 
 def _options(parser: argparse.ArgumentParser) -> Iterator[str]:
-    """Each argument as a paragraph with a tag; a verb below the verb in the same way."""
+    """Yield each argument as a tagged paragraph, and the verbs below a verb in the same form."""
     formatter = parser._get_formatter()
     for action in parser._actions:
         if action.help is argparse.SUPPRESS:
@@ -59,6 +59,6 @@ def _options(parser: argparse.ArgumentParser) -> Iterator[str]:
 
 
 def _roff(text: str) -> str:
-    """Text that roff prints as it stands."""
+    """Escape text for roff."""
     plain = " ".join(text.split()).replace("\\", r"\e").replace("-", r"\-")
     return rf"\&{plain}" if plain.startswith((".", "'")) else plain

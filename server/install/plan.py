@@ -1,4 +1,4 @@
-"""What is installed where: for the whole machine, or for one user."""
+"""Files and folders of an installation, for the system or for one user."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from softfinger.config.errors import ConfigError
+from softfinger.config.files import home_folder
 from softfinger.config.load import find, load_rig, load_scene, shipped
 from softfinger.config.schema import Rig, Scene
-from softfinger.drivers.system.rules import GROUP, program, udev_rules
+from softfinger.drivers.system.rules import GROUP, program_command, udev_rules
 from softfinger.server.install.ledger import File
 from softfinger.server.install.manual import manual
 from softfinger.server.install.unit import RTPRIO, unit
@@ -21,14 +23,14 @@ ACCOUNT: Final = f"""\
 u {GROUP} - "softfinger, a haptic rendering server" /var/lib/softfinger
 """
 LIMITS: Final = f"""\
-# What a servo at 1 kHz asks for: a thread that nothing delays, and memory that stays.
+# Needs of a servo at 1 kHz: real-time priority and locked memory.
 @{GROUP} - rtprio {RTPRIO}
 @{GROUP} - memlock unlimited
 """
 
 
-class Places(NamedTuple):
-    """Folders that programs look into: units, manuals, completion of bash and of zsh; and where the record is."""
+class InstallPaths(NamedTuple):
+    """Folders that programs search for units, manuals, and completion of bash and zsh; and the path of the record."""
 
     units: Path
     manuals: Path
@@ -37,7 +39,7 @@ class Places(NamedTuple):
     record: Path
 
 
-SYSTEM: Final = Places(
+SYSTEM: Final = InstallPaths(
     Path("/etc/systemd/system"),
     Path("/usr/local/share/man/man1"),
     Path("/usr/local/share/bash-completion/completions"),
@@ -46,15 +48,24 @@ SYSTEM: Final = Places(
 )
 
 
-def places_of_user(environment: Mapping[str, str], home: Path) -> Places:
-    """As the XDG base directories have them."""
+def user_paths(environment: Mapping[str, str], home: Path | None) -> InstallPaths:
+    """Return the places by the XDG base directories.
 
-    def folder(name: str, otherwise: str) -> Path:
-        named = environment.get(name, "")
-        return Path(named) if named.startswith("/") else home / otherwise
+    Raises ConfigError if one of them needs a home folder and there is none.
+    """
+
+    def folder(name: str, fallback: str) -> Path:
+        value = environment.get(name, "")
+        if value.startswith("/"):
+            return Path(value)
+        if home is None:
+            raise ConfigError(
+                f"this user has no home folder, neither in HOME nor in passwd: set HOME or {name}, or add --system"
+            )
+        return home / fallback
 
     data = folder("XDG_DATA_HOME", ".local/share")
-    return Places(
+    return InstallPaths(
         folder("XDG_CONFIG_HOME", ".config") / "systemd/user",
         data / "man/man1",
         data / "bash-completion/completions",
@@ -63,47 +74,50 @@ def places_of_user(environment: Mapping[str, str], home: Path) -> Places:
     )
 
 
-def places(system: bool) -> Places:
-    return SYSTEM if system else places_of_user(os.environ, Path.home())
+def install_paths(system: bool) -> InstallPaths:
+    return SYSTEM if system else user_paths(os.environ, home_folder())
 
 
 def files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -> list[File]:
-    """All that is installed, for a daemon of that rig and scene; `parser` has the options of every verb.
+    """Return all files to install, for a daemon with that rig and scene; `parser` has the options of all verbs.
 
-    Raises what loading the rig or the scene raises.
+    Raises the errors of loading the rig or the scene.
     """
     from softfinger.server.cli import completion
 
     load_scene(scene)
     devices = load_rig(rig).tables.values()
-    at = places(system)
-    found = [
+    at = install_paths(system)
+    install_files = [
         File(at.units / "softfinger.service", unit(service(rig, scene), system)),
         File(at.manuals / "softfinger.1", manual(parser)),
         File(at.bash / "softfinger", completion("bash")),
         File(at.zsh / "_softfinger", completion("zsh")),
     ]
     if system:
-        found += [
+        install_files += [
             File(Path("/etc/udev/rules.d/70-softfinger.rules"), udev_rules(devices)),
             File(Path("/etc/security/limits.d/70-softfinger.conf"), LIMITS),
             File(Path("/etc/sysusers.d/softfinger.conf"), ACCOUNT),
         ]
-    return found
+    return install_files
 
 
 def service(rig: str, scene: str) -> list[str]:
-    """What the unit runs, good in any folder."""
-    return [*program(), "run", "--rig", named(rig, Rig), "--scene", named(scene, Scene)]
+    """Return the command of the unit, independent of the working directory."""
+    return [*program_command(), "run", "--rig", resolve_name(rig, Rig), "--scene", resolve_name(scene, Scene)]
 
 
-def named(name: str, kind: type[Rig] | type[Scene]) -> str:
-    """A rig or scene as it is found from any folder: a shipped one by its name."""
+def resolve_name(name: str, kind: type[Rig] | type[Scene]) -> str:
+    """Return the name of a shipped rig or scene, or else its absolute path."""
     return name if name in shipped(kind) else str(find(name, kind).resolve())
 
 
-def closed_to_others(words: Sequence[str]) -> Path | None:
-    """The first folder on the way to a program, its interpreter or a file it is given that only its owner may enter."""
+def first_private_folder(words: Sequence[str]) -> Path | None:
+    """Return the first folder that only its owner may enter, on the path of a program, its interpreter or its files.
+
+    Returns None if there is none.
+    """
     for path in (Path(word) for word in (*words, os.path.realpath(sys.executable)) if word.startswith("/")):
         for folder in reversed(path.parents):
             if folder.exists() and not folder.stat().st_mode & 0o001:

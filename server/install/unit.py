@@ -1,4 +1,4 @@
-"""The systemd unit of the daemon, as a service of the system under an account of its own, or of a user."""
+"""systemd unit of the daemon, as a system service with a separate account, or as a user service."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 from softfinger.drivers.system.rules import GROUP
 
 RTPRIO: Final = 95
-"""Above the servo's 80 and its supervisor's 81, below the kernel's own threads, at 99."""
+"""Above the servo's 80 and its supervisor's 81, below the kernel's threads at 99."""
 
 HEAD: Final = """\
 # Written by `softfinger install`, which knows it by its content: changed here, it is kept and no longer updated.
@@ -80,7 +80,7 @@ WantedBy=multi-user.target
 """
 
 USER: Final = """\
-# Limits are those of your login: `softfinger install --system` raises them for the group softfinger.
+# Limits are those of the login: `softfinger install --system` raises them for the group softfinger.
 
 [Install]
 WantedBy=default.target
@@ -88,14 +88,14 @@ WantedBy=default.target
 
 
 def unit(words: Sequence[str], system: bool) -> str:
-    """The unit that runs a command, its words given one by one."""
-    program, *others = map(_quoted, words)
-    command = " ".join([program, *(word.replace("$", "$$") for word in others)])  # variables are put into these alone
+    """Return the unit that runs a command, given as a list of arguments."""
+    program, *others = map(_quote, words)
+    command = " ".join([program, *(word.replace("$", "$$") for word in others)])  # no expansion in the program
     head = HEAD.format(command=command, scope="" if system else "--user ")
     return head + (SYSTEM if system else USER)
 
 
-def _quoted(word: str) -> str:
-    """A word as systemd reads it back: nothing in it is a specifier, an escape or the end of it."""
+def _quote(word: str) -> str:
+    """Quote an argument for systemd, and escape specifiers and escape characters."""
     plain = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
     return plain if plain and not any(letter in plain for letter in " \t;'\"\\") else f'"{plain}"'

@@ -1,4 +1,4 @@
-"""`install`: what a machine needs around the program, and `--remove`, which leaves nothing of it."""
+"""`softfinger install`: install the files that a machine needs besides the program; `--remove` removes all of them."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from softfinger.drivers.system.rules import command
-from softfinger.server.install.ledger import Act, Ledger
-from softfinger.server.install.plan import closed_to_others, files, places, service
-from softfinger.server.install.settle import STATE, after_removing, after_writing, before_removing, run_all
+from softfinger.drivers.system.rules import install_command
+from softfinger.server.install.ledger import Action, Ledger
+from softfinger.server.install.plan import files, first_private_folder, install_paths, service
+from softfinger.server.install.system_commands import STATE, after_removing, after_writing, before_removing, run_all
 
 ROOT: Final = Path("/")
 
 LATER: Final = """\
-A device may be opened by whoever sits at this machine once it is plugged in again; over ssh, and for the limits, join
+The user at this machine may open a device once it is plugged in again; over ssh, and for the limits, join
 the group and log in again:
   sudo usermod -aG softfinger $USER
-The daemon as a service, and what it says:
+The daemon as a service, and its log:
   sudo systemctl start softfinger
   journalctl -u softfinger -f
 """
 LATER_FOR_ONE: Final = """\
-The daemon as a service, and what it says:
+The daemon as a service, and its log:
   systemctl --user start softfinger
   journalctl --user -u softfinger -f
 Rules for devices and limits for real time are the machine's: {command}
@@ -37,16 +37,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "machine, with udev rules for every supported device and limits for real time. What was written is recorded, "
         "and --remove takes it away; a file of somebody else is never overwritten, one that was edited never removed."
     )
-    parser.add_argument("--system", action="store_true", help="for the whole machine, as root; with rules and limits")
-    parser.add_argument("--remove", action="store_true", help="take away what was written")
-    parser.add_argument("--dry-run", action="store_true", help="print what would be done, each file with its content")
+    parser.add_argument("--system", action="store_true", help="for all users, as root; with rules and limits")
+    parser.add_argument("--remove", action="store_true", help="remove the written files")
+    parser.add_argument("--dry-run", action="store_true", help="print the planned changes, each file with its content")
     parser.add_argument("--rig", default="replay", help="rig of the service, and its devices (default: %(default)s)")
     parser.add_argument("--scene", default="paper-plane", help="scene of the service (default: %(default)s)")
     parser.add_argument("--root", type=Path, metavar="DIR", help="write below DIR, and run no command: for packagers")
 
 
 def run(args: argparse.Namespace) -> int:
-    ledger = Ledger((args.root or ROOT).resolve(), places(args.system).record)
+    ledger = Ledger((args.root or ROOT).resolve(), install_paths(args.system).record)
     if args.remove:
         remove(args, ledger)
     else:
@@ -57,19 +57,22 @@ def run(args: argparse.Namespace) -> int:
 def install(args: argparse.Namespace, ledger: Ledger) -> None:
     from softfinger.server.cli import make_parser
 
-    wanted, commands = files(args.system, args.rig, args.scene, make_parser()), after_writing(args.system)
+    files_to_write, commands = files(args.system, args.rig, args.scene, make_parser()), after_writing(args.system)
     if args.dry_run:
-        for file in wanted:
+        for file in files_to_write:
             print(f"##### {file.path}: {ledger.state(file)}\n{file.text}")
         print("\n".join(f"##### then: {shlex.join(words)}" for words in commands))
         return
-    show(ledger.write(wanted))
+    show(ledger.write(files_to_write))
     if args.root is None:
         run_all(commands)
-    closed = closed_to_others(service(args.rig, args.scene)) if args.system else None
-    if closed is not None:
-        print(f"the service cannot start: {closed} is its owner's alone; put the program into /opt/softfinger")
-    print(LATER if args.system else LATER_FOR_ONE.format(command=command()), end="")
+    private_folder = first_private_folder(service(args.rig, args.scene)) if args.system else None
+    if private_folder is not None:
+        print(
+            f"the service cannot start: {private_folder} is readable by its owner only; "
+            "move the program to /opt/softfinger"
+        )
+    print(LATER if args.system else LATER_FOR_ONE.format(command=install_command()), end="")
 
 
 def remove(args: argparse.Namespace, ledger: Ledger) -> None:
@@ -78,16 +81,16 @@ def remove(args: argparse.Namespace, ledger: Ledger) -> None:
     elif args.dry_run:
         print("\n".join(f"##### would be removed: {path}" for path in ledger.paths))
     else:
-        ledger.check()  # before anything is stopped
+        ledger.check()  # before the service is stopped
         if args.root is None:
             run_all(before_removing(args.system))
         show(ledger.remove())
         if args.root is None:
             run_all(after_removing(args.system))
             if args.system and STATE.exists():
-                print(f"what the service has kept stays in {STATE}, and so does its account")
+                print(f"data of the service remain in {STATE}, and so does its account")
 
 
-def show(acts: Iterable[Act]) -> None:
-    for act in acts:
-        print(f"{act.what} {act.path}")
+def show(actions: Iterable[Action]) -> None:
+    for act in actions:
+        print(f"{act.text} {act.path}")

@@ -1,4 +1,4 @@
-"""The servo loop: everything that runs, or is shared, between two ticks. Real time starts and ends here.
+"""Servo loop: tick, guard, limits, real-time settings and the memory shared with other parts of the daemon.
 
-No socket, no file and no terminal.
+Contains no socket, file or terminal.
 """

@@ -1,7 +1,7 @@
-"""The devices' side of a tick: reading all, writing all, what each says of it, and the last zero.
+"""Device I/O of a tick: reads, writes, statuses and the last zero, for the devices of all fingers.
 
-A device for each finger, in the order of the scene's fingers. With one of them nothing of that order is left once it
-is compiled.
+There is a device for each finger, in the order of the scene's fingers. `map_each` calls
+the kernels of one device for each of them.
 """
 
 from typing import Any, Final, NamedTuple
@@ -26,11 +26,11 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.record import AT
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import POSE_JUMPED, POSE_REFUSED, Guard
-from softfinger.server.loop.inputs.poses import doubt, nothing_seen
-from softfinger.server.loop.tick import FingerMemory, elsewhere, held, let_go, record_wrench
+from softfinger.server.loop.inputs.poses import check_pose, make_pose_memory
+from softfinger.server.loop.tick import FingerMemory, record_wrench, reset_contact, reset_guard, with_kept_wrench
 
-NOT_TAKEN: Final = POSE_REFUSED | POSE_JUMPED
-"""Bits of a pose without which a run may end."""
+POSE_REJECTED: Final = POSE_REFUSED | POSE_JUMPED
+"""Bits of a pose that a run tolerates only for a limited time."""
 
 
 class Io(NamedTuple):
@@ -41,17 +41,17 @@ class Io(NamedTuple):
     handle: int
 
 
-class Line(NamedTuple):
-    """Memory for one device.
+class DeviceBuffers(NamedTuple):
+    """Buffers of one device.
 
-    raw     what it said
-    offset  (3,) m  what was added to its position in the last tick
-    sample  what it said, with that
-    wrench  what it is written
-    record  its finger's part of the tick's record
-    held    (2,)   ticks in a row whose wrench it has not taken, and how many may be
-    seen    memory of what its poses were (server.loop.inputs.poses)
-    doubt   (1,)   the guard's bit of what speaks against the pose of this tick, 0 if nothing does
+    raw            sample from the driver
+    offset         (3,) m  offset added to its position in the last tick
+    sample         `raw` with the offset
+    wrench         wrench to write
+    record         its finger's part of the tick's record
+    ignored_ticks  (2,)   number of successive ticks in which it ignored the wrench, and the largest number allowed
+    pose_memory    memory of its poses (server.loop.inputs.poses)
+    pose_fault     (1,)   the guard's bit for an implausible pose in this tick, otherwise 0
     """
 
     raw: NDArray[np.float64]
@@ -59,13 +59,13 @@ class Line(NamedTuple):
     sample: NDArray[np.float64]
     wrench: NDArray[np.float64]
     record: NDArray[np.float64]
-    held: NDArray[np.int64]
-    seen: NDArray[np.float64]
-    doubt: NDArray[np.int64]
+    ignored_ticks: NDArray[np.int64]
+    pose_memory: NDArray[np.float64]
+    pose_fault: NDArray[np.int64]
 
 
 class Stamp(NamedTuple):
-    """What the loop says of a tick in the record of each finger, s; `missed` counts deadlines."""
+    """The loop's entries in the record of each finger, s; `missed` counts deadlines."""
 
     timestamp: float
     late: float
@@ -74,24 +74,28 @@ class Stamp(NamedTuple):
     busy: float
 
 
-def make_line(record: NDArray[np.float64], held_max: int) -> Line:
-    """Memory for a device whose finger's part of the record is given, and that may keep a force for so many ticks."""
-    held = np.array([0, held_max], np.int64)
-    return Line(
+def make_device_buffers(record: NDArray[np.float64], max_ignored_ticks: int) -> DeviceBuffers:
+    """Return the buffers of a device.
+
+    record             its finger's part of the record
+    max_ignored_ticks  number of ticks for which it may keep a force
+    """
+    ignored_ticks = np.array([0, max_ignored_ticks], np.int64)
+    return DeviceBuffers(
         np.zeros(SAMPLE_SIZE),
         np.zeros(3),
         np.zeros(SAMPLE_SIZE),
         np.zeros(6),
         record,
-        held,
-        nothing_seen(),
+        ignored_ticks,
+        make_pose_memory(),
         np.zeros(1, np.int64),
     )
 
 
 @jit
-def known(status: int) -> int:
-    """A driver's status; one that no driver has is an answer that is not in its protocol."""
+def checked_status(status: int) -> int:
+    """Return a driver's status; an unknown one counts as a protocol error."""
     return PROTOCOL if status > HELD else status
 
 
@@ -104,70 +108,77 @@ def put_wrench(wrench: NDArray[np.float64], force: Vec3, torque: Vec3) -> None:
 
 @jit
 def read_one(
-    io: Io, line: Any, guard: Guard, offset: Any, start: FingerMemory, hand: FingerMemory, dt: float
+    io: Io, device: Any, guard: Guard, offset: Any, start: FingerMemory, hand: FingerMemory, dt: float
 ) -> tuple[FingerMemory, int]:
-    """Read a sample of a device, and add its offset; FingerMemory, as it is where a driver withholds the force or the
-    offset is another one, and status. A pose that is not believed becomes none.
+    """Read a sample of a device and add its offset; return the FingerMemory and the status.
 
     dt  s  since the last read
+
+    The FingerMemory changes if the driver withholds the force or the offset changes. The position of an implausible
+    pose becomes nan.
     """
-    # Not into the sample: a driver that has nothing new may leave what it gave before.
-    status = known(call_device(io.read, io.handle, line.raw))
+    # Not into the sample: a driver without new data may leave the buffer as it is.
+    status = checked_status(call_device(io.read, io.handle, device.raw))
     if status == WITHHELD:
-        hand = let_go(start, hand)
+        hand = reset_guard(start, hand)
     for i in range(SAMPLE_SIZE):
-        line.sample[i] = line.raw[i]
-    moved = False
+        device.sample[i] = device.raw[i]
+    has_moved = False
     for i in range(3):
-        line.sample[i] += offset[i]
-        moved |= offset[i] != line.offset[i]
-        line.offset[i] = offset[i]
-    if moved:
-        hand = elsewhere(start, hand)
-    line.doubt[0] = doubt(guard, line.seen, line.raw, status, hand.guarded.force, dt)
-    if line.doubt[0] != 0:
-        line.sample[0] = np.nan
+        device.sample[i] += offset[i]
+        has_moved |= offset[i] != device.offset[i]
+        device.offset[i] = offset[i]
+    if has_moved:
+        hand = reset_contact(start, hand)
+    device.pose_fault[0] = check_pose(guard, device.pose_memory, device.raw, status, hand.guard_state.force, dt)
+    if device.pose_fault[0] != 0:
+        device.sample[0] = np.nan
     return hand, status
 
 
 @jit
 def write_one(
-    io: Io, line: Any, tool: Any, start: FingerMemory, before: FingerMemory, hand: FingerMemory
+    io: Io, device: Any, tool: Any, start: FingerMemory, before: FingerMemory, hand: FingerMemory
 ) -> tuple[FingerMemory, int]:
-    """Write a device its wrench; FingerMemory and record, which go by what the hand feels, and status.
+    """Write a wrench to a device; return the FingerMemory and the status.
 
-    before  the FingerMemory of the tick before
+    before  FingerMemory of the previous tick
+
+    FingerMemory and record follow the force that the hand receives.
     """
-    put_wrench(line.wrench, hand.guarded.force, hand.guarded.torque)
-    status = known(call_device(io.write, io.handle, line.wrench))
-    line.held[0] = line.held[0] + 1 if status == HELD else 0
-    if line.held[0] > line.held[1]:
+    put_wrench(device.wrench, hand.guard_state.force, hand.guard_state.torque)
+    status = checked_status(call_device(io.write, io.handle, device.wrench))
+    device.ignored_ticks[0] = device.ignored_ticks[0] + 1 if status == HELD else 0
+    if device.ignored_ticks[0] > device.ignored_ticks[1]:
         status = TIMEOUT
     if status in (WITHHELD, HELD):
-        hand = let_go(start, hand) if status == WITHHELD else held(before.guarded, hand)
-        record_wrench(tool, hand.guarded, line.record)
+        hand = reset_guard(start, hand) if status == WITHHELD else with_kept_wrench(before.guard_state, hand)
+        record_wrench(tool, hand.guard_state, device.record)
     return hand, status
 
 
 @jit
-def ended(statuses: Any) -> tuple[int, int]:
-    """The first device that gives no more, -1 where all do, and its status; else the first one's status."""
-    return fold_each(first_ended, statuses, (-1, 0))
+def first_ended(statuses: Any) -> tuple[int, int]:
+    """Return the index of the first device that failed or finished, -1 if there is none, and its status.
+
+    Without one, the status is that of the first device.
+    """
+    return fold_each(first_ended_from, statuses, (-1, 0))
 
 
 @jit
-def first_ended(status: int, others: tuple[int, int]) -> tuple[int, int]:
-    """The same of a device and those behind it."""
-    gives_no_more = status < 0 or status == END
-    if gives_no_more or others[0] < 0:
-        return (0 if gives_no_more else -1), status
+def first_ended_from(status: int, others: tuple[int, int]) -> tuple[int, int]:
+    """Return `first_ended` of a device and those after it, given that of those after it."""
+    has_ended = status < 0 or status == END
+    if has_ended or others[0] < 0:
+        return (0 if has_ended else -1), status
     return others[0] + 1, others[1]
 
 
 @jit
-def stamp_one(line: Any, status_in: int, status_out: int, stamp: Stamp) -> None:
+def stamp_one(device: Any, status_in: int, status_out: int, stamp: Stamp) -> None:
     """Fill the loop's and the device's part of a record."""
-    record, sample = line.record, line.sample
+    record, sample = device.record, device.sample
     record[AT.timestamp] = stamp.timestamp
     record[AT.servo_late] = stamp.late
     record[AT.servo_exec] = stamp.exec
@@ -176,24 +187,24 @@ def stamp_one(line: Any, status_in: int, status_out: int, stamp: Stamp) -> None:
     record[AT.servo_device] = max(status_in, status_out)
     record[AT.buttons] = sample[SAMPLE_BUTTONS]
     record[AT.gripper] = sample[SAMPLE_GRIPPER]
-    if line.doubt[0] != 0:
-        record[AT.servo_guard] = line.doubt[0]
+    if device.pose_fault[0] != 0:
+        record[AT.servo_guard] = device.pose_fault[0]
 
 
 @jit
-def guarded_bits(lines: Any) -> tuple[int, int]:
-    """Bits of the guards in this tick, all together, and the first finger whose pose was not taken, 0 if all were."""
-    return fold_each(bits_of, lines, (0, 0))
+def guarded_bits(buffers: Any) -> tuple[int, int]:
+    """Return the bits of all guards combined, and the first finger with a rejected pose, 0 if there is none."""
+    return fold_each(guarded_bits_from, buffers, (0, 0))
 
 
 @jit
-def bits_of(line: Any, others: tuple[int, int]) -> tuple[int, int]:
-    """The same of a finger and those behind it."""
-    own, (bits, place) = int(line.record[AT.servo_guard]), others
-    return own | bits, 0 if own & NOT_TAKEN or not bits & NOT_TAKEN else place + 1
+def guarded_bits_from(device: Any, others: tuple[int, int]) -> tuple[int, int]:
+    """Return `guarded_bits` of a finger and those after it, given those of the fingers after it."""
+    own, (bits, index) = int(device.record[AT.servo_guard]), others
+    return own | bits, 0 if own & POSE_REJECTED or not bits & POSE_REJECTED else index + 1
 
 
 @jit
-def write_zero_to(io: Io, line: Any) -> None:
-    """The last act of every loop, whatever ended it; nobody is left to act on a status."""
-    shutdown.write_zero(io.write, io.handle, line.wrench)
+def write_zero_to(io: Io, device: Any) -> None:
+    """Write zero to a device, the last act of every loop; the status is ignored."""
+    shutdown.write_zero(io.write, io.handle, device.wrench)

@@ -1,4 +1,4 @@
-"""The bodies of a [world] behind a tick of the servo: their step, in time, and what others read of them."""
+"""Step of the bodies of a [world] after each tick of the servo, within its time budget."""
 
 from typing import Any
 
@@ -10,21 +10,21 @@ from softfinger.server.loop.clock import now_ns
 
 
 @by_type
-def move_bodies(bodies: Any, tick: int, begun: int, motion: Slot, scratch: Any, timespec: Any) -> None:
-    """`step_bodies` behind a tick, `keep_to_budget`, and `tell_motion`: bodies with a fault stand where they were told.
+def move_bodies(bodies: Any, tick: int, start_ns: int, motion: Slot, scratch: Any, timespec: Any) -> None:
+    """Call `step_bodies`, `keep_to_budget` and `tell_motion`; on a fault, the last published motion remains.
 
-    begun    ns, when the step began
-    scratch  of `tell_motion`
+    start_ns  start of the step
+    scratch   array of `tell_motion`
     """
 
 
 @move_bodies.of(None)
-def move_nothing(bodies: None, tick: int, begun: int, motion: Slot, scratch: Any, timespec: Any) -> None:
+def move_nothing(bodies: None, tick: int, start_ns: int, motion: Slot, scratch: Any, timespec: Any) -> None:
     pass
 
 
 @move_bodies.of(Bodies)
-def move_all_bodies(bodies: Bodies, tick: int, begun: int, motion: Slot, scratch: Any, timespec: Any) -> None:
+def move_all_bodies(bodies: Bodies, tick: int, start_ns: int, motion: Slot, scratch: Any, timespec: Any) -> None:
     if step_bodies(bodies) == NO_FAULT:
-        keep_to_budget(bodies, now_ns(timespec) - begun)
+        keep_to_budget(bodies, now_ns(timespec) - start_ns)
         tell_motion(bodies, tick, motion, scratch)

@@ -1,7 +1,7 @@
-"""The clock of a loop: two libc calls, made without the GIL, and the grid of deadlines that it keeps.
+"""Clock of a loop: libc calls without the GIL, and the grid of deadlines.
 
-Monotonic time, and with it a sleep until a deadline, stands still while the machine is suspended: no deadline is missed
-by that. CLOCK_BOOTTIME goes on, and tells that a tick began later than its deadline says.
+Monotonic time, and with it a sleep until a deadline, stops while the machine is suspended, so a suspension misses no
+deadline. CLOCK_BOOTTIME continues during a suspension, so it shows how late a tick started in real time.
 """
 
 from typing import Final, NamedTuple
@@ -19,10 +19,10 @@ TIMER_ABSTIME: Final = 1
 EINTR: Final = 4
 NS_PER_S: Final = 1_000_000_000
 SUSPENSION_MIN_S: Final = 0.1
-"""A shorter one is none, but a thread that had to wait between its readings of two clocks; the guard carries a force
-over so long a pause."""
+"""Shorter differences are not a suspension: the thread may have waited between its readings of the two clocks. The
+guard also continues a force over a pause of this length."""
 SUSPENSION_MAX_S: Final = 1.0
-"""What counts of a longer one: enough for all that ends with a pause, and no filter has to bear an hour."""
+"""Part of a longer suspension that counts: it exceeds every pause limit, and no filter is fed an hour as time step."""
 
 _timespec = types.CPointer(types.int64)
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, _timespec))
@@ -33,30 +33,30 @@ _clock_nanosleep = types.ExternalFunction(
 
 @jit
 def now_ns(timespec: NDArray[np.int64]) -> int:
-    """Monotonic time in ns; `timespec` (2,) int64 is scratch."""
+    """Return monotonic time in ns; `timespec` (2,) int64 is scratch."""
     _clock_gettime(CLOCK_MONOTONIC, timespec.ctypes)
     return timespec[0] * NS_PER_S + timespec[1]
 
 
 @jit
 def suspended_ns(now: int, timespec: NDArray[np.int64]) -> int:
-    """How long the machine has been suspended since its start, ns, where monotonic time has just been `now` (ns)."""
+    """Return for how long the machine has been suspended since boot, ns; `now` (ns) is the monotonic time just read."""
     _clock_gettime(CLOCK_BOOTTIME, timespec.ctypes)
     return timespec[0] * NS_PER_S + timespec[1] - now
 
 
 @jit
 def thread_cpu_ns(timespec: NDArray[np.int64]) -> int:
-    """Time that this thread has had a processor for, in ns: other threads and programs do not count."""
+    """Return processor time of this thread in ns, without the time of other threads and programs."""
     _clock_gettime(CLOCK_THREAD_CPUTIME_ID, timespec.ctypes)
     return timespec[0] * NS_PER_S + timespec[1]
 
 
 class Stopwatch(NamedTuple):
-    """How long each block of a kernel took, as the kernel itself reads the clock.
+    """Duration of each block of a kernel, measured by the kernel itself.
 
     timespec  (2,) int64            scratch
-    ns        (blocks,) int64       out: time of each; (blocks, m) where each is timed in m parts
+    ns        (blocks,) int64       out: duration of each block; (blocks, m) if each block is timed in m parts
     """
 
     timespec: NDArray[np.int64]
@@ -64,7 +64,7 @@ class Stopwatch(NamedTuple):
 
 
 def stopwatch(*blocks: int) -> Stopwatch:
-    """A stopwatch at zero for so many blocks, or blocks and parts."""
+    """Return a stopwatch at zero for a number of blocks, or of blocks and parts."""
     return Stopwatch(np.zeros(2, np.int64), np.zeros(blocks, np.int64))
 
 
@@ -78,8 +78,14 @@ def sleep_until(deadline_ns: int, timespec: NDArray[np.int64]) -> None:
 
 
 class Pace(NamedTuple):
-    """Where a loop stands on its grid: the next deadline (ns), deadlines skipped before it, missed in all, the time (s)
-    from one tick to the next, a period when none was skipped, and how long (ns) the machine has been suspended."""
+    """Position of a loop on its grid of deadlines.
+
+    deadline   ns  next deadline
+    skipped        deadlines skipped before it
+    missed         deadlines missed in total
+    dt         s   time from one tick to the next; a period if no deadline was skipped
+    suspended  ns  time for which the machine has been suspended since boot
+    """
 
     deadline: int
     skipped: int
@@ -90,13 +96,16 @@ class Pace(NamedTuple):
 
 @jit
 def first_pace(now: int, period: int, missed: int, timespec: NDArray[np.int64]) -> Pace:
-    """The pace before the first tick, due a period (ns) from `now` (ns), which it is; `missed` by the loops before."""
+    """Return the pace before the first tick, which is due a period (ns) after the present time `now` (ns).
+
+    missed  deadlines missed by the previous loops
+    """
     return Pace(now + period, 0, missed, period / NS_PER_S, suspended_ns(now, timespec))
 
 
 @jit
 def with_suspension(pace: Pace, woke: int, timespec: NDArray[np.int64]) -> Pace:
-    """The pace of a tick that begins at `woke` (ns), which it is: with a suspension in the time since the last one."""
+    """Return the pace of a tick that starts now, at `woke` (ns); `dt` includes any suspension since the last tick."""
     suspended = suspended_ns(woke, timespec)
     dt, slept = pace.dt, (suspended - pace.suspended) / NS_PER_S
     if slept > SUSPENSION_MIN_S:
@@ -106,9 +115,9 @@ def with_suspension(pace: Pace, woke: int, timespec: NDArray[np.int64]) -> Pace:
 
 @jit
 def next_pace(pace: Pace, now: int, period: int) -> Pace:
-    """The pace after a tick that was done at `now` (ns). A `period` of 0 ns is a loop without pauses: none is missed.
+    """Return the pace after a tick that finished at `now` (ns); with a `period` of 0 ns no deadline is missed.
 
-    After an overrun it goes on at the next deadline of the same grid: a burst of late ticks helps nobody.
+    After an overrun the loop resumes at the next deadline of the same grid, without a burst of late ticks.
     """
     deadline, skipped = pace.deadline + period, 0
     if period > 0 and now > deadline:
@@ -118,5 +127,5 @@ def next_pace(pace: Pace, now: int, period: int) -> Pace:
 
 
 def period_ns(rate_hz: float) -> int:
-    """Length of a tick in whole ns; the nominal dt is this over 1e9, everywhere."""
+    """Return the length of a tick, rounded to ns; the nominal dt is this over 1e9 everywhere."""
     return round(NS_PER_S / rate_hz)

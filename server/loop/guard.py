@@ -1,15 +1,15 @@
-"""The guard, last of the output before the device: every wrench passes, there is no way around.
+"""Guard: last stage of the output before the device, which every wrench passes.
 
-In order: what is not finite becomes zero, the ramp after engaging, the clamp by norm (the direction
-is kept), the limit on change per tick. The ramp scales the wrench and the limit of the clamp alike: else a stiff wall,
-which asks for many times the limit, would give all of it after a few ticks.
+In order: a wrench that is not finite becomes zero; then follow the ramp after engaging, the clamp of the norm (the
+direction is preserved), and the limit on the change per tick. The ramp scales both the wrench and the limit of the
+clamp: a stiff wall requests many times the limit, and would otherwise reach the full limit after a few ticks.
 
-Because the last output lies within the clamp and so does the new goal, every point between them does too, so the slew
-limit cannot leave the clamp.
+The last output and the new goal both lie within the clamp, so every point between them does too, and the slew limit
+cannot leave the clamp.
 
-Ramp and slew limit go by ticks that happened, not by time gone by: a hand that was held up for five ticks
-is given one tick's change after them, not five. After a pause longer than PAUSE_MAX_S, and after anything
-that has zeroed the force (a refused pose, disarming, the driver itself), it comes up from zero again.
+Ramp and slew limit count ticks, not elapsed time: after a delay of five ticks, the hand gets the change of one tick,
+not of five. After a pause longer than PAUSE_MAX_S, and after any event that has zeroed the force (a refused pose,
+disarming, the driver itself), the force rises from zero again.
 """
 
 from math import inf, isfinite
@@ -41,9 +41,20 @@ WORKSPACE_EDGE: Final = 4096
 
 
 class Guard(NamedTuple):
-    """Limits: N, N m, N/s, N m/s, s; `armed` 1 or 0. Of the poses that it believes: m/s, rad/s, and how long (s) one
-    may repeat bit for bit under force, 0 for ever. `turns`: 1 where the hand is given the torque, 0 where it is not.
-    `limits`: those that look back or at the place, which `output.py` applies before these."""
+    """Parameters of the guard.
+
+    force_max        N
+    torque_max       N m
+    force_slew       N/s
+    torque_slew      N m/s
+    ramp             s
+    armed                   1 or 0
+    speed_max        m/s    largest plausible speed between poses
+    turn_max         rad/s  largest plausible turn rate between poses
+    frozen           s      time for which a pose may repeat exactly under force; 0 is unlimited
+    displays_torque         1 if the device displays the torque, otherwise 0
+    limits                  limits of history and position, applied before these by `output.py`
+    """
 
     force_max: float
     torque_max: float
@@ -54,12 +65,12 @@ class Guard(NamedTuple):
     speed_max: float = inf
     turn_max: float = inf
     frozen: float = 0.0
-    turns: float = 1.0
+    displays_torque: float = 1.0
     limits: Limits = UNLIMITED
 
 
-class Guarded(NamedTuple):
-    """What the guard remembers: the last output (N, N m) and how far the ramp has come, 0 to 1."""
+class GuardState(NamedTuple):
+    """State of the guard: the last output (N, N m) and the gain of the ramp, 0 to 1."""
 
     force: Vec3
     torque: Vec3
@@ -70,22 +81,23 @@ NO_DIRECTION: Final = 1e-300
 """Largest component, N or N m, below which a vector cannot be divided by it."""
 
 PAUSE_MAX_S: Final = 0.1
-"""Longest time between two outputs that a force is carried over. Stalls of a host, 11 to 21 ms, are well below; a hand
-answers after some 150 ms, so past this it no longer leans on the force that was held, and another would be a blow."""
+"""Longest time between two outputs over which a force is continued. Stalls of a host, 11 to 21 ms, are well below; a
+hand responds after about 150 ms, so after a longer pause it no longer pushes against the old force, and a new force
+would be a blow."""
 
-DISENGAGED: Final = Guarded((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
+INITIAL_GUARD_STATE: Final = GuardState((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
 
 
 @jit
-def finite(v: Vec3) -> bool:
+def is_finite(v: Vec3) -> bool:
     return isfinite(v[0]) and isfinite(v[1]) and isfinite(v[2])
 
 
 @jit
 def clamp(v: Vec3, largest: float) -> tuple[Vec3, bool]:
-    """`v` with its norm brought down to `largest`, and whether that was needed.
+    """Return `v` with its norm clamped to `largest`, and whether it changed.
 
-    The largest component is divided out first: the square of a huge force overflows.
+    It is divided by its largest component first, because the square of a huge force overflows.
     """
     peak = max(abs(v[0]), abs(v[1]), abs(v[2]))
     if peak <= 0.5 * largest:  # the norm is at most sqrt(3) times the peak
@@ -101,7 +113,7 @@ def clamp(v: Vec3, largest: float) -> tuple[Vec3, bool]:
 
 @jit
 def slew(before: Vec3, goal: Vec3, largest: float) -> tuple[Vec3, bool]:
-    """The point at most `largest` from `before` towards `goal`, and whether it falls short."""
+    """Return the point at most `largest` from `before` towards `goal`, and whether it falls short of the goal."""
     step, limited = clamp(vec3.sub(goal, before), largest)
     if limited:
         return vec3.add(before, step), True
@@ -110,24 +122,24 @@ def slew(before: Vec3, goal: Vec3, largest: float) -> tuple[Vec3, bool]:
 
 @jit
 def guard_wrench(
-    guard: Guard, guarded: Guarded, force: Vec3, torque: Vec3, dt: float, period: float
-) -> tuple[Guarded, int]:
-    """Make a wrench safe to command.
+    guard: Guard, guard_state: GuardState, force: Vec3, torque: Vec3, dt: float, period: float
+) -> tuple[GuardState, int]:
+    """Limit a wrench to one that is safe to command.
 
-    force, torque  (3,) N, N m  as the contact step computed them
+    force, torque  (3,) N, N m  from the contact step
     dt             s            time since the last output
-    period         s            nominal length of a tick: what the ramp and the slew limit advance by
-    returns        Guarded, whose force and torque are to be commanded, and the bits of what was changed
+    period         s            nominal length of a tick, by which the ramp and the slew limit advance
+    returns        GuardState with the force and torque to command, and the bits of the changes
     """
     bits = 0
     zero = (0.0, 0.0, 0.0)
     if guard.armed == 0.0:
-        return Guarded(zero, zero, 0.0), DISARMED
-    if not (finite(force) and finite(torque)):
-        return Guarded(zero, zero, 0.0), NOT_FINITE
+        return GuardState(zero, zero, 0.0), DISARMED
+    if not (is_finite(force) and is_finite(torque)):
+        return GuardState(zero, zero, 0.0), NOT_FINITE
     if not dt <= PAUSE_MAX_S:
-        guarded = Guarded(zero, zero, 0.0)
-    gain = min(guarded.gain + period / guard.ramp, 1.0) if guard.ramp > 0.0 else 1.0
+        guard_state = GuardState(zero, zero, 0.0)
+    gain = min(guard_state.gain + period / guard.ramp, 1.0) if guard.ramp > 0.0 else 1.0
     if gain < 1.0:
         bits |= RAMPING
         force, torque = vec3.scale(gain, force), vec3.scale(gain, torque)
@@ -137,10 +149,10 @@ def guard_wrench(
     torque, clamped = clamp(torque, gain * guard.torque_max)
     if clamped:
         bits |= TORQUE_CLAMPED
-    force, limited = slew(guarded.force, force, guard.force_slew * period)
+    force, limited = slew(guard_state.force, force, guard.force_slew * period)
     if limited:
         bits |= SLEW_LIMITED
-    torque, limited = slew(guarded.torque, torque, guard.torque_slew * period)
+    torque, limited = slew(guard_state.torque, torque, guard.torque_slew * period)
     if limited:
         bits |= SLEW_LIMITED
-    return Guarded(force, torque, gain), bits
+    return GuardState(force, torque, gain), bits

@@ -1,4 +1,4 @@
-"""What a servo runs, and the step from one loop to the next."""
+"""Loop that a servo runs, and the handover from one loop to the next; used by `servo_thread.py`."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from softfinger.server.loop.tick import Tuning
 
 
 class Loop(NamedTuple):
-    """What a servo runs: an open device for each finger, the tuning that the loop is compiled for, and the memory of
-    both."""
+    """Loop of a servo: an open device for each finger, the tuning it is compiled for, and its memory."""
 
     devices: tuple[Device, ...]
     tuning: Tuning
@@ -21,14 +20,18 @@ class Loop(NamedTuple):
 
 
 class Handover:
-    """From one loop to the next, between the servo's thread and the one that replaces.
+    """Synchronization between the servo thread and the thread that replaces its loop.
 
-    keeps  the devices stay as they are, armed and at zero; else those of before are stopped, and the next ones armed
+    keeps_devices  the devices do not change and remain armed at zero; otherwise the old ones are stopped and the
+                   new ones armed
+    loop_ended     the old loop has returned
+    loop_ready     the replacing thread has set `loop` or `error`
+    loop_started   the new loop starts, with tick `first`
     """
 
-    def __init__(self, keeps: bool) -> None:
-        self.keeps = keeps
-        self.left, self.ready, self.begun = threading.Event(), threading.Event(), threading.Event()
+    def __init__(self, keeps_devices: bool) -> None:
+        self.keeps_devices = keeps_devices
+        self.loop_ended, self.loop_ready, self.loop_started = threading.Event(), threading.Event(), threading.Event()
         self.loop: Loop | None = None
         self.error: BaseException | None = None
         self.first = 0

@@ -1,9 +1,9 @@
-"""What the loop watches of itself and its device: troubles that a tick bears and a run does not.
+"""Health of the loop and its device: faults that one tick tolerates but a run does not.
 
-Each is counted in seconds and paid back by what goes well, so that one of them now and then ends nothing, and one
-that stays, or comes back as fast as it goes, ends the run with a name. Two floats a tick, no memory of ticks.
+Each fault accumulates in seconds and is reduced by good ticks. An occasional fault therefore ends nothing, while one
+that persists, or returns as fast as it recovers, ends the run with a named error. The state is three floats.
 
-A loop that does not come to its next tick cannot say so: that is for a watchdog in another thread.
+A loop that never reaches its next tick cannot detect that itself; a watchdog in another thread does.
 """
 
 from typing import Final, NamedTuple
@@ -15,50 +15,55 @@ NO_POSE: Final = 5
 NO_FORCE: Final = 6
 STARVED: Final = 7
 JUMPING: Final = 8
-"""Faults, numbered on from the ends of the loop (server.loop.shutdown)."""
+"""Faults, numbered after the reasons in server.loop.shutdown."""
 
-SILENCE_MAX_S: Final = 0.5
-"""Time of ticks without a usable pose, or without a finite force, less that of good ones. The hand feels nothing
-meanwhile; half a second bears a cable that was touched, and is not long enough to wonder whether anything runs."""
+NO_FORCE_MAX_S: Final = 0.5
+"""Time of ticks without a usable pose or a finite force, minus that of good ticks. The force is zero during that time;
+half a second tolerates a cable that was touched, and is too short for a user to wonder whether anything runs."""
 
 JUMP_S: Final = 0.1
-"""What one jump of a pose counts of that time: each takes the force away for most of the ramp that follows, so five in
-a row, or ten a second, leave nothing to render."""
+"""Time that one jump of a pose adds: each removes the force for most of the ramp that follows, so five in a row, or ten
+per second, leave nothing to render."""
 
-HELD_MAX_S: Final = 0.25
-"""Time for which a device may take no wrench, one tick after the other: it keeps the force of before, which no limit of
-the guard reaches. As long as a loop that stalls is borne, which does the same."""
+IGNORED_WRENCH_MAX_S: Final = 0.25
+"""Time for which a device may ignore wrenches in successive ticks. It continues the previous force, which no limit of
+the guard can change. Equal to the tolerated stall of a loop, which has the same effect."""
 
 LOST_SHARE: Final = 0.5
 LOST_MAX_S: Final = 0.5
-"""A loop that has lost half a second more than LOST_SHARE of its time does not render: it holds old forces. Gaps of
-more than GAP_MIN_S count; reads of 0.24 s, one after the other, end at the fifth."""
+"""A loop that has lost half a second more than LOST_SHARE of its time does not render: it repeats old forces. Gaps
+longer than GAP_MIN_S count; successive reads of 0.24 s end the loop at the fifth."""
 GAP_MIN_S: Final = 0.025
-"""A shorter gap is no stall: hosts make gaps of 11 to 21 ms, and a device slower than the rate makes one a tick: those
-are missed ticks, and it renders all the same, for the guard goes by ticks that happened."""
+"""A shorter gap is not a stall: hosts cause gaps of 11 to 21 ms, and a device slower than the rate causes one per tick.
+These are missed ticks, but the loop still renders, because the guard counts ticks."""
 GAP_MAX_S: Final = 0.25
-"""What one gap counts at most. A longer one is the supervisor's, or the whole process slept (a debugger, a suspended
-machine), which once is no reason to stop: the guard fades in after it."""
+"""Largest contribution of one gap. A longer gap is handled by the supervisor, or the process slept (a debugger, a
+suspended machine), which is no reason to stop if it happens once: the guard fades in afterwards."""
 
 
 STALL_POLLS: Final = 5
 STALL_POLL_S: Final = 0.05
-"""A loop has stalled when so many looks in a row, this far apart, find no new tick: a quarter of a second, which
-is longer than any host stall seen and shorter than a hand needs to be hurt. Counting looks, not time: a process that
-was suspended as a whole did not stall."""
+"""A loop has stalled if this many checks in a row, at this interval, find no new tick: a quarter of a second, longer
+than any observed stall of a host and too short to hurt a hand. Checks are counted instead of time, so a suspension of
+the process is not a stall."""
 STALL_MAX_S: Final = (STALL_POLLS + 2) * STALL_POLL_S
-"""From the last tick to the zero force that a stall ends with, at the most. The look that sees this tick may come a
-whole STALL_POLL_S behind it, and STALL_POLLS more follow: 0.30 s. Each of these looks, and the thread that writes the
-zero, may wait for its turn of the interpreter, 5 ms each (`sys.getswitchinterval`): 35 ms, for which there is one more
-STALL_POLL_S. A device that does not take the zero at once adds its own time."""
+"""Longest time from the last tick to the zero force after a stall. The check that finds this tick may come a full
+STALL_POLL_S after it, and STALL_POLLS more follow: 0.30 s. Each of these checks, and the thread that writes the zero,
+may wait 5 ms for the interpreter (`sys.getswitchinterval`): 35 ms, covered by one more STALL_POLL_S. A device that does
+not accept the zero at once adds its time."""
 STALL_POLLS_WITHOUT_HAND: Final = 100
-"""The same where no force is held in a hand, 5 s: a machine that stands still for a while ends no recording."""
+"""Checks if no device holds a force in a hand, 5 s: a machine that pauses for a while does not end a recording."""
 
 
 class Health(NamedTuple):
-    """Seconds: without a force for want of a pose or of a finite number; lost; woken late, of those lost."""
+    """State of the fault detection, in seconds.
 
-    silent: float
+    without_force  time without a force, because a pose or a finite number was missing
+    lost           time lost
+    late           part of the lost time in which the thread was woken late
+    """
+
+    without_force: float
     lost: float
     late: float
 
@@ -68,17 +73,17 @@ HEALTHY: Final = Health(0.0, 0.0, 0.0)
 
 @jit
 def examine(health: Health, bits: int, late: float, dt: float, period: float) -> tuple[Health, int]:
-    """Health after a tick, and the fault it has come to, 0 for none.
+    """Return the health after a tick, and the fault reached, 0 for none.
 
     bits    of the guard in this tick
-    late    s  that the thread was woken after the deadline
-    dt      s  until the next deadline to be kept, a period when none was missed
+    late    s  from the deadline until the thread was woken
+    dt      s  until the next deadline that can be met; a period if none was missed
     period  s  nominal length of a tick
     """
     bad = bits & (POSE_REFUSED | POSE_JUMPED | NOT_FINITE)
-    silent = max(health.silent + (period if bad != 0 else -period), 0.0)
+    without_force = max(health.without_force + (period if bad != 0 else -period), 0.0)
     if bits & POSE_JUMPED:
-        silent += JUMP_S
+        without_force += JUMP_S
     gap = min(dt - period, GAP_MAX_S)
     if gap < GAP_MIN_S:
         gap = 0.0
@@ -86,26 +91,26 @@ def examine(health: Health, bits: int, late: float, dt: float, period: float) ->
     lost = max(health.lost + gap - paid, 0.0)
     woken_late = max(health.late + (min(late, gap) - paid if gap > 0.0 else -paid), 0.0)
     fault = 0
-    if silent > SILENCE_MAX_S:
+    if without_force > NO_FORCE_MAX_S:
         fault = JUMPING if bits & POSE_JUMPED else NO_POSE if bits & POSE_REFUSED else NO_FORCE
     elif lost > LOST_MAX_S:
         fault = STARVED
-    return Health(silent, lost, woken_late), fault
+    return Health(without_force, lost, woken_late), fault
 
 
 class Watchdog:
-    """Looks at a loop's progress, every STALL_POLL_S; the slowest loop ticks five times between two looks."""
+    """Check of a loop's progress, every STALL_POLL_S; the slowest loop has five ticks between two checks."""
 
     def __init__(self) -> None:
-        self._seen, self._idle = -1, 0
+        self._last_ticks, self._idle = -1, 0
 
     def stalled_s(self, ticks: int, due: bool, polls: int = STALL_POLLS) -> float:
-        """How long (s) the loop has stalled, 0 while it has not.
+        """Return for how long (s) the loop has stalled, 0 if it has not.
 
         ticks  done so far
-        due    whether one is due at all: before the device is armed none is
-        polls  looks without a new tick that make a stall
+        due    whether a tick is due: none is before the device is armed
+        polls  checks without a new tick that make a stall
         """
-        self._idle = self._idle + 1 if ticks == self._seen and due else 0
-        self._seen = ticks
+        self._idle = self._idle + 1 if ticks == self._last_ticks and due else 0
+        self._last_ticks = ticks
         return self._idle * STALL_POLL_S if self._idle >= polls else 0.0

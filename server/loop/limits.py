@@ -1,26 +1,29 @@
-"""Limits of the guard that look back or at the place: speed of the handle, heat of the motors, energy given to the
-hand, and the edge of the workspace. `output.py` has their order.
+"""Limits of the guard that depend on history or position, applied by `output.py`, which defines their order.
 
-Each costs a few operations a tick and remembers one or two numbers; a limit of infinity is none.
+They are the speed of the handle, the heat of the motors, the energy given to the hand, and the edge of the workspace.
+Each costs a few operations per tick and one or two numbers of state. A limit of infinity is off.
 
 Speed. The handle's velocity is smoothed over SPEED_S as a vector: positions that scatter cancel, and one pose that is
-displaced by d counts as d / (SPEED_S + period). What a jump may be at most (`speed_max`, 10 mm in a tick of 1 ms) is
-then 0.91 m/s, below the default limit of 2 m/s: one odd sample is no fast hand, and a hand at v is found out after
--SPEED_S ln(1 - limit / v).
+displaced by d counts as d / (SPEED_S + period). The largest jump that passes (`speed_max`, 10 mm in a tick of 1 ms)
+then counts as 0.91 m/s, below the default limit of 2 m/s, so a single outlier does not trip the limit. A hand at speed
+v is detected after -SPEED_S ln(1 - limit / v).
 
-Heat. One body that is heated by the square of the force, as that of the motors' current, and cools as it is hot:
-dh/dt = ((F / F_c)^2 - h) / tau, in steps h' = (tau h + dt (F / F_c)^2) / (tau + dt); h = 1 is what the continuous
-force F_c comes to in the end. From h = WARM on, the square of the force allowed falls linearly to F_c^2 at h = 1, so h
-never passes 1.
+Heat. A single thermal body is heated by the square of the force, which is proportional to the square of the motors'
+current, and cools in proportion to its temperature: dh/dt = ((F / F_c)^2 - h) / tau, in steps h' = (tau h + dt (F /
+F_c)^2) / (tau + dt). The steady state under the continuous force F_c is h = 1. Above h = WARM, the square of the
+allowed force falls linearly to F_c^2 at h = 1, so h never exceeds 1.
+
 Source: the thermal replica of IEC 60255-149, Measuring relays: thermal electrical relays.
 
-Energy. The work of the force on the hand within a contact, as `passivity.py` observes it. What the hand has put in is
-lost with the contact; what it was given counts on over several contacts, and is forgotten over FORGET_S, so that
-rounding never comes to the limit. Between the limit and twice of it the share of the force falls linearly to zero:
-no more than twice the limit is given. The share goes by the most that was given, so that the press of the next bounce
-on an unstable wall meets the weaker force too.
-A device that displays a force d ticks late makes more than is observed here: on a spring, and any path in one contact,
-up to 2 d + 1 times as much, which sum dx_k dx_(k-j) <= sum dx_k^2 says for each of the d ticks.
+Energy. The work of the force on the hand within a contact, as `passivity.py` observes it. Work done by the hand is
+discarded when the contact ends. Energy given to the hand accumulates over several contacts and decays over FORGET_S, so
+that rounding never reaches the limit. Between the limit and twice the limit, the force is scaled down linearly to zero,
+so at most twice the limit is given. The scale depends on the largest energy given, so that the force is also reduced
+during the press of the next bounce on an unstable wall.
+
+A device that displays a force d ticks late generates more energy than is observed here: on a spring, over any path in
+one contact, up to 2 d + 1 times as much, because sum dx_k dx_(k-j) <= sum dx_k^2 for each of the d ticks.
+
 Source: Hannaford, Ryu (2002), Time-domain passivity control of haptic interfaces, for the observer.
 """
 
@@ -32,21 +35,28 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
 SPEED_S: Final = 0.01
-"""Time over which the handle's velocity is smoothed. A handle that 12 N drive without a hand, 0.1 kg, gains 1.2 m/s in
-it."""
+"""Time constant of the handle's smoothed velocity. A free handle of 0.1 kg driven by 12 N gains 1.2 m/s in it."""
 SLOW: Final = 0.5
-"""Share of the speed limit below which the handle is slow again."""
+"""Fraction of the speed limit below which the handle counts as slow again."""
 SLOW_S: Final = 0.5
-"""How long it has to be, before the force comes back by itself."""
+"""Time for which the handle must be slow before the force returns automatically."""
 WARM: Final = 0.8
-"""Heat from which less than the largest force is allowed."""
+"""Heat above which less than the largest force is allowed."""
 FORGET_S: Final = 1.0
-"""Time over which energy that was given is forgotten: a limit of 0.5 J is one of 0.5 W in the long run."""
+"""Time constant with which given energy decays: a limit of 0.5 J is one of 0.5 W in the long run."""
 
 
 class Workspace(NamedTuple):
-    """A soft wall around the handle: (3,) m, (3,) m, m, N/m, N. What it encloses is a box of half sizes `half`, rounded
-    by `radius`: a sphere where the sizes are 0, a plain box where the radius is 0. A radius of infinity is no wall."""
+    """Soft wall around the handle: box of half sizes `half`, rounded by `radius`; a radius of infinity disables it.
+
+    It is a sphere if the sizes are 0, and a plain box if the radius is 0.
+
+    center     (3,)  m
+    half       (3,)  m
+    radius           m
+    stiffness        N/m
+    force_max        N
+    """
 
     center: Vec3
     half: Vec3
@@ -56,8 +66,15 @@ class Workspace(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Largest speed of the handle, m/s, and for how long it has to be slow before the force comes back, s: infinity
-    means not before it was disarmed; continuous force, N, and its time constant, s; energy, J; the workspace."""
+    """Values of the limits; infinity disables a limit.
+
+    speed       m/s  largest speed of the handle
+    slow_s      s    time for which the handle must be slow before the force returns; infinity: not until it is disarmed
+    continuous  N    continuous force
+    heat_s      s    time constant of the heat
+    energy      J    largest energy given to the hand
+    workspace        soft wall
+    """
 
     speed: float
     slow_s: float
@@ -71,35 +88,40 @@ NO_WALL: Final = Workspace((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), inf, 0.0, 0.0)
 UNLIMITED: Final = Limits(inf, 0.0, inf, 1.0, inf, NO_WALL)
 
 
-class Limited(NamedTuple):
-    """What the limits remember: smoothed velocity of the handle (3,) m/s; for how long, s, it has to be slow until the
-    force comes back, 0 where it has not been too fast; heat, 1 is that of the continuous force; work (J) of the hand
-    in this contact, below 0 what it was given; the most that it was given, as far as it is not forgotten; 1 if the last
-    tick was in contact."""
+class LimitState(NamedTuple):
+    """State of the limits.
+
+    velocity      (3,)  m/s  smoothed velocity of the handle
+    wait                s    remaining time for which the handle must be slow; 0 if it has not been too fast
+    heat                     1 is the steady state under the continuous force
+    work                J    work of the hand in this contact, negative if the hand received energy
+    energy_given        J    largest energy given to the hand, with decay
+    touching                 1 if the last tick was in contact
+    """
 
     velocity: Vec3
     wait: float
     heat: float
     work: float
-    given: float
+    energy_given: float
     touching: float
 
 
-COLD: Final = Limited((0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
+INITIAL_LIMITS: Final = LimitState((0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @jit
-def smoothed(velocity: Vec3, moved: Vec3, dt: float) -> Vec3:
-    """The velocity (3,) m/s after the handle has moved by `moved` (3,) m in `dt` s."""
+def smooth_velocity(velocity: Vec3, displacement: Vec3, dt: float) -> Vec3:
+    """Return the smoothed velocity (3,) m/s after the handle moved by `displacement` (3,) m in `dt` s."""
     if not dt > 0.0:
         return velocity
     share = 1.0 / (SPEED_S + dt)
-    return vec3.add_scaled(vec3.scale(SPEED_S * share, velocity), share, moved)
+    return vec3.add_scaled(vec3.scale(SPEED_S * share, velocity), share, displacement)
 
 
 @jit
-def waiting(limits: Limits, wait: float, speed: float, armed: bool, period: float) -> float:
-    """How long (s) the handle still has to be slow at a speed (m/s); 0: there may be force.
+def remaining_wait(limits: Limits, wait: float, speed: float, armed: bool, period: float) -> float:
+    """Return the remaining time (s) for which the handle must be slow, given its speed (m/s); at 0, force is allowed.
 
     wait    s  after the last tick
     period  s  nominal length of a tick
@@ -114,31 +136,31 @@ def waiting(limits: Limits, wait: float, speed: float, armed: bool, period: floa
 
 
 @jit
-def warmed(limits: Limits, heat: float, force: Vec3, dt: float) -> float:
-    """The heat after `dt` s with a force (3,) N."""
+def update_heat(limits: Limits, heat: float, force: Vec3, dt: float) -> float:
+    """Return the heat after `dt` s with a force (3,) N."""
     load = vec3.dot(force, force) / (limits.continuous * limits.continuous)
     return (limits.heat_s * heat + dt * load) / (limits.heat_s + dt)
 
 
 @jit
-def coolest(limits: Limits, heat: float, largest: float) -> float:
-    """The largest force (N) that the heat allows; `largest` while the motors are cool."""
+def heat_limited_force(limits: Limits, heat: float, largest: float) -> float:
+    """Return the largest force (N) that the heat allows; `largest` while the motors are cool."""
     if heat <= WARM or largest <= limits.continuous:
         return largest
     steady = limits.continuous * limits.continuous
-    left = max(1.0 - heat, 0.0) / (1.0 - WARM)
-    return sqrt(steady + (largest * largest - steady) * left)
+    headroom = max(1.0 - heat, 0.0) / (1.0 - WARM)
+    return sqrt(steady + (largest * largest - steady) * headroom)
 
 
 @jit
-def owed(work: float, given: float, touched: bool, touches: bool, dt: float) -> float:
-    """Work (J) of the hand after a tick.
+def update_work(work: float, given: float, touched: bool, touches: bool, dt: float) -> float:
+    """Return the work (J) of the hand after a tick.
 
-    work     J  before it
-    given    J  to the hand since, by the force of the last tick
-    touched     whether that force was one of a contact
+    work     J  before the tick
+    given    J  to the hand during the tick, by the force of the last tick
+    touched     whether that force was a contact force
     touches     whether there is a contact now
-    dt       s  since then
+    dt       s  length of the tick
     """
     if touched:
         work -= given
@@ -148,22 +170,25 @@ def owed(work: float, given: float, touched: bool, touches: bool, dt: float) -> 
 
 
 @jit
-def remembered(given: float, work: float, dt: float) -> float:
-    """The most energy (J) that was given, after `dt` s: what the hand does in the next contact does not pay for it."""
-    return max(given * FORGET_S / (FORGET_S + dt), -work)
+def decay_energy(energy_given: float, work: float, dt: float) -> float:
+    """Return the largest energy (J) given, after `dt` s of decay.
+
+    Work of the hand in the next contact does not reduce it.
+    """
+    return max(energy_given * FORGET_S / (FORGET_S + dt), -work)
 
 
 @jit
-def share_of(limits: Limits, given: float) -> float:
-    """The share of the force that the energy given allows, 0 to 1."""
-    if given <= limits.energy:
+def energy_scale(limits: Limits, energy_given: float) -> float:
+    """Return the fraction of the force allowed by the energy given, 0 to 1."""
+    if energy_given <= limits.energy:
         return 1.0
-    return max(2.0 - given / limits.energy, 0.0)
+    return max(2.0 - energy_given / limits.energy, 0.0)
 
 
 @jit
 def wall_force(wall: Workspace, handle: Vec3) -> tuple[Vec3, bool]:
-    """Force (3,) N of the soft wall on a handle at (3,) m, and whether there is one."""
+    """Return the force (3,) N of the soft wall on a handle at (3,) m, and whether it acts."""
     x, y, z = vec3.sub(handle, wall.center)
     hx, hy, hz = wall.half
     out = (x - min(max(x, -hx), hx), y - min(max(y, -hy), hy), z - min(max(z, -hz), hz))

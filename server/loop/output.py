@@ -1,7 +1,7 @@
-"""From the wrench of the contact step to the one that is commanded: the only way to a hand.
+"""Conversion of the wrench of the contact step into the commanded wrench; no wrench reaches a hand by another path.
 
-In order: the soft wall of the workspace is added; energy and heat take from the force; a handle that is too fast gets
-none; the guard has the last word.
+In order: the soft wall of the workspace is added, the limits of energy and heat reduce the force, a handle that is too
+fast gets zero force, and the guard is applied last. `tick.py` calls it for each finger.
 """
 
 from math import inf
@@ -12,27 +12,27 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.record import FREE
 from softfinger.server.loop.guard import (
-    DISENGAGED,
     ENERGY_SPENT,
+    INITIAL_GUARD_STATE,
     MOTOR_HOT,
     TOO_FAST,
     WORKSPACE_EDGE,
     Guard,
-    Guarded,
+    GuardState,
     clamp,
     guard_wrench,
 )
 from softfinger.server.loop.limits import (
-    COLD,
-    Limited,
-    coolest,
-    owed,
-    remembered,
-    share_of,
-    smoothed,
-    waiting,
+    INITIAL_LIMITS,
+    LimitState,
+    decay_energy,
+    energy_scale,
+    heat_limited_force,
+    remaining_wait,
+    smooth_velocity,
+    update_heat,
+    update_work,
     wall_force,
-    warmed,
 )
 from softfinger.server.loop.passivity import Motion, handle_at, work_on_hand
 
@@ -45,81 +45,91 @@ class Instant(NamedTuple):
     period: float
 
 
-class Passed(NamedTuple):
-    """What the output remembers: of the guard, of the limits."""
+class OutputState(NamedTuple):
+    """State of the output: of the guard and of the limits."""
 
-    guarded: Guarded
-    limited: Limited
-
-
-BEGUN: Final = Passed(DISENGAGED, COLD)
+    guard_state: GuardState
+    limit_state: LimitState
 
 
-@jit
-def felt(guard: Guard, given: Guarded) -> Guarded:
-    """What of a wrench a hand is given: no torque where the device displays none, whatever it senses."""
-    return Guarded(given.force, vec3.scale(guard.turns, given.torque), given.gain)
+INITIAL_OUTPUT: Final = OutputState(INITIAL_GUARD_STATE, INITIAL_LIMITS)
 
 
 @jit
-def observed(guard: Guard, passed: Passed, motion: Motion, mode: float, dt: float) -> Limited:
-    """What the limits remember once the hand has moved; no more than is asked for is computed.
+def displayed_wrench(guard: Guard, given: GuardState) -> GuardState:
+    """Return the part of a wrench that reaches the hand: without torque if the device cannot display one."""
+    return GuardState(given.force, vec3.scale(guard.displays_torque, given.torque), given.gain)
 
-    mode  of the contact now
+
+@jit
+def update_limits(guard: Guard, output_state: OutputState, motion: Motion, mode: float, dt: float) -> LimitState:
+    """Return the state of the limits after a motion of the hand; limits that are off are not computed.
+
+    mode  contact mode now
     """
-    limits, before = guard.limits, passed.limited
-    velocity, work, most, touches = before.velocity, before.work, before.given, mode != FREE
+    limits, before = guard.limits, output_state.limit_state
+    velocity, work, energy_given, touches = before.velocity, before.work, before.energy_given, mode != FREE
     if limits.speed < inf:
-        moved = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
-        velocity = smoothed(velocity, moved, dt)
+        displacement = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
+        velocity = smooth_velocity(velocity, displacement, dt)
     if limits.energy < inf:
         touched = before.touching != 0.0
-        given = work_on_hand(felt(guard, passed.guarded), motion) if touched else 0.0
-        work = owed(work, given, touched, touches, dt)
-        most = remembered(most, work, dt)
-    return Limited(velocity, before.wait, before.heat, work, most, 1.0 if touches else 0.0)
+        given = work_on_hand(displayed_wrench(guard, output_state.guard_state), motion) if touched else 0.0
+        work = update_work(work, given, touched, touches, dt)
+        energy_given = decay_energy(energy_given, work, dt)
+    return LimitState(velocity, before.wait, before.heat, work, energy_given, 1.0 if touches else 0.0)
 
 
 @jit
 def output_wrench(
-    guard: Guard, passed: Passed, motion: Motion, mode: float, force: Vec3, torque: Vec3, instant: Instant
-) -> tuple[Passed, int]:
-    """Make a wrench one to command.
+    guard: Guard, output_state: OutputState, motion: Motion, mode: float, force: Vec3, torque: Vec3, instant: Instant
+) -> tuple[OutputState, int]:
+    """Apply all limits and the guard to a wrench.
 
-    force, torque  (3,) N, N m  about the handle, as contact step and passivity controller have it
-    motion                      of the fingertip since the last tick, under the wrench that was commanded then
-    mode                        of the contact now
-    returns        Passed, whose wrench is to be commanded, and the guard's bits
+    force, torque  (3,) N, N m  about the handle, from the contact step and the passivity controller
+    motion                      of the fingertip since the last tick, under the wrench commanded then
+    mode                        contact mode now
+    returns        OutputState with the wrench to command, and the guard's bits
     """
-    limits, limited, bits = guard.limits, observed(guard, passed, motion, mode, instant.dt), 0
+    limits, limit_state, bits = guard.limits, update_limits(guard, output_state, motion, mode, instant.dt), 0
     if limits.workspace.radius < inf:
         push, out = wall_force(limits.workspace, handle_at(motion.tool, motion.now))
         if out:
             force, bits = vec3.add(force, push), WORKSPACE_EDGE
-    share = share_of(limits, limited.given)
-    if share < 1.0:  # of the limits, too: else a stiff wall, which asks for many times those, would keep all of them
+    share = energy_scale(limits, limit_state.energy_given)
+    if share < 1.0:  # scale the limits, too: a stiff wall requests many times their value and would still reach them
         force, _ = clamp(vec3.scale(share, force), share * guard.force_max)
         torque, _ = clamp(vec3.scale(share, torque), share * guard.torque_max)
         bits |= ENERGY_SPENT
-    allowed = coolest(limits, limited.heat, guard.force_max)
+    allowed = heat_limited_force(limits, limit_state.heat, guard.force_max)
     if allowed < guard.force_max:
         force, reduced = clamp(force, allowed)
         if reduced:
             bits |= MOTOR_HOT
-    wait = waiting(limits, limited.wait, vec3.norm(limited.velocity), guard.armed != 0.0, instant.period)
-    guarded, changed = guard_wrench(guard, passed.guarded, force, torque, instant.dt, instant.period)
+    wait = remaining_wait(limits, limit_state.wait, vec3.norm(limit_state.velocity), guard.armed != 0.0, instant.period)
+    guard_state, changed = guard_wrench(guard, output_state.guard_state, force, torque, instant.dt, instant.period)
     if wait > 0.0:
         nothing = (0.0, 0.0, 0.0)
-        guarded, changed = Guarded(nothing, nothing, 0.0), changed | TOO_FAST
-    heat = warmed(limits, limited.heat, guarded.force, instant.dt)
-    velocity, work, given, touching = limited.velocity, limited.work, limited.given, limited.touching
-    return Passed(guarded, Limited(velocity, wait, heat, work, given, touching)), changed | bits
+        guard_state, changed = GuardState(nothing, nothing, 0.0), changed | TOO_FAST
+    heat = update_heat(limits, limit_state.heat, guard_state.force, instant.dt)
+    velocity, work, energy_given, touching = (
+        limit_state.velocity,
+        limit_state.work,
+        limit_state.energy_given,
+        limit_state.touching,
+    )
+    return OutputState(guard_state, LimitState(velocity, wait, heat, work, energy_given, touching)), changed | bits
 
 
 @jit
-def at_rest(guard: Guard, limited: Limited, dt: float) -> Limited:
-    """What the limits remember after a tick without a pose, which has no force: the motors cool, and what was too fast
-    waits on."""
+def cool_limits(guard: Guard, limit_state: LimitState, dt: float) -> LimitState:
+    """Return the state of the limits after a tick with zero force because it has no pose.
+
+    The motors cool, and the wait after excess speed continues.
+    """
     nothing = (0.0, 0.0, 0.0)
-    heat, given = warmed(guard.limits, limited.heat, nothing, dt), remembered(limited.given, limited.work, dt)
-    return Limited(nothing, limited.wait, heat, limited.work, given, 0.0)
+    heat, energy_given = (
+        update_heat(guard.limits, limit_state.heat, nothing, dt),
+        decay_energy(limit_state.energy_given, limit_state.work, dt),
+    )
+    return LimitState(nothing, limit_state.wait, heat, limit_state.work, energy_given, 0.0)

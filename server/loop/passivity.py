@@ -1,14 +1,13 @@
-"""Time-domain passivity: what the rendering has taken from the hand, and damping when it gives more than that.
+"""Time-domain passivity: an observer of the energy that the rendering generates, and a damper that dissipates it.
 
-The wrench that was commanded is held while the hand moves, so the work of a tick is minus that force times the way of
-the handle since, minus that torque times its turn: exactly, where it turned about one axis. Work below zero is energy
-that the sampled contact has made; the controller burns it with a damper for as long as it is owed, also after the
-release. The damper is a force, whatever made the debt: few devices display a torque. What was taken during a contact
-does not count after it: friction's losses must not pay for the next wall.
+The commanded wrench is constant while the hand moves, so the work of a tick is minus that force times the displacement
+of the handle, minus that torque times its rotation; this is exact for a rotation about one axis. Negative work is
+energy that the sampled contact has generated. The controller dissipates it with a damper until none remains, also after
+the release. The damper is always a force, because few devices display a torque. Work taken during a contact is
+discarded when the contact ends: losses to friction must not offset energy of the next wall.
 
-Source: Hannaford, Ryu (2002), Time-domain passivity control of haptic interfaces, with the work taken over
-the held force as in Ryu, Preusche, Hannaford, Hirzinger (2005), Time domain passivity control with reference
-energy following.
+Source: Hannaford, Ryu (2002), Time-domain passivity control of haptic interfaces, with the work taken over the held
+force as in Ryu, Preusche, Hannaford, Hirzinger (2005), Time domain passivity control with reference energy following.
 """
 
 from typing import Any, Final, NamedTuple
@@ -20,17 +19,17 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import log, relative, rotate
 from softfinger.proxy.kernels.numerics.tool import Tool
 from softfinger.proxy.record import FREE
-from softfinger.server.loop.guard import Guarded
+from softfinger.server.loop.guard import GuardState
 
 
 class Passivity(NamedTuple):
-    """Largest damping that may be added, N s/m; 0 observes only."""
+    """Largest damping that may be added, N s/m; 0 only observes."""
 
     damping_max: float
 
 
 class Energy(NamedTuple):
-    """Work (J) taken from the hand, negative when owed, and the damping (N s/m) that acts because of it."""
+    """Work (J) taken from the hand, negative if energy was generated, and the damping (N s/m) that dissipates it."""
 
     work: float
     damping: float
@@ -40,7 +39,7 @@ NO_ENERGY: Final = Energy(0.0, 0.0)
 
 
 class Motion(NamedTuple):
-    """From one tick to the next: poses of the fingertip, and the tool or None that it is on."""
+    """Poses of the fingertip at two successive ticks, and its tool or None."""
 
     before: Pose
     now: Pose
@@ -49,7 +48,7 @@ class Motion(NamedTuple):
 
 @by_type
 def handle_at(tool: Any, tip: Pose) -> Any:
-    """Where (3,) m the handle is."""
+    """Return the position (3,) m of the handle."""
 
 
 @handle_at.of(None)
@@ -63,48 +62,48 @@ def handle_behind_tool(tool: Tool, tip: Pose) -> Vec3:
 
 
 @jit
-def work_on_hand(held: Guarded, motion: Motion) -> float:
-    """Work (J) that a wrench on the handle, held in between, does over a motion."""
-    way = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
+def work_on_hand(wrench: GuardState, motion: Motion) -> float:
+    """Return the work (J) of a constant wrench on the handle over a motion."""
+    displacement = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
     turn = log(relative(motion.now.orientation, motion.before.orientation))
-    return vec3.dot(held.force, way) + vec3.dot(held.torque, turn)
+    return vec3.dot(wrench.force, displacement) + vec3.dot(wrench.torque, turn)
 
 
 @by_type
 def keep_passive(
-    passivity: Any, energy: Energy, held: Guarded, motion: Motion, mode: float, force: Vec3, dt: float
+    passivity: Any, energy: Energy, wrench: GuardState, motion: Motion, mode: float, force: Vec3, dt: float
 ) -> Any:
-    """The force with the damping that keeps the rendering passive.
+    """Return the force with the damping that makes the rendering passive.
 
-    energy          Energy  what the last tick left
-    held            Guarded wrench on the handle that was commanded since, after the guard
-    motion          Motion  of the hand under it
-    mode                    of the contact now
-    force   (3,)    N       as the contact step computed it
-    dt              s       time since the last tick
+    energy          Energy      state after the last tick
+    wrench          GuardState  wrench on the handle commanded since then, after the guard
+    motion          Motion      of the hand under that wrench
+    mode                        contact mode now
+    force   (3,)    N           from the contact step
+    dt              s           time since the last tick
     returns         Energy, force (3,) N
     """
 
 
 @keep_passive.of(None)
-def leave_as_it_is(
-    passivity: None, energy: Energy, held: Guarded, motion: Motion, mode: float, force: Vec3, dt: float
+def pass_force(
+    passivity: None, energy: Energy, wrench: GuardState, motion: Motion, mode: float, force: Vec3, dt: float
 ) -> tuple[Energy, Vec3]:
     return energy, force
 
 
 @keep_passive.of(Passivity)
-def burn_what_is_owed(
-    passivity: Passivity, energy: Energy, held: Guarded, motion: Motion, mode: float, force: Vec3, dt: float
+def add_damping(
+    passivity: Passivity, energy: Energy, wrench: GuardState, motion: Motion, mode: float, force: Vec3, dt: float
 ) -> tuple[Energy, Vec3]:
-    """A damper alpha v burns alpha v^2 T in the tick to come, if the hand goes on as it did: alpha = -E / (v^2 T)."""
-    work = energy.work - work_on_hand(held, motion)
+    """Add a damper alpha v: it dissipates alpha v^2 T in the next tick at constant v, so alpha = -E / (v^2 T)."""
+    work = energy.work - work_on_hand(wrench, motion)
     if mode == FREE:
         work = min(work, 0.0)
     if not work < 0.0 or not dt > 0.0 or not passivity.damping_max > 0.0:
         return Energy(work, 0.0), force
-    moved = vec3.sub(motion.now.position, motion.before.position)
-    damping, square = passivity.damping_max, vec3.dot(moved, moved)
+    displacement = vec3.sub(motion.now.position, motion.before.position)
+    damping, square = passivity.damping_max, vec3.dot(displacement, displacement)
     if -work * dt < damping * square:
         damping = -work * dt / square
-    return Energy(work, damping), vec3.add_scaled(force, -damping / dt, moved)
+    return Energy(work, damping), vec3.add_scaled(force, -damping / dt, displacement)

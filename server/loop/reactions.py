@@ -1,28 +1,29 @@
-"""Work of contacts with bodies that move: what the passivity observer counts is the relative motion.
+"""Work of contacts with moving bodies: the passivity observer counts only the relative motion.
 
-A hand that lowers a body is given the body's weight times the way: energy of the body, not of the contact. The contact
-has made what the hand is given less what the bodies gave. In a tick a contact's wrench on the hand is held, so the
-bodies' part of it is that wrench times their motion since, at the fingertip's centre.
+A hand that lowers a body receives the body's weight times the displacement. This energy comes from the body, not from
+the contact. The contact has generated the energy that the hand received, minus the energy that the bodies gave up. A
+contact's wrench on the hand is constant during a tick, so the bodies' part is that wrench times their motion at the
+fingertip's centre.
 """
 
 from typing import Any, Final, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.jit.tuples import map_each, same_for
+from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import Bodies, Contact, ContactOutcome, FingerState, Pose, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import log, relative, rotate
 from softfinger.proxy.kernels.query.bodies import faulty, pose_of_body
-from softfinger.server.loop.guard import Guarded
+from softfinger.server.loop.guard import GuardState
 from softfinger.server.loop.passivity import Energy, Passivity
 
 
 class Reaction(NamedTuple):
-    """A contact that holds a wrench between a hand and a body from one tick to the next.
+    """Wrench of a contact between a hand and a body, constant from one tick to the next.
 
-    body    number of the body, 0 for what does not move
-    force   (3,)  N    on the hand, as far as the hand is given it
+    body    index of the body, 0 for a fixed object
+    force   (3,)  N    on the hand, as far as the hand receives it
     torque  (3,)  N m  the same, about `center`
     center  (3,)  m    of the fingertip
     pose    Pose       of the body
@@ -40,92 +41,99 @@ NO_REACTION: Final = Reaction(0.0, _ZERO, _ZERO, _ZERO, Pose(_ZERO, (1.0, 0.0, 0
 
 
 def no_reactions(bodies: Any, finger: FingerState) -> Any:
-    """Before the first tick: one for each contact that there may be; None in a scene without bodies."""
-    return None if bodies is None else same_for(finger.contacts, NO_REACTION)
+    """Return the reactions before the first tick, one for each possible contact; None in a scene without bodies."""
+    return None if bodies is None else (NO_REACTION,) * len(finger.contacts)
 
 
 @jit
-def share_given(asked: Vec3, given: Vec3) -> float:
-    """The part of what contacts ask for that the hand is given, 0 to 1."""
-    square = vec3.dot(asked, asked)
-    return min(max(vec3.dot(asked, given) / square, 0.0), 1.0) if square > 0.0 else 0.0
+def received_share(requested: Vec3, received: Vec3) -> float:
+    """Return the fraction of the requested force or torque of the contacts that the hand receives, 0 to 1."""
+    square = vec3.dot(requested, requested)
+    return min(max(vec3.dot(requested, received) / square, 0.0), 1.0) if square > 0.0 else 0.0
 
 
 @by_type
-def reactions_of(passivity: Any, bodies: Any, before: Any, contact: Contact, given: Guarded, center: Vec3) -> Any:
-    """What contacts hold until the next tick, a tuple of Reaction; those of `before` where nobody observes.
+def reactions_of(passivity: Any, bodies: Any, before: Any, contact: Contact, given: GuardState, center: Vec3) -> Any:
+    """Return the wrenches of contacts until the next tick, a tuple of Reaction; `before` unchanged without an observer.
 
-    given   wrench on the fingertip, about its `center` (3,) m, behind the guard
+    given   wrench on the fingertip, about its `center` (3,) m, after the guard
     """
 
 
 @reactions_of.of(None)
-def unobserved(passivity: None, bodies: Any, before: Any, contact: Contact, given: Guarded, center: Vec3) -> Any:
+def unchanged_reactions(
+    passivity: None, bodies: Any, before: Any, contact: Contact, given: GuardState, center: Vec3
+) -> Any:
     return before
 
 
 @reactions_of.of(Passivity)
 def observed_reactions(
-    passivity: Passivity, bodies: Any, before: Any, contact: Contact, given: Guarded, center: Vec3
+    passivity: Passivity, bodies: Any, before: Any, contact: Contact, given: GuardState, center: Vec3
 ) -> Any:
     return reactions_on(bodies, contact, given, center)
 
 
 @by_type
-def reactions_on(bodies: Any, contact: Contact, given: Guarded, center: Vec3) -> Any:
-    """Reactions, or None in a scene without bodies."""
+def reactions_on(bodies: Any, contact: Contact, given: GuardState, center: Vec3) -> Any:
+    """Return the reactions, or None in a scene without bodies."""
 
 
 @reactions_on.of(None)
-def no_reactions_on(bodies: None, contact: Contact, given: Guarded, center: Vec3) -> None:
+def no_reactions_on(bodies: None, contact: Contact, given: GuardState, center: Vec3) -> None:
     return None
 
 
 @reactions_on.of(Bodies)
-def reactions_on_bodies(bodies: Bodies, contact: Contact, given: Guarded, center: Vec3) -> Any:
-    of_force, of_torque = share_given(contact.force, given.force), share_given(contact.torque, given.torque)
-    return map_each(reaction, (contact.contacts,), bodies, of_force, of_torque, center)
+def reactions_on_bodies(bodies: Bodies, contact: Contact, given: GuardState, center: Vec3) -> Any:
+    force_share, torque_share = received_share(contact.force, given.force), received_share(contact.torque, given.torque)
+    return map_each(reaction, (contact.contacts,), bodies, force_share, torque_share, center)
 
 
 @jit
-def reaction(outcome: ContactOutcome, bodies: Bodies, of_force: float, of_torque: float, center: Vec3) -> Reaction:
+def reaction(
+    outcome: ContactOutcome, bodies: Bodies, force_share: float, torque_share: float, center: Vec3
+) -> Reaction:
     body = bodies.riders[int(outcome.object)] if outcome.object >= 0.0 else 0.0
-    force, torque = vec3.scale(of_force, outcome.force), vec3.scale(of_torque, outcome.torque)
+    force, torque = vec3.scale(force_share, outcome.force), vec3.scale(torque_share, outcome.torque)
     return Reaction(body, force, torque, center, pose_of_body(bodies.block, body))
 
 
 @by_type
-def relative_energy(passivity: Any, bodies: Any, energy: Energy, held: Any) -> Any:
-    """The energy of the last tick, with what bodies have given since by their motion; `held` are Reactions, or None."""
+def relative_energy(passivity: Any, bodies: Any, energy: Energy, last_reactions: Any) -> Any:
+    """Return the energy after the last tick, plus the work of the bodies since then.
+
+    last_reactions  Reactions, or None
+    """
 
 
 @relative_energy.of(None)
-def not_observed(passivity: None, bodies: Any, energy: Energy, held: Any) -> Energy:
+def unchanged_energy(passivity: None, bodies: Any, energy: Energy, last_reactions: Any) -> Energy:
     return energy
 
 
 @relative_energy.of(Passivity)
-def with_what_bodies_gave(passivity: Passivity, bodies: Any, energy: Energy, held: Any) -> Energy:
-    return Energy(energy.work + work_of_bodies(bodies, held), energy.damping)
+def add_body_work(passivity: Passivity, bodies: Any, energy: Energy, last_reactions: Any) -> Energy:
+    return Energy(energy.work + work_of_bodies(bodies, last_reactions), energy.damping)
 
 
 @by_type
-def work_of_bodies(bodies: Any, held: Any) -> Any:
-    """Work (J) that the wrenches of Reactions do over the motion of their bodies since."""
+def work_of_bodies(bodies: Any, last_reactions: Any) -> Any:
+    """Return the work (J) of the wrenches of Reactions over the motion of their bodies since then."""
 
 
 @work_of_bodies.of(None)
-def work_of_none(bodies: None, held: Any) -> float:
+def work_of_none(bodies: None, last_reactions: Any) -> float:
     return 0.0
 
 
 @work_of_bodies.of(Bodies)
-def work_of_all(bodies: Bodies, held: Any) -> float:
+def work_of_all(bodies: Bodies, last_reactions: Any) -> float:
     work = 0.0
     if not faulty(bodies):
-        for each in held:
-            now, was = pose_of_body(bodies.block, each.body), each.pose
-            turned = relative(now.orientation, was.orientation)
-            there = vec3.add(now.position, rotate(turned, vec3.sub(each.center, was.position)))
-            work += vec3.dot(each.force, vec3.sub(there, each.center)) + vec3.dot(each.torque, log(turned))
+        for each in last_reactions:
+            now, before = pose_of_body(bodies.block, each.body), each.pose
+            turned = relative(now.orientation, before.orientation)
+            target = vec3.add(now.position, rotate(turned, vec3.sub(each.center, before.position)))
+            work += vec3.dot(each.force, vec3.sub(target, each.center)) + vec3.dot(each.torque, log(turned))
     return work

@@ -1,10 +1,9 @@
 """Real-time settings of the servo thread: scheduler, memory, timers, processor.
 
-All are made by the servo thread itself before it arms the device. Each is optional: what the system
-refuses is reported with its reason and what to do, and the servo runs without it. What they are
-worth: the scheduler keeps everything else from delaying a tick; locked memory keeps a tick from
-waiting for a page; timer slack delays wake-ups by up to 50 us without SCHED_FIFO; a processor kept
-out of deep sleep wakes about 10 us sooner; a fixed processor saves migrations.
+The servo thread makes all of them before it arms the device. Each is optional: a refused setting is reported with its
+reason and a remedy, and the servo runs without it. Effects: the scheduler prevents other work from delaying a tick;
+locked memory prevents a tick from waiting for a page; timer slack delays wake-ups by up to 50 us without SCHED_FIFO; a
+processor that avoids deep sleep wakes about 10 us sooner; a fixed processor avoids migrations.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple
 
 from softfinger.config.errors import RealtimeError
-from softfinger.drivers.system.rules import GROUP, command
+from softfinger.drivers.system.rules import GROUP, install_command
 
 Mode = Literal["auto", "require", "off"]
 
@@ -29,9 +28,8 @@ RT_RUNTIME: Final = "/proc/sys/kernel/sched_rt_runtime_us"
 RT_PERIOD: Final = "/proc/sys/kernel/sched_rt_period_us"
 
 REQUIRED: Final = ("sched_fifo", "mlockall", "affinity")
-"""What mode `require` cannot do without: the two that bound the worst tick, and a processor asked for by number.
-
-Timer slack does not act under SCHED_FIFO, and sleep states cost microseconds; their refusal is only reported."""
+"""Settings required in mode `require`: the two that bound the worst tick, and a processor selected by number. Timer
+slack does not act under SCHED_FIFO, and sleep states cost microseconds; their refusal is only reported."""
 
 SLACK_NS: Final = 1  # 0 would mean the default of 50 us
 
@@ -44,15 +42,15 @@ MCL_ONFAULT: Final = 4
 MADV_DONTNEED: Final = 4
 CAP_IPC_LOCK: Final = 14
 
-BROUGHT_IN_MAX: Final = 4 << 20
-"""Bytes of the largest mapping brought in whole: a driver's library is smaller, a stack and the compiler are larger."""
+LOCKED_MAPPING_MAX_BYTES: Final = 4 << 20
+"""Largest mapping locked completely, in bytes: a driver's library is smaller, a stack and the compiler are larger."""
 STACK_BYTES: Final = 1 << 20
-"""Of the servo thread's stack, from its top: the loop takes some kB, the library of a device some more."""
-PTHREAD_ATTR_BYTES: Final = 64  # of a pthread_attr_t: 56 on x86-64, 64 on aarch64
+"""Locked part of the servo thread's stack, from its top: the loop uses some kB, the library of a device some more."""
+PTHREAD_ATTR_BYTES: Final = 64  # size of a pthread_attr_t: 56 on x86-64, 64 on aarch64
 
 
 class Setting(NamedTuple):
-    """Outcome of one setting; `detail` is what was set or why not, `advice` what to do about a refusal."""
+    """Outcome of one setting; `detail` is the value set or the reason of a refusal, `advice` the remedy."""
 
     name: str
     ok: bool
@@ -61,82 +59,81 @@ class Setting(NamedTuple):
 
 
 @dataclass
-class Applied:
-    """What `apply` set, and the way back."""
+class AppliedSettings:
+    """Settings made by `apply`, and how to undo them."""
 
     settings: list[Setting]
     thread: int = field(default_factory=threading.get_native_id)
-    _of_thread: list[Callable[[], object]] = field(default_factory=list)
-    _of_process: list[Callable[[], object]] = field(default_factory=list)
+    _undo_thread: list[Callable[[], object]] = field(default_factory=list)
+    _undo_process: list[Callable[[], object]] = field(default_factory=list)
 
     def undo(self) -> None:
-        """Give back what was taken, in reverse order. Any number of times.
+        """Undo the settings in reverse order; may be called repeatedly.
 
-        Scheduler, timer slack and processor belong to the thread that called `apply`; from another
-        thread they are left, because they end with their thread. Memory is unlocked for the whole process.
+        Scheduler, timer slack and processor belong to the thread that called `apply`; another thread does not undo
+        them, because they end with their thread. Memory is unlocked for the process.
         """
         if threading.get_native_id() == self.thread:
-            while self._of_thread:
-                self._of_thread.pop()()
-        while self._of_process:
-            self._of_process.pop()()
+            while self._undo_thread:
+                self._undo_thread.pop()()
+        while self._undo_process:
+            self._undo_process.pop()()
 
 
-def apply(mode: Mode, priority: int, cpu: int | None) -> Applied:
-    """Make the real-time settings for the calling thread; call it in the servo thread.
+def apply(mode: Mode, priority: int, cpu: int | None) -> AppliedSettings:
+    """Make the real-time settings for the calling thread, which must be the servo thread.
 
-    mode      auto: take what is granted; require: RealtimeError unless all of REQUIRED are; off: touch nothing
+    mode      auto: use the settings that are granted; require: RealtimeError unless all of REQUIRED are; off: none
     priority  of SCHED_FIFO, 1 to 99
-    cpu       processor to stay on, None for any
+    cpu       processor to run on, None for any
 
-    In mode `require`, what had been granted is given back before RealtimeError is raised; its
-    message lists everything refused.
+    In mode `require`, granted settings are undone before RealtimeError is raised; its message lists every refusal.
     """
-    applied = Applied([])
+    applied = AppliedSettings([])
     if mode == "off":
-        applied.settings.append(Setting("off", True, "as asked: the servo is a thread like any other", ""))
+        applied.settings.append(Setting("off", True, "as requested: the servo has normal priority", ""))
         return applied
     if sys.platform != "linux":
         applied.settings.extend(refused_elsewhere(sys.platform, cpu))
     else:
-        # Timer slack first: a SCHED_FIFO thread has none, and the kernel ignores the request from it.
+        # Timer slack first: a SCHED_FIFO thread has none, and the kernel ignores its request.
         applied.settings.append(_set_timer_slack(applied))
         applied.settings.append(_set_fifo(applied, priority))
         applied.settings.append(_lock_memory(applied))
-        applied.settings.append(_hold_latency(applied))
+        applied.settings.append(_limit_latency(applied))
         if cpu is not None:
             applied.settings.append(_set_affinity(applied, cpu))
     if mode == "require":
-        _demand(applied)
+        _check_required(applied)
     return applied
 
 
-def lift(name: str, thread: int | None, priority: int) -> Setting:
-    """Give another thread of this process, by its native id, a priority of its own: the supervisor must run when the
-    servo hangs, and the relay wake readers of ticks where the processor is busy with something else.
+def raise_priority(name: str, thread: int | None, priority: int) -> Setting:
+    """Set the priority of another thread of this process, by its native id; it ends with the thread.
 
-    Nothing to undo: it ends with the thread.
+    The supervisor must run when the servo hangs, and the relay must wake readers of ticks while the processor is busy
+    with other work.
     """
     setting = f"sched_fifo_{name}"
     if sys.platform != "linux" or thread is None:
-        return Setting(setting, False, "made with Linux calls", "run on Linux, or say --realtime off to stop asking")
+        return Setting(setting, False, "made with Linux calls", "run on Linux, or set --realtime off")
     lowest, highest = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
-    wanted = max(lowest, min(priority, highest))
+    clamped = max(lowest, min(priority, highest))
     try:
-        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(wanted))
+        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(clamped))
     except OSError as error:
-        return Setting(setting, False, f"priority {wanted}: {_reason(error.errno)}", _fifo_advice(error.errno))
-    return Setting(setting, True, f"priority {wanted}", "")
+        return Setting(setting, False, f"priority {clamped}: {_reason(error.errno)}", _fifo_advice(error.errno))
+    return Setting(setting, True, f"priority {clamped}", "")
 
 
 def refused_elsewhere(platform: str, cpu: int | None) -> list[Setting]:
-    """The settings on a system that has none of them."""
+    """Return the refused settings for a system other than Linux."""
     names = ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency"] + ["affinity"] * (cpu is not None)
-    advice = "run on Linux, or say --realtime off to stop asking"
+    advice = "run on Linux, or set --realtime off"
     return [Setting(name, False, f"made with Linux calls, and this is {platform}", advice) for name in names]
 
 
-def _demand(applied: Applied) -> None:
+def _check_required(applied: AppliedSettings) -> None:
     refused = [s for s in applied.settings if not s.ok]
     if any(s.name in REQUIRED for s in refused):
         applied.undo()
@@ -151,23 +148,23 @@ def _demand(applied: Applied) -> None:
 # --- one function per setting ----------------------------------------------------------------------
 
 
-def _set_timer_slack(applied: Applied) -> Setting:
+def _set_timer_slack(applied: AppliedSettings) -> Setting:
     before = _libc("prctl", PR_GET_TIMERSLACK, 0, 0, 0, 0)
     if before.result < 0 or (done := _libc("prctl", PR_SET_TIMERSLACK, SLACK_NS, 0, 0, 0)).result < 0:
         error = before.error or done.error
         return Setting("timer_slack", False, _reason(error), "allow prctl in the container's seccomp profile")
-    applied._of_thread.append(lambda: _libc("prctl", PR_SET_TIMERSLACK, before.result, 0, 0, 0))
+    applied._undo_thread.append(lambda: _libc("prctl", PR_SET_TIMERSLACK, before.result, 0, 0, 0))
     return Setting("timer_slack", True, f"{SLACK_NS} ns (was {before.result} ns)", "")
 
 
-def _set_fifo(applied: Applied, priority: int) -> Setting:
+def _set_fifo(applied: AppliedSettings, priority: int) -> Setting:
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
         refusal = f"priority {priority}: {_reason(error.errno)}"
         return Setting("sched_fifo", False, refusal, _fifo_advice(error.errno))
-    applied._of_thread.append(lambda: os.sched_setscheduler(0, policy, parameters))
+    applied._undo_thread.append(lambda: os.sched_setscheduler(0, policy, parameters))
     return Setting("sched_fifo", True, f"priority {priority}{_throttle_note()}", "")
 
 
@@ -176,62 +173,63 @@ def _fifo_advice(number: int | None) -> str:
         low, high = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
         return f"set servo.priority between {low} and {high}"
     advice = (
-        f"this user's highest priority is {_limit('RLIMIT_RTPRIO')}: {_join()}; under systemd LimitRTPRIO=95; in "
-        "Docker --cap-add=SYS_NICE or --ulimit rtprio=95"
+        f"this user's highest priority is {_limit('RLIMIT_RTPRIO')}: {_group_advice()}; under systemd LimitRTPRIO=95; "
+        "in Docker --cap-add=SYS_NICE or --ulimit rtprio=95"
     )
     if _read(RT_RUNTIME) == "0":
         advice += f"; {RT_RUNTIME} is 0, which forbids it to everyone: write 950000"
     return advice
 
 
-def _join() -> str:
-    """How a user comes to all three: limits of priority and of locked memory, and the right to the latency device."""
-    return f"`{command()}` gives it to the group {GROUP}: join that (sudo usermod -aG {GROUP} $USER) and log in again"
+def _group_advice() -> str:
+    """Return how a user obtains both limits (priority and locked memory) and access to the latency device."""
+    join = f"join that (sudo usermod -aG {GROUP} $USER) and log in again"
+    return f"`{install_command()}` gives it to the group {GROUP}: {join}"
 
 
 def _throttle_note() -> str:
-    """What the kernel does to a thread that never sleeps; a servo that keeps its deadlines is not touched."""
+    """Return the kernel's limit for a thread that never sleeps; it does not affect a servo that meets its deadlines."""
     runtime = _read(RT_RUNTIME)
     return "" if runtime in ("", "-1") else f", paused if ever busy for {runtime} us of {_read(RT_PERIOD)} us"
 
 
-def _lock_memory(applied: Applied) -> Setting:
-    """Lock what is in memory, lock the rest as it is first touched, and bring in now what a tick may touch."""
-    _give_back()
-    # Under a finite limit, locking what comes would turn a later malloc into a failure.
+def _lock_memory(applied: AppliedSettings) -> Setting:
+    """Lock present pages now and others on first touch, and load the pages that a tick may touch."""
+    _drop_library_pages()
+    # Under a finite limit, locking future mappings would make a later malloc fail.
     later = MCL_FUTURE if _may_lock_without_limit() else 0
     done = _libc("mlockall", MCL_CURRENT | MCL_ONFAULT | later)
     if done.result < 0:
         need, limit = _status("VmSize"), _limit("RLIMIT_MEMLOCK", 1024, " kB")
         advice = (
-            f"{_join()} (ulimit -l shows it); under systemd LimitMEMLOCK=infinity; in Docker --cap-add=IPC_LOCK or "
-            "--ulimit memlock=-1"
+            f"{_group_advice()} (ulimit -l shows it); under systemd LimitMEMLOCK=infinity; in Docker "
+            "--cap-add=IPC_LOCK or --ulimit memlock=-1"
         )
         return Setting("mlockall", False, f"{_reason(done.error)}: {need} to lock, limit {limit}", advice)
-    applied._of_process.append(lambda: _libc("munlockall"))
-    _bring_in()
+    applied._undo_process.append(lambda: _libc("munlockall"))
+    _load_small_mappings()
     locked = f"{_status('VmLck')} locked, {_status('VmRSS')} of them in memory"
-    rest = "later ones as they come" if later else "what is mapped later is not, under a limit"
+    rest = "later ones as they come" if later else "memory mapped later is not locked, because of a limit"
     return Setting("mlockall", True, f"{locked}; {rest}", "")
 
 
-def _give_back() -> None:
-    """Let go of the code of large libraries, such as the compiler's: what is called again comes from the file anew."""
+def _drop_library_pages() -> None:
+    """Drop the code pages of large libraries, such as the compiler; code that is called again is read from its file."""
     for each in _mappings():
-        # Of a file, and never written: nothing is lost. Kernels are code too, but of no file.
-        if each.size > BROUGHT_IN_MAX and each.permissions == "r-xp" and each.inode != 0:
+        # Mapped from a file and never written: nothing is lost. Kernels are code too, but without a file.
+        if each.size > LOCKED_MAPPING_MAX_BYTES and each.permissions == "r-xp" and each.inode != 0:
             _libc("madvise", each.begin, each.size, MADV_DONTNEED)
 
 
-def _bring_in() -> None:
-    """Bring in this thread's stack, and every mapping but the large ones.
+def _load_small_mappings() -> None:
+    """Load this thread's stack and all small mappings.
 
-    Those are the compiler, which no tick calls, and the stacks of other threads, which no tick
-    writes, and arrays: what a tick writes, whoever makes it has written before.
+    The large ones are the compiler, which no tick calls, the stacks of other threads, which no tick writes, and arrays:
+    arrays written by a tick were already written when they were created.
     """
     for each in _mappings():
-        if each.permissions.startswith("r") and each.size <= BROUGHT_IN_MAX:
-            _libc("mlock", each.begin, each.size)  # refused for the kernel's own pages, which are there
+        if each.permissions.startswith("r") and each.size <= LOCKED_MAPPING_MAX_BYTES:
+            _libc("mlock", each.begin, each.size)  # refused for pages of the kernel, which are always present
     attributes = ctypes.create_string_buffer(PTHREAD_ATTR_BYTES)
     lowest, size = ctypes.c_size_t(), ctypes.c_size_t()
     if _libc("pthread_getattr_np", threading.get_ident(), ctypes.addressof(attributes)).result == 0:
@@ -241,13 +239,13 @@ def _bring_in() -> None:
         _libc("mlock", lowest.value + size.value - used, used)
 
 
-def _hold_latency(applied: Applied) -> Setting:
-    """Ask for wake-ups without delay: holds for the whole machine as long as the file stays open."""
+def _limit_latency(applied: AppliedSettings) -> Setting:
+    """Request wake-ups without delay, for the entire machine as long as the file remains open."""
     name = "cpu_dma_latency"
     try:
         fd = os.open(LATENCY_DEVICE, os.O_WRONLY | os.O_CLOEXEC)
     except OSError as error:
-        advice = f"{_join()}; in Docker --device={LATENCY_DEVICE} for a user that may write it"
+        advice = f"{_group_advice()}; in Docker --device={LATENCY_DEVICE} for a user that may write it"
         return Setting(name, False, f"{LATENCY_DEVICE}: {_reason(error.errno)}", advice)
     try:
         os.write(fd, struct.pack("i", 0))
@@ -255,11 +253,11 @@ def _hold_latency(applied: Applied) -> Setting:
         os.close(fd)
         refusal = f"writing {LATENCY_DEVICE}: {_reason(error.errno)}"
         return Setting(name, False, refusal, "see the kernel's log: the device is there and takes no value")
-    applied._of_process.append(lambda: os.close(fd))
+    applied._undo_process.append(lambda: os.close(fd))
     return Setting(name, True, "0 us: processors stay out of deep sleep while the servo runs", "")
 
 
-def _set_affinity(applied: Applied, cpu: int) -> Setting:
+def _set_affinity(applied: AppliedSettings, cpu: int) -> Setting:
     before = os.sched_getaffinity(0)
     try:
         os.sched_setaffinity(0, {cpu})
@@ -267,7 +265,7 @@ def _set_affinity(applied: Applied, cpu: int) -> Setting:
         allowed = ", ".join(str(number) for number in sorted(before))
         advice = f"set servo.cpu to one this process may use: {allowed}; in Docker --cpuset-cpus decides"
         return Setting("affinity", False, f"processor {cpu}: {_reason(error.errno)}", advice)
-    applied._of_thread.append(lambda: os.sched_setaffinity(0, before))
+    applied._undo_thread.append(lambda: os.sched_setaffinity(0, before))
     return Setting("affinity", True, f"processor {cpu}", "")
 
 
@@ -280,7 +278,7 @@ class _Outcome(NamedTuple):
 
 
 def _libc(name: str, *arguments: int) -> _Outcome:
-    """Call a libc function of C longs; errno is 0 where it succeeded."""
+    """Call a libc function with C longs; the error is 0 on success."""
     function = getattr(ctypes.CDLL(None, use_errno=True), name)
     ctypes.set_errno(0)
     result = function(*(ctypes.c_long(argument) for argument in arguments))
@@ -304,7 +302,7 @@ def _may_lock_without_limit() -> bool:
 
 
 class _Mapping(NamedTuple):
-    """Address and bytes; permissions such as `r-xp`; inode of its file, 0 for none."""
+    """Address and size in bytes; permissions such as `r-xp`; inode of its file, 0 for none."""
 
     begin: int
     size: int
@@ -313,17 +311,16 @@ class _Mapping(NamedTuple):
 
 
 def _mappings() -> list[_Mapping]:
-    """What the process has mapped."""
     found = []
     for line in _read("/proc/self/maps").splitlines():
         span, permissions, _, _, inode, *_ = line.split()
-        begin, end = (int(place, 16) for place in span.split("-"))
+        begin, end = (int(address, 16) for address in span.split("-"))
         found.append(_Mapping(begin, end - begin, permissions, int(inode)))
     return found
 
 
 def _status(key: str) -> str:
-    """One line of this thread's /proc status, empty where there is none."""
+    """Return one line of this thread's /proc status, empty if it is missing."""
     for line in _read("/proc/thread-self/status").splitlines():
         if line.startswith(f"{key}:"):
             return " ".join(line.split()[1:])
@@ -332,7 +329,7 @@ def _status(key: str) -> str:
 
 def _read(path: str) -> str:
     try:
-        with open(path, encoding="utf-8", errors="replace") as file:  # names of files may have any bytes
+        with open(path, encoding="utf-8", errors="replace") as file:  # file names may contain any bytes
             return file.read().strip()
     except OSError:
         return ""

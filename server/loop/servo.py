@@ -1,7 +1,7 @@
-"""The servo's loop: one nopython function, from the reads of the devices to their writes.
+"""Servo loop: one nopython function, from the reads of the devices to their writes, run by `servo_thread.py`.
 
-It takes no GIL, allocates nothing and waits for nobody. It shares with Python: a stop word, a slot of parameters, a
-ring of records and an eventfd that tells the reader a record is there. `servo_thread.py` runs it.
+It takes no GIL, allocates nothing and never waits for another thread. It shares with Python: a stop flag, the switch of
+the force, a slot of parameters, a ring of records, and an eventfd that notifies the reader of a record.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from softfinger.proxy.kernels.jit.pack import unpack
 from softfinger.proxy.kernels.jit.seqlock import Slot, refresh
 from softfinger.proxy.kernels.jit.tuples import field_of_each, map_each, unzip
 from softfinger.server.loop.all_devices import (
+    DeviceBuffers,
     Io,
-    Line,
     Stamp,
-    ended,
+    first_ended,
     guarded_bits,
     read_one,
     stamp_one,
@@ -31,8 +31,9 @@ from softfinger.server.loop.all_devices import (
 )
 from softfinger.server.loop.bodies import move_bodies
 from softfinger.server.loop.clock import NS_PER_S, Pace, first_pace, next_pace, now_ns, sleep_until, with_suspension
+from softfinger.server.loop.force_switch import apply_switch, is_on, store_active
 from softfinger.server.loop.health import HEALTHY, examine
-from softfinger.server.loop.inputs.ramp import Way, advance, head_for, stay
+from softfinger.server.loop.inputs.ramp import ParameterRamp, advance, set_now, set_target
 from softfinger.server.loop.shared.ring import Ring, push
 from softfinger.server.loop.shutdown import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Memory, Tuning, tick
@@ -41,8 +42,14 @@ _eventfd_write = types.ExternalFunction("eventfd_write", types.int32(types.int32
 
 
 class Schedule(NamedTuple):
-    """Period and epoch offset, ns; ticks to run, -1 for no end; whether all devices keep their own clock: then a tick
-    takes a period, else what the wall clock says, for every finger."""
+    """Timing of a loop.
+
+    period_ns  length of a tick
+    epoch_ns   offset of the epoch from monotonic time
+    ticks      number of ticks to run, -1 without end
+    own_clock  1 if all devices have their own clock: every tick then lasts a period, for all fingers; otherwise 0, and
+               its length is measured
+    """
 
     period_ns: int
     epoch_ns: int
@@ -51,13 +58,21 @@ class Schedule(NamedTuple):
 
 
 class Shared(NamedTuple):
-    """Memory the loop shares with Python: stop word, ticks and misses so far, of the loops before it too, and whether
-    it was woken late when it ended for want of time, parameter slot, ring of records, eventfd that wakes its reader,
-    slot of the motion of bodies (query.bodies). The ring has a row a tick: the records of all fingers, one after the
-    other."""
+    """Memory shared with Python.
+
+    stop      stop flag
+    progress  ticks, missed deadlines (both including previous loops), and 1 if the loop failed because it was woken
+              late
+    switch    switch of the force (`force_switch.py`)
+    tuning    parameters
+    ring      a row per tick, with the records of all fingers one after the other
+    wake_fd   eventfd that wakes the reader of records
+    motion    motion of the bodies (query.bodies)
+    """
 
     stop: NDArray[np.int64]
     progress: NDArray[np.int64]
+    switch: NDArray[np.int64]
     tuning: Slot
     ring: Ring
     wake_fd: int
@@ -65,34 +80,37 @@ class Shared(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Memory of the loop alone, allocated before it starts: a Line for each device, its record a part of `row`; the way
-    from the parameters of now to those that are wanted."""
+    """Private memory of the loop, allocated before it starts.
+
+    buffers  buffers of each device; their records are parts of `row`
+    ramp     ramp from the present parameters to the requested ones
+    """
 
     timespec: NDArray[np.int64]
     values: NDArray[np.float64]
     row: NDArray[np.float64]
-    lines: tuple[Line, ...]
-    way: Way
+    buffers: tuple[DeviceBuffers, ...]
+    ramp: ParameterRamp
     motion: NDArray[np.float64]
 
 
 @jit
-def newest_parameters(
-    slot: Slot, seen: int, values: NDArray[np.float64], way: Way, tuning: Tuning
+def update_parameters(
+    slot: Slot, version: int, values: NDArray[np.float64], ramp: ParameterRamp, tuning: Tuning
 ) -> tuple[int, Tuning]:
-    """The parameters of this tick, on their way to the newest that are wanted, and the version of those."""
-    newest = refresh(slot, seen, values)
-    if newest != seen:
-        head_for(way, values)
-    if way.left[0] > 0:
-        advance(way)
-        tuning = unpack(tuning, way.now)
+    """Return the version of the latest parameters, and the ramped parameters of this tick."""
+    newest = refresh(slot, version, values)
+    if newest != version:
+        set_target(ramp, values)
+    if ramp.ticks_left[0] > 0:
+        advance(ramp)
+        tuning = unpack(tuning, ramp.now)
     return newest, tuning
 
 
 @jit
-def stamp_of(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -> Stamp:
-    """The loop's part of a record: when it was due, began and was written, ns; `busy` is of the tick before."""
+def make_stamp(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -> Stamp:
+    """Return the loop's part of a record: deadline, start and write of the tick, ns; `busy` is of the previous tick."""
     return Stamp(
         timestamp=(woke + schedule.epoch_ns) / NS_PER_S,
         late=(woke - pace.deadline) / NS_PER_S,
@@ -103,8 +121,8 @@ def stamp_of(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -
 
 
 @jit
-def hand_over_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> None:
-    """Give a tick's records to their reader, and wake it; `ticks` are done with this one."""
+def publish_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> None:
+    """Append a tick's records to the ring and wake the reader; `ticks` includes this tick."""
     push(shared.ring, row)
     store_release(shared.progress, 0, ticks)
     _eventfd_write(shared.wake_fd, 1)
@@ -114,16 +132,15 @@ def hand_over_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> No
 def servo_loop(
     tuning_like: Tuning, start: Memory, ios: tuple[Io, ...], schedule: Schedule, shared: Shared, scratch: Scratch
 ) -> tuple[int, int, int]:
-    """Run ticks until told to stop; returns how it ended, the last status of a device, and which finger's that is.
+    """Run ticks until stopped; return the reason for the end, the last status of a device, and the index of its finger.
 
-    Ticks and misses go on from those in `shared`.
-    Whatever the end, the last thing written to every device is zero.
+    Ticks and missed deadlines continue from `shared`. In any case, the last write to every device is zero.
     """
-    timespec, lines = scratch.timespec, scratch.lines
-    samples, records = field_of_each(lines, "sample"), field_of_each(lines, "record")
-    seen = refresh(shared.tuning, -1, scratch.values)
-    stay(scratch.way, scratch.values)
-    tuning, memory, health = unpack(tuning_like, scratch.way.now), start, HEALTHY
+    timespec, buffers = scratch.timespec, scratch.buffers
+    samples, records = field_of_each(buffers, "sample"), field_of_each(buffers, "record")
+    version = refresh(shared.tuning, -1, scratch.values)
+    set_now(scratch.ramp, scratch.values)
+    tuning, memory, health = unpack(tuning_like, scratch.ramp.now), start, HEALTHY
     nominal = schedule.period_ns / NS_PER_S
     number, busy, ending, status, finger = load_acquire(shared.progress, 0), 0, STOPPED, 0, 0
     pace = first_pace(now_ns(timespec), schedule.period_ns, load_acquire(shared.progress, 1), timespec)
@@ -137,42 +154,46 @@ def servo_loop(
         pace = with_suspension(pace, woke, timespec)
         dt = nominal if schedule.own_clock else pace.dt
 
-        seen, tuning = newest_parameters(shared.tuning, seen, scratch.values, scratch.way, tuning)
+        version, tuning = update_parameters(shared.tuning, version, scratch.values, scratch.ramp, tuning)
         befores, statuses = unzip(
-            map_each(read_one, (ios, lines, tuning.guards, tuning.offsets, start.fingers, memory.fingers), dt)
+            map_each(read_one, (ios, buffers, tuning.guards, tuning.offsets, start.fingers, memory.fingers), dt)
         )
-        place, status = ended(statuses)
-        if place >= 0:
-            ending, finger = FINISHED if status == END else READ_FAILED, place
+        index, status = first_ended(statuses)
+        if index >= 0:
+            ending, finger = FINISHED if status == END else READ_FAILED, index
             break
         memory = Memory(memory.world, befores)
-        memory = tick(tuning, start, memory, samples, dt, nominal, number, records)
+        on = is_on(shared.switch, woke)
+        guards = map_each(apply_switch, (tuning.guards, field_of_each(befores, "guard_state")), on)
+        now = Tuning(tuning.scene, guards, tuning.passivity, tuning.tools, tuning.offsets)
+        memory = tick(now, start, memory, samples, dt, nominal, number, records)
         hands, statuses_out = unzip(
-            map_each(write_one, (ios, lines, tuning.tools, start.fingers, befores, memory.fingers))
+            map_each(write_one, (ios, buffers, tuning.tools, start.fingers, befores, memory.fingers))
         )
         wrote = now_ns(timespec)
         move_bodies(tuning.scene.bodies, number, wrote, shared.motion, scratch.motion, timespec)
-        place, status_out = ended(statuses_out)
-        if place >= 0:
-            ending, status, finger = WRITE_FAILED, status_out, place
+        index, status_out = first_ended(statuses_out)
+        if index >= 0:
+            ending, status, finger = WRITE_FAILED, status_out, index
             break
         memory = Memory(memory.world, hands)
+        store_active(shared.switch, hands, on)
 
-        stamp = stamp_of(schedule, pace, woke, wrote, busy)
-        map_each(stamp_one, (lines, statuses, statuses_out), stamp)
+        stamp = make_stamp(schedule, pace, woke, wrote, busy)
+        map_each(stamp_one, (buffers, statuses, statuses_out), stamp)
         number += 1
-        hand_over_record(shared, scratch.row, number)
+        publish_record(shared, scratch.row, number)
 
         done = now_ns(timespec)
         busy = done - woke
         pace = next_pace(pace, done, schedule.period_ns)
         store_release(shared.progress, 1, pace.missed)
-        bits, place = guarded_bits(lines)
+        bits, index = guarded_bits(buffers)
         health, fault = examine(health, bits, stamp.late, nominal if schedule.own_clock else pace.dt, nominal)
         if fault != 0:
-            ending, finger = fault, place
+            ending, finger = fault, index
             store_release(shared.progress, 2, int(health.late > 0.5 * health.lost))
             break
 
-    map_each(write_zero_to, (ios, lines))
+    map_each(write_zero_to, (ios, buffers))
     return ending, status, finger

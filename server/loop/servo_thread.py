@@ -1,7 +1,7 @@
-"""The servo: the thread that runs the loop around open devices, and whatever Python does with it meanwhile.
+"""Servo: the thread that runs the loop with open devices, and its interface to Python.
 
-It arms the devices before the first tick and stops them after the last, puts another loop in the place of one, hands
-parameters in and records out.
+It arms the devices before the first tick and stops them after the last, replaces one loop by another, accepts new
+parameters and provides the records.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from softfinger.config.errors import SafetyStop
 from softfinger.drivers.base import Device
@@ -21,43 +22,45 @@ from softfinger.proxy.bodies import begin_bodies, motion_size
 from softfinger.proxy.kernels.jit.seqlock import make_slot, publish
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop import shutdown
-from softfinger.server.loop.all_devices import Io, make_line
+from softfinger.server.loop.all_devices import Io, make_device_buffers
 from softfinger.server.loop.clock import NS_PER_S, period_ns
+from softfinger.server.loop.force_switch import make_switch
 from softfinger.server.loop.handover import Handover, Loop
-from softfinger.server.loop.health import HELD_MAX_S
-from softfinger.server.loop.inputs.ramp import leaves, make_way
+from softfinger.server.loop.health import IGNORED_WRENCH_MAX_S
+from softfinger.server.loop.inputs.ramp import leaves, make_ramp
 from softfinger.server.loop.servo import Schedule, Scratch, Shared, servo_loop
 from softfinger.server.loop.shared.ring import make_ring, take
 from softfinger.server.loop.shared.rings import Rings
-from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, Ended
-from softfinger.server.loop.tick import Tuning, begin, carried_over
-from softfinger.server.loop.tuning import alike
+from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, LoopEnd
+from softfinger.server.loop.tick import Tuning, begin, continued_memory
+from softfinger.server.loop.tuning import has_same_structure
 
 log: Final = logging.getLogger(__name__)
 
 RING_SECONDS: Final = 8
-"""How long the reader of records may be held up before any is lost."""
+"""Time for which the reader of records may be delayed before records are lost."""
 
 HANDOVER_S: Final = 5.0
-"""A loop that has not ended within this, or whose successor has not begun, hangs in its device."""
+"""A loop that takes longer to end, or to start after another one, hangs in its device."""
 HANDOVER_POLL_S: Final = 0.05
 
 
 class Servo:
-    """A thread that runs a loop around open devices, and perhaps others after it; ready to start.
+    """Thread that runs a loop with open devices, and possibly further loops after it.
 
-    devices  an open device for each of the scene's fingers; the servo commands zero through all of them on every way
-             out, whatever it was that ended it, but does not close them
+    devices  an open device for each of the scene's fingers; the servo commands zero to all of them whenever and however
+             it ends, but does not close them
     tuning   scene and guard
     rate_hz  tick rate
-    ticks    how many ticks to run, None until stopped
-    ramp_s   over which parameters that `tune` changes, and that act on the force, go to their new values; 0: at once
-    prepare  called in the servo thread before the first tick (real-time settings); what it returns is
-             called in the same thread after the last
+    ticks    number of ticks to run, None until stopped
+    ramp_s   duration of the ramp of parameters changed by `tune` that act on the force; 0: at once
+    switch   switch of the force (`force_switch.py`); by default a new one, which is on
+    prepare  called in the servo thread before the first tick (real-time settings); it returns a function that is called
+             in the same thread after the last tick
 
-    The devices are armed in that thread once everything else is done, right before the first tick.
+    The devices are armed in that thread after all other preparations, immediately before the first tick.
 
-    Use: `compile`, `start`, `records.take` again and again after `records.wait`, `stop`, `join`.
+    Call `compile`, `start`, then repeatedly `records.wait` and `records.take`, and finally `stop` and `join`.
     """
 
     def __init__(
@@ -68,17 +71,19 @@ class Servo:
         ticks: int | None = None,
         prepare: Callable[[], Callable[[], None]] | None = None,
         ramp_s: float = 0.0,
+        switch: NDArray[np.int64] | None = None,
     ) -> None:
         self._ticks, self._prepare, self._ramp_s = -1 if ticks is None else ticks, prepare, ramp_s
-        self._tuned: list[Tuning] = []
-        self._tuned_at = 0
-        self._ended: Ended | None = None
+        self._recent_tunings: list[Tuning] = []
+        self._tuned_tick = 0
+        self._ended: LoopEnd | None = None
         self._armed = self._stopping = False
         self._handover: Handover | None = None
         self._done = threading.Event()
-        # CLOCK_MONOTONIC is slewed with the wall clock but never stepped, so one offset serves the whole run.
+        # CLOCK_MONOTONIC is slewed with the wall clock but never stepped, so one offset is valid for the run.
         self._epoch_ns = _epoch_offset_ns()
-        self._words = np.zeros(8, np.int64), np.zeros(8, np.int64)
+        self.switch: Final = make_switch() if switch is None else switch
+        self._words = np.zeros(8, np.int64), np.zeros(8, np.int64), self.switch
         self._missed_before = 0
         self.records: Final = Rings()
         self._loop = self.loop(devices, tuning, rate_hz)
@@ -86,12 +91,12 @@ class Servo:
         self._thread = threading.Thread(target=self._run, name="servo", daemon=True)
 
     def loop(self, devices: Sequence[Device], tuning: Tuning, rate_hz: float) -> Loop:
-        """A loop for this servo: the first one, or one to `replace` it, with as many fingers."""
+        """Return a loop for this servo: the first one, or one for `replace` with the same number of fingers."""
         values, period = leaves(tuning), period_ns(rate_hz)
         begin_bodies(tuning.scene, period / NS_PER_S)
         row = np.zeros(len(devices) * RECORD_SIZE)
-        held_max = int(HELD_MAX_S * rate_hz)
-        lines = tuple(make_line(record, held_max) for record in np.split(row, len(devices)))
+        max_ignored_ticks = int(IGNORED_WRENCH_MAX_S * rate_hz)
+        buffers = tuple(make_device_buffers(record, max_ignored_ticks) for record in np.split(row, len(devices)))
         capacity = 1 << int(np.ceil(np.log2(max(RING_SECONDS * rate_hz, 1024))))
         ring = self.records.newest
         if ring is None or len(ring.slots) != capacity:
@@ -108,32 +113,38 @@ class Servo:
                 np.zeros(2, np.int64),
                 values.copy(),
                 row,
-                lines,
-                make_way(tuning, round(self._ramp_s * rate_hz)),
+                buffers,
+                make_ramp(tuning, round(self._ramp_s * rate_hz)),
                 motion,
             ),
         )
         return Loop(tuple(devices), tuning, shared, arguments)
 
     def compile(self, loop: Loop | None = None) -> bool:
-        """Compile everything the loop, by default the first, and its readers call; True if all came from the cache."""
+        """Compile all functions that the loop (by default the first) and its readers call; True if all were cached."""
         _, _, shared, arguments = self._loop if loop is None else loop
         kernels: list[tuple[Any, tuple[Any, ...]]] = [
             (servo_loop, arguments),
             (take, (shared.ring, np.empty((1, shared.ring.slots.shape[1])))),
             (publish, (shared.tuning, shared.tuning.values)),
         ]
-        for kernel, given in kernels:
-            kernel.compile(tuple(numba.typeof(argument) for argument in given))
+        for kernel, signature in kernels:
+            kernel.compile(tuple(numba.typeof(argument) for argument in signature))
         return all(not kernel.stats.cache_misses for kernel, _ in kernels)
 
     @staticmethod
-    def compiled_for(tuning: Tuning) -> bool:
-        """Whether this process has the loop for the parts of this tuning."""
+    def with_tuning(loop: Loop, tuning: Tuning) -> Loop:
+        """Return a loop that has not started yet, with other parameters of the same structure."""
+        publish(loop.shared.tuning, leaves(tuning))
+        return loop._replace(tuning=tuning)
+
+    @staticmethod
+    def has_compiled(tuning: Tuning) -> bool:
+        """Return whether this process has compiled the loop for this structure of tuning."""
         return any(signature[0] == numba.typeof(tuning) for signature in servo_loop.signatures)  # type: ignore[attr-defined]
 
     def start(self) -> None:
-        """Start the thread; returns at once."""
+        """Start the thread and return at once."""
         self._thread.start()
 
     def _run(self) -> None:
@@ -143,14 +154,19 @@ class Servo:
                 undo = self._prepare()
             self._arm()
             ended = self._run_loops()
-        except BaseException as error:  # whatever it was, the device must be zeroed and join() must learn of it
-            ended = Ended(CRASHED, 0, error)
+        except BaseException as error:  # in any case the device must be zeroed and join() must return the error
+            ended = LoopEnd(CRASHED, 0, error)
         self._ended = ended
-        failed = shutdown.every(lambda: shutdown.stop_all(self.devices), *([undo] if undo else []), first=ended.error)
+        failed = shutdown.run_all_steps(
+            lambda: shutdown.stop_all(self.devices),
+            lambda: shutdown.confirm_zero(self.devices),
+            *([undo] if undo else []),
+            first=ended.error,
+        )
         if failed is not ended.error:
             if ended.ending in (STOPPED, FINISHED):
-                self._ended = Ended(CRASHED, ended.status, failed)
-            else:  # what ended the loop is the first error
+                self._ended = LoopEnd(CRASHED, ended.status, failed)
+            else:  # the reason for the end is the first error
                 log.error("%s", failed)
         self._done.set()
         self.records.end()
@@ -161,62 +177,63 @@ class Servo:
                 device.arm()
             self._armed = True
 
-    def _run_loops(self) -> Ended:
+    def _run_loops(self) -> LoopEnd:
         while True:
             ending, status, finger = servo_loop(*self._loop.arguments)
             handover = self._handover
             if handover is None or ending != STOPPED or self._stopping:
-                return Ended(ending, status, finger=finger)
-            self._take_over(handover)
+                return LoopEnd(ending, status, finger=finger)
+            self._switch_loop(handover)
 
-    def _take_over(self, handover: Handover) -> None:
-        """Between two loops, with the devices at zero."""
-        if not handover.keeps:
+    def _switch_loop(self, handover: Handover) -> None:
+        """Switch from one loop to the next, with the devices at zero."""
+        if not handover.keeps_devices:
             self._armed = False  # no tick is due until the next devices are armed
             shutdown.stop_all(self.devices)
-        handover.left.set()
-        handover.ready.wait()
+            shutdown.confirm_zero(self.devices)
+        handover.loop_ended.set()
+        handover.loop_ready.wait()
         if handover.loop is None:
             raise handover.error or SafetyStop("there was no loop to go on with")
-        self._loop, self._handover = self._carried_over(handover.loop), None
+        self._loop, self._handover = self._with_continued_limits(handover.loop), None
         self.records.add(self._loop.shared.ring)
         self.shared.stop[0] = 0
-        if self._stopping:  # asked for meanwhile
+        if self._stopping:  # requested in the meantime
             self.shared.stop[0] = 1
-        if not handover.keeps:
+        if not handover.keeps_devices:
             self._arm()
         handover.first, self._missed_before = self.ticks, self.missed
-        handover.begun.set()
+        handover.loop_started.set()
 
-    def _carried_over(self, loop: Loop) -> Loop:
-        """The loop with what the limits remember of the last tick."""
-        start = carried_over(loop.arguments[1], loop.tuning.guards, self._loop.arguments[5].row)
+    def _with_continued_limits(self, loop: Loop) -> Loop:
+        """Return the loop with the state of the limits after the last tick."""
+        start = continued_memory(loop.arguments[1], loop.tuning.guards, self._loop.arguments[5].row)
         return loop._replace(arguments=(loop.arguments[0], start, *loop.arguments[2:]))
 
-    def replace(self, make: Callable[[], Loop], keeps: bool) -> int:
-        """End the loop with zero force and begin another in the same thread; returns the number of its first tick.
+    def replace(self, make: Callable[[], Loop], keeps_devices: bool) -> int:
+        """End the loop with zero force and start another one in the same thread; return the number of its first tick.
 
-        make   returns the next loop, compiled; called here once the loop of before has ended. What it raises ends the
-               servo, and is raised here too
-        keeps  whether the devices are the same; they stay armed. Else they are stopped before `make`, and are the
-               caller's
+        make           returns the next loop, compiled; called in this thread once the previous loop has returned.
+                       An exception ends the servo, and is also raised here
+        keeps_devices  whether the devices are the same; then they remain armed. Otherwise they are stopped
+                       before `make`, and the caller owns them
 
-        Ticks, misses and times go on; contact, guard and energy begin anew. The time between the loops counts as no
-        missed deadline. Raises SafetyStop where the servo is not running. One thread only.
+        Numbers of ticks, missed deadlines and times continue; contact, guard and energy restart. The time between the
+        loops counts no missed deadline. Raises SafetyStop if the servo is not running. Only one thread may call this.
         """
         self.check_running()
-        handover = Handover(keeps)
+        handover = Handover(keeps_devices)
         self._handover = handover
         self.shared.stop[0] = 1
         try:
-            self._await(handover.left)
+            self._await(handover.loop_ended)
             handover.loop = make()
         except BaseException as error:
             handover.error = error
             raise
         finally:
-            handover.ready.set()
-        self._await(handover.begun)
+            handover.loop_ready.set()
+        self._await(handover.loop_started)
         return handover.first
 
     def _await(self, step: threading.Event) -> None:
@@ -225,16 +242,16 @@ class Servo:
             if self._ended is not None and self._ended.error is not None:
                 raise self._ended.error
             if self._done.is_set() or time.monotonic() > until:
-                raise SafetyStop("the servo ended, or hangs in its device, before it was replaced")
+                raise SafetyStop("the servo stopped, or hangs in its device, before it was replaced")
 
     def check_running(self) -> None:
-        """Raise SafetyStop unless ticks are going on."""
+        """Raise SafetyStop unless the loop is ticking."""
         if not self._armed or self._ended is not None:
             raise SafetyStop("the servo does not run: there is nothing to be replaced")
 
     @property
     def devices(self) -> tuple[Device, ...]:
-        """The devices of the loop that runs, or ran last, one for each finger."""
+        """Devices of the loop that runs or ran last, one for each finger."""
         return self._loop.devices
 
     @property
@@ -244,26 +261,26 @@ class Servo:
 
     @property
     def tuning(self) -> Tuning:
-        """What the loop that runs, or ran last, began with."""
+        """Initial tuning of the loop that runs or ran last."""
         return self._loop.tuning
 
     @property
     def shared(self) -> Shared:
-        """What the loop that runs, or ran last, shares with Python."""
+        """Memory that the loop that runs or ran last shares with Python."""
         return self._loop.shared
 
     @property
     def period_ns(self) -> int:
-        """Length of a tick of the loop that runs, or ran last."""
+        """Length of a tick of the loop that runs or ran last."""
         return int(self._loop.arguments[3].period_ns)
 
     def stop(self) -> None:
-        """Ask the loop to end after its current tick; from any thread, also from a signal handler."""
-        self._stopping = True  # first: a loop that is being replaced looks at both, in this order
+        """Stop the loop after its current tick; callable from any thread and from a signal handler."""
+        self._stopping = True  # first: a loop that is being replaced reads both, in this order
         self.shared.stop[0] = 1
 
-    def join(self, timeout_s: float | None = None) -> Ended | None:
-        """Wait for the end; None if it has not come within the time."""
+    def join(self, timeout_s: float | None = None) -> LoopEnd | None:
+        """Wait for the end and return it; None after a timeout."""
         # Not Thread.join: in Python 3.11 an interrupt inside it marks a live thread as finished.
         if not self._done.wait(timeout_s):
             return None
@@ -274,8 +291,8 @@ class Servo:
         return not self._done.is_set()
 
     @property
-    def looping(self) -> bool:
-        """Whether ticks are still to come; after the last one the devices are stopped, and then `running` ends."""
+    def is_ticking(self) -> bool:
+        """Whether ticks will follow; after the last one the devices are stopped, and then `running` becomes false."""
         return self._ended is None
 
     @property
@@ -285,7 +302,7 @@ class Servo:
 
     @property
     def epoch_s(self) -> float:
-        """What a record's timestamp is ahead of CLOCK_MONOTONIC, s."""
+        """Offset of a record's timestamp from CLOCK_MONOTONIC, s."""
         return self._epoch_ns / NS_PER_S
 
     @property
@@ -293,8 +310,8 @@ class Servo:
         """Ticks done so far."""
         return int(self.shared.progress[0])
 
-    def moment(self) -> tuple[int, float]:
-        """The last tick that is done, -1 before the first, and the time now on the ticks' clock, s since the epoch."""
+    def last_tick_and_time(self) -> tuple[int, float]:
+        """Return the last tick done, -1 before the first, and the present time (s since the epoch)."""
         while True:
             ticks, now = self.ticks, time.monotonic_ns()
             if self.ticks == ticks:
@@ -312,28 +329,30 @@ class Servo:
 
     @property
     def woken_late(self) -> bool:
-        """Of a loop that lost its time: whether most of it was lost before the thread was woken."""
+        """Whether a loop that lost its time lost most of it before the thread was woken."""
         return bool(self.shared.progress[2])
 
-    def fits(self, tuning: Tuning) -> bool:
-        """Whether the loop was compiled for the parts of this tuning."""
-        return alike(tuning, self._loop.tuning)
+    def is_compiled_for(self, tuning: Tuning) -> bool:
+        """Return whether the loop was compiled for this structure of tuning."""
+        return has_same_structure(tuning, self._loop.tuning)
 
     def tune(self, tuning: Tuning) -> None:
-        """Change parameters while running, along the ramp; the scene's parts must be the same (`fits`). One thread at a
-        time."""
-        if not self.fits(tuning):
+        """Change parameters along the ramp while running; they must have the same structure (`is_compiled_for`).
+
+        Only one thread may call this at a time.
+        """
+        if not self.is_compiled_for(tuning):
             raise ValueError("the new tuning has other parts than the one compiled: replace the loop")
-        # The scene that was replaced may own arrays, and the loop reads them until it has taken the new one. It has
-        # once two ticks have ended since the last write: the second began after it, and met no other.
-        if self.ticks >= self._tuned_at + 2:
-            del self._tuned[:-1]
-        self._tuned.append(tuning)
+        # The replaced scene may contain arrays, and the loop reads them until it has accepted the new one. It has done
+        # so once two ticks are done since the last write: the second one started after it and read no other scene.
+        if self.ticks >= self._tuned_tick + 2:
+            del self._recent_tunings[:-1]
+        self._recent_tunings.append(tuning)
         publish(self.shared.tuning, leaves(tuning))
-        self._tuned_at = self.ticks
+        self._tuned_tick = self.ticks
 
     def close(self) -> None:
-        """Release what its reader waited on, after the loop has ended and its reader has gone."""
+        """Release the eventfd of the records, after loop and reader have stopped."""
         if self._thread.ident is not None:
             self._thread.join()
         self.records.close()

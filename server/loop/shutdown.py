@@ -1,4 +1,4 @@
-"""Shutdown: the last zero, each step whatever the one before it did, and the words for what ended a loop."""
+"""Shutdown of devices, in which a failed step skips no other, and the errors for each end of a loop."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, PROTOCOL, TIMEOUT, Device
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -24,12 +24,17 @@ FINISHED: Final = 1
 READ_FAILED: Final = 2
 WRITE_FAILED: Final = 3
 CRASHED: Final = 4
-"""Ends of a loop, and of its thread; faults of server.loop.health go on from here."""
+"""Reasons for the end of a loop, and of its thread; the faults of server.loop.health have the next numbers."""
 
 
-class Ended(NamedTuple):
-    """How a loop ended: STOPPED ... CRASHED or a fault of server.loop.health, a device's last status, the error if it
-    crashed, and the place of the finger whose device it was."""
+class LoopEnd(NamedTuple):
+    """End of a loop.
+
+    ending  STOPPED ... CRASHED or a fault of server.loop.health
+    status  last status of a device
+    error   exception, if the loop crashed
+    finger  index of the finger of that device
+    """
 
     ending: int
     status: int
@@ -37,15 +42,15 @@ class Ended(NamedTuple):
     finger: int = 0
 
 
-def every(*steps: Callable[[], object], first: BaseException | None = None) -> BaseException | None:
-    """Run each step; returns the first error, which is for the caller to raise. The others are logged here.
+def run_all_steps(*steps: Callable[[], object], first: BaseException | None = None) -> BaseException | None:
+    """Run every step, also after an error; return the first error, for the caller to raise, and log further ones.
 
-    first  the error that there was before, if any: then those of all steps are logged
+    first  an earlier error, if any: then the errors of all steps are logged
     """
     for step in steps:
         try:
             step()
-        except BaseException as error:  # an interrupt, too, must not keep the next step from its turn
+        except BaseException as error:  # an interrupt, too, must not prevent the next step
             if first is None:
                 first = error
             else:
@@ -55,54 +60,64 @@ def every(*steps: Callable[[], object], first: BaseException | None = None) -> B
 
 @jit
 def write_zero(write: int, handle: int, wrench: NDArray[np.float64]) -> None:
-    """The last act of every loop, whatever ended it. `wrench` (6,) is scratch; nobody is left to act on the status."""
+    """Write zero, the last act of every loop, and ignore the status; `wrench` (6,) is scratch."""
     for i in range(6):
         wrench[i] = 0.0
     call_device(write, handle, wrench)
 
 
 def stop(device: Device) -> None:
-    """Stop a device; DeviceError where that fails, since then nobody knows what force it is left with.
+    """Stop a device; raises DeviceError on failure, because its force is then unknown.
 
-    A stop that fails is followed by a plain write of zero, the one way left; whoever else may be writing.
+    After a failed stop, zero is written directly, as the last resort, even if another thread may be writing.
     """
     try:
-        _named(device, device.stop, "be stopped")
+        _call_checked(device, device.stop, "be stopped")
     except BaseException:
-        _write_plainly(device)
+        _write_zero_directly(device)
         raise
 
 
-def _write_plainly(device: Device) -> None:
-    """Zero by the device's own write, whatever else goes on with it."""
+def _write_zero_directly(device: Device) -> None:
+    """Write zero by the device's write function, without regard to other calls in progress."""
     io, zero = device.io(), np.zeros(6)
     ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(io.write)(io.handle, zero.ctypes.data)
 
 
 def close(device: Device) -> None:
-    """Close a device; DeviceError as of `stop`."""
-    _named(device, device.close, "be closed")
+    """Close a device; errors as for `stop`."""
+    _call_checked(device, device.close, "be closed")
 
 
 def stop_all(devices: Sequence[Device]) -> None:
-    """`stop` of each, at the same time: one that fails, or hangs, keeps no other from its zero.
+    """Stop all devices in parallel: one that fails or hangs does not delay the zero force of another.
 
-    Raises the first error once all are done, or have had `opened.END_S`; the others are logged.
+    Raises the first error after all calls have returned, or after `open_devices.STOP_TIMEOUT_S`; logs further ones.
     """
-    failures = opened.at_once(stop, devices)
+    failures = open_devices.call_all(stop, devices)
     hung = [device for device, error in failures if isinstance(error, TimeoutError)]
-    opened.at_once(_write_plainly, hung)  # which may hang as well
+    open_devices.call_all(_write_zero_directly, hung)  # this write may hang as well
     _raise_first("be stopped", failures)
 
 
 def close_all(devices: Sequence[Device]) -> None:
-    """`close` of each, as `stop_all`."""
-    _raise_first("be closed", opened.at_once(close, devices))
+    """Close all devices, as `stop_all` does."""
+    _raise_first("be closed", open_devices.call_all(close, devices))
+
+
+def confirm_zero(devices: Sequence[Device]) -> None:
+    """Raise DeviceError if a stopped device does not confirm zero force."""
+    for device in devices:
+        if why := device.zero_failure():
+            raise DeviceError(
+                f"{device.info.name}: zero force is not confirmed ({why}): it may still push: switch it off"
+            )
 
 
 def _raise_first(what: str, failures: Sequence[tuple[Device, BaseException]]) -> None:
     errors = [
-        _failed(device, what, str(error)) if isinstance(error, TimeoutError) else error for device, error in failures
+        _device_error(device, what, str(error)) if isinstance(error, TimeoutError) else error
+        for device, error in failures
     ]
     for other in errors[1:]:
         log.error("during shutdown, besides: %s", other)
@@ -110,36 +125,36 @@ def _raise_first(what: str, failures: Sequence[tuple[Device, BaseException]]) ->
         raise errors[0]
 
 
-def _failed(device: Device, what: str, said: str) -> DeviceError:
-    return DeviceError(f"{device.info.name} could not {what} ({said}): it may still display a force: switch it off")
+def _device_error(device: Device, what: str, text: str) -> DeviceError:
+    return DeviceError(f"{device.info.name} could not {what} ({text}): it may still display a force: switch it off")
 
 
-def _named(device: Device, act: Callable[[], None], what: str) -> None:
+def _call_checked(device: Device, act: Callable[[], None], what: str) -> None:
     try:
         act()
     except HapticError:
         raise
     except Exception as error:
-        said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        raise _failed(device, what, said) from error
+        text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        raise _device_error(device, what, text) from error
 
 
-def device_failure(device: Device, ended: Ended, finger: str = "") -> HapticError | None:
-    """The error of a device that failed, in its own words and with what to do; None where it was not the device.
+def device_failure(device: Device, ended: LoopEnd, finger: str = "") -> HapticError | None:
+    """Return the error of a device that failed, with its reason and the remedy; None if no device failed.
 
-    finger  name of the one that it moves, if there are several
+    finger  name of the device's finger, if there are several
     """
-    doing = "read" if ended.ending == READ_FAILED else "write"
-    name, said = device.info.name + (f", finger '{finger}'" if finger else ""), device.reason()
-    because = f" ({said})" if said else ""
+    action = "read" if ended.ending == READ_FAILED else "write"
+    name, text = device.info.name + (f", finger '{finger}'" if finger else ""), device.reason()
+    because = f" ({text})" if text else ""
     if ended.ending == health.NO_POSE:
         return DeviceError(
-            f"{name}: no usable pose for {health.SILENCE_MAX_S:g} s{because}: zero force was commanded; "
+            f"{name}: no usable pose for {health.NO_FORCE_MAX_S:g} s{because}: zero force was commanded; "
             "see to its sensors and its cable, then start again"
         )
     if ended.ending == health.JUMPING:
         return DeviceError(
-            f"{name}: its pose jumps again and again, farther than a hand comes in the time{because}: zero force was "
+            f"{name}: its pose jumps repeatedly, farther than a hand moves in that time{because}: zero force was "
             "commanded; see to its sensors and its cable, then start again; where it was a hand, raise "
             "guard.speed_max_m_per_s or guard.turn_max_rad_per_s"
         )
@@ -149,20 +164,20 @@ def device_failure(device: Device, ended: Ended, finger: str = "") -> HapticErro
         return SafetyStop(f"{name} turned its force off{because}: see to the cause, then start again")
     if ended.status == TIMEOUT:
         return DeviceTimeout(
-            f"{name}: no answer to a {doing} in time{because}: check cable and power, then start again"
+            f"{name}: no answer to a {action} in time{because}: check cable and power, then start again"
         )
-    what = "answered what is not in its protocol" if ended.status == PROTOCOL else "is gone"
-    return DeviceLost(f"{name} {what} (status {ended.status} on {doing}){because}: plug it in again, then start again")
+    what = "sent an answer that is not in its protocol" if ended.status == PROTOCOL else "is gone"
+    return DeviceLost(f"{name} {what} (status {ended.status} on {action}){because}: plug it in again, then start again")
 
 
-def loop_failure(ended: Ended, ticks: int, missed: int, woken_late: bool) -> HapticError | None:
-    """The error of a loop that could not go on with a device that could; None where it was not the loop.
+def loop_failure(ended: LoopEnd, ticks: int, missed: int, woken_late: bool) -> HapticError | None:
+    """Return the error of a loop that failed although its devices work; None if the loop did not fail.
 
-    woken_late  whether most of the time it lost was lost before its thread was woken
+    woken_late  whether most of the lost time was lost before its thread was woken
     """
     if ended.ending == health.NO_FORCE:
         return SafetyStop(
-            f"the scene gave no finite force for {health.SILENCE_MAX_S:g} s: zero force was commanded; "
+            f"the scene gave no finite force for {health.NO_FORCE_MAX_S:g} s: zero force was commanded; "
             "softfinger check names values that do not go together, else report the scene"
         )
     if ended.ending != health.STARVED:

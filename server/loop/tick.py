@@ -1,6 +1,6 @@
-"""One tick without its clock and devices: poses in, passive and guarded wrenches and records out.
+"""One tick without its clock and devices: from poses to passive and guarded wrenches and records.
 
-The servo loop and `simulate` both run this, on the same poses to the same bits.
+The servo loop and `simulate` both call it; for equal poses the results are equal to the bit.
 """
 
 from math import isfinite
@@ -17,23 +17,23 @@ from softfinger.proxy.kernels.record_writer import put3, write_contact
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import AT, POSITION_MAX_M, RECORD_SIZE
 from softfinger.proxy.scene import start_state
-from softfinger.server.loop.guard import DISENGAGED, POSE_REFUSED, TOO_FAST, Guard, Guarded
-from softfinger.server.loop.limits import COLD, SPEED_S, Limited
-from softfinger.server.loop.output import Instant, Passed, at_rest, felt, output_wrench
+from softfinger.server.loop.guard import INITIAL_GUARD_STATE, POSE_REFUSED, TOO_FAST, Guard, GuardState
+from softfinger.server.loop.limits import INITIAL_LIMITS, SPEED_S, LimitState
+from softfinger.server.loop.output import Instant, OutputState, cool_limits, displayed_wrench, output_wrench
 from softfinger.server.loop.passivity import NO_ENERGY, Energy, Motion, keep_passive
 from softfinger.server.loop.reactions import no_reactions, reactions_of, relative_energy
 
 UNMOVED: Final = (-0.0, -0.0, -0.0)
-"""An offset that changes no bit of what it is added to, a zero's sign included."""
+"""Offset that changes no bit of a sum, including the sign of a zero."""
 
 
 class Tuning(NamedTuple):
-    """Everything that may change while the servo runs.
+    """All parameters that may change while the servo runs.
 
-    guards     tuple of Guard, one for each of the scene's fingers
-    passivity  Passivity or None, of all of them
-    tools      tuple of Tool or None, what each finger's device holds
-    offsets    tuple of (3,) m, what is added to the position that each device says; the loop's, of no tick
+    guards     tuple of Guard, one for each finger of the scene
+    passivity  Passivity or None, shared by all fingers
+    tools      tuple of Tool or None, the tool of each finger's device
+    offsets    tuple of (3,) m, added to the position from each device; used by the loop, not by the tick
     """
 
     scene: Scene
@@ -44,84 +44,95 @@ class Tuning(NamedTuple):
 
 
 class FingerMemory(NamedTuple):
-    """What a tick leaves for the next of one finger: its contact's state, the guard's, the energy so far, and that of
-    the limits, which lasts whatever becomes of the others; and what its contacts give to bodies that move, a tuple of
-    Reaction, or None in a scene without."""
+    """State of one finger between ticks.
+
+    contact      state of its contact
+    guard_state  state of its guard
+    energy       state of the passivity observer
+    limit_state  state of the limits, preserved whenever the other parts are reset
+    reactions    wrenches of its contacts on moving bodies, a tuple of Reaction; None in a scene without bodies
+    """
 
     contact: FingerState
-    guarded: Guarded
+    guard_state: GuardState
     energy: Energy
-    limited: Limited = COLD
+    limit_state: LimitState = INITIAL_LIMITS
     reactions: Any = None
 
 
 class Memory(NamedTuple):
-    """Everything a tick leaves for the next: the world, and a FingerMemory for each finger."""
+    """State between ticks: the world, and a FingerMemory for each finger."""
 
     world: World
     fingers: Any
 
 
 class Output(NamedTuple):
-    """Passivity and bodies of all fingers, which their wrenches depend on."""
+    """Stages of the output that all fingers share."""
 
     passivity: Any
     bodies: Any
 
 
 def begin(scene: Scene) -> Memory:
-    """Memory before the first tick."""
+    """Return the state before the first tick."""
     state = start_state(scene)
     fingers = tuple(
-        FingerMemory(finger, DISENGAGED, NO_ENERGY, COLD, no_reactions(scene.bodies, finger))
+        FingerMemory(finger, INITIAL_GUARD_STATE, NO_ENERGY, INITIAL_LIMITS, no_reactions(scene.bodies, finger))
         for finger in state.fingers
     )
     return Memory(state.world, fingers)
 
 
-def carried_over(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
-    """Memory before the first tick of a loop that takes over after a tick with these records, one after the other: new
-    guards do not cool the motors, nor slow the handle."""
+def continued_memory(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
+    """Return the state before the first tick of a loop that continues another one.
+
+    row  records of the last tick, one finger after the other
+
+    The limits continue from these records: new guards do not cool the motors or slow the handle.
+    """
     fingers = []
-    for place, (finger, guard) in enumerate(zip(start.fingers, guards, strict=True)):
-        record = row[place * RECORD_SIZE :]
+    for index, (finger, guard) in enumerate(zip(start.fingers, guards, strict=True)):
+        record = row[index * RECORD_SIZE :]
         wait = max(guard.limits.slow_s, SPEED_S) if int(record[AT.servo_guard]) & TOO_FAST else 0.0
-        limited = COLD._replace(wait=wait, heat=float(record[AT.limits_heat]), given=float(record[AT.limits_energy]))
-        fingers.append(finger._replace(limited=limited))
+        limit_state = INITIAL_LIMITS._replace(
+            wait=wait, heat=float(record[AT.limits_heat]), energy_given=float(record[AT.limits_energy])
+        )
+        fingers.append(finger._replace(limit_state=limit_state))
     return start._replace(fingers=tuple(fingers))
 
 
 @jit
-def let_go(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
-    """What is remembered after the hand was given no force, whatever was commanded: the guard's begins anew."""
-    return FingerMemory(hand.contact, start.guarded, hand.energy, hand.limited, start.reactions)
+def reset_guard(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
+    """Return the state after the device displayed no force in spite of the command: the guard restarts."""
+    return FingerMemory(hand.contact, start.guard_state, hand.energy, hand.limit_state, start.reactions)
 
 
 @jit
-def elsewhere(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
-    """What is remembered of a finger that is somewhere else now, without a way there: its contact begins anew."""
-    return FingerMemory(start.contact, hand.guarded, hand.energy, hand.limited, start.reactions)
+def reset_contact(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
+    """Return the state of a finger that was displaced without a path: its contact restarts."""
+    return FingerMemory(start.contact, hand.guard_state, hand.energy, hand.limit_state, start.reactions)
 
 
 @jit
-def held(before: Guarded, hand: FingerMemory) -> FingerMemory:
-    """What is remembered after the hand was left the force of `before`: the guard counts on from that one."""
-    guarded = Guarded(before.force, before.torque, hand.guarded.gain)
-    return FingerMemory(hand.contact, guarded, hand.energy, hand.limited, hand.reactions)
+def with_kept_wrench(before: GuardState, hand: FingerMemory) -> FingerMemory:
+    """Return the state after the device kept the wrench `before`: the slew limit continues from it."""
+    guard_state = GuardState(before.force, before.torque, hand.guard_state.gain)
+    return FingerMemory(hand.contact, guard_state, hand.energy, hand.limit_state, hand.reactions)
 
 
 @jit
-def record_wrench(tool: Any, guarded: Guarded, record: Any) -> None:
-    """Put another wrench of the device into a record whose pose stands."""
+def record_wrench(tool: Any, guard_state: GuardState, record: Any) -> None:
+    """Replace the wrench in a record by the one of the device; the pose remains."""
     at = AT.probe_orientation
     tip = (record[at], record[at + 1], record[at + 2], record[at + 3])
-    put3(record, AT.force, guarded.force)
-    put3(record, AT.torque, about_tip(tool, tip, guarded.force, guarded.torque))
+    put3(record, AT.force, guard_state.force)
+    put3(record, AT.torque, about_tip(tool, tip, guard_state.force, guard_state.torque))
 
 
 @jit
-def usable(sample: Any) -> bool:
-    """Whether a device sample holds a pose: finite, within reach, a quaternion that is about unit."""
+def has_pose(sample: Any) -> bool:
+    """Return whether a device sample has a pose: finite, within reach, with a quaternion of approximately unit norm."""
     square = 0.0
     for i in range(3):
         if not abs(sample[i]) <= POSITION_MAX_M:
@@ -135,17 +146,20 @@ def usable(sample: Any) -> bool:
 
 @jit
 def pose_of(tool: Any, last: Probe, sample: Any) -> Pose:
-    """The fingertip's pose by a sample of the handle; the last one where it holds none."""
-    if usable(sample):
+    """Return the fingertip's pose for a sample of the handle; the last pose if the sample has none."""
+    if has_pose(sample):
         position = (sample[0], sample[1], sample[2])
         return tip_of(tool, Pose(position, as_unit((sample[3], sample[4], sample[5], sample[6]))))
     return Pose(last.position, last.orientation)
 
 
 @jit
-def entered(world: World, finger: FingerState, pose: Pose) -> Any:
-    """A finger's state before a tick. One without a pose before, in a world that has gone on, has been where it is:
-    else a body that moves would be felt as if it had moved past."""
+def with_start_probe(world: World, finger: FingerState, pose: Pose) -> Any:
+    """Return a finger's state before a tick.
+
+    A finger without a previous pose, in a world that has already started, starts at its present pose; otherwise a
+    moving body would act as if it had moved past the finger.
+    """
     probe = finger.probe
     if finger.started == 0.0 and world.started != 0.0:
         probe = Probe(pose.position, pose.orientation, probe.velocity)
@@ -153,11 +167,11 @@ def entered(world: World, finger: FingerState, pose: Pose) -> Any:
 
 
 @jit
-def arrive(hand: FingerMemory, tool: Any, sample: Any, world: World) -> tuple[FingerState, Pose]:
-    """Before the step: a finger's state, and its pose."""
+def read_pose(hand: FingerMemory, tool: Any, sample: Any, world: World) -> tuple[FingerState, Pose]:
+    """Return the state and the pose of a finger before the step."""
     finger = hand.contact
     pose = pose_of(tool, finger.probe, sample)
-    return entered(world, finger, pose), pose
+    return with_start_probe(world, finger, pose), pose
 
 
 @jit
@@ -165,56 +179,64 @@ def command(
     hand: FingerMemory, start: FingerMemory, sample: Any, state: FingerState, contact: Contact, guard: Guard, tool: Any,
     record: Any, output: Output, instant: Instant,
 ) -> FingerMemory:  # fmt: skip
-    """After the step, the FingerMemory of one finger with the wrench to be commanded."""
+    """Return the FingerMemory of a finger after the step, with the wrench to be commanded."""
     before = hand.contact
-    if usable(sample):
+    if has_pose(sample):
         position, orientation = state.probe.position, state.probe.orientation
         now = Pose(position, orientation)
-        was = Pose(before.probe.position, before.probe.orientation) if before.started != 0.0 else now
-        motion = Motion(was, now, tool)
+        last = Pose(before.probe.position, before.probe.orientation) if before.started != 0.0 else now
+        motion = Motion(last, now, tool)
         energy = relative_energy(output.passivity, output.bodies, hand.energy, hand.reactions)
         energy, force = keep_passive(
-            output.passivity, energy, felt(guard, hand.guarded), motion, contact.mode, contact.force, instant.dt
+            output.passivity,
+            energy,
+            displayed_wrench(guard, hand.guard_state),
+            motion,
+            contact.mode,
+            contact.force,
+            instant.dt,
         )
         torque = about_handle(tool, orientation, force, contact.torque)
-        passed = Passed(hand.guarded, hand.limited)
-        passed, bits = output_wrench(guard, passed, motion, contact.mode, force, torque, instant)
-        guarded, limited = passed.guarded, passed.limited
+        output_state = OutputState(hand.guard_state, hand.limit_state)
+        output_state, bits = output_wrench(guard, output_state, motion, contact.mode, force, torque, instant)
+        guard_state, limit_state = output_state.guard_state, output_state.limit_state
     else:
         position, orientation = before.probe.position, before.probe.orientation
         contact = report_free(before, Probe(position, orientation, (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 0.0)
-        state, guarded, energy, bits = start.contact, start.guarded, start.energy, POSE_REFUSED
-        limited = at_rest(guard, hand.limited, instant.dt)
-    torque = about_tip(tool, orientation, guarded.force, guarded.torque)
-    write_contact(record, instant.number, instant.dt, position, orientation, contact, guarded.force, torque)
+        state, guard_state, energy, bits = start.contact, start.guard_state, start.energy, POSE_REFUSED
+        limit_state = cool_limits(guard, hand.limit_state, instant.dt)
+    torque = about_tip(tool, orientation, guard_state.force, guard_state.torque)
+    write_contact(record, instant.number, instant.dt, position, orientation, contact, guard_state.force, torque)
     record[AT.servo_guard] = bits
     record[AT.passivity_energy] = energy.work
     record[AT.passivity_damping] = energy.damping
-    record[AT.limits_speed] = norm(limited.velocity)
-    record[AT.limits_heat] = limited.heat
-    record[AT.limits_energy] = limited.given
-    shown = felt(guard, guarded)
-    given = Guarded(shown.force, about_tip(tool, orientation, shown.force, shown.torque), shown.gain)
-    reactions = reactions_of(output.passivity, output.bodies, hand.reactions, contact, given, position)
-    return FingerMemory(state, guarded, energy, limited, reactions)
+    record[AT.limits_speed] = norm(limit_state.velocity)
+    record[AT.limits_heat] = limit_state.heat
+    record[AT.limits_energy] = limit_state.energy_given
+    displayed = displayed_wrench(guard, guard_state)
+    displayed_at_tip = GuardState(
+        displayed.force, about_tip(tool, orientation, displayed.force, displayed.torque), displayed.gain
+    )
+    reactions = reactions_of(output.passivity, output.bodies, hand.reactions, contact, displayed_at_tip, position)
+    return FingerMemory(state, guard_state, energy, limit_state, reactions)
 
 
 @jit
 def tick(
     tuning: Tuning, start: Memory, memory: Memory, samples: Any, dt: float, period: float, number: int, records: Any
 ) -> Memory:
-    """Contact step, passivity and guard of all fingers; fills the contact part of their records.
+    """Run contact step, passivity and guard of all fingers, and fill the contact part of their records.
 
-    samples  a sample (position, quaternion, ...) for each finger, of its handle; so is the wrench that the memory is
-             left with, and the record has the fingertip's
+    samples  a sample (position, quaternion, ...) of its handle for each finger; the wrench in the returned memory also
+             acts at the handle, while the record has the wrench at the fingertip
     dt       s  time since the last tick
     period   s  nominal length of a tick
     records  a record for each finger
 
-    A sample without a usable pose ends that finger's contact: force zero, everything of it as at the `start`, the ramp
-    anew. The world and the other fingers go on.
+    A sample without a usable pose ends that finger's contact: zero force, its state as at the `start`, and a new ramp.
+    The world and the other fingers continue.
     """
-    fingers, poses = unzip(map_each(arrive, (memory.fingers, tuning.tools, samples), memory.world))
+    fingers, poses = unzip(map_each(read_pose, (memory.fingers, tuning.tools, samples), memory.world))
     state, contacts = step(tuning.scene, State(memory.world, fingers), poses, dt)
     hands = map_each(
         command,

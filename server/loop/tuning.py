@@ -1,4 +1,4 @@
-"""From configuration to the parameters of a tick."""
+"""Conversion of the configuration (scene, guard, tools) into the parameters of a tick."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from softfinger.server.progress import progress
 log: Final = logging.getLogger(__name__)
 
 DAMPING_MAX_NS_PER_M: Final = 20.0
-"""Of the passivity controller, where the scene gives none: at 1 kHz a device of 20 g still bears it."""
+"""Default of the passivity controller's largest damping: at 1 kHz it is stable for devices down to 20 g."""
 
 FORCE_DOF: Final = 3
-"""Degrees of freedom that a device which displays forces alone is moved in."""
+"""Degrees of freedom of a device that displays only forces."""
 
 
 def make_tuning(
@@ -38,23 +38,28 @@ def make_tuning(
     devices: Sequence[DeviceInfo] = (),
     tools: Sequence[schema.Tool | None] = (),
 ) -> Tuning:
-    """Parameters of the servo for a scene, a guard and each finger's tool; what its device allows is never exceeded.
+    """Return the parameters of the servo for a scene, a guard and each finger's tool, within the limits of its device.
 
-    Of an object that is stiffer than a device is said to hold a warning tells; it is rendered all the same.
+    Logs a warning for each object stiffer than the specified maximum of a device; it is rendered anyway.
     """
     guards = tuple(guard_limits(guard, info) for info in devices)
     for info, limits in zip(devices, guards, strict=True):
         if limits.force_max > 0.0:
-            _tell_what_is_too_stiff(scene, limits.force_max, info)
+            _warn_if_too_stiff(scene, limits.force_max, info)
     guards = guards or (guard_limits(guard),) * len(scene.fingers)
-    held = tuple(None if tool is None else make_tool(tool.offset_m, tool.orientation_wxyz) for tool in tools)
-    held = held or (None,) * len(scene.fingers)
-    return Tuning(_built(scene), guards, _passivity(scene.passivity), held, (UNMOVED,) * len(scene.fingers))
+    made_tools = tuple(None if tool is None else make_tool(tool.offset_m, tool.orientation_wxyz) for tool in tools)
+    made_tools = made_tools or (None,) * len(scene.fingers)
+    return Tuning(
+        _build_with_progress(scene), guards, _passivity(scene.passivity), made_tools, (UNMOVED,) * len(scene.fingers)
+    )
 
 
-def _built(scene: schema.Scene) -> model.Scene:
-    """The scene as it is rendered; what its meshes need may take seconds the first time, and shows that it goes on."""
-    files = [Path(thing.file).name for thing in scene.object if isinstance(thing, schema.Mesh)]
+def _build_with_progress(scene: schema.Scene) -> model.Scene:
+    """Return the scene in rendered form, with a progress message while meshes are read.
+
+    The first time, a mesh may take seconds.
+    """
+    files = [Path(obj.file).name for obj in scene.object if isinstance(obj, schema.Mesh)]
     if not files:
         return build_scene(scene)
     with progress(f"reading {', '.join(files)}"):
@@ -62,30 +67,30 @@ def _built(scene: schema.Scene) -> model.Scene:
 
 
 def with_scene(tuning: Tuning, scene: schema.Scene) -> Tuning:
-    """The tuning with other parameters of its scene, and the same guard."""
+    """Return the tuning with other parameters of its scene, and the same guard."""
     return tuning._replace(scene=build_scene(scene, tuning.scene), passivity=_passivity(scene.passivity))
 
 
-def _tell_what_is_too_stiff(scene: schema.Scene, force_max: float, device: DeviceInfo) -> None:
-    for thing in scene.object:
-        stiffness = thing.material.stiffness_under(force_max)
-        if stiffness > device.stiffness_max_n_per_m * (1.0 + 1e-9):  # more than rounding
+def _warn_if_too_stiff(scene: schema.Scene, force_max: float, device: DeviceInfo) -> None:
+    for obj in scene.object:
+        stiffness = obj.material.stiffness_under(force_max)
+        if stiffness > device.stiffness_max_n_per_m * (1.0 + 1e-9):  # beyond rounding
             log.warning(
                 "object '%s' has %.0f N/m at the guard's %g N, beyond the %g N/m of device %s, and may buzz: lower "
                 "stiffness_n_per_m%s",
-                thing.name,
+                obj.name,
                 stiffness,
                 force_max,
                 device.stiffness_max_n_per_m,
                 device.name,
-                "" if thing.material.normal is None else " or guard.force_max_n",
+                "" if obj.material.normal is None else " or guard.force_max_n",
             )
 
 
 def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard:
-    """The guard of a rig, armed, lowered to what the device allows.
+    """Return the guard of a rig, armed, and lowered to the limits of the device.
 
-    Poses are doubted where a force is held in a hand: what is recorded or computed may jump and stand still.
+    Poses are checked only if the device holds a force in a hand: recorded or computed poses may jump and repeat.
     """
     force, torque = guard.force_max_n, guard.torque_max_nm
     if device is not None and force > device.force_max_n:
@@ -96,31 +101,31 @@ def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard
         torque = device.torque_max_nm
     limits = Guard(force, torque, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 1.0)
     if device is not None and device.actuated_dof <= FORCE_DOF:
-        limits = limits._replace(turns=0.0)
-    if device is None or not device.holds_a_force:
+        limits = limits._replace(displays_torque=0.0)
+    if device is None or not device.has_persistent_force:
         return limits
-    doubting = {"speed_max": guard.speed_max_m_per_s, "turn_max": guard.turn_max_rad_per_s, "frozen": guard.frozen_s}
-    return limits._replace(**doubting, limits=hand_limits(guard))
+    pose_checks = {"speed_max": guard.speed_max_m_per_s, "turn_max": guard.turn_max_rad_per_s, "frozen": guard.frozen_s}
+    return limits._replace(**pose_checks, limits=hand_limits(guard))
 
 
 def hand_limits(guard: schema.Guard) -> Limits:
-    """The limits for a hand that a device may harm: its speed, the motors' heat, energy given, the workspace."""
+    """Return the limits that protect a hand: its speed, the heat of the motors, the energy given, and the workspace."""
     slow_s = SLOW_S if guard.arm == "automatic" else inf
     continuous = inf if guard.continuous_force_n is None else guard.continuous_force_n
     speed, wall = guard.handle_speed_max_m_per_s, _wall(guard.workspace)
     return Limits(speed, slow_s, continuous, guard.heat_time_s, guard.energy_max_j, wall)
 
 
-def _wall(asked: schema.Workspace | None) -> Workspace:
-    if asked is None:
+def _wall(workspace: schema.Workspace | None) -> Workspace:
+    if workspace is None:
         return NO_WALL
-    x, y, z = (0.0, 0.0, 0.0) if asked.size_m is None else asked.size_m
-    half, radius = (0.5 * x, 0.5 * y, 0.5 * z), 0.0 if asked.radius_m is None else asked.radius_m
-    return Workspace(asked.center_m, half, radius, asked.stiffness_n_per_m, asked.force_max_n)
+    x, y, z = (0.0, 0.0, 0.0) if workspace.size_m is None else workspace.size_m
+    half, radius = (0.5 * x, 0.5 * y, 0.5 * z), 0.0 if workspace.radius_m is None else workspace.radius_m
+    return Workspace(workspace.center_m, half, radius, workspace.stiffness_n_per_m, workspace.force_max_n)
 
 
 def with_offsets(tuning: Tuning, offsets: tuple[Vec3, ...]) -> Tuning:
-    """The tuning with other offsets of the positions that devices say; the workspace of each goes along."""
+    """Return the tuning with other offsets of the devices' positions; the workspace of each moves with its offset."""
     guards = []
     for guard, before, after in zip(tuning.guards, tuning.offsets, offsets, strict=True):
         wall = guard.limits.workspace
@@ -129,35 +134,27 @@ def with_offsets(tuning: Tuning, offsets: tuple[Vec3, ...]) -> Tuning:
     return tuning._replace(offsets=offsets, guards=tuple(guards))
 
 
-def _passivity(wanted: schema.Passivity | None) -> Passivity | None:
-    if wanted is None:
+def _passivity(passivity: schema.Passivity | None) -> Passivity | None:
+    if passivity is None:
         return None
-    if wanted.mode == "observe":
+    if passivity.mode == "observe":
         return Passivity(0.0)
-    given = wanted.damping_max_ns_per_m
-    return Passivity(DAMPING_MAX_NS_PER_M if given is None else given)
+    damping_max = passivity.damping_max_ns_per_m
+    return Passivity(DAMPING_MAX_NS_PER_M if damping_max is None else damping_max)
 
 
 def with_armed(tuning: Tuning, share: float) -> Tuning:
-    """The tuning whose guards let this share of the force through once their ramp is over: 1, or 0 for none."""
+    """Return the tuning with its guards armed (1) or disarmed (0): the share of the force passed after the ramp."""
     return tuning._replace(guards=tuple(guard._replace(armed=share) for guard in tuning.guards))
 
 
-def fading_out(tuning: Tuning) -> Tuning:
-    """The tuning with which each guard brings its force to zero along its slew limit."""
-    return tuning._replace(guards=tuple(guard._replace(force_max=0.0, torque_max=0.0) for guard in tuning.guards))
+def has_same_structure(a: Any, b: Any) -> bool:
+    """Return whether two trees have the same structure, so that one compiled loop serves both.
 
-
-def seconds_to_zero(tuning: Tuning) -> float:
-    """How long, s, the guards' slew limits take to bring the largest force and torque to zero."""
-    guards: tuple[Guard, ...] = tuning.guards
-    return max(max(guard.force_max / guard.force_slew, guard.torque_max / guard.torque_slew) for guard in guards)
-
-
-def alike(a: Any, b: Any) -> bool:
-    """Whether two trees have the same parts, so that one loop serves both; `numba.typeof` takes milliseconds for it."""
+    Calling `numba.typeof` on the trees would take milliseconds.
+    """
     if isinstance(a, tuple):
-        return type(a) is type(b) and len(a) == len(b) and all(map(alike, a, b))
+        return type(a) is type(b) and len(a) == len(b) and all(map(has_same_structure, a, b))
     if isinstance(a, float):
         return isinstance(b, float)
     if isinstance(a, Rows) and (not isinstance(b, Rows) or len(a) != len(b)):

@@ -1,4 +1,4 @@
-"""Figures for Prometheus, counted from the servo's records, and a Grafana dashboard of them.
+"""Metrics for Prometheus, computed from the servo's records, and a Grafana dashboard.
 
-No servo, and nothing that is counted anywhere else.
+Contains no servo and nothing that is counted elsewhere.
 """

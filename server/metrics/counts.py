@@ -1,6 +1,6 @@
-"""What Prometheus reads, counted over batches of records: sums and histograms by numpy, nothing tick by tick in Python.
+"""Metrics for Prometheus: sums and histograms, computed by numpy over batches of records.
 
-Names follow Prometheus: base units, `_total` for what only grows. docs/operate/metrics.md lists them.
+Names follow Prometheus' conventions: base units, `_total` for counters. docs/operate/metrics.md lists them.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from prometheus_client.registry import Collector
 from softfinger.drivers.base import HELD, WITHHELD
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.services.recordings import Written
-from softfinger.server.states import State
+from softfinger.server.services.recordings import RecordingTotals
+from softfinger.server.states import DaemonState
 
 Array = NDArray[np.float64]
 
 ROWS: Final = 1024
-"""Ticks that are kept until they are counted: to count a batch of one costs as much as to count all of these."""
+"""Ticks per computation: a batch of one tick takes as long as one of this size."""
 
 LATENESS_S: Final = [float(f"{step}e{power}") for power in (-6, -5, -4, -3) for step in (1, 2, 5)]
 EXECUTION_S: Final = LATENESS_S
 FORCE_N: Final = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0]
-"""Upper ends of the buckets; the last one is endless."""
+"""Upper bounds of the buckets; the last bucket is unbounded."""
 
 STATUSES: Final = {1: "repeated_or_limited", WITHHELD: "withheld", HELD: "held"}
-"""What a device's status in a tick means, where it is not done."""
+"""Labels of device statuses other than success."""
 
 _COLUMNS: Final = [
     AT.servo_late,
@@ -51,8 +51,8 @@ _COLUMNS: Final = [
 ]
 
 
-class Wire(NamedTuple):
-    """Of the publisher: subscribers now; messages they were too slow for, connections refused and restarts so far."""
+class PublisherCounts(NamedTuple):
+    """Counts of the publisher: current subscribers; messages they missed, refused connections and restarts so far."""
 
     subscribers: int
     lost: int
@@ -61,23 +61,25 @@ class Wire(NamedTuple):
 
 
 class Histogram:
-    """Counts of values by bucket, and their sum."""
+    """Counts of values per bucket, and their sum."""
 
-    def __init__(self, ends: Sequence[float]) -> None:
-        self._ends = np.asarray(ends)
-        self._counts = np.zeros(len(ends) + 1, np.int64)
+    def __init__(self, bounds: Sequence[float]) -> None:
+        self._bounds = np.asarray(bounds)
+        self._counts = np.zeros(len(bounds) + 1, np.int64)
         self._sum = 0.0
 
     def add(self, values: Array) -> None:
-        """Count values (n,); one that equals an end belongs below it, as Prometheus has it."""
-        self._counts += np.bincount(np.searchsorted(self._ends, values), minlength=len(self._counts))
+        """Count values (n,); a value equal to a bound counts below it, as in Prometheus."""
+        self._counts += np.bincount(np.searchsorted(self._bounds, values), minlength=len(self._counts))
         self._sum += float(values.sum())
 
-    def put_into(self, family: HistogramMetricFamily, labels: Sequence[str] = ()) -> None:
-        """The sums up to each end, as a scrape has them."""
-        ends = [*(f"{end:g}" for end in self._ends), "+Inf"]
+    def write_to(self, family: HistogramMetricFamily, labels: Sequence[str] = ()) -> None:
+        """Add the cumulative counts and the sum to a metric family."""
+        bounds = [*(f"{bound:g}" for bound in self._bounds), "+Inf"]
         counts = np.cumsum(self._counts).tolist()
-        family.add_metric(labels, [(end, float(count)) for end, count in zip(ends, counts, strict=True)], self._sum)
+        family.add_metric(
+            labels, [(bound, float(count)) for bound, count in zip(bounds, counts, strict=True)], self._sum
+        )
 
 
 class Finger:
@@ -86,7 +88,7 @@ class Finger:
     def __init__(self) -> None:
         self.force = Histogram(FORCE_N)
         self.modes_s = np.zeros(len(MODE_NAMES))
-        self.guarded = np.zeros(len(GUARD_NAMES), np.int64)
+        self.guard_ticks = np.zeros(len(GUARD_NAMES), np.int64)
         self.statuses = np.zeros(max(STATUSES) + 1, np.int64)
 
     def add(self, rows: Array) -> None:
@@ -95,74 +97,82 @@ class Finger:
         self.force.add(np.linalg.norm(rows[:, 6:], axis=1))
         self.modes_s += np.bincount(mode.astype(np.int64), weights=dt, minlength=len(MODE_NAMES))
         bits = guard.astype(np.int64)[:, None] >> np.arange(len(GUARD_NAMES)) & 1
-        self.guarded += bits.sum(axis=0)
+        self.guard_ticks += bits.sum(axis=0)
         self.statuses += np.bincount(status.astype(np.int64), minlength=len(self.statuses))[: len(self.statuses)]
 
 
-class Counts(Collector):
-    """Takes records, and gives the figures when it is asked. Of any thread.
+class MetricsCollector(Collector):
+    """Collector that receives records and returns the metrics on a scrape; thread-safe.
 
-    fingers  their names, an empty one for a single finger
-    wire     what the publisher counts
-    written  what the recordings of the run do
-    state    of the daemon
+    Parameters
+    ----------
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    wire
+        Returns the counts of the publisher.
+    written
+        Returns the counts of the recordings.
+    state
+        Returns the state of the daemon.
     """
 
     def __init__(
         self,
         fingers: Sequence[str],
-        wire: Callable[[], Wire],
-        written: Callable[[], Written],
-        state: Callable[[], State],
+        wire: Callable[[], PublisherCounts],
+        written: Callable[[], RecordingTotals],
+        state: Callable[[], DaemonState],
     ) -> None:
         self._names, self._wire, self._written, self._state = tuple(fingers), wire, written, state
         self._lock = threading.Lock()
         self._rows = np.empty((ROWS, len(self._names), len(_COLUMNS)))
-        self._kept = self._ticks = self._missed = self._drops = 0
+        self._pending_rows = self._ticks = self._missed = self._drops = 0
         self._late, self._exec = Histogram(LATENESS_S), Histogram(EXECUTION_S)
         self._fingers = [Finger() for _ in self._names]
 
-    def take(self, records: Array, drops: int) -> None:
-        """A batch (n, fingers x RECORD_SIZE), and how many the ring has lost so far."""
+    def add_records(self, records: Array, drops: int) -> None:
+        """Receive a batch (n, fingers x RECORD_SIZE), and the number of ticks lost by the ring buffer so far."""
         with self._lock:
             self._drops, self._missed = drops, int(records[-1, AT.servo_missed])
             self._ticks += len(records)
-            each = records.reshape(len(records), -1, RECORD_SIZE)
-            while len(each):
-                room = ROWS - self._kept
-                part, each = each[:room], each[room:]
-                self._rows[self._kept : self._kept + len(part)] = part[:, :, _COLUMNS]
-                self._kept += len(part)
-                if self._kept == ROWS:
+            remaining = records.reshape(len(records), -1, RECORD_SIZE)
+            while len(remaining):
+                free = ROWS - self._pending_rows
+                part, remaining = remaining[:free], remaining[free:]
+                self._rows[self._pending_rows : self._pending_rows + len(part)] = part[:, :, _COLUMNS]
+                self._pending_rows += len(part)
+                if self._pending_rows == ROWS:
                     self._count()
 
     def _count(self) -> None:
-        rows = self._rows[: self._kept]
+        rows = self._rows[: self._pending_rows]
         self._late.add(rows[:, 0, 0])
         self._exec.add(rows[:, 0, 1])
-        for place, finger in enumerate(self._fingers):
-            finger.add(rows[:, place])
-        self._kept = 0
+        for index, finger in enumerate(self._fingers):
+            finger.add(rows[:, index])
+        self._pending_rows = 0
 
     def collect(self) -> Iterator[Metric]:
-        """Every figure; called by the registry."""
+        """Yield all metrics; called by the registry."""
         with self._lock:
             self._count()
-            found = [*self._of_servo(), *self._of_fingers()]
+            metrics = [*self._servo_metrics(), *self._finger_metrics()]
         subscribers, lost, refused, restarts = self._wire()
-        yield from found
+        yield from metrics
         yield GaugeMetricFamily("softfinger_subscribers", "Connections that subscribe to something", subscribers)
         yield _counter("softfinger_messages_lost", "Messages that subscribers were too slow to take", lost)
-        yield _counter("softfinger_connections_refused", "Connections refused or cut off for what they did", refused)
+        yield _counter(
+            "softfinger_connections_refused", "Connections refused or closed because of their messages", refused
+        )
         yield _counter("softfinger_publisher_restarts", "Times the publisher was started again", restarts)
-        yield from _of_recordings(self._written())
+        yield from _recording_metrics(self._written())
         state, now = GaugeMetricFamily("softfinger_state", "1 for the daemon's state", labels=["state"]), self._state()
-        for each in State:
+        for each in DaemonState:
             state.add_metric([each.value], float(each is now))
         yield state
         yield InfoMetricFamily("softfinger_build", "What runs", {"version": version("softfinger")})
 
-    def _of_servo(self) -> Iterator[Metric]:
+    def _servo_metrics(self) -> Iterator[Metric]:
         yield _counter("softfinger_ticks", "Ticks of the servo", self._ticks)
         yield _counter("softfinger_deadlines_missed", "Deadlines of the servo that passed without a tick", self._missed)
         yield _counter("softfinger_records_dropped", "Ticks that the daemon was too slow to take", self._drops)
@@ -171,25 +181,25 @@ class Counts(Collector):
             ("softfinger_execution_seconds", "From the servo's wake-up until the device was written", self._exec),
         ):
             family = HistogramMetricFamily(name, text)
-            histogram.put_into(family)
+            histogram.write_to(family)
             yield family
 
-    def _of_fingers(self) -> Iterator[Metric]:
+    def _finger_metrics(self) -> Iterator[Metric]:
         force = HistogramMetricFamily("softfinger_force_newtons", "Force on the hand", labels=["finger"])
         modes = CounterMetricFamily("softfinger_mode_seconds", "Time in a contact mode", labels=["finger", "mode"])
         guard = CounterMetricFamily("softfinger_guarded_ticks", "Ticks the guard changed", labels=["finger", "cause"])
         errors = CounterMetricFamily(
-            "softfinger_device_errors", "Ticks that a device did not do as asked", labels=["finger", "status"]
+            "softfinger_device_errors", "Ticks in which a device did not execute a request", labels=["finger", "status"]
         )
         for name, finger in zip(self._names, self._fingers, strict=True):
-            finger.force.put_into(force, [name])
+            finger.force.write_to(force, [name])
             _label(modes, name, zip(MODE_NAMES, finger.modes_s.tolist(), strict=True))
-            _label(guard, name, zip(GUARD_NAMES, finger.guarded.tolist(), strict=True))
+            _label(guard, name, zip(GUARD_NAMES, finger.guard_ticks.tolist(), strict=True))
             _label(errors, name, ((text, int(finger.statuses[status])) for status, text in STATUSES.items()))
         yield from (force, modes, guard, errors)
 
 
-def _of_recordings(written: Written) -> Iterator[Metric]:
+def _recording_metrics(written: RecordingTotals) -> Iterator[Metric]:
     yield _counter("softfinger_recorded_ticks", "Ticks in recordings, of the first finger", written.ticks)
     yield _counter("softfinger_recorded_bytes", "Bytes of recordings", written.bytes)
     yield _counter(

@@ -1,8 +1,11 @@
-"""Metrics as a service: a small HTTP server for Prometheus, on loopback, one request at a time."""
+"""Metrics service: HTTP server for Prometheus on loopback, one request at a time."""
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import socket
+import threading
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
@@ -12,7 +15,7 @@ from prometheus_client import CollectorRegistry, make_wsgi_app
 
 import softfinger.server.metrics
 from softfinger.server.loop import shutdown
-from softfinger.server.metrics.counts import Counts
+from softfinger.server.metrics.counts import MetricsCollector
 from softfinger.server.services.base import Worker
 from softfinger.server.services.records import Sink
 from softfinger.server.wire.endpoint import Bound
@@ -20,28 +23,34 @@ from softfinger.server.wire.endpoint import Bound
 log: Final = logging.getLogger(__name__)
 
 KEY: Final = "[metrics] endpoint"
-REQUEST_S: Final = 1.0
-"""How long a client may take for a piece of its request, or an answer."""
+REQUEST_TIMEOUT_S: Final = 1.0
+"""Time limit for a client to send its request and receive the answer."""
 POLL_S: Final = 0.25
 DASHBOARD: Final = Path(softfinger.server.metrics.__file__).with_name("grafana.json")
 DASHBOARD_PATH: Final = "/dashboard.json"
 
 
 class Metrics(Worker):
-    """Answers on an endpoint that is bound already. What fails here ends nothing else.
+    """Worker that serves the metrics on a bound endpoint. Its failure does not end other services.
 
-    counts  what is counted
-    event   publishes an event
+    Parameters
+    ----------
+    bound
+        Endpoint.
+    counts
+        Source of the metrics.
+    event
+        Publishes an event.
     """
 
-    def __init__(self, bound: Bound, counts: Counts, event: Callable[..., Any]) -> None:
+    def __init__(self, bound: Bound, counts: MetricsCollector, event: Callable[..., Any]) -> None:
         super().__init__("metrics")
         self.endpoint: Final = bound.endpoint.replace("tcp://", "http://")
         self._bound, self._event = bound, event
         registry = CollectorRegistry()
         registry.register(counts)
-        self._figures = make_wsgi_app(registry)
-        self.sink: Final = Sink("metrics", counts.take)
+        self._metrics_app = make_wsgi_app(registry)
+        self.sink: Final = Sink("metrics", counts.add_records)
 
     def work(self) -> None:
         with _Server(self._bound, self._answer) as server:
@@ -52,7 +61,7 @@ class Metrics(Worker):
         self._event("fault", "metrics", message=str(error))
 
     def stop(self) -> None:
-        failed = shutdown.every(super().stop, self._bound.files.close)
+        failed = shutdown.run_all_steps(super().stop, self._bound.files.close)
         if failed is not None:
             raise failed
 
@@ -60,12 +69,12 @@ class Metrics(Worker):
         if environ["PATH_INFO"] == DASHBOARD_PATH:
             start_response("200 OK", [("Content-Type", "application/json")])
             return [DASHBOARD.read_bytes()]
-        answer: Iterable[bytes] = self._figures(environ, start_response)
+        answer: Iterable[bytes] = self._metrics_app(environ, start_response)
         return answer
 
 
 class _Server(WSGIServer):
-    """On a socket that listens already."""
+    """WSGI server on a socket that is already listening."""
 
     timeout = POLL_S
 
@@ -82,7 +91,23 @@ class _Server(WSGIServer):
 
 
 class _Handler(WSGIRequestHandler):
-    timeout = REQUEST_S
+    timeout = REQUEST_TIMEOUT_S
+
+    def handle(self) -> None:
+        """Answer one request within REQUEST_TIMEOUT_S.
+
+        `timeout` only limits each read, which is not enough because clients are served one after another.
+        """
+        timer = threading.Timer(REQUEST_TIMEOUT_S, self._close_connection)
+        timer.start()
+        try:
+            super().handle()
+        finally:
+            timer.cancel()
+
+    def _close_connection(self) -> None:
+        with contextlib.suppress(OSError):  # the client has closed the connection
+            self.connection.shutdown(socket.SHUT_RDWR)
 
     def log_message(self, *_: Any) -> None:
-        """Nothing: a scrape every few seconds is no news."""
+        """Log nothing: a scrape every few seconds is not worth a line."""

@@ -1,4 +1,4 @@
-"""The servo's tick without its clock, and what is kept and drawn of a run.
+"""The servo's tick without its clock: simulation, results files, cost, summaries and figures.
 
-Nothing here needs a device or real time.
+Contains no code that needs a device or real time.
 """

@@ -1,8 +1,7 @@
-"""The servo's tick and simulated devices in one compiled loop, without a clock: as fast as it goes.
+"""The servo's tick and simulated devices in one compiled loop without a clock, as fast as possible.
 
-`run_closed_loop` leaves a record of every tick, the bits that the daemon computes with the same devices.
-`close_loop` keeps figures only and is for kernels of a study, which call it for case after case;
-`close_many` does that for rows of parameters.
+`run_closed_loop` yields a record of every tick, equal bit for bit to the daemon's with the same devices. `close_loop`
+returns only figures; kernels of a study call it for each case. `close_many` calls it for rows of parameters.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from softfinger.drivers.simulated.options import Simulation
-from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Plant, PlantState, advance, goal_at, sense
+from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, Plant, PlantInputs, PlantState, advance, goal_at, sense
 from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry, jit
 from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
@@ -31,28 +30,28 @@ from softfinger.server.progress import CHUNK, progress
 
 Array = NDArray[np.float64]
 
-FIGURES: Final = ("ticks", "left", "excursion", "force", "energy")
-"""What `close_many` leaves of a case: fields of `Outcome`."""
+FIGURES: Final = ("ticks", "exit_tick", "excursion", "force", "energy")
+"""Figures of a case that `close_many` writes: fields of `Outcome`."""
 
 
-class Nowhere(NamedTuple):
-    """A record that keeps nothing: writing to it compiles to nothing."""
+class NullRecord(NamedTuple):
+    """Record that discards all values: writes to it compile to nothing."""
 
     unused: float
 
 
-NOWHERE: Final[Any] = Nowhere(0.0)
+NULL_RECORD: Final[Any] = NullRecord(0.0)
 
 
 @overload(operator.setitem, jit_options=OPTIONS)
-def _set_nowhere(record, index, value):  # type: ignore[no-untyped-def]
-    if getattr(record, "instance_class", None) is Nowhere:
+def _set_null_record(record, index, value):  # type: ignore[no-untyped-def]
+    if getattr(record, "instance_class", None) is NullRecord:
         return lambda record, index, value: None
     return None
 
 
 class Run(NamedTuple):
-    """Number of the first tick, how many ticks, and the nominal length of each, s, the plant's period."""
+    """Number of the first tick, number of ticks, and nominal period of a tick, s, which is the plant's period."""
 
     first: int
     ticks: int
@@ -60,21 +59,21 @@ class Run(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a closed loop comes to.
+    """Result of a closed loop.
 
-    memory, state  for going on
-    ticks          done
-    left           tick at which the handle was farther than the bound from where it began, or nowhere; -1 if never
-    excursion      m  largest distance of the handle from where it began, at ticks
+    memory, state  for the continuation
+    ticks          number of ticks run
+    exit_tick      tick at which the handle left the bound around its start, or became nan; -1 if never
+    excursion      m  largest distance of the handle from its start, at ticks
     force          N  largest norm of the commanded force
-    energy         J  work of the commanded force on the handle: force times the way of its tick, summed up;
-                      above 0 the scene has given energy, more than its springs held at the start makes it active
+    energy         J  work of the commanded force on the handle: sum over ticks of force times displacement;
+                      above 0 the scene has released energy, above the initial energy of its springs it is active
     """
 
     memory: Memory
     state: PlantState
     ticks: float
-    left: float
+    exit_tick: float
     excursion: float
     force: float
     energy: float
@@ -87,62 +86,62 @@ def close_loop(
     memory: Memory,
     plant: Plant,
     state: PlantState,
-    drive: Drive,
+    drive: PlantInputs,
     run: Run,
     bound: float,
 ) -> Outcome:
-    """As many ticks as `run` says; ends early when the handle leaves `bound` (m).
+    """Run the ticks of `run`; stop early when the handle leaves `bound` (m).
 
     start   begin(tuning.scene)
-    memory  what the last tick left; `start` before the first
-    state   of the plant at the first of them; at_rest(...) before the first of all
+    memory  after the previous tick; `start` before the first
+    state   of the plant at the first tick of `run`; at_rest(...) at the start
     """
     dt = run.dt
     origin, contact = state.position, memory
-    far, strongest, energy, left, done = 0.0, 0.0, 0.0, -1.0, 0
-    for number in range(run.first, run.first + run.ticks):
+    max_distance2, max_force2, energy, exit_tick, tick_count = 0.0, 0.0, 0.0, -1.0, 0
+    for tick_number in range(run.first, run.first + run.ticks):
         x, q = sense(plant, state), state.orientation
         sample: Any = (x[0], x[1], x[2], q[0], q[1], q[2], q[3])
-        contact = tick(tuning, start, contact, (sample,), dt, dt, number, (NOWHERE,))
+        contact = tick(tuning, start, contact, (sample,), dt, dt, tick_number, (NULL_RECORD,))
         step_bodies(tuning.scene.bodies)
-        force = contact.fingers[0].guarded.force
-        goal, orientation = goal_at(drive.intention, drive.poses, number + 1)
-        before = state.position
+        force = contact.fingers[0].guard_state.force
+        goal, orientation = goal_at(drive.intention, drive.poses, tick_number + 1)
+        previous_position = state.position
         state = advance(plant, state, force, goal, orientation, drive.line)
-        done += 1
-        strongest = max(strongest, vec3.dot(force, force))
-        energy += vec3.dot(force, vec3.sub(state.position, before))
-        away = vec3.sub(state.position, origin)
-        distance = vec3.dot(away, away)
-        # not (a <= b): a position that is not a number has left as well
-        if not distance <= far:
-            far = distance
-            if not distance <= bound * bound:
-                left = number + 1.0
+        tick_count += 1
+        max_force2 = max(max_force2, vec3.dot(force, force))
+        energy += vec3.dot(force, vec3.sub(state.position, previous_position))
+        displacement = vec3.sub(state.position, origin)
+        distance2 = vec3.dot(displacement, displacement)
+        # not (a <= b): also true for a position of nan
+        if not distance2 <= max_distance2:
+            max_distance2 = distance2
+            if not distance2 <= bound * bound:
+                exit_tick = tick_number + 1.0
                 break
-    return Outcome(contact, state, float(done), left, sqrt(far), sqrt(strongest), energy)
+    return Outcome(contact, state, float(tick_count), exit_tick, sqrt(max_distance2), sqrt(max_force2), energy)
 
 
-class Held(NamedTuple):
-    """A simulated device in a hand: what does not change of it, and what drives it."""
+class DrivenPlant(NamedTuple):
+    """Simulated device in a hand: its constants and its drive."""
 
     plant: Plant
-    drive: Drive
+    drive: PlantInputs
 
 
 @jit
-def sample_of(hand: Held, state: Any) -> Any:
-    """What a device says of itself: its pose in a tuple of seven."""
+def sense_device(hand: DrivenPlant, state: Any) -> Any:
+    """Return the sensed pose of a device as a tuple of seven."""
     x, q = sense(hand.plant, state), state.orientation
     return x[0], x[1], x[2], q[0], q[1], q[2], q[3]
 
 
 @jit
-def advance_device(hand: Held, state: Any, finger: FingerMemory, number: int) -> Any:
-    """State of a device at tick `number`, after what its FingerMemory commands of it."""
+def advance_device(hand: DrivenPlant, state: Any, finger: FingerMemory, tick_number: int) -> Any:
+    """Return the state of a device at a tick under the wrench of its FingerMemory."""
     plant, drive = hand.plant, hand.drive
-    goal, orientation = goal_at(drive.intention, drive.poses, number)
-    return advance(plant, state, finger.guarded.force, goal, orientation, drive.line)
+    goal, orientation = goal_at(drive.intention, drive.poses, tick_number)
+    return advance(plant, state, finger.guard_state.force, goal, orientation, drive.line)
 
 
 @entry
@@ -155,12 +154,12 @@ def record_ticks(
     first: int,
     records: Array,
 ) -> None:
-    """As many ticks of `dt` s as `records` (n, fingers, RECORD_SIZE) has rows, from tick `first`.
+    """Run a tick of `dt` s for each row of `records` (n, fingers, RECORD_SIZE), from tick `first`.
 
     tuning_packed  Tuning
-    memory_packed  Memory, as it is before the first tick of all; its leaves are those of now, and carried on
-    hands          a Held for each finger, in a tuple
-    states_packed  a PlantState of each in a tuple, carried on as the memory
+    memory_packed  Memory; `like` is the initial one, `values` are the current values, which are updated
+    hands          tuple of a DrivenPlant for each finger
+    states_packed  tuple of a PlantState for each finger; `values` are updated
     """
     start = memory_packed.like
     tuning = unpack(tuning_packed.like, tuning_packed.values)
@@ -168,7 +167,7 @@ def record_ticks(
     states = unpack(states_packed.like, states_packed.values)
     for i in range(records.shape[0]):
         rows = rows_of(memory.fingers, records[i], 0)
-        memory = tick(tuning, start, memory, map_each(sample_of, (hands, states)), dt, dt, first + i, rows)
+        memory = tick(tuning, start, memory, map_each(sense_device, (hands, states)), dt, dt, first + i, rows)
         step_bodies(tuning.scene.bodies)
         records[i, :, 0] = (first + i) * dt
         states = map_each(advance_device, (hands, states, memory.fingers), first + i + 1)
@@ -177,16 +176,18 @@ def record_ticks(
 
 
 def run_closed_loop(tuning: Tuning, devices: Sequence[Simulation], rate_hz: float, ticks: int) -> Iterator[Array]:
-    """Simulate a scene felt through a device for each finger, as the daemon computes it, and yield the records.
+    """Simulate a scene with a simulated device for each finger as the daemon does, and yield the records.
 
-    Blocks (m, fingers, RECORD_SIZE) of at most CHUNK ticks. The timestamp is the tick times dt, and the fields of servo
-    timing and device are 0.
+    Yields blocks (m, fingers, RECORD_SIZE) of at most CHUNK ticks. The timestamp is the tick times dt; the fields of
+    servo timing and device are 0.
     """
     dt = period_ns(rate_hz) / NS_PER_S
     begin_bodies(tuning.scene, dt)
     scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
     states = packed(tuple(device.state for device in devices))
-    hands = tuple(Held(each.plant, Drive(each.intention, each.poses, np.zeros(LINE_SIZE))) for each in devices)
+    hands = tuple(
+        DrivenPlant(each.plant, PlantInputs(each.intention, each.poses, np.zeros(DELAY_LINE_SIZE))) for each in devices
+    )
     with progress("simulating", ticks) as done:
         for first in range(0, ticks, CHUNK):
             records = np.zeros((min(CHUNK, ticks - first), len(devices), RECORD_SIZE))
@@ -202,15 +203,15 @@ def close_many(
     start: Memory,
     plants: Packed,
     states: Packed,
-    drive: Drive,
+    drive: PlantInputs,
     ticks: int,
     bound: float,
     figures: Array,
 ) -> None:
-    """`close_loop` for n cases, each from its beginning.
+    """Run `close_loop` for n cases, each from its start.
 
-    tunings, plants, states  Tuning, Plant and PlantState of each case, leaves (n, ...); one row (1, ...) is for all
-    figures                  (n, 5) what is left of each: FIGURES
+    tunings, plants, states  Tuning, Plant and PlantState of each case, leaves (n, ...); one row (1, ...) applies to all
+    figures                  (n, 5) FIGURES of each case, written
     """
     for i in range(figures.shape[0]):
         tuning = unpack(tunings.like, tunings.values[min(i, tunings.values.shape[0] - 1)])
@@ -219,7 +220,7 @@ def close_many(
         drive.line[:] = 0.0
         end = close_loop(tuning, start, start, plant, state, drive, Run(0, ticks, 1.0 / plant.rate), bound)
         figures[i, 0] = end.ticks
-        figures[i, 1] = end.left
+        figures[i, 1] = end.exit_tick
         figures[i, 2] = end.excursion
         figures[i, 3] = end.force
         figures[i, 4] = end.energy

@@ -1,4 +1,4 @@
-"""What a tick of a scene costs, and what each of its parts adds: measured here and now, back to back."""
+"""Cost of a tick of a scene and of each of its parts, measured back to back on this machine."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from softfinger.config import schema
 from softfinger.proxy.kernels.contact.fingertip import seen_by
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import Packed, flatten, pack, packed, unpack
-from softfinger.proxy.kernels.jit.tuples import same_for
+from softfinger.proxy.kernels.jit.tuples import first_of
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.objects import closest_to_within
@@ -26,19 +26,22 @@ from softfinger.server.loop.clock import Stopwatch, now_ns, sleep_until, stopwat
 Array = NDArray[np.float64]
 
 BLOCK: Final = 10_000
-"""Steps of a block: once along the poses."""
-SHORT: Final = 200
-"""Steps between two looks at the clock, some 20 us: another program that takes the processor for a millisecond spoils
-few of them, and the clock's own cost is about 0.1 ns a step."""
+"""Steps per block: one pass over the poses."""
+STRETCH_STEPS: Final = 200
+"""Steps per stretch between two clock readings, about 20 us.
+
+Few stretches are affected if another program takes the processor for a millisecond. Reading the clock costs about 0.1
+ns per step.
+"""
 PRESS_N: Final = 1.0
 
 
 class Cost(NamedTuple):
-    """Time of one step, ns, and the share of steps in contact.
+    """Time of one step, ns, and fraction of steps in contact.
 
-    median_ns    of each stretch of SHORT poses the median over the blocks; of these the mean
+    median_ns    mean over the stretches of STRETCH_STEPS poses of their median over the blocks
     p99_ns       99th percentile over all stretches
-    cpu_ns       median over blocks of the time that the thread had a processor for
+    cpu_ns       median over blocks of the thread's processor time
     """
 
     median_ns: float
@@ -55,139 +58,146 @@ def time_steps(
     dt: float,
     watch: Stopwatch,
     cpu_ns: NDArray[np.int64],
-    apart_ns: int = 0,
+    pause_ns: int = 0,
 ) -> tuple[float, int]:
-    """Step through `poses` (n, 7) once for each block, every finger along the same; returns a sum of forces, and the
-    contacts of the first.
+    """Step through `poses` (n, 7), the same for every finger, once per block.
 
-    start    State at the first step; changed to that after the last
-    watch    (blocks, m)  of each of m stretches of the poses, of n // m each
-    cpu_ns   (blocks,)    out: time of the thread on a processor
-    apart_ns              sleep between stretches, as the servo loop does between ticks
+    start    State at the first step; updated to the last
+    watch    (blocks, m)  time of each of m stretches of n // m poses, written
+    cpu_ns   (blocks,)    processor time of the thread, written
+    pause_ns              sleep between stretches, as the servo loop does between ticks
+
+    Returns a sum of forces, and the number of steps with contact of the first finger.
     """
     parameters, total, touching = unpack(scene.like, scene.values), 0.0, 0
     state, timespec, short_ns = unpack(start.like, start.values), watch.timespec, watch.ns
     length = poses.shape[0] // short_ns.shape[1]
     for block in range(short_ns.shape[0]):
-        cpu_begun = thread_cpu_ns(timespec)
+        cpu_start_ns = thread_cpu_ns(timespec)
         for stretch in range(short_ns.shape[1]):
-            if apart_ns > 0:
-                sleep_until(now_ns(timespec) + apart_ns, timespec)
-            begun = now_ns(timespec)
+            if pause_ns > 0:
+                sleep_until(now_ns(timespec) + pause_ns, timespec)
+            start_ns = now_ns(timespec)
             for i in range(stretch * length, (stretch + 1) * length):
                 pose = poses[i]
                 position, orientation = (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6])
-                probes = same_for(parameters.fingers, Pose(position, orientation))
+                probe = Pose(position, orientation)
+                probes = first_of(parameters.fingers, probe, probe)
                 state, contacts = step(parameters, state, probes, dt)
                 contact = contacts[0]
                 total += contact.force[0] + contact.force[2] + contact.torque[2]
                 touching += contact.mode != FREE
-            short_ns[block, stretch] = now_ns(timespec) - begun
-        cpu_ns[block] = thread_cpu_ns(timespec) - cpu_begun
+            short_ns[block, stretch] = now_ns(timespec) - start_ns
+        cpu_ns[block] = thread_cpu_ns(timespec) - cpu_start_ns
     pack(start.values, state)
     return total, touching
 
 
 @entry
 def follow_surface(scene: Any, values: Array, points: Array, height: float) -> None:
-    """Move each of `points` (n, 3) to `height` (m) over the first object as the first finger sees it, nearest to it."""
+    """Move each of `points` (n, 3) to `height` (m) above its nearest point on the surface of the first object.
+
+    Surfaces are relative to the centre of the first finger (`seen_by`): Minkowski sums for an ellipsoidal fingertip.
+    """
     parameters = unpack(scene, values)
     finger = parameters.fingers[0]
     objects = seen_by(finger.form, finger.radius, parameters.objects, (1.0, 0.0, 0.0, 0.0))
     for i in range(points.shape[0]):
         x = (points[i, 0], points[i, 1], points[i, 2])
-        _, foot, normal, _ = closest_to_within(objects, 0.0, x, BUDGET)
-        at = vec3.add_scaled(foot, height, normal)
+        _, nearest, normal, _ = closest_to_within(objects, 0.0, x, BUDGET)
+        at = vec3.add_scaled(nearest, height, normal)
         points[i, 0], points[i, 1], points[i, 2] = at
 
 
 def touching_poses(scene: schema.Scene, count: int = BLOCK) -> Array:
-    """Poses (count, 7) of a fingertip that presses 1 N into the first object, rolls, spins and drags; periodic. Of
-    several fingertips it is the thinnest."""
+    """Return periodic poses (count, 7) of a fingertip that presses 1 N into the first object, rolls, spins and drags.
+
+    With several fingertips it is the one with the smallest radius.
+    """
     tree = build_scene(scene)
-    thing, radius = scene.object[0], min(finger.radius_m for finger in scene.fingers)
+    obj, radius = scene.object[0], min(finger.radius_m for finger in scene.fingers)
     values = flatten(tree)
-    # Some point outside of the object: the first of a few around it that the fingertip fits at.
-    around = np.random.default_rng(0).normal(size=(64, 3))
-    around *= (np.geomspace(1e-3, 1e4, 64) * radius / np.linalg.norm(around, axis=1))[:, None]
-    seat = around + thing.position_m
-    follow_surface(tree, values, seat, radius)
-    gaps = np.linalg.norm(seat - seat[0], axis=1)
-    base = seat[int(np.argmin(gaps))]
+    # A point outside the object: the first of random points around it at which the fingertip fits.
+    offsets = np.random.default_rng(0).normal(size=(64, 3))
+    offsets *= (np.geomspace(1e-3, 1e4, 64) * radius / np.linalg.norm(offsets, axis=1))[:, None]
+    seats = offsets + obj.position_m
+    follow_surface(tree, values, seats, radius)
+    gaps = np.linalg.norm(seats - seats[0], axis=1)
+    base = seats[int(np.argmin(gaps))]
     t = 2.0 * np.pi * np.arange(count) / count
     poses = np.zeros((count, 7))
     sway = np.stack([0.4 * np.sin(3.0 * t), 0.2 * np.sin(2.0 * t), 0.3 * np.sin(4.0 * t)], axis=1)
     poses[:, :3] = base + radius * sway
     points = np.ascontiguousarray(poses[:, :3])
-    follow_surface(tree, values, points, radius - thing.material.depth_under(PRESS_N))
+    follow_surface(tree, values, points, radius - obj.material.depth_under(PRESS_N))
     poses[:, :3] = points
-    turns = np.stack([0.04 * np.sin(5.0 * t), 0.03 * np.sin(4.0 * t), 0.1 * np.sin(t)], axis=1)
-    poses[:, 3:] = np.concatenate([np.ones((count, 1)), turns / 2.0], axis=1)
+    rotations = np.stack([0.04 * np.sin(5.0 * t), 0.03 * np.sin(4.0 * t), 0.1 * np.sin(t)], axis=1)
+    poses[:, 3:] = np.concatenate([np.ones((count, 1)), rotations / 2.0], axis=1)
     poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1)[:, None]
     return poses
 
 
 def measure(scene: schema.Scene, poses: Array, blocks: int = 50) -> Cost:
-    """Cost of a step of `scene` over `poses`; compiles what is not compiled yet."""
+    """Measure the cost of a step of `scene` over `poses`; compiles the kernels if necessary."""
     tree = build_scene(scene)
     parameters, state = packed(tree), packed(start_state(tree))
-    stretches = max(1, len(poses) // SHORT)
+    stretches = max(1, len(poses) // STRETCH_STEPS)
     steps = len(poses) // stretches * stretches
     watch, cpu = stopwatch(blocks, stretches), np.zeros(blocks, np.int64)
     time_steps(parameters, state, poses, 0.001, stopwatch(1, stretches), cpu[:1].copy())
     _, touching = time_steps(parameters, state, poses, 0.001, watch, cpu)
-    each = watch.ns * (stretches / steps)
+    step_ns = watch.ns * (stretches / steps)
     return Cost(
-        median_ns=float(np.mean(np.median(each, axis=0))),
-        p99_ns=float(np.percentile(each, 99)),
+        median_ns=float(np.mean(np.median(step_ns, axis=0))),
+        p99_ns=float(np.percentile(step_ns, 99)),
         in_contact=touching / (steps * blocks),
         cpu_ns=float(np.median(cpu)) / steps,
     )
 
 
 def without_parts(scene: schema.Scene) -> Iterator[tuple[str, schema.Scene]]:
-    """The scene with one part after the other left out, and the name of that part."""
+    """Yield the name of each part of the scene, and the scene without it."""
     replace = msgspec.structs.replace
 
     def material(**changes: Any) -> tuple[Any, ...]:
-        return tuple(replace(thing, material=replace(thing.material, **changes)) for thing in scene.object)
+        return tuple(replace(obj, material=replace(obj.material, **changes)) for obj in scene.object)
 
     if scene.rolling is not None:
         yield f"rolling ({scene.rolling.method})", replace(scene, rolling=None)
-    if any(thing.material.normal for thing in scene.object):
+    if any(obj.material.normal for obj in scene.object):
         yield "law of the normal force", replace(scene, object=material(normal=None))
     if any(finger.radii_m for finger in scene.fingers):
-        yield "ellipsoid", _with_tips(scene, _ball)
+        yield "ellipsoid", _with_tips(scene, _spherical)
     if scene.soft:
         yield "patch", _with_tips(scene, _rigid)
-    if any(thing.material.torsion for thing in scene.object):
+    if any(obj.material.torsion for obj in scene.object):
         yield "torsion", replace(scene, object=material(torsion=None))
-    if any(thing.material.friction for thing in scene.object):
+    if any(obj.material.friction for obj in scene.object):
         yield "friction and rolling", replace(scene, rolling=None, object=_frictionless(scene))
     if scene.effect:
         yield "effects of the workspace", replace(scene, effect=())
-    if any(thing.effect for thing in scene.object):
-        yield "effects of objects", replace(scene, object=tuple(replace(thing, effect=()) for thing in scene.object))
-    if any(thing.motion for thing in scene.object):
-        yield "motion", replace(scene, object=tuple(replace(thing, motion=None) for thing in scene.object))
-    if any(getattr(thing, "texture", None) for thing in scene.object):
-        yield "texture", replace(scene, object=tuple(_even(thing) for thing in scene.object))
+    if any(obj.effect for obj in scene.object):
+        yield "effects of objects", replace(scene, object=tuple(replace(obj, effect=()) for obj in scene.object))
+    if any(obj.motion for obj in scene.object):
+        yield "motion", replace(scene, object=tuple(replace(obj, motion=None) for obj in scene.object))
+    if any(getattr(obj, "texture", None) for obj in scene.object):
+        yield "texture", replace(scene, object=tuple(_without_texture(obj) for obj in scene.object))
     if len(scene.object) > 1:
         yield f"all objects but '{scene.object[0].name}'", replace(scene, object=scene.object[:1])
 
 
-def bare(scene: schema.Scene) -> schema.Scene:
-    """The first object alone, its normal force linear, without anything else."""
+def bare_contact(scene: schema.Scene) -> schema.Scene:
+    """Return the scene with only its first object, with a linear normal force and no other part."""
     replace = msgspec.structs.replace
-    thing = _even(scene.object[0])
-    plain = replace(thing.material, normal=None, friction=None, torsion=None)
-    only = replace(thing, material=plain, effect=(), motion=None)
-    plain_tips = _with_tips(_with_tips(scene, _rigid), _ball)
-    return replace(plain_tips, rolling=None, effect=(), object=(only,))
+    obj = _without_texture(scene.object[0])
+    plain = replace(obj.material, normal=None, friction=None, torsion=None)
+    first_object = replace(obj, material=plain, effect=(), motion=None)
+    plain_tips = _with_tips(_with_tips(scene, _rigid), _spherical)
+    return replace(plain_tips, rolling=None, effect=(), object=(first_object,))
 
 
 def _with_tips(scene: schema.Scene, change: Callable[[Any], Any]) -> schema.Scene:
-    """The scene with other fingertips."""
+    """Return the scene with changed fingertips."""
     tip = None if scene.fingertip is None else change(scene.fingertip)
     return msgspec.structs.replace(scene, fingertip=tip, finger=tuple(change(each) for each in scene.finger))
 
@@ -196,23 +206,23 @@ def _rigid(tip: Any) -> Any:
     return msgspec.structs.replace(tip, patch=None)
 
 
-def _ball(tip: Any) -> Any:
+def _spherical(tip: Any) -> Any:
     return msgspec.structs.replace(tip, radius_m=tip.reaches_m[0], radii_m=None, orientation_wxyz=None)
 
 
-def _even(thing: schema.Object) -> schema.Object:
-    return msgspec.structs.replace(thing, texture=None) if isinstance(thing, schema.Textured) else thing
+def _without_texture(obj: schema.Object) -> schema.Object:
+    return msgspec.structs.replace(obj, texture=None) if isinstance(obj, schema.Textured) else obj
 
 
 def _frictionless(scene: schema.Scene) -> tuple[Any, ...]:
     replace = msgspec.structs.replace
     objects = []
-    for thing in scene.object:
-        torsion = thing.material.torsion
+    for obj in scene.object:
+        torsion = obj.material.torsion
         if torsion is not None and torsion.model == "limit_surface":  # shares its limit with friction
             torsion = replace(torsion, model="independent")
-        if isinstance(thing, schema.Textured) and thing.texture is not None:
-            heights = thing.texture.height_m
-            thing = replace(thing, texture=heights and replace(thing.texture, friction_scale=None))
-        objects.append(replace(thing, material=replace(thing.material, friction=None, torsion=torsion)))
+        if isinstance(obj, schema.Textured) and obj.texture is not None:
+            heights = obj.texture.height_m
+            obj = replace(obj, texture=heights and replace(obj.texture, friction_scale=None))
+        objects.append(replace(obj, material=replace(obj.material, friction=None, torsion=torsion)))
     return tuple(objects)

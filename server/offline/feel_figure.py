@@ -1,4 +1,4 @@
-"""Figures of the library: the model of a material or a fingertip beside what was published."""
+"""Figures of the library: the model of a material or fingertip next to published values."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from numpy.typing import NDArray
 
 from softfinger.config.materials import Entry, Measured
 from softfinger.config.schema import Fingertip, Material
-from softfinger.server.offline.feels import entries, found, whole
 from softfinger.server.offline.figures import figure, legends_below, save
+from softfinger.server.offline.library_texts import entries, find_entry, library_table
 
 Array = NDArray[np.float64]
 
 LOAD_N: Final = (0.1, 20.0)
-"""Loads that are drawn: from a touch to a firm grip."""
+"""Range of loads in the figures: from a touch to a firm grip."""
 SHEAR_PER_YOUNG: Final = 1.0 / 3.0
-"""Shear modulus over Young's modulus of what keeps its volume."""
+"""Shear modulus over Young's modulus of an incompressible solid."""
 
 
 def draw(name: str, path: Path) -> None:
-    """Draw an entry and save it as .png or .svg; ConfigError for a name that none has."""
-    kind, entry = found(name)
+    """Draw an entry and save it as .png or .svg. Raises ConfigError if the name is unknown."""
+    kind, entry = find_entry(name)
     drawing = figure(9.0, 3.6)
     axes = drawing.subplots(1, 2)
     if kind == "material":
-        material = whole(kind, name)
+        material = library_table(kind, name)
         friction(axes[0], entry, material)
         depth(axes[1], entry, material)
     else:
-        tip = whole(kind, name)
+        tip = library_table(kind, name)
         patch(axes[0], {name: (entry, tip)})
         torsion(axes[1], {name: tip})
     drawing.suptitle(f"{name}: {entry.about}\nholds for {entry.holds}", fontsize="x-small")
@@ -43,41 +43,45 @@ def draw(name: str, path: Path) -> None:
 
 
 def friction(axes: Any, entry: Entry, material: Material) -> None:
-    """Static and kinetic friction over the load, and the published coefficients at theirs."""
+    """Draw static and kinetic friction over the load, and the published coefficients at their loads."""
     law = material.friction
     assert law is not None  # every material of the library has friction
     axes.plot(LOAD_N, [law.static] * 2, color="C0", label="model, static")
     axes.plot(LOAD_N, [law.kinetic] * 2, "--", color="C0", label="model, kinetic")
     points = [each for each in entry.measured if each.friction is not None]
-    free = np.geomspace(0.3, 8.0, len(points) + 2)[1:-1]
-    for place, each in enumerate(points):
-        load = free[place] if each.load_n is None else float(np.sqrt(each.load_n[0] * each.load_n[1]))
-        across = "" if each.load_n else ", load not said"
-        point(axes, load, each, f"C{place + 1}", f"{each.of}{across} ({each.paper})")
+    free_loads = np.geomspace(0.3, 8.0, len(points) + 2)[1:-1]
+    for index, each in enumerate(points):
+        load = free_loads[index] if each.load_n is None else float(np.sqrt(each.load_n[0] * each.load_n[1]))
+        load_note = "" if each.load_n else ", load unknown"
+        point(axes, load, each, f"C{index + 1}", f"{each.of}{load_note} ({each.paper})")
     axes.set(xscale="log", xlabel="load [N]", ylabel="coefficient of friction")
     axes.set_ylim(0.0, 1.1 * axes.get_ylim()[1])
 
 
 def point(axes: Any, x: float, each: Measured, color: str, label: str) -> None:
-    """A published coefficient with its deviation, and with the loads that it is a mean over."""
-    across = None if each.load_n is None else [[x - each.load_n[0]], [each.load_n[1] - x]]
-    axes.errorbar(x, each.friction, spread(each), across, fmt="o", ms=4, capsize=3, color=color, label=label)
+    """Draw a published coefficient with its deviation and the range of loads that it averages."""
+    load_range = None if each.load_n is None else [[x - each.load_n[0]], [each.load_n[1] - x]]
+    axes.errorbar(x, each.friction, spread(each), load_range, fmt="o", ms=4, capsize=3, color=color, label=label)
 
 
 def spread(each: Measured) -> list[list[float]]:
-    """How far a published coefficient's error bar goes down and up: to its deviation, or down to the least value."""
+    """Return the lower and upper error bar of a published coefficient: its deviation, or below to the lowest value."""
     deviation = each.sd or 0.0
     return [[deviation if each.low is None or each.friction is None else each.friction - each.low], [deviation]]
 
 
 def overview(axes: Any) -> None:
-    """The coefficients of every material of which one of skin was published, and these."""
-    known = [(name, entry) for name, (_, entry) in entries().items() if any(each.friction for each in entry.measured)]
-    rows = dict(zip((name for name, _ in known), range(len(known), 0, -1), strict=True))
-    laws = np.array([[entry.values["friction"][key] for key in ("kinetic", "static")] for _, entry in known])
+    """Draw the coefficients of all materials with a published coefficient on skin, and these coefficients."""
+    measured_entries = [
+        (name, entry) for name, (_, entry) in entries().items() if any(each.friction for each in entry.measured)
+    ]
+    rows = dict(zip((name for name, _ in measured_entries), range(len(measured_entries), 0, -1), strict=True))
+    laws = np.array([[entry.values["friction"][key] for key in ("kinetic", "static")] for _, entry in measured_entries])
     axes.hlines(list(rows.values()), *laws.T, color="C0", lw=2.5, label="model, kinetic to static")
-    axes.plot(laws[:, 1], list(rows.values()), "|", color="C0", ms=6)  # where both are one
-    points = [(rows[name], each) for name, entry in known for each in entry.measured if each.friction is not None]
+    axes.plot(laws[:, 1], list(rows.values()), "|", color="C0", ms=6)  # visible if both are equal
+    points = [
+        (rows[name], each) for name, entry in measured_entries for each in entry.measured if each.friction is not None
+    ]
     axes.errorbar(
         [each.friction for _, each in points],
         [row - 0.25 for row, _ in points],
@@ -89,34 +93,36 @@ def overview(axes: Any) -> None:
 
 
 def depth(axes: Any, entry: Entry, material: Material) -> None:
-    """The normal force over the depth, and that of an elastic sphere over the range of the moduli measured.
+    """Draw the normal force over the depth, and that of an elastic sphere for the range of measured moduli.
 
-    Published points of a force over a depth there are none of: no table of them could be opened.
+    There are no published points of force over depth: no table of them was accessible.
     """
     force = np.linspace(0.0, 3.0, 61)
-    told = "chosen for rendering, not measured" if material.normal is None else "computed, by Hertz"
+    origin = "chosen for rendering, not measured" if material.normal is None else "computed, by Hertz"
     line = [1e3 * material.depth_under(each) if each else 0.0 for each in force]
-    axes.plot(line, force, color="C0", label=f"model: {told}")
+    axes.plot(line, force, color="C0", label=f"model: {origin}")
     for each in entry.measured:
         if each.youngs_modulus_pa is not None:
             low, high = (1e3 * hertz_depth(force, young, RADIUS_M) for young in each.youngs_modulus_pa)
-            axes.fill_betweenx(force, high, low, color="C1", alpha=0.25, lw=0, label=banded(each))
+            axes.fill_betweenx(force, high, low, color="C1", alpha=0.25, lw=0, label=label_band(each))
     axes.set(xlabel="depth [mm]", ylabel="normal force [N]")
 
 
-def banded(each: Measured) -> str:
-    """What a band is made of: a published range and a law, no points."""
+def label_band(each: Measured) -> str:
+    """Return the label of a band: a published range and a law."""
     what = "modulus, by Hertz" if each.youngs_modulus_pa is not None else "exponent"
     return f"range of the {what}: {each.of} ({each.paper})"
 
 
 RADIUS_M: Final = 0.01
-"""Of the finger pad that the materials are computed for."""
+"""Radius of the finger pad for which the materials are computed."""
 
 
 def hertz_depth(force: Array, youngs_modulus_pa: float, radius_m: float) -> Array:
-    """Depth, m, of an incompressible elastic sphere on something rigid under `force`, N: (3 F / (4 E* sqrt(r)))^(2/3),
-    E* = E / (1 - 1/4)."""
+    """Return the depth, m, of an incompressible elastic sphere on a rigid plane under `force`, N.
+
+    (3 F / (4 E* sqrt(r)))^(2/3), E* = E / (1 - 1/4)
+    """
     reduced = youngs_modulus_pa / 0.75
     depth_m: Array = (3.0 * force / (4.0 * reduced * np.sqrt(radius_m))) ** (2.0 / 3.0)
     return depth_m
@@ -125,26 +131,26 @@ def hertz_depth(force: Array, youngs_modulus_pa: float, radius_m: float) -> Arra
 # --- fingertips ----------------------------------------------------------------------------------------
 
 
-def patch(axes: Any, drawn: dict[str, tuple[Entry, Fingertip]]) -> None:
-    """The radius of the patch over the load, and what the moduli and exponents measured come to."""
+def patch(axes: Any, tips: dict[str, tuple[Entry, Fingertip]]) -> None:
+    """Draw the patch radius over the load, and the bands that follow from measured moduli and exponents."""
     load = np.linspace(0.0, 10.0, 31)
-    told: set[str] = set()
-    for name, (entry, tip) in drawn.items():
+    drawn_labels: set[str] = set()
+    for name, (entry, tip) in tips.items():
         axes.plot(load, 1e3 * patch_radius(tip, load), label=f"{name}, computed")
         for each in entry.measured:
             band = patch_band(each, tip)
-            if band is not None and (text := banded(each)) not in told:
-                told.add(text)
-                at, low, high = band
-                axes.fill_between(at, 1e3 * low, 1e3 * high, alpha=0.2, lw=1.0, label=text)
+            if band is not None and (text := label_band(each)) not in drawn_labels:
+                drawn_labels.add(text)
+                loads, low, high = band
+                axes.fill_between(loads, 1e3 * low, 1e3 * high, alpha=0.2, lw=1.0, label=text)
     axes.set(xlabel="load [N]", ylabel="radius of the patch [mm]")
     axes.set_ylim(bottom=0.0)
 
 
 def patch_band(each: Measured, tip: Fingertip) -> tuple[Array, Array, Array] | None:
-    """Loads (n,) N, least and largest radius (n,) m that a published range allows; None for one of something else.
+    """Return loads (n,) N, and smallest and largest radius (n,) m for a published range; None for another quantity.
 
-    Of a modulus by Hertz's law on this fingertip, of an exponent about this one's radius at 1 N.
+    A modulus gives the radius by Hertz's law on this fingertip; an exponent scales the radius of this fingertip at 1 N.
     """
     load = np.linspace(*(each.load_n or (0.0, 10.0)), 9)
     if each.youngs_modulus_pa is not None:
@@ -158,7 +164,7 @@ def patch_band(each: Measured, tip: Fingertip) -> tuple[Array, Array, Array] | N
 
 
 def patch_radius(tip: Fingertip, load: Array) -> Array:
-    """Radius (n,) of the patch, m, under `load` (n,) N on something rigid, as the contact model has it."""
+    """Return the patch radius (n,) m under `load` (n,) N on a rigid plane, according to the contact model."""
     radius, pad = tip.radius_m or 0.0, tip.patch
     assert pad is not None  # every fingertip of the library has a patch
     if pad.radius_m is None:
@@ -168,15 +174,15 @@ def patch_radius(tip: Fingertip, load: Array) -> Array:
 
 
 def hertz_radius(load: Array, shear_modulus_pa: float, radius_m: float) -> Array:
-    """Radius of the patch, m, of an incompressible elastic sphere on something rigid: (3 F r / (16 G))^(1/3)."""
+    """Return the patch radius, m, of an incompressible elastic sphere on a rigid plane: (3 F r / (16 G))^(1/3)."""
     radius: Array = (3.0 * load * radius_m / (16.0 * shear_modulus_pa)) ** (1.0 / 3.0)
     return radius
 
 
-def torsion(axes: Any, drawn: dict[str, Fingertip]) -> None:
-    """The torsional limit over the load, over the coefficient of friction."""
+def torsion(axes: Any, tips: dict[str, Fingertip]) -> None:
+    """Draw the torsional limit divided by the coefficient of friction, over the load."""
     load = np.linspace(0.0, 4.0, 61)[1:]
-    for name, tip in drawn.items():
+    for name, tip in tips.items():
         assert tip.patch is not None
         arm = mean_distance(tip.patch.pressure_exponent or 2.0) * patch_radius(tip, load)
         axes.plot(load, 1e3 * arm * load, label=f"{name}, computed")
@@ -184,7 +190,10 @@ def torsion(axes: Any, drawn: dict[str, Fingertip]) -> None:
 
 
 def mean_distance(exponent: float, steps: int = 4000) -> float:
-    """Mean distance of the pressure (1 - s^k)^(1/k) from the centre of a patch of radius 1, by the midpoint rule."""
+    """Return the mean distance from the centre under the pressure (1 - s^k)^(1/k) on a patch of radius 1.
+
+    Uses the midpoint rule.
+    """
     s = (np.arange(steps) + 0.5) / steps
     pressure = (1.0 - s**exponent) ** (1.0 / exponent)
     return float((pressure * s * s).sum() / (pressure * s).sum())

@@ -1,4 +1,4 @@
-"""Figures: made and saved, as .png or .svg by their file's name. matplotlib is an extra, imported when one is drawn."""
+"""Creation and saving of figures as .png or .svg. matplotlib is an extra, imported when a figure is drawn."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from softfinger.config.files import new_file
 FORMATS: Final = (".png", ".svg")
 
 
-def unusable(path: Path) -> str | None:
-    """Why no figure could be saved as `path`; None if one can."""
+def reason_unsavable(path: Path) -> str | None:
+    """Return why no figure can be saved as `path`; None if one can."""
     if path.suffix not in FORMATS:
         return f"a figure is {' or '.join(FORMATS)} by its file name"
     if not path.parent.is_dir():
@@ -26,30 +26,31 @@ def unusable(path: Path) -> str | None:
 
 
 def plot_file(text: str) -> Path:
-    """Type of the option `--plot`: refused before the work and not after it."""
+    """Type of the option `--plot`: raises ArgumentTypeError before the work starts, not after it."""
     path = Path(text)
-    if (why := unusable(path)) is not None:
-        raise ArgumentTypeError(f"{path}: {why}")
+    if (reason := reason_unsavable(path)) is not None:
+        raise ArgumentTypeError(f"{path}: {reason}")
     return path
 
 
 def figure(width: float = 8.0, height: float = 4.5) -> Any:
-    """A matplotlib figure."""
+    """Return an empty matplotlib figure."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def legends_below(drawing: Any, axes: Any, size: str) -> None:
-    """Legends of two axes beside each other, below both, where long words cover no data."""
+    """Draw the legends of two axes side by side below both, where long texts cover no data."""
     for side, each in zip(("left", "right"), axes, strict=True):
         drawing.legend(*each.get_legend_handles_labels(), loc=f"outside lower {side}", frameon=False, fontsize=size)
 
 
 def save(drawing: Any, path: Path) -> None:
-    """Write a figure in the format its name says.
+    """Write a figure in the format of its file ending.
 
-    An SVG is the same for the same data, to be kept beside text: no date, words as words, coordinates to a hundredth.
+    SVG files are made for version control: equal for equal data, without a date, with text as text, and with
+    coordinates to a hundredth.
     """
     if path.suffix != ".svg":
         with new_file(path) as file:
@@ -60,6 +61,6 @@ def save(drawing: Any, path: Path) -> None:
     text = io.StringIO()
     with rc_context({"svg.hashsalt": "softfinger", "svg.fonttype": "none"}):
         drawing.savefig(text, format="svg", metadata={"Date": None, "Creator": "softfinger"})
-    short = re.sub(r"(\.\d\d)\d+|^ +| +$", r"\1", text.getvalue(), flags=re.MULTILINE)
+    rounded = re.sub(r"(\.\d\d)\d+|^ +| +$", r"\1", text.getvalue(), flags=re.MULTILINE)
     with new_file(path) as file:
-        file.write(short.encode())
+        file.write(rounded.encode())

@@ -1,4 +1,4 @@
-"""A run as a picture: how deep, how strong and how wound up the contact was, over the modes it was in."""
+"""Figure of a run: penetration, force, and rolling and torsion angle of the contact, over its modes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from softfinger.server.offline.figures import figure, save
 Array = NDArray[np.float64]
 
 POINTS_MAX: Final = 2000
-"""Ticks drawn; of a longer run evenly chosen ones."""
+"""Largest number of ticks drawn; evenly selected from a longer run."""
 SHADES: Final = {"rolling": "#cfe3f5", "sliding": "#fbe0c3"}
 
 
@@ -27,11 +27,11 @@ DRAWN: Final = (
     AT.contact_spin,
     AT.contact_mode,
 )
-"""The columns of a record that are drawn."""
+"""Columns of a record that are drawn."""
 
 
 def draw_run(curves: Array, path: Path) -> None:
-    """Draw the columns DRAWN (n, 9) of one run's records and save them as `path`."""
+    """Draw the columns DRAWN (n, 9) of one run's records and save the figure as `path`."""
     tick, dt, penetration, x, y, z, rolled, spin, mode = curves.T
     drawing = figure(8.0, 5.5)
     depth, forces, turns = drawing.subplots(3, 1, sharex=True)
@@ -59,7 +59,7 @@ def draw_run(curves: Array, path: Path) -> None:
 
 
 def _shade(axes: Any, seconds: Array, modes: Array, named: bool) -> None:
-    """A band for every stretch of ticks in contact; if `named`, each mode is in the legend once."""
+    """Draw a band for each interval in contact; if `named`, each mode is in the legend once."""
     starts = np.flatnonzero(np.diff(modes, prepend=np.nan))
     ends = np.append(starts[1:], len(modes) - 1)
     left = set(SHADES) if named else set()

@@ -1,4 +1,4 @@
-"""The servo's tick offline: over poses, or with devices that are computed."""
+"""The servo's tick offline, over recorded poses or with simulated devices."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def tick_many(
     first: int,
     records: Array,
 ) -> None:
-    """One tick for each of `poses` (n, fingers, 7), `dts` (n,) s after the one before, with a record each in `records`.
+    """Run a tick for each of `poses` (n, fingers, 7), `dts` (n,) s after the previous one, and write `records`.
 
     tuning_packed  Tuning
-    memory_packed  Memory, as it is before the first tick of all; its leaves are those of now, and carried on
-    period         s  nominal length of a tick, what ramp and slew limit of the guard advance by
+    memory_packed  Memory; `like` is the initial one, `values` are the current values, which are updated
+    period         s  nominal period of a tick, which advances ramp and slew limit of the guard
     """
     start = memory_packed.like
     tuning = unpack(tuning_packed.like, tuning_packed.values)
@@ -61,39 +61,52 @@ def tick_many(
 
 
 def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
-    """Records (n, RECORD_SIZE) of the poses (n, 7), one tick each, as the daemon computes them.
+    """Run the servo's tick over poses, and return the records that the daemon would produce.
 
-    Of several fingers: records (n, fingers, RECORD_SIZE) of poses (n, fingers, 7). The timestamp is the tick
-    times dt, and the fields of servo timing and device are 0.
+    Parameters
+    ----------
+    tuning
+        Scene and guard.
+    poses
+        (n, 7) position, m, and orientation w, x, y, z, one per tick; (n, fingers, 7) with several fingers.
+    rate_hz
+        Ticks per second.
+
+    Returns
+    -------
+    Array
+        Records (n, RECORD_SIZE), or (n, fingers, RECORD_SIZE). The timestamp is the tick times dt; the fields of servo
+        timing and device are 0.
     """
-    given = poses[:, None] if poses.ndim < 3 else poses
-    records, at = np.empty((*given.shape[:2], RECORD_SIZE)), 0
-    for block in over_poses(tuning, given, rate_hz):
+    finger_poses = poses[:, None] if poses.ndim < 3 else poses
+    records, at = np.empty((*finger_poses.shape[:2], RECORD_SIZE)), 0
+    for block in simulate_poses(tuning, finger_poses, rate_hz):
         records[at : at + len(block)] = block
         at += len(block)
     return records[:, 0] if poses.ndim < 3 else records
 
 
-def over_poses(tuning: Tuning, poses: Array, rate_hz: float) -> Iterator[Array]:
+def simulate_poses(tuning: Tuning, poses: Array, rate_hz: float) -> Iterator[Array]:
     """Simulate poses (n, fingers, 7), and yield the records in blocks (m, fingers, RECORD_SIZE).
 
-    A block has at most CHUNK ticks. A caller who does not keep them needs the memory of one, however long the run.
+    A block has at most CHUNK ticks. A caller that processes each block at once needs the memory of one for a run of any
+    length.
     """
-    for place in range(poses.shape[1]):
-        check_poses(poses[:, place])
+    for index in range(poses.shape[1]):
+        check_poses(poses[:, index])
     dt = period_ns(rate_hz) / NS_PER_S
     dts = np.full(min(len(poses), CHUNK), dt)
     begin_bodies(tuning.scene, dt)
     scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
     with progress("simulating", len(poses)) as done:
         for first in range(0, len(poses), CHUNK):
-            some = np.ascontiguousarray(poses[first : first + CHUNK])
-            records = np.zeros((*some.shape[:2], RECORD_SIZE))
-            records[:, :, AT.timestamp] = np.arange(first, first + len(some))[:, None] * dt
-            tick_many(scene_and_guard, memory, some, dts, dt, first, records)
+            block = np.ascontiguousarray(poses[first : first + CHUNK])
+            records = np.zeros((*block.shape[:2], RECORD_SIZE))
+            records[:, :, AT.timestamp] = np.arange(first, first + len(block))[:, None] * dt
+            tick_many(scene_and_guard, memory, block, dts, dt, first, records)
             check_bodies(tuning.scene)
             yield records
-            done(first + len(some))
+            done(first + len(block))
 
 
 @overload
@@ -126,82 +139,126 @@ def run_recording(
     rig: str | Path = "replay",
     rate_hz: float | None = None,
 ) -> Records | dict[str, Records]:
-    """The servo's tick over recorded poses, as `softfinger simulate` computes it, and the daemon: to the same bits.
+    """Run the servo's tick over recorded poses, with records equal bit for bit to the daemon's.
 
-    recording  a file (.csv, .npz, .mcap) or the name of a shipped one; of several fingers a mapping of each by name
-    scene      what `load_scene` takes; `overrides` are its too
-    rig        file or shipped name: its guard limits the force
-    rate_hz    ticks per second in place of the rig's
+    `softfinger simulate` computes the same.
 
-    Returns records (n, RECORD_SIZE), a row a tick, fields by name; of several fingers those of each by name. Raises
-    ConfigError and RecordingError with what is wrong.
+    Parameters
+    ----------
+    recording
+        File (.csv, .npz, .mcap) or name of a shipped recording; with several fingers a mapping by finger name.
+    scene, overrides
+        As for `load_scene`.
+    rig
+        File or name of a shipped rig; its guard limits the force.
+    rate_hz
+        Ticks per second in place of the rig's.
 
+    Returns
+    -------
+    Records or dict of Records
+        Records (n, RECORD_SIZE), one row per tick, with fields by name; with several fingers a mapping by finger name.
+
+    Raises
+    ------
+    ConfigError, RecordingError
+        If scene, rig or recording is unusable.
+
+    Examples
+    --------
     >>> from softfinger import run_recording
     >>> slippery = {"object.table.material.friction": {"static": 0.2, "kinetic": 0.1}}
     >>> records = run_recording("press-roll-spin-drag", "paper-plane", overrides=slippery)
     >>> sorted(set(records["contact.mode"].tolist()))   # free, rolling, sliding
     [0, 1, 2]
     """
-    made, limits = load_scene(scene, overrides), load_rig(rig, {} if rate_hz is None else {"servo.rate_hz": rate_hz})
+    loaded_scene, loaded_rig = (
+        load_scene(scene, overrides),
+        load_rig(rig, {} if rate_hz is None else {"servo.rate_hz": rate_hz}),
+    )
     if isinstance(recording, Mapping):
-        return over_recordings(made, limits, recording)
-    return over_recordings(made, limits, {"": recording})[made.fingers[0].name]
+        return simulate_recordings(loaded_scene, loaded_rig, recording)
+    return simulate_recordings(loaded_scene, loaded_rig, {"": recording})[loaded_scene.fingers[0].name]
 
 
-def over_recordings(scene: schema.Scene, rig: schema.Rig, recordings: Mapping[str, str | Path]) -> dict[str, Records]:
-    """Records of each finger by its name, at the rig's rate; ConfigError unless each has a recording."""
+def simulate_recordings(
+    scene: schema.Scene, rig: schema.Rig, recordings: Mapping[str, str | Path]
+) -> dict[str, Records]:
+    """Return the records of each finger by name, at the rig's rate. Raises ConfigError unless each has a recording."""
     fingers = [finger.name for finger in scene.fingers]
-    poses = poses_of(fingers, recordings, rig.servo.rate_hz)
-    together = simulate(make_tuning(scene, rig.guard), poses, rig.servo.rate_hz)
-    return {name: Records(np.ascontiguousarray(together[:, place])) for place, name in enumerate(fingers)}
+    poses = load_finger_poses(fingers, recordings, rig.servo.rate_hz)
+    records = simulate(make_tuning(scene, rig.guard), poses, rig.servo.rate_hz)
+    return {name: Records(np.ascontiguousarray(records[:, index])) for index, name in enumerate(fingers)}
 
 
-def poses_of(fingers: Sequence[str], recordings: Mapping[str, str | Path], rate_hz: float) -> Array:
-    """Poses (n, fingers, 7) at the rate, as long as the shortest recording; ConfigError unless each finger has one.
+def load_finger_poses(fingers: Sequence[str], recordings: Mapping[str, str | Path], rate_hz: float) -> Array:
+    """Load and resample the poses of all fingers.
 
-    Under no name: that of the only finger, or an MCAP recording of all.
+    Parameters
+    ----------
+    fingers
+        Names of the scene's fingers.
+    recordings
+        Recording of each finger by name. The empty name refers to the recording of a single finger, or to an MCAP
+        recording of all fingers.
+    rate_hz
+        Ticks per second of the result.
+
+    Returns
+    -------
+    Array
+        Poses (n, fingers, 7), as long as the shortest recording.
+
+    Raises
+    ------
+    ConfigError
+        Unless each finger has a recording.
+    RecordingError
+        If a recording is unusable.
     """
     several = len(fingers) > 1
-    whole = set(recordings) == {""} and (not several or Path(recordings[""]).suffix.lower() == ".mcap")
-    if not whole and set(recordings) != set(fingers):
-        wanted = ", ".join(filter(None, fingers)) or "one, without its name"
-        given = ", ".join(filter(None, recordings)) or "a single finger"
-        raise ConfigError(f"poses of {given}: not the scene's fingers: give poses of {wanted}")
+    has_one_file = set(recordings) == {""} and (not several or Path(recordings[""]).suffix.lower() == ".mcap")
+    if not has_one_file and set(recordings) != set(fingers):
+        expected_fingers = ", ".join(filter(None, fingers)) or "one, without its name"
+        given_fingers = ", ".join(filter(None, recordings)) or "a single finger"
+        raise ConfigError(f"poses of {given_fingers}: not the scene's fingers: give poses of {expected_fingers}")
     each = [
-        resample(load_poses(recordings["" if whole else name], name if whole and several else ""), rate_hz)
+        resample(
+            load_poses(recordings["" if has_one_file else name], name if has_one_file and several else ""), rate_hz
+        )
         for name in fingers
     ]
     count = min(map(len, each))
     return np.stack([poses[:count] for poses in each], axis=1)
 
 
-def with_devices(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Iterator[Array]:
-    """Simulate a scene felt through the rig's simulated devices, and yield records in blocks (m, fingers, RECORD_SIZE).
+def simulate_devices(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Iterator[Array]:
+    """Simulate a scene with the rig's simulated devices, and yield records in blocks (m, fingers, RECORD_SIZE).
 
-    Raises ConfigError for a device that is not computed, and for fingers without one.
+    Raises ConfigError if a device is not simulated, or if a finger has no device.
     """
-    # Compiled when imported, which a run over poses need not wait for.
+    # Compiled on import, which a run over poses does not need.
     from softfinger.server.offline.closed_loop import run_closed_loop
 
     rate, pairs = rig.servo.rate_hz, pair(scene, rig)
-    with ExitStack() as opened:
-        devices = [opened.enter_context(_computed(each, rate)) for each in pairs]
+    with ExitStack() as stack:
+        devices = [stack.enter_context(_open_simulated(each, rate)) for each in pairs]
         ticks = max(1, round(seconds * rate))
-        once = [int(each.simulation.intention.length) for each in devices if not each.simulation.intention.loop]
+        lengths = [int(each.simulation.intention.length) for each in devices if not each.simulation.intention.loop]
         tuning = make_tuning(scene, rig.guard, [each.info for each in devices], [each.device.tool for each in pairs])
-        yield from run_closed_loop(tuning, [each.simulation for each in devices], rate, min([ticks, *once]))
+        yield from run_closed_loop(tuning, [each.simulation for each in devices], rate, min([ticks, *lengths]))
 
 
-def _computed(moved: Moved, rate_hz: float) -> Any:
-    """The device of a finger, opened; ConfigError for one that needs a clock."""
-    config = moved.device
+def _open_simulated(paired: Moved, rate_hz: float) -> Any:
+    """Return the opened device of a finger. Raises ConfigError if it needs a clock."""
+    config = paired.device
     driver = registry.load(config.driver)
-    if not hasattr(driver, "simulation"):
+    if not hasattr(driver, "make_simulation"):
         raise ConfigError(
             f"device '{config.driver}' cannot be run without a clock: take the device `simulated`, or --poses"
         )
-    options = build(driver.Options, config.options, moved.table)
+    options = build(driver.Options, config.options, paired.table)
     if getattr(options, "puck", None) is not None:
         raise ConfigError("a hand that a puck leads cannot be run without a clock: use `run`, or leave puck out")
-    # The records hold the forces; a file of what a servo wrote would be empty.
+    # The records contain the forces; a file of forces written by a servo would be empty.
     return driver.open_device(msgspec.structs.replace(options, forces=None), rate_hz)

@@ -1,8 +1,8 @@
-"""What a scene models and what a rig says, in rows of a name and a text."""
+"""Summaries of a scene's model and of a rig, as rows of name and text."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
@@ -20,36 +20,30 @@ from softfinger.config.schema import (
     Texture,
     Textured,
     Workspace,
-    World,
 )
 from softfinger.config.words import shown
-from softfinger.server.offline.feels import entry_rows
+from softfinger.server.offline.library_texts import entry_rows
+from softfinger.server.offline.worlds import world_rows
 
 if TYPE_CHECKING:  # with the kernels behind them, which no rig needs
     from softfinger.proxy.meshes.report import Report
 
 
+OVERSHOOT: Final = 0.02
+"""Share of a map's height by which its surface may leave its pixels before the summary mentions it."""
+
+
 def scene_summary(scene: Scene) -> list[tuple[str, str]]:
-    """What the contact step models, and what is left out of it."""
+    """Return rows on the parts that the contact step models, and on the omitted ones."""
     tables = [scene.fingertip] if scene.fingertip is not None else scene.finger
     rows = []
     for finger, table in zip(scene.fingers, tables, strict=True):
         first, *others = _finger_rows(scene, finger)
         rows += [first, *entry_rows(table), *others]
     for item in scene.object:
-        rows += _object_rows(item, scene.soft)
+        rows += object_rows(item, scene.soft)
     rows += [(f"effect {effect.kind}", _values(effect)) for effect in scene.effect]
-    return rows + ([] if scene.world is None else _world_rows(scene.world))
-
-
-def _world_rows(world: World) -> list[tuple[str, str]]:
-    """The model, and how its geoms were taken where that is not as they are."""
-    from softfinger.config.mjcf import taken
-
-    geoms = list(taken(world))
-    touched = sum(geom.object is not None for geom in geoms)
-    rows = [("world", f"{world.model}, {touched} of {len(geoms)} geoms touched, substeps {world.substeps}")]
-    return rows + [(f"  geom '{geom.name}'", geom.note) for geom in geoms if geom.note]
+    return rows + ([] if scene.world is None else world_rows(scene.world))
 
 
 def _finger_rows(scene: Scene, finger: FingerParts) -> list[tuple[str, str]]:
@@ -84,12 +78,13 @@ def _form(finger: FingerParts) -> str:
 
 
 def _size(item: ObjectBase) -> str:
-    """The shape's own dimensions, as the file has them."""
+    """Format the dimensions of the shape, as in the file."""
     own = [name for name in item.__struct_fields__ if name not in Textured.__struct_fields__]
     return "".join(f", {name} {shown(getattr(item, name))}" for name in own if getattr(item, name) is not None)
 
 
-def _object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
+def object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
+    """Return the rows of an object. Raises ConfigError for a file of it that cannot be used."""
     material = item.material
     friction, torsion = "left out: frictionless", "left out: no moment about the normal"
     if material.friction is not None:
@@ -124,7 +119,7 @@ def mesh_report(item: Mesh) -> Report:
 
 
 def _heightmap_rows(item: Heightmap) -> list[tuple[str, str]]:
-    from softfinger.proxy.heightmaps import read_heights, tightest
+    from softfinger.proxy.heightmaps import overshoot, read_heights, tightest
 
     heights = read_heights(item)
     rows, columns = heights.shape
@@ -132,10 +127,15 @@ def _heightmap_rows(item: Heightmap) -> list[tuple[str, str]]:
     low, high = float(heights.min()), float(heights.max())
     valley = tightest(heights, item.pitch_m)
     bends = "no valley" if valley == 0.0 else f"valleys bend with {1.0 / valley:.3g} m or more"
-    return [
+    found = [
         ("  map", f"{size}, heights {low:g} to {high:g} m"),
         ("    bends", f"{bends}; where that is less than the fingertip's radius it touches in several places"),
     ]
+    if (over := overshoot(heights)) > OVERSHOOT * (high - low):
+        found.append(
+            ("    steps", f"the smooth surface is up to {over:.3g} m higher or lower than the neighbouring pixels")
+        )
+    return found
 
 
 def _texture_rows(item: Textured, texture: Texture) -> list[tuple[str, str]]:
@@ -167,7 +167,7 @@ def _texture_rows(item: Textured, texture: Texture) -> list[tuple[str, str]]:
 
 
 def _values(table: Struct) -> str:
-    """Keys and values of a table, without those left out and the tables in it."""
+    """Format keys and values of a table, except None and nested tables."""
     pairs = ((name, getattr(table, name)) for name in table.__struct_fields__)
     return ", ".join(
         f"{name} {shown(value)}" for name, value in pairs if value is not None and not isinstance(value, Struct)
@@ -175,7 +175,7 @@ def _values(table: Struct) -> str:
 
 
 def rig_summary(rig: Rig) -> list[tuple[str, str]]:
-    """Device, loop, guard and telemetry in a line each."""
+    """Return rows on device, loop, guard and telemetry."""
     servo, guard, telemetry = rig.servo, rig.guard, rig.telemetry
     processor = "any processor" if servo.cpu is None else f"processor {servo.cpu}"
     return [
@@ -216,7 +216,7 @@ def _device(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
 
 
 def _driver_rows(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
-    """What a driver adds of its own (`rows`), such as what a maker's service does to every force."""
+    """Return the rows of a driver (`rows`), such as the effect of a maker's service on forces."""
     from softfinger.drivers import registry
 
     driver = registry.load(device.driver)

@@ -1,5 +1,8 @@
-"""The soft wall of a rig, the arc or plane of a device that moves in no more, and the objects of a scene, seen from the
-front and from the right: as text, as a figure."""
+"""Front and right view of a workspace, as text or figure.
+
+A view shows the soft wall of a rig, the arc or plane of a device with one or two degrees of freedom, and the objects of
+a scene.
+"""
 
 from __future__ import annotations
 
@@ -10,29 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.schema import Object, Plane, Scene, Workspace
-from softfinger.drivers.kinematics.freedom import Freedom
+from softfinger.drivers.kinematics.subspace import MotionSubspace
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.server.offline.figures import figure, save
-from softfinger.server.viewer.nodes.meshes import mesh_of, plane
+from softfinger.server.surface_meshes import plane, surface_mesh
 
 Array = NDArray[np.float64]
 
 VIEWS: Final = (("from the front", 0, "x"), ("from the right", 1, "y"))
-"""What each is called, and which axis is to its right; up is z."""
+"""Name of each view, and index and name of the axis that points right; z points up."""
 COLUMNS: Final = 49
 ROWS: Final = 25
-"""Cells of a view: odd, so that one is in the middle, and of characters that are twice as high as wide."""
-AROUND: Final = 1.25
-"""How much of the surroundings is shown, times the workspace."""
+"""Cells of a view: odd numbers, so that one is in the centre; a character is twice as high as wide."""
+VIEW_SCALE: Final = 1.25
+"""Size of the drawn area, as a multiple of the workspace."""
 NUMBERS: Final = "123456789abcdefghijklmnopqrstuvwxyz"
-WALL: Final = "·"
-WAY: Final = "="
+WALL_MARK: Final = "·"
+CURVE_MARK: Final = "="
 DIRECTIONS: Final = 720
-"""In which the edge of a plane's part inside of the wall is looked for; on an arc the places that are tried."""
+"""Number of directions in which the edge of a plane inside the wall is searched, or of points tested on an arc."""
 
 
-class Drawn(NamedTuple):
-    """An object: its name; corners (n, 3, 3) of its triangles, m in the world; points (m, 3) on them."""
+class PlacedObject(NamedTuple):
+    """Object: name, corners (n, 3, 3) of its triangles, m in the world, and points (m, 3) on them."""
 
     name: str
     triangles: Array
@@ -40,102 +43,102 @@ class Drawn(NamedTuple):
 
 
 def half_sizes(wall: Workspace) -> Array:
-    """Half of the box (3,) m around the workspace."""
+    """Return half the size (3,) m of the bounding box of the workspace."""
     return np.full(3, wall.radius_m) if wall.size_m is None else 0.5 * np.array(wall.size_m)
 
 
-def beyond(wall: Workspace, points: Array) -> Array:
-    """How far (n,) m points (n, 3) are beyond the wall; below zero inside."""
-    away = points - np.array(wall.center_m)
+def signed_distance(wall: Workspace, points: Array) -> Array:
+    """Return the distance (n,) m of points (n, 3) beyond the wall, negative inside."""
+    offsets = points - np.array(wall.center_m)
     if wall.size_m is None:
         assert wall.radius_m is not None
-        return np.asarray(np.linalg.norm(away, axis=1) - wall.radius_m)
-    out = np.abs(away) - half_sizes(wall)
-    return np.asarray(np.linalg.norm(np.maximum(out, 0.0), axis=1) + np.minimum(out.max(axis=1), 0.0))
+        return np.asarray(np.linalg.norm(offsets, axis=1) - wall.radius_m)
+    excess = np.abs(offsets) - half_sizes(wall)
+    return np.asarray(np.linalg.norm(np.maximum(excess, 0.0), axis=1) + np.minimum(excess.max(axis=1), 0.0))
 
 
-def drawn(wall: Workspace, scene: Scene) -> list[Drawn]:
-    """The objects of a scene, where they are at the start, without those whose shape is not known here."""
-    cell = 2.0 * AROUND * float(half_sizes(wall).max()) / COLUMNS
-    found = []
-    for thing in scene.object:
-        corners = _corners(thing, 8.0 * float(half_sizes(wall).max()) + 2.0 * float(np.abs(wall.center_m).max()))
+def place_objects(wall: Workspace, scene: Scene) -> list[PlacedObject]:
+    """Return the objects of a scene at their initial poses, without shapes that have no picture here."""
+    cell = 2.0 * VIEW_SCALE * float(half_sizes(wall).max()) / COLUMNS
+    placed_objects = []
+    for obj in scene.object:
+        corners = _corners(obj, 8.0 * float(half_sizes(wall).max()) + 2.0 * float(np.abs(wall.center_m).max()))
         if corners is not None:
-            placed = corners @ _rotation(thing.orientation_wxyz).T + np.array(thing.position_m)
-            found.append(Drawn(thing.name, placed, _filled(placed, 0.5 * cell)))
-    return found
+            corners_w = corners @ _rotation(obj.orientation_wxyz).T + np.array(obj.position_m)
+            placed_objects.append(PlacedObject(obj.name, corners_w, _sample_triangles(corners_w, 0.5 * cell)))
+    return placed_objects
 
 
-def rows(wall: Workspace, objects: list[Drawn]) -> list[tuple[str, str]]:
-    """Of each object, whether the fingertip's centre reaches it before the wall."""
-    told = []
-    for number, thing in zip(NUMBERS, objects, strict=False):
-        away = 1e3 * beyond(wall, thing.points)
-        if away.max() <= 0.0:
+def rows(wall: Workspace, objects: list[PlacedObject]) -> list[tuple[str, str]]:
+    """Return for each object whether the fingertip's centre can reach it inside the wall."""
+    reach_rows = []
+    for number, obj in zip(NUMBERS, objects, strict=False):
+        distances = 1e3 * signed_distance(wall, obj.points)
+        if distances.max() <= 0.0:
             where = "inside"
-        elif away.min() > 0.0:
-            where = f"outside: its nearest point is {away.min():.0f} mm behind the wall"
+        elif distances.min() > 0.0:
+            where = f"outside: its nearest point is {distances.min():.0f} mm behind the wall"
         else:
             where = "inside and outside"
-        told.append((f"{number} '{thing.name}'", where))
-    return told
+        reach_rows.append((f"{number} '{obj.name}'", where))
+    return reach_rows
 
 
-def way(wall: Workspace, freedom: Freedom) -> Array:
-    """Points (n, 3) m inside of the wall: of the arc on which a device moves, or of the edge of its plane there."""
-    turn = np.linspace(-np.pi, np.pi, DIRECTIONS)[:, None]
+def reachable_curve(wall: Workspace, freedom: MotionSubspace) -> Array:
+    """Return points (n, 3) m inside the wall, on the arc of a device or on the edge of its plane."""
+    angles = np.linspace(-np.pi, np.pi, DIRECTIONS)[:, None]
     normal, half = freedom.axis, float(half_sizes(wall).max())
     if freedom.degrees == 1:
-        arm = freedom.middle - freedom.origin
-        points = freedom.origin + np.cos(turn) * arm + np.sin(turn) * np.cross(normal, arm)
-        return np.asarray(points[beyond(wall, points) <= 0.0])
+        arm = freedom.centre - freedom.origin
+        points = freedom.origin + np.cos(angles) * arm + np.sin(angles) * np.cross(normal, arm)
+        return np.asarray(points[signed_distance(wall, points) <= 0.0])
     centre = np.array(wall.center_m)
     centre = centre - (centre - freedom.origin) @ normal * normal
     one = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     one /= np.linalg.norm(one)
-    rays = np.cos(turn) * one + np.sin(turn) * np.cross(normal, one)
+    rays = np.cos(angles) * one + np.sin(angles) * np.cross(normal, one)
     reach = np.linspace(0.0, 2.0 * half, DIRECTIONS)
     points = centre + reach[None, :, None] * rays[:, None, :]
-    inside = beyond(wall, points.reshape(-1, 3)).reshape(points.shape[:2]) <= 0.0
-    if not inside[0, 0]:  # the plane passes by
+    inside = signed_distance(wall, points.reshape(-1, 3)).reshape(points.shape[:2]) <= 0.0
+    if not inside[0, 0]:  # the plane does not intersect the workspace
         return np.zeros((0, 3))
     return np.asarray(points[np.arange(DIRECTIONS), inside.sum(axis=1) - 1])
 
 
-def text(wall: Workspace, objects: list[Drawn], freedom: Freedom | None = None) -> list[str]:
-    """Lines of both views, beside each other."""
+def text(wall: Workspace, objects: list[PlacedObject], freedom: MotionSubspace | None = None) -> list[str]:
+    """Return both views side by side, as lines."""
     views = [_view(wall, objects, axis, freedom) for _, axis, _ in VIEWS]
-    half = 1e3 * AROUND * float(half_sizes(wall).max())
+    half = 1e3 * VIEW_SCALE * float(half_sizes(wall).max())
     heads = [f"{name}: {letter} to the right, z up; {2 * half:.0f} mm wide" for name, _, letter in VIEWS]
     lines = ["   ".join(head.ljust(COLUMNS) for head in heads).rstrip()]
     lines += ["   ".join(pair).rstrip() for pair in zip(*views, strict=True)]
-    lines.append(f"{WALL} inside of the wall, + its centre, numbers: objects")
+    lines.append(f"{WALL_MARK} inside of the wall, + its centre, numbers: objects")
     if freedom is not None:
         what = "the arc" if freedom.degrees == 1 else "the edge of the plane"
-        lines.append(f"{WAY} {what} in which the handle moves; other forces are shown, not displayed")
+        lines.append(f"{CURVE_MARK} {what} in which the handle moves; other forces are shown, not displayed")
     return lines
 
 
-def plot(wall: Workspace, objects: list[Drawn], path: Path, freedom: Freedom | None = None) -> None:
-    """Both views as a figure, .png or .svg, axes in mm."""
+def plot(wall: Workspace, objects: list[PlacedObject], path: Path, freedom: MotionSubspace | None = None) -> None:
+    """Draw both views as a figure, .png or .svg, axes in mm."""
     from matplotlib.collections import PolyCollection
 
     drawing = figure(9.0, 4.8)
-    half = 1e3 * AROUND * float(half_sizes(wall).max())
+    half = 1e3 * VIEW_SCALE * float(half_sizes(wall).max())
     for axes, (name, axis, letter) in zip(drawing.subplots(1, 2), VIEWS, strict=True):
         middle = 1e3 * np.array([wall.center_m[axis], wall.center_m[2]])
-        for number, thing in enumerate(objects):
-            flat = 1e3 * thing.triangles[:, :, [axis, 2]]
+        for number, obj in enumerate(objects):
+            flat = 1e3 * obj.triangles[:, :, [axis, 2]]
             colour = f"C{number}"
             axes.add_collection(
                 PolyCollection(list(flat), facecolor=colour, edgecolor=colour, alpha=0.4, linewidth=0.6)
             )
-            axes.plot([], [], color=colour, label=thing.name)
+            axes.plot([], [], color=colour, label=obj.name)
         u, v = np.meshgrid(*(np.linspace(m - half, m + half, 201) for m in middle))
-        away = beyond(wall, 1e-3 * _in_plane(1e3 * np.array(wall.center_m), axis, u, v)).reshape(u.shape)
-        axes.contour(u, v, away, [0.0], colors="black", linestyles="dashed")
+        distances = signed_distance(wall, 1e-3 * _in_plane(1e3 * np.array(wall.center_m), axis, u, v)).reshape(u.shape)
+        axes.contour(u, v, distances, [0.0], colors="black", linestyles="dashed")
         if freedom is not None:
-            line = 1e3 * way(wall, freedom)
+            line = 1e3 * reachable_curve(wall, freedom)
             axes.plot(line[:, axis], line[:, 2], "r-", linewidth=1.5)
         axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], aspect="equal", title=name)
         axes.set_xlabel(f"{letter} [mm]")
@@ -147,56 +150,58 @@ def plot(wall: Workspace, objects: list[Drawn], path: Path, freedom: Freedom | N
     save(drawing, path)
 
 
-def _view(wall: Workspace, objects: list[Drawn], axis: int, freedom: Freedom | None) -> list[str]:
-    """A view as ROWS lines of COLUMNS characters."""
-    center, half = np.array(wall.center_m), AROUND * float(half_sizes(wall).max())
+def _view(wall: Workspace, objects: list[PlacedObject], axis: int, freedom: MotionSubspace | None) -> list[str]:
+    """Return a view as ROWS lines of COLUMNS characters."""
+    center, half = np.array(wall.center_m), VIEW_SCALE * float(half_sizes(wall).max())
     right, up = np.meshgrid(np.linspace(-half, half, COLUMNS), np.linspace(half, -half, ROWS))
-    inside = beyond(wall, _in_plane(center, axis, center[axis] + right, center[2] + up)).reshape(right.shape) <= 0.0
-    cells = np.where(inside, WALL, " ")
-    marks = [(number, thing.points) for number, thing in zip(NUMBERS, objects, strict=False)]
+    inside = (
+        signed_distance(wall, _in_plane(center, axis, center[axis] + right, center[2] + up)).reshape(right.shape) <= 0.0
+    )
+    cells = np.where(inside, WALL_MARK, " ")
+    marks = [(number, obj.points) for number, obj in zip(NUMBERS, objects, strict=False)]
     if freedom is not None:
-        marks.append((WAY, way(wall, freedom)))
+        marks.append((CURVE_MARK, reachable_curve(wall, freedom)))
     for mark, points in marks:
         column = np.rint((points[:, axis] - center[axis] + half) / (2.0 * half) * (COLUMNS - 1))
         row = np.rint((half - points[:, 2] + center[2]) / (2.0 * half) * (ROWS - 1))
-        seen = (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS)
-        cells[row[seen].astype(int), column[seen].astype(int)] = mark
+        is_visible = (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS)
+        cells[row[is_visible].astype(int), column[is_visible].astype(int)] = mark
     cells[ROWS // 2, COLUMNS // 2] = "+"
     return ["".join(line) for line in cells]
 
 
 def _in_plane(center: Array, axis: int, right: Array, up: Array) -> Array:
-    """Points (n, 3) of a view's plane through the centre."""
+    """Return points (n, 3) in a view's plane through the centre."""
     points = np.tile(center, (right.size, 1))
     points[:, axis], points[:, 2] = right.ravel(), up.ravel()
     return points
 
 
-def _corners(thing: Object, edge: float) -> Array | None:
-    """Corners (n, 3, 3) of an object's triangles, m in its own frame; of a plane a square of that edge (m)."""
-    if isinstance(thing, Filed):
-        (vertices, faces), _ = picture_of(thing)
+def _corners(obj: Object, edge: float) -> Array | None:
+    """Return the corners (n, 3, 3) of an object's triangles, m, in its frame; for a plane a square of edge `edge` m."""
+    if isinstance(obj, Filed):
+        (vertices, faces), _ = picture_of(obj)
         corners: Array = np.asarray(vertices, float)[np.asarray(faces, int)]
         return corners
-    mesh = plane(edge) if isinstance(thing, Plane) else mesh_of(thing)
+    mesh = plane(edge) if isinstance(obj, Plane) else surface_mesh(obj)
     return None if mesh is None else np.asarray(mesh.vertices[mesh.faces])
 
 
-def _filled(triangles: Array, step: float) -> Array:
-    """Points (n, 3) on triangles, no farther apart than `step` m where a few hundred of each are enough."""
-    found = []
+def _sample_triangles(triangles: Array, step: float) -> Array:
+    """Return points (n, 3) on triangles, at most `step` m apart unless that takes more than 400 per edge."""
+    points = []
     for triangle in triangles:
         longest = max(float(np.linalg.norm(triangle[k] - triangle[k - 1])) for k in range(3))
         n = int(np.clip(np.ceil(longest / step), 1, 400))
         i, j = (each.ravel() for each in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
-        few = i + j <= n
-        shares = np.stack([i, j, n - i - j])[:, few].T / n
-        found.append(shares @ triangle)
-    return np.concatenate(found) if found else np.zeros((0, 3))
+        is_in_triangle = i + j <= n
+        shares = np.stack([i, j, n - i - j])[:, is_in_triangle].T / n
+        points.append(shares @ triangle)
+    return np.concatenate(points) if points else np.zeros((0, 3))
 
 
 def _rotation(wxyz: tuple[float, float, float, float]) -> Array:
-    """Matrix (3, 3) of a unit quaternion."""
+    """Return the rotation matrix (3, 3) of a quaternion."""
     w, x, y, z = np.array(wxyz) / np.linalg.norm(wxyz)
     rotation: Any = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -1,4 +1,5 @@
-"""The publisher: a process beside the daemon that reads its ticks from shared memory, and alone talks to ZeroMQ peers.
+"""Publisher: a separate process that reads ticks from shared memory and handles all ZeroMQ traffic of the daemon.
 
-No servo, no device, neither numpy nor numba: it starts in a tenth of a second, and what a peer does to it stays in it.
+Contains no servo, no device, and neither numpy nor numba: it starts in a tenth of a second, and the effects of a
+misbehaving peer are limited to it.
 """

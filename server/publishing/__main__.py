@@ -1,4 +1,4 @@
-"""`python -m softfinger.server.publishing FD`: the publisher, as the daemon starts it. FD is its end of the channel."""
+"""`python -m softfinger.server.publishing FD`: the publisher; the daemon starts it with FD, its end of the channel."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The channel between the daemon and its publisher: messages on a pair of sockets, bounded, and nobody waits.
+"""Channel between the daemon and its publisher: messages over a socket pair, with bounded queues and without waiting.
 
-A message is its length, its kind, the length of its key, the key, and the rest.
+A message consists of its length, its kind, the length of its key, the key, and the body.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from softfinger.server.publishing.setup import ANSWER_MAX, Kind
 _HEAD: Final = struct.Struct("<IBH")
 _LONGEST: Final = ANSWER_MAX + 1024
 WAITING_MAX: Final = 4 * ANSWER_MAX
-"""Bytes that may wait for the other side; what is said beyond is left out."""
+"""Largest number of bytes queued for the other side; further messages are dropped."""
 _READ_BYTES: Final = 65536
 
 
-class Said(NamedTuple):
-    """A message: `key` is its topic, or the client that it is of."""
+class Message(NamedTuple):
+    """Message; `key` is its topic or its client."""
 
     kind: int
     key: bytes
@@ -30,44 +30,44 @@ class Said(NamedTuple):
 
 
 class Channel:
-    """One end. `say` from any thread; the rest belongs to one."""
+    """One end of the channel. `send` may be called from any thread, all other methods from one thread only."""
 
     def __init__(self, end: socket.socket) -> None:
         end.setblocking(False)
         self._end, self._lock = end, threading.Lock()
-        self._waiting: deque[memoryview] = deque()
-        self._size = 0
-        self._heard = bytearray()
+        self._queue: deque[memoryview] = deque()
+        self._queued_bytes = 0
+        self._received = bytearray()
         self.ended = False
-        """The other side is gone, or says what is none."""
+        """The other side has exited or sent an invalid message."""
 
     def fileno(self) -> int:
         return self._end.fileno()
 
     @property
-    def waits(self) -> bool:
-        """Whether something waits to be read by the other side."""
-        return bool(self._waiting)
+    def has_queued(self) -> bool:
+        """Whether messages are queued for the other side."""
+        return bool(self._queue)
 
-    def say(self, kind: Kind, key: bytes = b"", body: bytes = b"") -> bool:
-        """Send at once, or as soon as there is room; False where too much waits already, and this is left out."""
+    def send(self, kind: Kind, key: bytes = b"", body: bytes = b"") -> bool:
+        """Send a message now, or when there is room; if the queue is full, drop it and return False."""
         head = _HEAD.pack(len(key) + len(body), kind, len(key))
         with self._lock:
-            if self._size + len(body) > WAITING_MAX or len(body) > ANSWER_MAX or self.ended:
+            if self._queued_bytes + len(body) > WAITING_MAX or len(body) > ANSWER_MAX or self.ended:
                 return False
-            self._size += len(head) + len(key) + len(body)
-            self._waiting.append(memoryview(head + key + body))
+            self._queued_bytes += len(head) + len(key) + len(body)
+            self._queue.append(memoryview(head + key + body))
             self._flush()
         return True
 
     def flush(self) -> None:
-        """Send what waits, as far as there is room."""
+        """Send queued messages, as far as there is room."""
         with self._lock:
             self._flush()
 
     def _flush(self) -> None:
-        while self._waiting and not self.ended:
-            first = self._waiting.popleft()
+        while self._queue and not self.ended:
+            first = self._queue.popleft()
             try:
                 sent = self._end.send(first)
             except BlockingIOError:
@@ -75,13 +75,13 @@ class Channel:
             except OSError:
                 self.ended = True
                 return
-            self._size -= sent
+            self._queued_bytes -= sent
             if sent < len(first):
-                self._waiting.appendleft(first[sent:])
+                self._queue.appendleft(first[sent:])
                 return
 
-    def hear(self) -> Iterator[Said]:
-        """What has come, and what a caller before has left."""
+    def receive(self) -> Iterator[Message]:
+        """Yield the messages received, including messages that an earlier caller did not consume."""
         yield from self._messages()
         while not self.ended:
             try:
@@ -91,24 +91,24 @@ class Channel:
             except OSError:
                 data = b""
             self.ended = not data
-            self._heard += data
+            self._received += data
             yield from self._messages()
             if len(data) < _READ_BYTES:
                 return
 
-    def _messages(self) -> Iterator[Said]:
-        while len(self._heard) >= _HEAD.size:
-            size, kind, of_key = _HEAD.unpack_from(self._heard)
+    def _messages(self) -> Iterator[Message]:
+        while len(self._received) >= _HEAD.size:
+            size, kind, of_key = _HEAD.unpack_from(self._received)
             if size > _LONGEST or of_key > size:
                 self.ended = True
                 return
             end = _HEAD.size + size
-            if len(self._heard) < end:
+            if len(self._received) < end:
                 return
-            key = bytes(self._heard[_HEAD.size : _HEAD.size + of_key])
-            body = bytes(self._heard[_HEAD.size + of_key : end])
-            del self._heard[:end]
-            yield Said(kind, key, body)
+            key = bytes(self._received[_HEAD.size : _HEAD.size + of_key])
+            body = bytes(self._received[_HEAD.size + of_key : end])
+            del self._received[:end]
+            yield Message(kind, key, body)
 
     def close(self) -> None:
         with self._lock:

@@ -1,4 +1,4 @@
-"""Whoever commands: libzmq's ROUTER, from which requests are taken one by one, and not more than are being answered."""
+"""Command clients of one endpoint: a ROUTER socket of libzmq, read only while few requests are unanswered."""
 
 from __future__ import annotations
 
@@ -10,20 +10,26 @@ from typing import Final
 
 import zmq
 
-from softfinger.server.publishing.front import Front, Gate, Lock, Open
+from softfinger.server.publishing.peer_socket import BoundEndpoint, KeyLock, PeerSocket, SocketContext
 from softfinger.server.publishing.setup import REQUEST_MAX, Kind
 
 WAITING_MAX: Final = 64
-"""Requests of a client, or answers to it, that wait; answers beyond are dropped, for it does not read them."""
+"""Requests of a client, or answers to it, in the queue; further answers are dropped, because it does not read them."""
 BURST_S: Final = 0.1
 BURST: Final = 100
-"""Most requests of a client in a BURST_S: a thousand a second, one in each tick of the usual loop. More are busy."""
+"""Most requests of a client in BURST_S: a thousand per second, one in each tick of the usual loop. More are busy."""
 
 
 class Clients:
-    """Whoever commands on one endpoint; `ask` is given kind, client and request."""
+    """Command clients of one endpoint; `on_request` is called with kind, client and request."""
 
-    def __init__(self, gate: Gate, bound: Open, lock: Lock | None, ask: Callable[[Kind, bytes, bytes], object]) -> None:
+    def __init__(
+        self,
+        gate: SocketContext,
+        bound: BoundEndpoint,
+        lock: KeyLock | None,
+        on_request: Callable[[Kind, bytes, bytes], object],
+    ) -> None:
         options = {
             "maxmsgsize": REQUEST_MAX,
             "sndhwm": WAITING_MAX,
@@ -31,30 +37,30 @@ class Clients:
             "router_mandatory": 1,
             "router_handover": 1,
         }
-        self.front: Final = Front(gate, zmq.ROUTER, bound, lock, options)
-        self._ask = ask
-        self._asked: Counter[bytes] = Counter()
+        self.peers: Final = PeerSocket(gate, zmq.ROUTER, bound, lock, options)
+        self._on_request = on_request
+        self._burst_counts: Counter[bytes] = Counter()
         self._burst_s = 0.0
 
-    def take(self, most: int) -> int:
-        """Hand on the requests that have come, at most so many, of all clients in turn; returns how many."""
+    def take(self, max_requests: int) -> int:
+        """Pass on at most `max_requests` requests, from all clients in turn; return their number."""
         now = time.monotonic()
         if now - self._burst_s >= BURST_S:
             self._burst_s = now
-            self._asked.clear()
-        taken = 0
-        while taken < most and self.front.has_come:
-            client, *frames = self.front.socket.recv_multipart(zmq.NOBLOCK)
-            self._asked[client] += 1
-            kind = Kind.TOO_MUCH if self._asked[client] > BURST else Kind.REQUEST
+            self._burst_counts.clear()
+        count = 0
+        while count < max_requests and self.peers.has_message:
+            client, *frames = self.peers.socket.recv_multipart(zmq.NOBLOCK)
+            self._burst_counts[client] += 1
+            kind = Kind.TOO_MUCH if self._burst_counts[client] > BURST else Kind.REQUEST
             if len(frames) == 2 and not frames[0]:
-                self._ask(kind, client, frames[1])
+                self._on_request(kind, client, frames[1])
             else:
-                self._ask(Kind.MALFORMED, client, b"")
-            taken += 1
-        return taken
+                self._on_request(Kind.MALFORMED, client, b"")
+            count += 1
+        return count
 
     def answer(self, client: bytes, body: bytes) -> None:
-        """To a client; one that has gone, or does not read, gets nothing."""
+        """Send an answer to a client; it is dropped if the client has disconnected or does not read."""
         with contextlib.suppress(zmq.ZMQError):
-            self.front.socket.send_multipart([client, b"", body], zmq.NOBLOCK)
+            self.peers.socket.send_multipart([client, b"", body], zmq.NOBLOCK)

@@ -1,4 +1,4 @@
-"""The messages of a tick: a row of the record as the maps that docs/protocol.md has, encoded."""
+"""Messages of a tick: conversion of a row of records into the encoded maps of docs/protocol.md."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from typing import Any, Final
 import msgspec
 
 from softfinger.proxy.record import FIELDS, NAMED, PATCHES, RECORD_SIZE, Field
-from softfinger.server.publishing.setup import Shown, Ticks
+from softfinger.server.publishing.setup import StateInfo, Ticks
 
 _WORD: Final = 2.0**63
 _TICK: Final = NAMED["tick"].at
 _LISTS: Final = [f"contacts{i}" for i in range(PATCHES)]
 
 
-def whole(value: float) -> int:
-    """The integer of a field; 0 for what is none, such as a nan that a device reports as its buttons."""
+def to_int(value: float) -> int:
+    """Return the integer of a field; 0 if it has none, such as nan for the buttons of a device."""
     return int(value) if -_WORD <= value < _WORD else 0
 
 
 class _Map:
-    """A map that is made once, and filled from row after row.
+    """Map that is created once and filled from successive rows.
 
-    fields  with their dotted names in it
+    fields  with their dotted names in the map
     """
 
     def __init__(self, content: dict[str, Any], fields: list[tuple[str, Field]]) -> None:
         self.content = content
-        self._whole: list[tuple[dict[str, Any], str, int]] = []
+        self._integers: list[tuple[dict[str, Any], str, int]] = []
         self._numbers: list[tuple[dict[str, Any], str, int]] = []
         self._vectors: list[tuple[dict[str, Any], str, int, int]] = []
         for name, field in fields:
@@ -36,16 +36,16 @@ class _Map:
             inside = content.setdefault(parent, {}) if parent else content
             inside[key] = 0
             if field.kind == "int":
-                self._whole.append((inside, key, field.at))
+                self._integers.append((inside, key, field.at))
             elif field.size == 1:
                 self._numbers.append((inside, key, field.at))
             else:
                 self._vectors.append((inside, key, field.at, field.at + field.size))
 
     def fill(self, row: tuple[float, ...]) -> dict[str, Any]:
-        """The map of a record (RECORD_SIZE,); the next call changes it."""
-        for inside, key, at in self._whole:
-            inside[key] = whole(row[at])
+        """Return the map of a record (RECORD_SIZE,); the next call changes it."""
+        for inside, key, at in self._integers:
+            inside[key] = to_int(row[at])
         for inside, key, at in self._numbers:
             inside[key] = row[at]
         for inside, key, begin, end in self._vectors:
@@ -54,9 +54,9 @@ class _Map:
 
 
 class Messages:
-    """Encodes rows (fingers x RECORD_SIZE,)."""
+    """Encoder of rows (fingers x RECORD_SIZE,)."""
 
-    def __init__(self, ticks: Ticks, shown: Shown) -> None:
+    def __init__(self, ticks: Ticks, state_info: StateInfo) -> None:
         self._topics, self._every = [topic.encode() for topic in ticks.topics], ticks.every
         self._state_topic, self._state_hz = ticks.state.encode(), ticks.state_hz
         self._encode = msgspec.msgpack.Encoder().encode
@@ -78,26 +78,26 @@ class Messages:
         }
         content = {"timestamp": 0.0, "sequence": 0}
         self._state = _Map(content, [(key, NAMED[name]) for key, name in own.items()])
-        self.show(shown)
+        self.set_state_info(state_info)
 
-    def show(self, shown: Shown) -> None:
-        """What `state` is to say beside the tick."""
-        self._state_every = max(1, round(shown.rate_hz / self._state_hz))
-        self._epoch_s = shown.epoch_s
-        self._state.content["active_field"] = shown.scene
+    def set_state_info(self, state_info: StateInfo) -> None:
+        """Set the contents of `state` that do not come from the tick."""
+        self._state_every = max(1, round(state_info.rate_hz / self._state_hz))
+        self._epoch_s = state_info.epoch_s
+        self._state.content["active_field"] = state_info.scene
 
-    def of(self, row: tuple[float, ...]) -> Iterator[tuple[bytes, bytes]]:
-        """Topic and body of each message of a tick."""
-        tick = whole(row[_TICK])
+    def encode_row(self, row: tuple[float, ...]) -> Iterator[tuple[bytes, bytes]]:
+        """Yield topic and body of each message of a tick."""
+        tick = to_int(row[_TICK])
         if tick % self._every == 0:
-            for place, topic in enumerate(self._topics):
-                yield topic, self._of_finger(row[place * RECORD_SIZE : (place + 1) * RECORD_SIZE])
+            for index, topic in enumerate(self._topics):
+                yield topic, self._encode_finger(row[index * RECORD_SIZE : (index + 1) * RECORD_SIZE])
         if tick % self._state_every == 0:
             state = self._state.fill(row)
             state["timestamp"], state["sequence"] = row[NAMED["timestamp"].at] - self._epoch_s, tick
             yield self._state_topic, self._encode(state)
 
-    def _of_finger(self, record: tuple[float, ...]) -> bytes:
+    def _encode_finger(self, record: tuple[float, ...]) -> bytes:
         content = self._contact.fill(record)
-        content["contacts"] = [patch.fill(record) for at, patch in self._patches if whole(record[at]) >= 0]
+        content["contacts"] = [patch.fill(record) for at, patch in self._patches if to_int(record[at]) >= 0]
         return self._encode(content)

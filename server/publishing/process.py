@@ -1,6 +1,6 @@
-"""The publisher's loop: one thread, ticks first, then what the daemon says, then what peers do.
+"""Main loop of the publisher: a single thread that handles ticks first, then the daemon's messages, then peers.
 
-It ends with the daemon, when it is told to, and by libzmq's own hand where a peer takes more than there is.
+It ends with the daemon, on request, or by an abort in libzmq if a peer exhausts its memory.
 """
 
 from __future__ import annotations
@@ -19,172 +19,187 @@ from typing import Any, Final
 import msgspec
 import zmq
 
-from softfinger.server.publishing.channel import Channel, Said
+from softfinger.server.publishing.brake import Brake, takes_force_off
+from softfinger.server.publishing.channel import Channel, Message
 from softfinger.server.publishing.clients import Clients
-from softfinger.server.publishing.front import LINGER_MS, Front, Gate, Lock, bound_resources
 from softfinger.server.publishing.messages import Messages
+from softfinger.server.publishing.peer_socket import LINGER_MS, KeyLock, PeerSocket, SocketContext, bound_resources
 from softfinger.server.publishing.readers import Readers
-from softfinger.server.publishing.setup import PERIOD_S, Entrance, Figures, Kind, Setup, Shown
+from softfinger.server.publishing.setup import PERIOD_S, Figures, Kind, ListeningSocket, Setup, StateInfo
 from softfinger.server.publishing.ticks import Rows
 
 log: Final = logging.getLogger(__name__)
 
-OUT_MAX: Final = 32
-"""Requests that the daemon has and has not answered; more wait in libzmq, so many for each client."""
+UNANSWERED_MAX: Final = 32
+"""Unanswered requests passed to the daemon; further ones remain queued in libzmq, up to a limit for each client."""
 QUIET_S: Final = 0.1
-"""Where a tick comes sooner than this, whoever subscribes waits for the next: libzmq would send the newest to all."""
-LOOK_S: Final = 1.0
-"""How often the folders of keys are looked at."""
-ALONE_US: Final = 50_000
-KILLED_US: Final = 1_000_000
+"""If ticks arrive at shorter intervals than this, a new subscriber waits for the next: libzmq would send the latest to
+all."""
+KEY_CHECK_S: Final = 1.0
+"""Interval of the check of the folders of keys."""
+MAX_BUSY_US: Final = 50_000
+KILL_US: Final = 1_000_000
 RETRY_S: Final = 0.005
-"""How soon a daemon that does not read is tried again."""
+"""Interval of retries while the daemon does not read."""
 
 
 class Publishing:
-    """Everything that the process has open.
+    """State of the publisher process.
 
-    channel  to the daemon, which has said `setup`
+    channel  to the daemon, from which `setup` has been received
     """
 
     def __init__(self, channel: Channel, setup: Setup, files: ExitStack) -> None:
-        self._channel, self._out = channel, 0
+        self._channel, self._unanswered = channel, 0
+        self._brake = Brake(setup.switch)
         self._rows = Rows(setup.memory, setup.begin, setup.bell)
         self._messages = Messages(setup.ticks, setup.shown)
-        self._ticking = {topic.encode() for topic in (*setup.ticks.topics, setup.ticks.state)}
-        self._ticked_s = -QUIET_S
-        self._newest: dict[bytes, bytes] = {}
-        """Of each topic what whoever subscribes is sent at once."""
-        self._told = Figures()
+        self._tick_topics = {topic.encode() for topic in (*setup.ticks.topics, setup.ticks.state)}
+        self._last_tick_s = -QUIET_S
+        self._latest: dict[bytes, bytes] = {}
+        """Message of each topic that a new subscriber is sent at once."""
+        self._sent_figures = Figures()
         self._ended = False
         context: zmq.Context[Any] = zmq.Context()
         files.callback(context.destroy, LINGER_MS)
-        gate = Gate(context, _authenticator(context, files) if any(each.key for each in setup.entrances) else None)
+        gate = SocketContext(
+            context, _authenticator(context, files) if any(each.key for each in setup.entrances) else None
+        )
         self._readers: list[Readers] = []
         self._clients: list[Clients] = []
-        self._hear()  # what came meanwhile is for nobody who comes from here on, but for what is kept of it
-        for entrance in setup.entrances:
-            self._open(gate, entrance, setup.backlog)
-        self._fronts: list[Front] = [*(each.front for each in self._readers), *(each.front for each in self._clients)]
+        self._receive()  # earlier messages are not sent to later subscribers, except the stored ones
+        for listener in setup.entrances:
+            self._open(gate, listener, setup.backlog)
+        self._peer_sockets: list[PeerSocket] = [
+            *(each.peers for each in self._readers),
+            *(each.peers for each in self._clients),
+        ]
 
-    def _open(self, gate: Gate, entrance: Entrance, backlog: int) -> None:
-        lock = _lock(entrance) if entrance.key else None
-        if entrance.name == "telemetry":
-            self._readers.append(Readers(gate, entrance, lock, backlog, self._asked))
+    def _open(self, gate: SocketContext, listener: ListeningSocket, backlog: int) -> None:
+        lock = _lock(listener) if listener.key else None
+        if listener.name == "telemetry":
+            self._readers.append(Readers(gate, listener, lock, backlog, self._send_latest))
             return
         number = bytes((len(self._clients),))
 
         def ask(kind: Kind, client: bytes, body: bytes) -> None:
-            self._out += 1
-            self._channel.say(kind, number + client, body)
+            off = kind == Kind.REQUEST and takes_force_off(body)
+            self._brake.count(int(off))
+            if self._channel.send(kind, number + client, body):
+                self._unanswered += 1
+            else:  # the daemon will not receive it
+                self._brake.count(-int(off))
 
-        self._clients.append(Clients(gate, entrance, lock, ask))
+        self._clients.append(Clients(gate, listener, lock, ask))
 
     def run(self) -> None:
-        """Publish until the daemon says that it ends, or is gone."""
+        """Publish until the daemon requests the end or exits."""
         poll, bell = self._poll(), self._rows.bell
-        renewed, look_s, keys_s = self._renewed(), 0.0, time.monotonic() + LOOK_S
+        renewals, report_s, keys_s = self._renewals(), 0.0, time.monotonic() + KEY_CHECK_S
         while not self._ended:
-            timeout_s = RETRY_S if self._channel.waits else PERIOD_S
-            happened = {number for number, _ in poll.poll(timeout_s * 1000.0)}
-            if bell in happened:
-                self._rows.heard()
+            timeout_s = RETRY_S if self._channel.has_queued else PERIOD_S
+            ready = {number for number, _ in poll.poll(timeout_s * 1000.0)}
+            if bell in ready:
+                self._rows.reset_bell()
             self._send_ticks()
-            if self._channel.fileno() in happened:
-                self._hear()
+            if self._channel.fileno() in ready:
+                self._receive()
             self._channel.flush()
-            self._attend()
-            if happened - {bell, self._channel.fileno()}:
-                for front in self._fronts:  # soon: libzmq's thread waits where nobody takes note of a thousand of them
-                    front.look()
+            self._handle_peers()
+            if ready - {bell, self._channel.fileno()}:
+                for peers in self._peer_sockets:  # soon: libzmq's thread blocks once a thousand events are unread
+                    peers.process_events()
             now = time.monotonic()
-            if now >= look_s:
-                look_s = now + PERIOD_S
-                self._look()
+            if now >= report_s:
+                report_s = now + PERIOD_S
+                self._report_figures()
             if now >= keys_s:
-                keys_s = now + LOOK_S
-                for front in self._fronts:
-                    front.look_at_keys()
-            if self._renewed() != renewed:
-                poll, renewed = self._poll(), self._renewed()
+                keys_s = now + KEY_CHECK_S
+                for peers in self._peer_sockets:
+                    peers.refresh_keys()
+            if self._renewals() != renewals:
+                poll, renewals = self._poll(), self._renewals()
 
     def _poll(self) -> select.poll:
         poll = select.poll()
         poll.register(self._rows.bell, select.POLLIN)
         poll.register(self._channel.fileno(), select.POLLIN)
-        for front in self._fronts:
-            for socket in (front.socket, front.monitor):
+        for peers in self._peer_sockets:
+            for socket in (peers.socket, peers.monitor):
                 poll.register(socket.FD, select.POLLIN)
         return poll
 
-    def _renewed(self) -> int:
-        return sum(front.renewed for front in self._fronts)
+    def _renewals(self) -> int:
+        return sum(peers.renewals for peers in self._peer_sockets)
 
     def _send_ticks(self) -> None:
-        messages, newest, readers = self._messages, self._newest, self._readers
+        messages, latest, readers = self._messages, self._latest, self._readers
         for row in self._rows.take():
-            for topic, body in messages.of(row):
-                newest[topic] = body
+            for topic, body in messages.encode_row(row):
+                latest[topic] = body
                 for each in readers:
                     each.send(topic, body)
-            self._ticked_s = time.monotonic()
+            self._last_tick_s = time.monotonic()
 
-    def _attend(self) -> None:
-        """Take what peers have sent. A socket that was used tells nothing by its file that had come before."""
+    def _handle_peers(self) -> None:
+        """Handle messages from peers.
+
+        After a socket was used, its file descriptor does not signal messages that arrived earlier.
+        """
         for readers in self._readers:
             readers.take()
         for clients in self._clients:
-            if self._out < OUT_MAX:
-                clients.take(OUT_MAX - self._out)
+            if self._unanswered < UNANSWERED_MAX:
+                clients.take(UNANSWERED_MAX - self._unanswered)
 
-    def _asked(self, beginning: bytes) -> None:
-        """Send the newest messages to who subscribes; libzmq sends them to all who have subscribed to the topic."""
-        quiet = time.monotonic() - self._ticked_s >= QUIET_S
-        for topic, body in self._newest.items():
-            if topic.startswith(beginning) and (quiet or topic not in self._ticking):
+    def _send_latest(self, prefix: bytes) -> None:
+        """Send the latest messages for a new subscription; libzmq sends them to all subscribers of the topic."""
+        quiet = time.monotonic() - self._last_tick_s >= QUIET_S
+        for topic, body in self._latest.items():
+            if topic.startswith(prefix) and (quiet or topic not in self._tick_topics):
                 self._publish(topic, body)
 
     def _publish(self, topic: bytes, body: bytes) -> None:
         for readers in self._readers:
             readers.send(topic, body)
 
-    def _hear(self) -> None:
-        for said in self._channel.hear():
-            self._obey(said)
+    def _receive(self) -> None:
+        for message in self._channel.receive():
+            self._handle(message)
         self._ended = self._ended or self._channel.ended
 
-    def _obey(self, said: Said) -> None:
-        match said.kind:
+    def _handle(self, message: Message) -> None:
+        match message.kind:
             case Kind.MESSAGE | Kind.RETAINED:
-                self._send_ticks()  # it follows from ticks that were written before it was said
-                self._publish(said.key, said.body)
-                if said.kind == Kind.RETAINED:
-                    self._newest[said.key] = said.body
+                self._send_ticks()  # the message follows from ticks that were written before it
+                self._publish(message.key, message.body)
+                if message.kind == Kind.RETAINED:
+                    self._latest[message.key] = message.body
             case Kind.GREETING:
-                self._newest[said.key] = said.body
-            case Kind.ANSWER | Kind.LATE:
-                self._clients[said.key[0]].answer(said.key[1:], said.body)
-                self._out -= said.kind == Kind.ANSWER
-            case Kind.LATER:
-                self._out -= 1
-            case Kind.SHOWN:
+                self._latest[message.key] = message.body
+            case Kind.ANSWER | Kind.DEFERRED_ANSWER:
+                self._clients[message.key[0]].answer(message.key[1:], message.body)
+                self._unanswered -= message.kind == Kind.ANSWER
+            case Kind.DEFERRED:
+                self._unanswered -= 1
+            case Kind.STATE_INFO:
                 self._send_ticks()
-                self._messages.show(msgspec.msgpack.decode(said.body, type=Shown))
+                self._messages.set_state_info(msgspec.msgpack.decode(message.body, type=StateInfo))
             case Kind.END:
                 self._send_ticks()
                 self._ended = True
 
-    def _look(self) -> None:
-        for front in self._fronts:
-            front.look()
+    def _report_figures(self) -> None:
+        for peers in self._peer_sockets:
+            peers.process_events()
         figures = Figures(
             sum(each.subscribers for each in self._readers),
             sum(each.lost for each in self._readers),
-            sum(front.refused for front in self._fronts),
+            sum(peers.refused for peers in self._peer_sockets),
             self._rows.lost,
         )
-        if figures != self._told and self._channel.say(Kind.FIGURES, body=msgspec.msgpack.encode(figures)):
-            self._told = figures
+        if figures != self._sent_figures and self._channel.send(Kind.FIGURES, body=msgspec.msgpack.encode(figures)):
+            self._sent_figures = figures
 
 
 def _authenticator(context: zmq.Context[Any], files: ExitStack) -> Any:
@@ -196,75 +211,79 @@ def _authenticator(context: zmq.Context[Any], files: ExitStack) -> Any:
     return authenticator
 
 
-def _lock(entrance: Entrance) -> Lock:
-    from softfinger.server.gateway.allowed import Allowed
+def _lock(listener: ListeningSocket) -> KeyLock:
     from softfinger.server.keys import read_pair
+    from softfinger.server.publishing.allowed import Allowed
 
-    return Lock(read_pair(entrance.key), Allowed(entrance.folder))
+    return KeyLock(read_pair(listener.key), Allowed(listener.folder))
 
 
-class _ToDaemon(logging.Handler):
-    """Has the daemon log what is to be said."""
+class _DaemonLogHandler(logging.Handler):
+    """Handler that forwards log messages to the daemon."""
 
     def __init__(self, channel: Channel) -> None:
         super().__init__(logging.WARNING)
         self._channel = channel
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._channel.say(Kind.SAID, body=self.format(record).encode()[:1024])
+        self._channel.send(Kind.LOG, body=self.format(record).encode()[:1024])
 
 
-def run_promptly(priority: int) -> bool:
-    """Ask for a real-time priority, with which a busy processor holds up no tick; threads that are made later have it,
-    too. Whether it was granted."""
+def request_priority(priority: int) -> bool:
+    """Request a real-time priority, so that a busy processor delays no tick; return whether it was granted.
+
+    Threads created later inherit it.
+    """
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except OSError:  # for the reason that the servo is told
+    except OSError:  # for the reason reported for the servo
         return False
     return True
 
 
-def give_way_when_busy() -> None:
-    """Where a thread keeps a processor for ALONE_US, as when peers flood it, all go on without a priority; after
-    KILLED_US the process is ended."""
-    threads = [int(each) for each in os.listdir("/proc/self/task")]  # now: later peers may have all files
+def drop_priority_when_busy() -> None:
+    """Drop the priority of all threads if one uses a processor for MAX_BUSY_US without a pause, as in a flood by peers.
 
-    def give_way(*_: object) -> None:
+    After KILL_US the system ends the process.
+    """
+    threads = [int(each) for each in os.listdir("/proc/self/task")]  # now: later, peers may have used up all files
+
+    def drop_priority(*_: object) -> None:
         for thread in threads:
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
-        log.warning("telemetry: the publisher is too busy to have a priority, and goes on without")
+        log.warning("telemetry: the publisher is too busy for a real-time priority, and continues without")
 
-    signal.signal(signal.SIGXCPU, give_way)
-    resource.setrlimit(resource.RLIMIT_RTTIME, (ALONE_US, KILLED_US))
+    signal.signal(signal.SIGXCPU, drop_priority)
+    resource.setrlimit(resource.RLIMIT_RTTIME, (MAX_BUSY_US, KILL_US))
 
 
 def publish(channel: Channel) -> None:
-    """Be the publisher of the daemon at the other end, until either ends."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # as a service is ended: the daemon has a last word
+    """Run the publisher for the daemon at the other end, until either ends."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the daemon sends a last message
         signal.signal(number, signal.SIG_IGN)
-    logging.getLogger().addHandler(_ToDaemon(channel))
+    logging.getLogger().addHandler(_DaemonLogHandler(channel))
     setup = _setup(channel)
     if setup is None:
         return
-    prompt = setup.priority > 0 and run_promptly(setup.priority)
+    has_priority = setup.priority > 0 and request_priority(setup.priority)
     with ExitStack() as files:
         publishing = Publishing(channel, setup, files)
         bound_resources()
-        if prompt:
-            give_way_when_busy()
-        channel.say(Kind.READY)
-        # What is made for a tick goes with it; what is kept was made before.
+        if has_priority:
+            drop_priority_when_busy()
+        channel.send(Kind.READY)
+        # Objects created for a tick are freed with it; long-lived ones have been created before.
         gc.freeze()
         gc.disable()
         publishing.run()
 
 
 def _setup(channel: Channel) -> Setup | None:
-    """What the daemon says first; None where it has gone."""
+    """Return the first message from the daemon; None if the daemon has exited."""
     while not channel.ended:
         select.select([channel], [], [])
-        for said in channel.hear():
-            if said.kind == Kind.SETUP:
-                return msgspec.msgpack.decode(said.body, type=Setup)
+        for message in channel.receive():
+            if message.kind == Kind.SETUP:
+                return msgspec.msgpack.decode(message.body, type=Setup)
     return None

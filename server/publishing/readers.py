@@ -1,4 +1,4 @@
-"""Whoever subscribes: libzmq's XPUB, what subscribers are too slow for, and what they ask for."""
+"""Subscribers of one endpoint: an XPUB socket of libzmq, with counts of lost messages and of subscriptions."""
 
 from __future__ import annotations
 
@@ -10,48 +10,55 @@ from typing import Final
 
 import zmq
 
-from softfinger.server.publishing.front import Front, Gate, Lock, Open
+from softfinger.server.publishing.peer_socket import BoundEndpoint, KeyLock, PeerSocket, SocketContext
 
 log: Final = logging.getLogger(__name__)
 
 SUBSCRIPTION_MAX: Final = 512
 """Longest frame of a subscriber, bytes."""
 SUBSCRIPTIONS_PER_S: Final = 256
-"""Of one key, new topics: above, the key is barred. A program has one or two for each connection."""
+"""New topics of one key; above this the key is barred. A program has one or two for each connection."""
+TOPICS_MAX: Final = 256
+"""Topics counted for one connection: bounds the memory for a peer that subscribes without end."""
 AT_ONCE: Final = 256
 
 
 class Readers:
-    """Whoever subscribes on one endpoint.
+    """Subscribers of one endpoint.
 
-    queue  messages that wait for a slow subscriber; then libzmq drops the newest, for that one
-    asked  called with each topic, or beginning of topics, that somebody subscribes to
+    queue            messages queued for a slow subscriber; beyond that, libzmq drops new messages for it
+    on_subscription  called with each topic, or prefix of topics, of a new subscription
     """
 
     def __init__(
-        self, gate: Gate, bound: Open, lock: Lock | None, queue: int, asked: Callable[[bytes], None] | None = None
+        self,
+        gate: SocketContext,
+        bound: BoundEndpoint,
+        lock: KeyLock | None,
+        queue: int,
+        on_subscription: Callable[[bytes], None] | None = None,
     ) -> None:
         options = {"sndhwm": queue, "maxmsgsize": SUBSCRIPTION_MAX, "xpub_verboser": 1, "xpub_nodrop": 1}
-        self.front: Final = Front(gate, zmq.XPUB, bound, lock, options)
+        self.peers: Final = PeerSocket(gate, zmq.XPUB, bound, lock, options)
         self.lost = 0
-        """Messages at which a subscriber was found to be too slow; what it lost after them libzmq does not tell."""
-        self._asked = asked
-        self._topics = self._renewed = 0
-        """Subscriptions that there are, since all were cut off for the last time."""
+        """Messages at which a subscriber was found to be too slow; libzmq does not report losses after these."""
+        self._on_subscription = on_subscription
+        self._topics: dict[int, Counter[bytes]] = {}
+        """Subscriptions of each connection, by its number in `PeerSocket.connected`."""
         self._new: Counter[bytes] = Counter()
         self._since_s = 0.0
 
     @property
     def subscribers(self) -> int:
-        """Connections that subscribe to something: libzmq does not say whose a subscription is."""
-        return min(self.front.peers, self._topics) if self._renewed == self.front.renewed else 0
+        """Number of connections that subscribe to at least one topic."""
+        return sum(bool(self._topics.get(number)) for number in self.peers.connected.values())
 
     def send(self, topic: bytes, body: bytes) -> None:
-        """To everybody who has subscribed to it; waits for nobody."""
-        socket = self.front.socket
+        """Send to all subscribers of the topic; never waits."""
+        socket = self.peers.socket
         try:
             socket.send(topic, zmq.SNDMORE | zmq.NOBLOCK)
-        except zmq.Again:  # it was given to nobody: now to all who have room
+        except zmq.Again:  # sent to no subscriber: now send to all that have room
             self.lost += 1
             socket.xpub_nodrop = 0
             socket.send(topic, zmq.SNDMORE | zmq.NOBLOCK)
@@ -59,35 +66,57 @@ class Readers:
         socket.send(body, zmq.NOBLOCK)
 
     def take(self) -> None:
-        """Read the subscriptions that have come; where a key is barred for their number, all are cut off."""
+        """Read new subscriptions; if a key is barred for their number, disconnect all peers."""
         now = time.monotonic()
         if now - self._since_s >= 1.0:
             self._since_s, self._new = now, Counter()
-        if self._renewed != self.front.renewed:
-            self._renewed, self._topics = self.front.renewed, 0
+            connected = set(self.peers.connected.values())
+            self._topics = {number: topics for number, topics in self._topics.items() if number in connected}
         for _ in range(AT_ONCE):
-            if not self.front.has_come:
+            if not self.peers.has_message:
                 return
-            frame = self.front.socket.recv(zmq.NOBLOCK, copy=False)
-            said = frame.bytes
-            self._topics += {b"\1": 1, b"\0": -1}.get(said[:1], 0)
-            if said[:1] == b"\1" and self._asked is not None:
-                self._asked(said[1:])
-            if self.front.lock is not None and self._floods(frame):
+            frame = self.peers.socket.recv(zmq.NOBLOCK, copy=False)
+            try:
+                file = int(frame.get(zmq.SRCFD))
+            except zmq.ZMQError:  # from libzmq itself, for a connection that has closed
+                continue
+            frame_bytes = frame.bytes
+            self._count(file, frame_bytes[:1], frame_bytes[1:])
+            if frame_bytes[:1] == b"\1" and self._on_subscription is not None:
+                self._on_subscription(frame_bytes[1:])
+            if self.peers.lock is not None and self._floods(frame):
                 return
 
+    def _count(self, file: int, kind: bytes, topic: bytes) -> None:
+        """Count a subscription (1) or its end (0) for the connection with this file descriptor.
+
+        libzmq also passes on ends of subscriptions that never existed. They must not cancel subscriptions of other
+        connections.
+        """
+        self.peers.process_events()  # libzmq reports a connection before its first frame
+        number = self.peers.connected.get(file)
+        if number is None:
+            return
+        topics = self._topics.setdefault(number, Counter())
+        if kind == b"\1" and (topic in topics or len(topics) < TOPICS_MAX):
+            topics[topic] += 1
+        elif kind == b"\0" and topic in topics:
+            topics[topic] -= 1
+            if not topics[topic]:
+                del topics[topic]
+
     def _floods(self, frame: zmq.Frame) -> bool:
-        lock = self.front.lock
+        lock = self.peers.lock
         assert lock is not None
         try:
             key = str(frame.get("User-Id")).encode()
-        except zmq.ZMQError:  # of a peer that has gone
+        except zmq.ZMQError:  # of a peer that has disconnected
             return False
         self._new[key] += 1
         if self._new[key] <= SUBSCRIPTIONS_PER_S:
             return False
         log.warning("key %s is barred: more than %d topics in 1 s", lock.allowed.name(key), SUBSCRIPTIONS_PER_S)
-        lock.allowed.bar(key)
+        lock.allowed.revoke(key)
         lock.allowed.refresh()
-        self.front.renew()
+        self.peers.renew()
         return True

@@ -1,4 +1,4 @@
-"""What the daemon tells its publisher at the start, and what each of the two says to the other afterwards."""
+"""Messages between the daemon and its publisher: the setup, and the kinds of all later messages."""
 
 from __future__ import annotations
 
@@ -8,52 +8,52 @@ from typing import Final
 from msgspec import Struct
 
 PERIOD_S: Final = 0.1
-"""How often the publisher looks after what does not wake it, and tells its figures."""
+"""Interval at which the publisher checks everything that does not wake it, and reports its figures."""
 REQUEST_MAX: Final = 262144
-"""Longest frame of a peer that asks, bytes: a scene of 256 objects has some 130 KB."""
+"""Longest frame of a command client, bytes: a scene of 256 objects has about 130 KB."""
 ANSWER_MAX: Final = 1 << 22
-"""Longest that the daemon says at once, bytes: the triangles of a mesh have 1 MB."""
+"""Longest message of the daemon, bytes: the triangles of a mesh have 1 MB."""
 
 
 class Kind(IntEnum):
-    """Of a message on the channel."""
+    """Kind of a message on the channel."""
 
-    # From the daemon; the first is SETUP.
+    # From the daemon; SETUP is the first.
     SETUP = 1
-    SHOWN = 2
+    STATE_INFO = 2
     MESSAGE = 3
-    """Of a topic, the key, to be published behind the ticks that are there."""
+    """Message to be published on the topic `key`, after the ticks that are available."""
     RETAINED = 4
-    """The same, and the newest of its topic is for whoever subscribes later."""
+    """As MESSAGE, and stored for later subscribers as the latest of its topic."""
     GREETING = 5
-    """Only for whoever subscribes later."""
+    """Stored for later subscribers, but not published."""
     ANSWER = 6
-    """To a client, the key, whose place is free again."""
-    LATER = 7
-    """A request was taken, and is answered with LATE: its place is free again."""
-    LATE = 8
+    """Answer to the client `key`; frees one of the unanswered requests."""
+    DEFERRED = 7
+    """A request was accepted and will be answered with LATE; frees one of the unanswered requests."""
+    DEFERRED_ANSWER = 8
     END = 9
 
     # From the publisher.
     READY = 16
     FIGURES = 17
     REQUEST = 18
-    """Of a client, the key."""
+    """Request of the client `key`."""
     TOO_MUCH = 19
-    """The same, of one that asks too often."""
+    """Request of a client that sends too many."""
     MALFORMED = 20
-    """A message of a client that has not two frames."""
-    SAID = 21
-    """A warning for the log."""
+    """Message of a client without exactly two frames."""
+    LOG = 21
+    """Warning for the log."""
 
 
-class Entrance(Struct, frozen=True):
-    """A socket that listens, where peers come in.
+class ListeningSocket(Struct, frozen=True):
+    """Listening socket for peers.
 
     name    telemetry or commands
     fd      of the socket
-    key     file of the secret key, '' where none is needed
-    folder  public keys of those who may come in
+    key     file of the secret key, '' if none is required
+    folder  public keys of the peers that may connect
     """
 
     name: str
@@ -63,9 +63,13 @@ class Entrance(Struct, frozen=True):
     folder: str
 
 
-class Shown(Struct, frozen=True):
-    """What `state` says beside the tick: name of the scene; ticks a second, 1/s; the epoch's offset to
-    CLOCK_MONOTONIC, s."""
+class StateInfo(Struct, frozen=True):
+    """Contents of `state` that do not come from the tick.
+
+    scene    name of the scene
+    rate_hz  tick rate, 1/s
+    epoch_s  offset of the epoch from CLOCK_MONOTONIC, s
+    """
 
     scene: str = "unnamed"
     rate_hz: float = 1000.0
@@ -73,12 +77,13 @@ class Shown(Struct, frozen=True):
 
 
 class Ticks(Struct, frozen=True):
-    """How ticks are published.
+    """Parameters of the published ticks.
 
-    schema  version of the protocol
-    every   one of so many is sent
-    topics  of each finger's
-    state   the topic of `state`, and how often it is sent, 1/s
+    schema    version of the protocol
+    every     one in this many ticks is sent
+    topics    topic of each finger
+    state     topic of `state`
+    state_hz  rate of `state`, 1/s
     """
 
     schema: int
@@ -89,31 +94,34 @@ class Ticks(Struct, frozen=True):
 
 
 class Setup(Struct, frozen=True):
-    """Everything that the publisher needs.
+    """Setup of the publisher.
 
-    memory   file of the ticks; begin: the row to begin with
-    bell     eventfd that is rung when there is a new one
-    backlog  messages kept for a subscriber that falls behind
-    priority of SCHED_FIFO that it asks for; 0: for none
+    memory    file of the ticks
+    begin     first row to publish
+    bell      eventfd that signals a new row
+    switch    file of the force switch (`brake.py`)
+    backlog   messages queued for a slow subscriber
+    priority  SCHED_FIFO priority to request; 0 for none
     """
 
     memory: int
     begin: int
     bell: int
+    switch: int
     backlog: int
     priority: int
     ticks: Ticks
-    shown: Shown
-    entrances: list[Entrance]
+    shown: StateInfo
+    entrances: list[ListeningSocket]
 
 
 class Figures(Struct, frozen=True):
-    """What the publisher counts, since it was started.
+    """Counters of the publisher since its start.
 
-    subscribers  connections of subscribers, now
+    subscribers  present connections of subscribers
     lost         messages at which a subscriber was found to be too slow
     refused      connections that were refused
-    missed       ticks that were overwritten before it had read them
+    missed       ticks that were overwritten before the publisher read them
     """
 
     subscribers: int = 0

@@ -1,6 +1,6 @@
-"""Ticks as other programs of this user read them: rows of a file in memory, without numpy.
+"""Reader of ticks in shared memory, without numpy; `process.py` uses it.
 
-docs/protocol.md has the layout, `softfinger_ring.h` the same reader in C.
+docs/protocol.md describes the layout, and `softfinger_ring.h` is the same reader in C.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _PAGE_BYTES: Final = 4096
 
 
 class Rows:
-    """A reader that begins with row `begin`; takes over the file. `bell` is an eventfd that is rung after each row."""
+    """Reader that starts at row `begin` and takes ownership of the file; `bell` is an eventfd that signals new rows."""
 
     def __init__(self, file: int, begin: int, bell: int) -> None:
         self._memory = mmap.mmap(file, 0, prot=mmap.PROT_READ)
@@ -30,13 +30,13 @@ class Rows:
         self.lost = 0
         """Rows that were overwritten before they were read."""
 
-    def heard(self) -> None:
-        """Take back the ring of the bell, once it has rung."""
-        # The call orders this reader's loads behind what was written before the bell was rung.
+    def reset_bell(self) -> None:
+        """Reset the eventfd after it has signalled."""
+        # The call orders this reader's loads after the writes that precede the signal.
         os.eventfd_read(self.bell)
 
     def take(self) -> Iterator[tuple[float, ...]]:
-        """Every row that is there, oldest first; whoever is a whole ring behind goes on from half of it."""
+        """Yield every available row, oldest first; skip to the middle of the ring if a full ring behind."""
         head = self._words[_HEAD]
         while self._next < head:
             if head - self._next >= self._capacity:
@@ -44,7 +44,7 @@ class Rows:
             slot = self._next & (self._capacity - 1)
             row = self._row.unpack_from(self._memory, _PAGE_BYTES + slot * self._row.size)
             head = self._words[_HEAD]
-            if head - self._next < self._capacity:  # it was not overwritten meanwhile
+            if head - self._next < self._capacity:  # it was not overwritten during the copy
                 self._next += 1
                 yield row
 

@@ -1,4 +1,4 @@
-"""Recordings of runs as MCAP files: what is in one, how it is written while the loop runs, read, summed up, compared.
+"""Recordings of runs as MCAP files: their format, writing during a run, reading, summary and comparison.
 
-Nothing of sockets and nothing of devices: ticks and events come in as records and maps.
+Contains no sockets and no devices: ticks and events arrive as records and maps.
 """

@@ -1,4 +1,4 @@
-"""The last ten seconds of a daemon, kept in memory, and written to a file when something goes wrong."""
+"""Black box: the last ten seconds of a daemon in memory, written to a file after a fault."""
 
 from __future__ import annotations
 
@@ -15,49 +15,53 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.files import check_owner
+from softfinger.config.files import check_owner, home_folder
 from softfinger.proxy.record import RECORD_SIZE
-from softfinger.server.recording.writer import RecordingFile, with_whole_numbers
+from softfinger.server.recording.writer import RecordingFile, round_integer_fields
 from softfinger.server.wire.events import RecordEvents
 from softfinger.server.wire.stamps import now_s
 
 Array = NDArray[np.float64]
 
-KEPT_S: Final = 10.0
-"""What is kept of ticks, events and the log."""
+HISTORY_S: Final = 10.0
+"""Duration of the stored ticks, events and log lines."""
 FILES_MAX: Final = 20
 BYTES_MAX: Final = 256 << 20
-"""Of the folder: the oldest files make room. Ten seconds of a finger at 1 kHz take 2 MB."""
+"""Maximum size of the folder; the oldest files are deleted. Ten seconds of one finger at 1 kHz take 2 MB."""
 EVENTS_MAX: Final = 4096
 LINES_MAX: Final = 2000
 TEXT_MAX: Final = 4000
-"""Characters of a line of the log: a traceback."""
+"""Maximum length of a log line, enough for a traceback."""
 BLOCK_ROWS: Final = 1024
-"""Ticks encoded at a time: other threads have their turn."""
-ENDING: Final = ".mcap"
-PART: Final = ".part"
+"""Ticks encoded per block, so that other threads can run between blocks."""
+SUFFIX: Final = ".mcap"
+PART_SUFFIX: Final = ".part"
 
 
-def folder() -> Path:
-    """Where files are kept: $SOFTFINGER_BLACKBOX_DIR, or in the user's state folder (XDG); whether it is there or not.
-    RuntimeError where no home folder is known."""
-    named = os.environ.get("SOFTFINGER_BLACKBOX_DIR")
-    if named:
-        return Path(named).absolute()
-    state = os.environ.get("XDG_STATE_HOME", "")
-    return (Path(state) if state.startswith("/") else Path.home() / ".local" / "state") / "softfinger" / "blackbox"
+def folder() -> Path | None:
+    """Return the folder of the files, which need not exist; None for a user without a home folder.
+
+    It is $SOFTFINGER_BLACKBOX_DIR, or a folder in the user's state folder (XDG).
+    """
+    configured = os.environ.get("SOFTFINGER_BLACKBOX_DIR")
+    if configured:
+        return Path(configured).absolute()
+    state, home = os.environ.get("XDG_STATE_HOME", ""), home_folder()
+    if not state.startswith("/") and home is None:
+        return None
+    return Path(state if state.startswith("/") else f"{home}/.local/state") / "softfinger" / "blackbox"
 
 
-def files(place: Path) -> list[Path]:
-    """The files of a folder, oldest first; none where there is no folder."""
+def files(directory: Path) -> list[Path]:
+    """Return the files of a folder, oldest first; empty if the folder does not exist."""
     with contextlib.suppress(OSError):
-        found = [(path.stat().st_mtime, path) for path in place.glob(f"*{ENDING}")]
-        return [path for _, path in sorted(found)]
+        timed_paths = [(path.stat().st_mtime, path) for path in directory.glob(f"*{SUFFIX}")]
+        return [path for _, path in sorted(timed_paths)]
     return []
 
 
-class Line(NamedTuple):
-    """A line of the log: time s, number of its level as logging has it, who said it, what."""
+class LogLine(NamedTuple):
+    """Line of the log: time (s), level of `logging`, name of the logger, text."""
 
     time: float
     level: int
@@ -65,75 +69,88 @@ class Line(NamedTuple):
     text: str
 
 
-class Log(logging.Handler):
-    """Keeps the newest lines of the log; from any thread."""
+class LogBuffer(logging.Handler):
+    """Log handler that stores the latest lines; thread-safe."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._lines: deque[Line] = deque(maxlen=LINES_MAX)
+        self._lines: deque[LogLine] = deque(maxlen=LINES_MAX)
         self.setFormatter(logging.Formatter("%(message)s"))
 
     def emit(self, record: logging.LogRecord) -> None:
         at_s = now_s() - (time.time() - record.created)
-        self._lines.append(Line(at_s, record.levelno, record.name, self.format(record)[:TEXT_MAX]))
+        self._lines.append(LogLine(at_s, record.levelno, record.name, self.format(record)[:TEXT_MAX]))
 
-    def lines(self, since_s: float) -> list[Line]:
-        """Those from a time on."""
+    def lines(self, since_s: float) -> list[LogLine]:
+        """Return the lines since a time (s)."""
         return [line for line in list(self._lines) if line.time >= since_s]
 
 
 class BlackBox:
-    """What is kept of a run: `take` and `event` never wait for a disk, `write` does.
+    """Ring buffer of a run's latest ticks and events; `take` and `event` never wait for a disk, `write` does.
 
-    fingers  names of several fingers, one empty name for a single one
-    guards   names of the guard's bits
-    rate_hz  of ticks: how many are kept
+    Parameters
+    ----------
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    guards
+        Names of the guard's bits.
+    rate_hz
+        Rate of the ticks, which determines the size of the buffer.
     """
 
     def __init__(self, fingers: Sequence[str], guards: Sequence[str], rate_hz: float) -> None:
         self._fingers, self._guards = list(fingers), tuple(guards)
-        self._rows = np.zeros((max(1, round(KEPT_S * rate_hz)), len(self._fingers) * RECORD_SIZE))
+        self._rows = np.zeros((max(1, round(HISTORY_S * rate_hz)), len(self._fingers) * RECORD_SIZE))
         self._next = self._count = 0
         self._lock = threading.Lock()
-        """Held for as long as ticks are copied, a millisecond."""
+        """Locked while ticks are copied, about a millisecond."""
         self._events: deque[Mapping[str, Any]] = deque(maxlen=EVENTS_MAX)
-        self.log: Final = Log()
+        self.log: Final = LogBuffer()
 
     def take(self, records: Array) -> None:
-        """Keep records (n, fingers x RECORD_SIZE), which are copied."""
+        """Copy records (n, fingers x RECORD_SIZE) into the buffer."""
         with self._lock:
             for first in range(0, len(records), len(self._rows)):
-                some = records[first : first + len(self._rows)]
-                ahead = min(len(some), len(self._rows) - self._next)
-                self._rows[self._next : self._next + ahead] = some[:ahead]
-                self._rows[: len(some) - ahead] = some[ahead:]
-                self._next = (self._next + len(some)) % len(self._rows)
-                self._count = min(self._count + len(some), len(self._rows))
+                block = records[first : first + len(self._rows)]
+                until_wrap = min(len(block), len(self._rows) - self._next)
+                self._rows[self._next : self._next + until_wrap] = block[:until_wrap]
+                self._rows[: len(block) - until_wrap] = block[until_wrap:]
+                self._next = (self._next + len(block)) % len(self._rows)
+                self._count = min(self._count + len(block), len(self._rows))
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """Keep an event, a map as the wire has it, that does not follow from ticks; from any thread."""
-        since = now_s() - KEPT_S
+        """Store an event, a map as on the wire, that does not follow from the ticks; thread-safe."""
+        since = now_s() - HISTORY_S
         with self._lock:
             while self._events and self._events[0]["timestamp"] < since:
                 self._events.popleft()
             self._events.append(event)
 
     def write(self, path: Path, about: Mapping[str, Any]) -> None:
-        """Write all that is kept to a new file, whole or not at all. OSError where that fails.
+        """Write the stored data to a new file, which appears only when it is complete.
 
-        about  tables of metadata (`RecordingFile`)
+        Parameters
+        ----------
+        about
+            Tables of metadata (`RecordingFile`).
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written.
         """
         with self._lock:
             order = (np.arange(self._next - self._count, self._next)) % len(self._rows)
             rows = self._rows[order].reshape(self._count, len(self._fingers), RECORD_SIZE)
-        part = path.with_suffix(PART)
+        part = path.with_suffix(PART_SUFFIX)
         descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
-            with open(descriptor, "wb", buffering=0) as file:  # closed, too, where the disk takes a part
+            with open(descriptor, "wb", buffering=0) as file:  # also closed if the disk accepts only a part
                 recording = RecordingFile(file, self._fingers, about)
-                for event in self._put_ticks(recording, rows):
+                for event in self._write_ticks(recording, rows):
                     recording.event(event)
-                since = now_s() - KEPT_S
+                since = now_s() - HISTORY_S
                 for event in list(self._events):
                     if event["timestamp"] >= since:
                         recording.event(event)
@@ -145,31 +162,38 @@ class BlackBox:
             with contextlib.suppress(FileNotFoundError):
                 part.unlink()
 
-    def _put_ticks(self, recording: RecordingFile, rows: Array) -> Iterator[Mapping[str, Any]]:
-        """Write ticks; the events that follow from them."""
-        for place, finger in enumerate(self._fingers):
-            told = RecordEvents(self._guards, finger, place == 0)
+    def _write_ticks(self, recording: RecordingFile, rows: Array) -> Iterator[Mapping[str, Any]]:
+        """Write ticks; yield the events that follow from them."""
+        for index, finger in enumerate(self._fingers):
+            event_detector = RecordEvents(self._guards, finger, index == 0)
             for first in range(0, len(rows), BLOCK_ROWS):
-                some = with_whole_numbers(rows[first : first + BLOCK_ROWS, place].copy())
-                recording.ticks(some, finger)
-                yield from told.observe(some)
+                block = round_integer_fields(rows[first : first + BLOCK_ROWS, index].copy())
+                recording.ticks(block, finger)
+                yield from event_detector.observe(block)
 
 
-def make_room(place: Path) -> None:
-    """Have the folder, which is this user's alone, with room for one more file: the oldest ones go. OSError, or
-    ConfigError where others may write to it."""
-    place.mkdir(mode=0o700, parents=True, exist_ok=True)
-    check_owner(place, place.stat(), "could say what a file of ours replaces")
-    kept, left = FILES_MAX - 1, BYTES_MAX
-    for path in reversed(files(place)):
-        with contextlib.suppress(OSError):  # another daemon makes room, too
-            left -= path.stat().st_size
-            if kept <= 0 or left < 0:
+def prepare_folder(directory: Path) -> None:
+    """Create the folder for this user only, and delete its oldest files to make room for one more.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be created.
+    ConfigError
+        If other users may write to it.
+    """
+    directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+    check_owner(directory, directory.stat(), "could select the file that ours replaces")
+    files_left, bytes_left = FILES_MAX - 1, BYTES_MAX
+    for path in reversed(files(directory)):
+        with contextlib.suppress(OSError):  # another daemon may delete files, too
+            bytes_left -= path.stat().st_size
+            if files_left <= 0 or bytes_left < 0:
                 path.unlink()
-        kept -= 1
+        files_left -= 1
 
 
-def name_of(fault: str, number: int) -> str:
-    """A file's name, by the time (UTC), the process, which of its files it is, and the fault."""
-    said = "".join(letter if letter.isalnum() else "-" for letter in fault)
-    return f"{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}-{os.getpid()}-{number}-{said}{ENDING}"
+def format_file_name(fault: str, number: int) -> str:
+    """Return a file name from the time (UTC), the process, the number of its file, and the fault."""
+    fault_text = "".join(letter if letter.isalnum() else "-" for letter in fault)
+    return f"{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}-{os.getpid()}-{number}-{fault_text}{SUFFIX}"

@@ -1,12 +1,11 @@
-"""Recorded poses through today's code, and what comes out beside what was recorded, tick by tick.
+"""Replay of recorded poses with today's code, and comparison with the recorded results, tick by tick.
 
-What a contact remembers is not in a recording. So a run is compared from where nothing is remembered: from the
-daemon's first tick, or, behind anything that breaks the chain (ticks that are missing, a command, a force that the
-driver withheld), from the first tick in free space on with no trace of the time before. After a disarmed stretch, of
-which a bit of the guard tells, the ramp starts from zero in the recording and in the replay alike: comparison need not
-wait until the ramp is over.
+The internal state of a contact is not recorded. Therefore comparison starts where this state is known to be empty: at
+the daemon's first tick or, after each interruption (missing ticks, a command, a force withheld by the driver), at the
+first tick in free space at which the earlier history has no influence. After a disarmed stretch, which a guard bit
+marks, the ramp starts from zero in both the recording and the replay, so comparison does not wait for its end.
 
-Running the code again and comparing stay in one file, since both go by the same parts of a run.
+Replay and comparison are in one file because both depend on the same parts of a run.
 """
 
 from __future__ import annotations
@@ -48,29 +47,30 @@ Mask = NDArray[np.bool_]
 
 COMPARED: Final = ("force", "torque", "contact.mode", "contact.object", "contact.point")
 FIELDS: Final = ("timestamp", "servo.guard", "servo.device", "servo.missed", *COMPARED)
-"""What of a recording a comparison reads."""
+"""Fields of a recording that a comparison reads."""
 
 COMMAND_S: Final = 0.5
-"""An event tells of a command after it was done: so long before it the force may be another's already. The thread that
-answers has normal priority, and its longest delays on a busy machine are tenths of a second."""
+"""The event of a command is published after its execution, so the force may differ for this time before the event.
+The answering thread has normal priority; on a busy machine its longest delays are tenths of a second.
+"""
 COMMAND_TICKS: Final = 2
-"""The tick that an event names may have begun before it; the second after it has not."""
-FORGOTTEN: Final = 40.0
-"""Time constants after which the velocity filter has forgotten all: exp(-40) is below the last bit of float64."""
+"""The tick named by an event may have started before the command; the second tick after it has not."""
+FORGET_TIME_CONSTANTS: Final = 40.0
+"""Number of time constants after which the velocity filter has no memory: exp(-40) is below the last bit of float64."""
 
-_KEPT: Final = ("servo.guard", *COMPARED)
-_PLACES: Final[dict[str, slice]] = {
+_STORED: Final = ("servo.guard", *COMPARED)
+_SLICES: Final[dict[str, slice]] = {
     name: slice(end - NAMED[name].size, end)
-    for name, end in zip(_KEPT, accumulate(NAMED[name].size for name in _KEPT), strict=True)
+    for name, end in zip(_STORED, accumulate(NAMED[name].size for name in _STORED), strict=True)
 }
-_COLUMNS: Final = [NAMED[name].at + i for name in _KEPT for i in range(NAMED[name].size)]
-"""Columns of a record that are kept of a replay, and where they are then."""
+_COLUMNS: Final = [NAMED[name].at + i for name in _STORED for i in range(NAMED[name].size)]
+"""Columns of a record that a replay stores, and their positions there."""
 
-_CHANGING: Final = {"set_params", "drive", "heartbeat", "heartbeat_missed"}
+_STATE_COMMANDS: Final = {"set_params", "drive", "heartbeat", "heartbeat_missed"}
 
 
 class Difference(NamedTuple):
-    """Two values of one key in a tick, `seconds` after the first of the recording."""
+    """Two values of one key in a tick, `seconds` after the first tick of the recording."""
 
     tick: int
     seconds: float
@@ -81,7 +81,7 @@ class Difference(NamedTuple):
 
 
 class Span(NamedTuple):
-    """Ticks from `first` to `last` that are not compared, and why."""
+    """Ticks from `first` to `last` that are not compared, and the reason."""
 
     first: int
     last: int
@@ -89,14 +89,14 @@ class Span(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a comparison found.
+    """Result of a comparison.
 
-    ticks      of the recording
-    compared   of them
-    different  of those
-    first      where that begins, None where nowhere
+    ticks      number of ticks of the recording
+    compared   number of compared ticks
+    different  number of different ticks
+    first      first difference; None if there is none
     largest    largest difference of each key
-    left_out   what was not compared
+    left_out   ticks that were not compared
     """
 
     ticks: int
@@ -108,21 +108,26 @@ class Outcome(NamedTuple):
 
 
 class Replayed(NamedTuple):
-    """What comes of a run's ticks today: the columns (n, fingers, ...) that are compared; which ticks (n,) may be, and
-    why not the others; and the poses of `Run.bodies`, NaN where there are none of these names."""
+    """Results of a run's ticks with today's code.
+
+    columns     (n, fingers, ...)  compared columns of the records
+    comparable  (n,)               ticks that can be compared
+    left_out                       the other ticks, with reasons
+    bodies                         poses as `Run.bodies`; NaN if the scene has other bodies
+    """
 
     columns: Array
-    right: Mask
+    comparable: Mask
     left_out: list[Span]
     bodies: Array
 
-    def field(self, name: str, place: int) -> Array:
-        """A field of a finger, (n, size)."""
-        return self.columns[:, place, _PLACES[name]]
+    def field(self, name: str, finger_index: int) -> Array:
+        """Return a field of a finger, (n, size)."""
+        return self.columns[:, finger_index, _SLICES[name]]
 
 
 def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
-    """Every tick of a run through today's step and guard. ConfigError where the scene has other fingers."""
+    """Compute every tick of a run with today's step and guard; raises ConfigError if the scene has other fingers."""
     names = [finger.name for finger in scene.fingers]
     if len(names) != len(run.fingers) or (len(names) > 1 and names != list(run.fingers)):
         raise ConfigError(
@@ -130,76 +135,80 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
         )
     ticks = run.first["tick"].astype(np.int64)
     poses = np.stack([np.column_stack((f["probe.position"], f["probe.orientation"])) for f in run.fingers.values()], 1)
-    poses[_bits(run, POSE_REFUSED | POSE_JUMPED | POSE_FROZEN)] = np.nan  # as the device gave them, whatever it was
+    poses[_has_bit(run, POSE_REFUSED | POSE_JUMPED | POSE_FROZEN)] = np.nan  # the device's pose is not recorded
     free = np.all(np.stack([f["contact.mode"] for f in run.fingers.values()], axis=1) == FREE, axis=1)
-    given = np.stack([f["servo.guard"] for f in run.fingers.values()], axis=1)
-    devices, settle = _devices(run), _settle(scene, run.rate_hz)
+    recorded_guards = np.stack([f["servo.guard"] for f in run.fingers.values()], axis=1)
+    devices, settling_ticks = _device_infos(run), _settling_ticks(scene, run.rate_hz)
     columns = np.empty((len(ticks), len(names), len(_COLUMNS)))
     bodies = np.full_like(run.bodies.poses, np.nan)
-    right, left_out = np.zeros(len(ticks), dtype=bool), list[Span]()
+    comparable, left_out = np.zeros(len(ticks), dtype=bool), list[Span]()
     ramp = round(rig.commands.ramp_s * run.rate_hz)
-    for part in _parts(run, scene, ticks, ramp):
-        some = slice(part.start, part.stop)
-        _simulate(run, part, make_tuning(part.scene, rig.guard, devices), poses[some], (columns[some], bodies))
+    for part in _split_run(run, scene, ticks, ramp):
+        block = slice(part.start, part.stop)
+        _simulate(run, part, make_tuning(part.scene, rig.guard, devices), poses[block], (columns[block], bodies))
         start = part.start
         if ticks[start] > 0:
-            modes, guards = (columns[some, :, _PLACES[name]][..., 0] for name in ("contact.mode", "servo.guard"))
-            rests = free[some] & np.all((modes == FREE) & (guards == given[some]), axis=1)
-            rests &= np.all((guards == 0.0) | (part.armed & (guards == RAMPING)), axis=1)
-            rests[:settle] = False
-            if part.scene.world is not None:  # where its bodies were is not recorded
-                rests[:] = False
-            start += int(np.argmax(rests)) if rests.any() else len(rests)
-        right[start : part.stop] = True
+            modes, guards = (columns[block, :, _SLICES[name]][..., 0] for name in ("contact.mode", "servo.guard"))
+            is_at_rest = free[block] & np.all((modes == FREE) & (guards == recorded_guards[block]), axis=1)
+            is_at_rest &= np.all((guards == 0.0) | (part.armed & (guards == RAMPING)), axis=1)
+            is_at_rest[:settling_ticks] = False
+            if part.scene.world is not None:  # the poses of its bodies at this tick are not recorded
+                is_at_rest[:] = False
+            start += int(np.argmax(is_at_rest)) if is_at_rest.any() else len(is_at_rest)
+        comparable[start : part.stop] = True
         left_out += _span(ticks, part.start, start, part.why)
-    for row in _commands(run, scene, ticks, ramp):  # before one is told, it may have been done
+    for row in _command_changes(run, scene, ticks, ramp):  # may be executed before its event
         first = max(0, row - ramp - round(COMMAND_S * run.rate_hz))
-        right[first:row] = False
+        comparable[first:row] = False
         left_out += _span(
             ticks, first, row, "when the command after them was done is not recorded, or it was on its way"
         )
-    held = _held(run)
-    right[held] = False
-    if held.any():
-        left_out.append(Span(int(ticks[held][0]), int(ticks[held][-1]), "the force was withheld or disarmed meanwhile"))
+    withheld = _withheld(run)
+    comparable[withheld] = False
+    if withheld.any():
+        left_out.append(
+            Span(int(ticks[withheld][0]), int(ticks[withheld][-1]), "the force was withheld or disarmed in between")
+        )
     return Replayed(
         columns,
-        right,
-        left_out + _span(ticks, _end(run, scene, ticks), len(ticks), "another scene or rig was set"),
+        comparable,
+        left_out + _span(ticks, _find_known_end(run, scene, ticks), len(ticks), "another scene or rig was set"),
         bodies,
     )
 
 
-def _simulate(run: Run, part: _Part, tuning: Tuning, poses: Array, kept: tuple[Array, Array]) -> None:
-    """What is kept (n, fingers, ...) of the poses (n, fingers, 7) of a part, from where nothing is remembered, and the
-    poses of bodies of `Replayed` at its ticks."""
-    columns, bodies = kept
+def _simulate(run: Run, part: _Part, tuning: Tuning, poses: Array, out: tuple[Array, Array]) -> None:
+    """Simulate the poses (n, fingers, 7) of a part from an empty state.
+
+    Writes the columns (n, fingers, ...) and the poses of bodies (`Replayed`) into `out`.
+    """
+    columns, bodies = out
     period = period_ns(run.rate_hz) / NS_PER_S
-    first, start = run.first, begin(tuning.scene)
+    first, initial_memory = run.first, begin(tuning.scene)
     begin_bodies(tuning.scene, period)
-    number = int(first["tick"][part.start])
-    # A device with a clock of its own is stepped a period each tick, any other one for a missed deadline too.
-    own = all(info.own_clock for info in _devices(run))
-    skipped = 0.0 if own or "servo.missed" not in first else float(first["servo.missed"][part.start])
-    memory = start._replace(world=start.world._replace(time=(number + skipped) * period))
+    first_tick = int(first["tick"][part.start])
+    # A device with its own clock is stepped one period per tick; other devices also for each missed deadline.
+    has_own_clock = all(info.own_clock for info in _device_infos(run))
+    skipped = 0.0 if has_own_clock or "servo.missed" not in first else float(first["servo.missed"][part.start])
+    memory = initial_memory._replace(world=initial_memory.world._replace(time=(first_tick + skipped) * period))
     dts = np.ascontiguousarray(first["dt"][part.start : part.stop])
-    scene_and_guard, carried = packed(tuning), Packed(start, flatten(memory))
+    scene_and_guard, carried = packed(tuning), Packed(initial_memory, flatten(memory))
     records = np.zeros((min(len(poses), CHUNK), poses.shape[1], RECORD_SIZE))
-    for done, end in _stretches(run.bodies.ticks - number, len(poses)):
-        some = slice(done, end)
-        rows = records[: end - done]
-        tick_many(scene_and_guard, carried, poses[some], dts[some], period, number + done, rows)
+    for start, end in _split_ticks(run.bodies.ticks - first_tick, len(poses)):
+        block = slice(start, end)
+        rows = records[: end - start]
+        tick_many(scene_and_guard, carried, poses[block], dts[block], period, first_tick + start, rows)
         check_bodies(tuning.scene)
-        columns[some] = rows[:, :, _COLUMNS]
+        columns[block] = rows[:, :, _COLUMNS]
         if tuning.scene.bodies is not None:
             owner = tuning.scene.bodies.block.owner
             if tuple(owner.names) == run.bodies.names:
-                there = np.hstack([owner.data.xpos[owner.moving], owner.data.xquat[owner.moving]])
-                bodies[run.bodies.ticks == number + end - 1] = there
+                body_poses = np.hstack([owner.data.xpos[owner.moving], owner.data.xquat[owner.moving]])
+                bodies[run.bodies.ticks == first_tick + end - 1] = body_poses
 
 
-def _stretches(ticks: NDArray[np.int64], count: int) -> Iterator[tuple[int, int]]:
-    """From 0 to `count` ticks, at most CHUNK at a time, with an end behind each of some ticks."""
+def _split_ticks(ticks: NDArray[np.int64], count: int) -> Iterator[tuple[int, int]]:
+    """Split 0 to `count` into stretches of at most CHUNK ticks, which end after each of `ticks`."""
     ends = {*range(CHUNK, count, CHUNK), count, *(int(tick) + 1 for tick in ticks if 0 <= tick < count)}
     return pairwise([0, *sorted(ends)])
 
@@ -208,107 +217,120 @@ def _span(ticks: NDArray[np.int64], start: int, stop: int, why: str) -> list[Spa
     return [Span(int(ticks[start]), int(ticks[stop - 1]), why)] if stop > start else []
 
 
-def _bits(run: Run, bit: int) -> Mask:
-    """Whether the guard of each finger set this bit, (n, fingers)."""
+def _has_bit(run: Run, bit: int) -> Mask:
+    """Return whether the guard of each finger set this bit, (n, fingers)."""
     guards = np.stack([fields["servo.guard"] for fields in run.fingers.values()], axis=1)
     has: Mask = (guards.astype(np.int64) & bit) != 0
     return has
 
 
-def _held(run: Run) -> Mask:
-    """Ticks (n,) in which a hand did not get the force of the step, for no reason that is in the poses."""
+def _withheld(run: Run) -> Mask:
+    """Return the ticks (n,) in which a hand received another force than the step's, for reasons not in the poses."""
     device = np.stack([fields["servo.device"] for fields in run.fingers.values()], axis=1)
-    held: Mask = np.any(np.isin(device, (WITHHELD, HELD)) | _bits(run, DISARMED), axis=1)
-    # A disarming that has begun: the limits are zero, and the guard has yet to hear of it.
+    withheld: Mask = np.any(np.isin(device, (WITHHELD, HELD)) | _has_bit(run, DISARMED), axis=1)
+    # Disarming has started: the limits are zero, but the guard bit is not set yet.
     for bit, key in ((FORCE_CLAMPED, "force"), (TORQUE_CLAMPED, "torque")):
         none = np.stack([~fields[key].any(axis=1) for fields in run.fingers.values()], axis=1)
-        held |= np.any(_bits(run, bit) & none, axis=1)
-    return held
+        withheld |= np.any(_has_bit(run, bit) & none, axis=1)
+    return withheld
 
 
-def _devices(run: Run) -> list[DeviceInfo]:
-    """What the devices could do, as far as the recording says."""
-    said = run.notes.get("fingers")
+def _device_infos(run: Run) -> list[DeviceInfo]:
+    """Return the properties of the devices, if the recording has them."""
+    fingers = run.notes.get("fingers")
     try:
-        return [msgspec.convert(each["device"], DeviceInfo) for each in said] if isinstance(said, list) else []
+        return [msgspec.convert(each["device"], DeviceInfo) for each in fingers] if isinstance(fingers, list) else []
     except (msgspec.ValidationError, KeyError, TypeError):
         return []
 
 
-def _settle(scene: schema.Scene, rate_hz: float) -> int | None:
-    """Ticks after which nothing is left of the time before; None for ever, where an effect remembers."""
-    effects = [*scene.effect, *(effect for thing in scene.object for effect in thing.effect)]
+def _settling_ticks(scene: schema.Scene, rate_hz: float) -> int | None:
+    """Return the ticks after which the history has no influence; None if an effect never forgets it."""
+    effects = [*scene.effect, *(effect for obj in scene.object for effect in obj.effect)]
     if any(isinstance(effect, schema.StickSlip) for effect in effects):
         return None
     slowest = max(finger.probe.velocity_time_constant_s for finger in scene.fingers)
-    return math.ceil(FORGOTTEN * slowest * rate_hz) + 1
+    return math.ceil(FORGET_TIME_CONSTANTS * slowest * rate_hz) + 1
 
 
 def compare(run: Run, replayed: Replayed, against: Mapping[str, Mapping[str, Array]], tolerance: float) -> Outcome:
-    """Today's records beside what was recorded or what another file has, both (n,) or (n, size) by finger and key.
+    """Compare a replay with the recorded or other values.
 
-    tolerance  largest difference of a component, N, N m or m; modes and objects have to be equal
+    Parameters
+    ----------
+    run
+        Recording.
+    replayed
+        Its results with today's code.
+    against
+        Values to compare with, (n,) or (n, size), by finger and key.
+    tolerance
+        Largest allowed difference of a component, N, N m or m; modes and objects must be equal.
     """
     ticks = run.first["tick"].astype(np.int64)
-    other = np.zeros(len(ticks), dtype=bool)
+    differs = np.zeros(len(ticks), dtype=bool)
     largest: dict[str, float] = {}
-    found: list[Difference] = []
-    for place, finger in enumerate(run.fingers):
+    differences: list[Difference] = []
+    for finger_index, finger in enumerate(run.fingers):
         for key, values in against[finger].items():
             field = NAMED[key]
-            now = replayed.field(key, place)
-            then = values.reshape(len(values), -1)
+            recomputed = replayed.field(key, finger_index)
+            recorded = values.reshape(len(values), -1)
             with np.errstate(invalid="ignore"):
-                apart = np.abs(now - then)
-            apart[(now == then) | (np.isnan(now) & np.isnan(then))] = 0.0
-            apart[np.isnan(apart)] = math.inf
-            apart[~replayed.right] = 0.0
-            largest[key] = max(largest.get(key, 0.0), float(apart.max(initial=0.0)))
-            rows, parts = np.nonzero(apart > (tolerance if field.kind == "float" else 0.0))
-            other[rows] = True
+                deviation = np.abs(recomputed - recorded)
+            deviation[(recomputed == recorded) | (np.isnan(recomputed) & np.isnan(recorded))] = 0.0
+            deviation[np.isnan(deviation)] = math.inf
+            deviation[~replayed.comparable] = 0.0
+            largest[key] = max(largest.get(key, 0.0), float(deviation.max(initial=0.0)))
+            rows, parts = np.nonzero(deviation > (tolerance if field.kind == "float" else 0.0))
+            differs[rows] = True
             if len(rows):
                 row, part = int(rows[0]), int(parts[0])
                 name = f"{key}[{part}]" if field.size > 1 else key
                 seconds = float(np.sum(run.first["dt"][1 : row + 1]))
-                found.append(
-                    Difference(int(ticks[row]), seconds, finger, name, float(then[row, part]), float(now[row, part]))
+                differences.append(
+                    Difference(
+                        int(ticks[row]), seconds, finger, name, float(recorded[row, part]), float(recomputed[row, part])
+                    )
                 )
-    found += _bodies_apart(run, replayed, tolerance, other, largest)
-    first = min(found, key=lambda each: each.tick, default=None)
-    return Outcome(len(ticks), int(replayed.right.sum()), int(other.sum()), first, largest, replayed.left_out)
+    differences += _compare_bodies(run, replayed, tolerance, differs, largest)
+    first = min(differences, key=lambda each: each.tick, default=None)
+    return Outcome(len(ticks), int(replayed.comparable.sum()), int(differs.sum()), first, largest, replayed.left_out)
 
 
-def _bodies_apart(
-    run: Run, replayed: Replayed, tolerance: float, other: Mask, largest: dict[str, float]
+def _compare_bodies(
+    run: Run, replayed: Replayed, tolerance: float, differs: Mask, largest: dict[str, float]
 ) -> Iterator[Difference]:
-    """The first difference of each body's pose, m or of a quaternion; marks the ticks and the largest, as `compare`."""
-    ticks, names, then = run.bodies
+    """Yield the first difference of each body's pose, m or quaternion component; update `differs` and `largest`."""
+    ticks, names, recorded = run.bodies
     numbers = run.first["tick"].astype(np.int64)
     rows = np.searchsorted(numbers, ticks)
-    told = np.isin(ticks, numbers)
-    told[told] = replayed.right[rows[told]]
-    for place, name in enumerate(names):
-        now = replayed.bodies[:, place]
-        apart = np.where(told[:, None] & ~np.isnan(now), np.abs(now - then[:, place]), 0.0)
+    is_comparable = np.isin(ticks, numbers)
+    is_comparable[is_comparable] = replayed.comparable[rows[is_comparable]]
+    for body_index, name in enumerate(names):
+        recomputed = replayed.bodies[:, body_index]
+        deviation = np.where(
+            is_comparable[:, None] & ~np.isnan(recomputed), np.abs(recomputed - recorded[:, body_index]), 0.0
+        )
         for key, part in (("position", slice(0, 3)), ("orientation", slice(3, 7))):
-            some = apart[:, part]
-            largest[f"{name}.{key}"] = float(some.max(initial=0.0))
-            at, component = np.nonzero(some > tolerance)
-            other[rows[at]] = True
+            block = deviation[:, part]
+            largest[f"{name}.{key}"] = float(block.max(initial=0.0))
+            at, component = np.nonzero(block > tolerance)
+            differs[rows[at]] = True
             if len(at):
                 row, k = int(at[0]), int(component[0])
                 seconds = float(np.sum(run.first["dt"][1 : rows[row] + 1]))
-                values = float(then[row, place, part][k]), float(now[row, part][k])
+                values = float(recorded[row, body_index, part][k]), float(recomputed[row, part][k])
                 yield Difference(int(ticks[row]), seconds, "", f"{name}.{key}[{k}]", *values)
 
 
 class _Part(NamedTuple):
-    """Consecutive ticks that are simulated from a fresh state.
+    """Consecutive ticks that are simulated from an empty state.
 
-    start, stop  rows of the recording, `stop` not included
-    scene        that they have
-    why          they do not continue the part before
-    armed        the part starts where a disarmed stretch ends
+    start, stop  rows of the recording, `stop` excluded
+    scene        scene of these ticks
+    why          reason why they do not continue the previous part
+    armed        whether the part starts at the end of a disarmed stretch
     """
 
     start: int
@@ -318,17 +340,17 @@ class _Part(NamedTuple):
     armed: bool
 
 
-def _parts(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> Iterator[_Part]:
-    """The run, divided where the chain breaks."""
-    breaks = {0: "the recording begins in the middle of a run"}
+def _split_run(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> Iterator[_Part]:
+    """Split the run where its state is unknown."""
+    breaks = {0: "the recording starts in the middle of a run"}
     for row in (np.flatnonzero(np.diff(ticks) != 1) + 1).tolist():
         breaks[row] = f"{ticks[row] - ticks[row - 1] - 1} ticks before it are missing"
-    for row in _ends(_held(run)):
+    for row in _rows_after(_withheld(run)):
         breaks[row] = "the force was withheld or disarmed"
-    armed = set(_ends(np.any(_bits(run, DISARMED), axis=1)))
-    changes = _commands(run, scene, ticks, ramp)
-    breaks |= dict.fromkeys(changes, "a command came before")
-    end = _end(run, scene, ticks)
+    armed = set(_rows_after(np.any(_has_bit(run, DISARMED), axis=1)))
+    changes = _command_changes(run, scene, ticks, ramp)
+    breaks |= dict.fromkeys(changes, "a command precedes it")
+    end = _find_known_end(run, scene, ticks)
     starts = sorted(row for row in breaks if row < end)
     for start, stop in pairwise([*starts, end]):
         if changes.get(start):
@@ -336,23 +358,23 @@ def _parts(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -
         yield _Part(start, stop, scene, breaks[start], start in armed)
 
 
-def _ends(mask: Mask) -> list[int]:
-    """The rows behind those where it holds."""
+def _rows_after(mask: Mask) -> list[int]:
+    """Return the row after each stretch of true values."""
     return (np.flatnonzero(mask[:-1] & ~mask[1:]) + 1).tolist()
 
 
-def _commands(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> dict[int, dict[str, Any]]:
-    """The first row with what a command changed, `ramp` ticks after it, and that, by dotted key of the scene."""
+def _command_changes(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> dict[int, dict[str, Any]]:
+    """Return the changes made by commands: dotted keys by the first row with the full effect, after `ramp` ticks."""
     changes: dict[int, dict[str, Any]] = {}
     for event in run.events:
-        if event["kind"] == "command" and event["name"] in _CHANGING:
+        if event["kind"] == "command" and event["name"] in _STATE_COMMANDS:
             row = int(np.searchsorted(ticks, event["tick"] + COMMAND_TICKS + ramp))
-            changes.setdefault(row, {}).update(_changed(scene, event) or {})
+            changes.setdefault(row, {}).update(_read_changes(scene, event) or {})
     return changes
 
 
-def _changed(scene: schema.Scene, event: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What a command changed, by dotted key of the scene with numbers; None where its event does not say it."""
+def _read_changes(scene: schema.Scene, event: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the changes of a command, by dotted key of the scene with indices; None if its event lacks them."""
     what = event.get("what")
     if not isinstance(what, dict):
         return None
@@ -362,20 +384,20 @@ def _changed(scene: schema.Scene, event: Mapping[str, Any]) -> dict[str, Any] | 
         mapping = describe(scene)
         return {numbered(mapping, key): change["to"] for key, change in what.items()}
     if event["name"] == "drive":
-        number = next((i for i, thing in enumerate(scene.object) if thing.name == what.get("object")), None)
-        return None if number is None else {
-            f"object.{number}.{key}": value for key, value in what.items() if key != "object"
+        object_index = next((i for i, obj in enumerate(scene.object) if obj.name == what.get("object")), None)
+        return None if object_index is None else {
+            f"object.{object_index}.{key}": value for key, value in what.items() if key != "object"
         }  # fmt: skip
     return {}
 
 
-def _end(run: Run, scene: schema.Scene, ticks: NDArray[np.int64]) -> int:
-    """The first row (or one past the last) from which on the scene is not known."""
+def _find_known_end(run: Run, scene: schema.Scene, ticks: NDArray[np.int64]) -> int:
+    """Return the first row at which the scene is unknown, or the number of rows."""
     for event in run.events:
         name, kind = event["name"], event["kind"]
         unknown = (kind, name) in (("command", "set_scene"), ("command", "reset_world"), ("lifecycle", "replaced"))
-        if kind == "command" and name in _CHANGING:
-            unknown = _changed(scene, event) is None
+        if kind == "command" and name in _STATE_COMMANDS:
+            unknown = _read_changes(scene, event) is None
         if unknown:
             return int(np.searchsorted(ticks, event["tick"] - COMMAND_S * run.rate_hz))
     return len(ticks)

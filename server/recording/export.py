@@ -1,4 +1,4 @@
-"""A recording's ticks as a table for other programs: CSV, Parquet, npz, by the file's ending."""
+"""Export of a recording's ticks for other programs: CSV, Parquet or npz, by the suffix of the file."""
 
 from __future__ import annotations
 
@@ -12,55 +12,69 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import new_file
-from softfinger.server.offline.results import RESULTS_MAX, csv_lines
-from softfinger.server.recording.reader import Ticks, contents
+from softfinger.server.recording.reader import Ticks, read_contents
+from softfinger.server.recording.results import RESULTS_MAX, csv_lines
 
-ENDINGS: Final = (".csv", ".parquet", ".npz")
+SUFFIXES: Final = (".csv", ".parquet", ".npz")
 GROUP_ROWS: Final = 65536
-"""Ticks of a row group of Parquet, which is what a reader takes in at a time: 45 MB."""
+"""Ticks of a Parquet row group, which is the unit that readers load: 45 MB."""
 
 
 def check_output(path: Path) -> None:
-    """Raise ConfigError for a file that nothing is exported to."""
-    if path.suffix.lower() not in ENDINGS:
-        raise ConfigError(f"--out {path}: a recording is exported as {', '.join(ENDINGS)}, by the file's ending")
+    """Raise ConfigError if the suffix is unknown or its library is not installed."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise ConfigError(f"--out {path}: a recording is exported as {', '.join(SUFFIXES)}, by the file's ending")
     if path.suffix.lower() == ".parquet" and importlib.util.find_spec("pyarrow") is None:
         raise ConfigError(f"--out {path}: pyarrow is not installed: pip install 'softfinger[parquet]'")
 
 
 def export(recording: Path, out: Path, finger: str = "") -> int:
-    """Write every tick of a finger, the single one has no name; returns how many. The file appears whole or not at all.
+    """Export every tick of a finger and return their number; the file appears only when it is complete.
 
-    Columns are the file's own, named as in telemetry, components as `force[0]`. Raises RecordingError, ConfigError.
+    Columns are those of the recording, named as in telemetry, with components as `force[0]`.
+
+    Parameters
+    ----------
+    finger
+        Name of the finger; empty for a single finger.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be read, has no ticks of this finger, or the output cannot be written.
+    ConfigError
+        If the suffix is unknown or its library is not installed.
     """
     check_output(out)
-    wanted = _of(recording, finger)
-    first = next(wanted)
+    ticks = _read_finger(recording, finger)
+    first = next(ticks)
     write = {".csv": _csv, ".parquet": _parquet, ".npz": _npz}[out.suffix.lower()]
     try:
         with new_file(out) as file:
-            return write(file, chain([first], wanted))
+            return write(file, chain([first], ticks))
     except OSError as error:
         raise RecordingError(f"{out}: cannot be written: {error.strerror or error}") from error
 
 
-def _of(recording: Path, finger: str) -> Iterator[Ticks]:
-    others, found = set[str](), False
-    for part in contents(recording):
+def _read_finger(recording: Path, finger: str) -> Iterator[Ticks]:
+    other_fingers, has_ticks = set[str](), False
+    for part in read_contents(recording):
         if isinstance(part, Ticks) and part.finger == finger:
-            found = True
+            has_ticks = True
             yield part
         elif isinstance(part, Ticks):
-            others.add(part.finger)
-    if not found:
-        there = f"it has those of {', '.join(sorted(others))}: --finger NAME" if others else "it has none"
+            other_fingers.add(part.finger)
+    if not has_ticks:
+        available = (
+            f"it has fingers {', '.join(sorted(other_fingers))}: --finger NAME" if other_fingers else "it has none"
+        )
         raise RecordingError(
-            f"{recording}: no ticks of {f'finger {finger!r}' if finger else 'a single finger'}: {there}"
+            f"{recording}: no ticks of {f'finger {finger!r}' if finger else 'a single finger'}: {available}"
         )
 
 
-def columns_of(ticks: Ticks) -> list[str]:
-    """Names of the columns."""
+def column_names(ticks: Ticks) -> list[str]:
+    """Return the names of the columns."""
     return [f"{p.name}[{i}]" if p.size > 1 else p.name for p in ticks.layout.parts for i in range(p.size)]
 
 
@@ -68,7 +82,7 @@ def _csv(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
     count = 0
     for part in ticks:
         if not count:
-            file.write((",".join(columns_of(part)) + "\n").encode())
+            file.write((",".join(column_names(part)) + "\n").encode())
         file.write(csv_lines(part.rows))
         count += len(part.rows)
     return count
@@ -78,34 +92,34 @@ def _parquet(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
     import pyarrow
     import pyarrow.parquet
 
-    count, waiting = 0, list[Any]()
+    count, pending = 0, list[Any]()
     writer: Any = None
 
-    def hand_on() -> None:
-        if waiting:
-            writer.write_table(pyarrow.concat_tables(waiting).combine_chunks())
-            waiting.clear()
+    def flush() -> None:
+        if pending:
+            writer.write_table(pyarrow.concat_tables(pending).combine_chunks())
+            pending.clear()
 
     for part in ticks:
-        whole = np.repeat([p.whole for p in part.layout.parts], [p.size for p in part.layout.parts])
+        integer_flags = np.repeat([p.is_integer for p in part.layout.parts], [p.size for p in part.layout.parts])
         arrays = [
-            pyarrow.array(column.astype(np.int64) if integer else column)
-            for column, integer in zip(part.rows.T, whole, strict=True)
+            pyarrow.array(column.astype(np.int64) if is_integer else column)
+            for column, is_integer in zip(part.rows.T, integer_flags, strict=True)
         ]
-        table = pyarrow.table(arrays, names=columns_of(part))
+        table = pyarrow.table(arrays, names=column_names(part))
         writer = writer or pyarrow.parquet.ParquetWriter(file, table.schema)
-        waiting.append(table)
+        pending.append(table)
         count += len(part.rows)
-        if sum(map(len, waiting)) >= GROUP_ROWS:
-            hand_on()
-    hand_on()
+        if sum(map(len, pending)) >= GROUP_ROWS:
+            flush()
+    flush()
     if writer is not None:
         writer.close()
     return count
 
 
 def _npz(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
-    """An array for each field, as results have; in memory whole, so there is a limit."""
+    """Write one array per field, like results; all ticks are in memory, so their number is limited."""
     parts: list[Ticks] = []
     count = 0
     for part in ticks:

@@ -1,8 +1,8 @@
-"""An MCAP file written in chunks that go to the system whole, each as soon as it is asked for or full.
+"""Writer of MCAP files whose chunks are written completely, on request or when full.
 
-The library's own writer takes a message at a time, 10 us each, and ends a chunk by its size alone. Here whole blocks go
-in at once, and a chunk can be ended at any time, so that what a kill may cost is bounded by time. The records
-themselves are the library's. Format: https://mcap.dev/spec.
+The library's writer takes one message at a time, 10 us each, and ends a chunk only by its size. This one takes blocks
+and can end a chunk at any time, which bounds the time span that a kill loses. The records are those of the library.
+Format: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -29,132 +29,135 @@ Bytes = NDArray[np.uint8]
 Times = NDArray[np.int64]
 
 CHUNK_BYTES: Final = 64 * 1024
-"""Of messages, before they are compressed: what is lost with a chunk is small."""
-INDEX_KEPT: Final = 256 * 1024
-"""Bytes of the index of chunks that are in memory at once: that of two minutes."""
+"""Uncompressed bytes of messages in a chunk; small, so that the loss of a chunk costs little."""
+INDEX_MEMORY_BYTES: Final = 256 * 1024
+"""Maximum bytes of the chunk index in memory, which is two minutes of it."""
 ZSTD_LEVEL: Final = 1
-"""Ticks shrink to a third at 1, to a few per cent less at 3, which takes twice as long."""
+"""Level 1 compresses ticks to a third; level 3 saves a few per cent more and takes twice as long."""
 
-_HEAD: Final = np.dtype(
+_MESSAGE_HEADER: Final = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
 )
-"""What an MCAP message has in front of its data, without padding."""
-_HEAD_COUNTED: Final = 22
-"""Bytes of it that count into its length."""
-_INDEX_HEAD: Final = Struct("<BQHI")
-"""Operation, length, channel, and bytes of what follows in an index of messages."""
+"""Header of an MCAP message, without padding."""
+_COUNTED_HEADER_BYTES: Final = 22
+"""Bytes of the header that count into the message's length."""
+_INDEX_HEADER: Final = Struct("<BQHI")
+"""Opcode, length, channel, and bytes of the entries of a message index."""
 
 
 class McapFile:
-    """Writes to `file`, which is unbuffered and closed by whoever opened it; what that raises is raised here."""
+    """Writer to an open unbuffered file, which the caller closes; errors of the file are raised unchanged."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
-        self._at = 0
+        self._offset = 0
         self._compressor = zstandard.ZstdCompressor(ZSTD_LEVEL)
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
-        # The index of chunks grows by 9 MB an hour and is written last: until then it is in an unnamed file.
+        # The index of chunks grows by 9 MB per hour and is written last: until then it is in an unnamed file.
         folder = str(Path(file.name).parent) if isinstance(file.name, str) else None
-        self._chunks: Final = tempfile.SpooledTemporaryFile(max_size=INDEX_KEPT, dir=folder)  # noqa: SIM115
-        weakref.finalize(self, self._chunks.close)  # `finish` is not reached where the disk is full
+        self._chunks: Final = tempfile.SpooledTemporaryFile(max_size=INDEX_MEMORY_BYTES, dir=folder)  # noqa: SIM115
+        weakref.finalize(self, self._chunks.close)  # `finish` is not reached if the disk is full
         self._chunk_count = 0
         self._metadata: list[records.MetadataIndex] = []
         self._pending: list[bytes | memoryview] = []
         self._pending_bytes = 0
-        self._index: dict[int, list[NDArray[np.uint64]]] = {}  # times and where in the chunk, of each channel
+        self._index: dict[int, list[NDArray[np.uint64]]] = {}  # by channel: times, and offsets in the chunk
         self.counts: Final[dict[int, int]] = {}
-        """Messages that the system has, by channel."""
+        """Messages written to the file, by channel."""
         self.worst_write_s = 0.0
-        """The longest that the system has taken for a write."""
-        self._span: tuple[int, int] | None = None
+        """Longest duration of a write, s."""
+        self._time_range: tuple[int, int] | None = None
         self._write(MCAP0_MAGIC + _record(records.Header(profile="", library="softfinger")))
-
-    @property
-    def pending(self) -> bool:
-        """Whether there are messages that no chunk has yet."""
-        return bool(self._index)
 
     @property
     def size(self) -> int:
         """Bytes written."""
-        return self._at
+        return self._offset
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a table of texts at once."""
-        data, at = _record(records.Metadata(name=name, metadata=dict(values))), self._at
+        """Write a table of texts immediately."""
+        data, offset = _record(records.Metadata(name=name, metadata=dict(values))), self._offset
         self._write(data)
-        self._metadata.append(records.MetadataIndex(offset=at, length=len(data), name=name))
+        self._metadata.append(records.MetadataIndex(offset=offset, length=len(data), name=name))
 
     def channel(self, topic: str, schema: str, descriptors: bytes) -> int:
-        """Number of a new topic with protobuf messages of this type."""
-        known = next((each for each in self._schemas if each.name == schema), None)
-        if known is None:
-            known = records.Schema(id=len(self._schemas) + 1, name=schema, encoding="protobuf", data=descriptors)
-            self._schemas.append(known)
-            self._add(_record(known))
+        """Return the number of a new topic with protobuf messages of this type."""
+        schema_record = next((each for each in self._schemas if each.name == schema), None)
+        if schema_record is None:
+            schema_record = records.Schema(
+                id=len(self._schemas) + 1, name=schema, encoding="protobuf", data=descriptors
+            )
+            self._schemas.append(schema_record)
+            self._add(_record(schema_record))
         number = len(self._channels) + 1
-        made = records.Channel(id=number, topic=topic, message_encoding="protobuf", metadata={}, schema_id=known.id)
-        self._channels.append(made)
-        self._add(_record(made))
+        channel = records.Channel(
+            id=number, topic=topic, message_encoding="protobuf", metadata={}, schema_id=schema_record.id
+        )
+        self._channels.append(channel)
+        self._add(_record(channel))
         return number
 
     def message(self, channel: int, time_ns: int, data: bytes, sequence: int = 0) -> None:
         """Add one message."""
-        head = np.zeros(1, _HEAD)
-        head[0] = (Opcode.MESSAGE, _HEAD_COUNTED + len(data), channel, sequence, time_ns, time_ns)
-        self._note(channel, np.array([time_ns]), np.array([self._pending_bytes]))
-        self._add(head.tobytes() + data)
-        self._end_if_full()
+        header = np.zeros(1, _MESSAGE_HEADER)
+        header[0] = (Opcode.MESSAGE, _COUNTED_HEADER_BYTES + len(data), channel, sequence, time_ns, time_ns)
+        self._add_to_index(channel, np.array([time_ns]), np.array([self._pending_bytes]))
+        self._add(header.tobytes() + data)
+        self._flush_if_full()
 
     def block(self, channel: int, times_ns: Times, messages: Bytes, sequences: NDArray[np.int64]) -> None:
-        """Add messages (n, size) with their times (n,): as many chunks as they fill, and the rest with the next."""
+        """Add messages (n, size) with their times (n,); full chunks are written, the remainder is pending."""
         size = messages.shape[1]
         done = 0
         while done < len(messages):
-            room = max(1, -((self._pending_bytes - CHUNK_BYTES) // (_HEAD.itemsize + size)))
-            some = slice(done, done + room)
-            times = times_ns[some]
-            whole = np.empty((len(times), _HEAD.itemsize + size), np.uint8)
-            head = np.empty(len(times), _HEAD)
-            head["opcode"], head["length"], head["channel"] = Opcode.MESSAGE, _HEAD_COUNTED + size, channel
-            head["sequence"], head["log"], head["publish"] = sequences[some], times, times
-            whole[:, : _HEAD.itemsize] = head.view(np.uint8).reshape(len(times), -1)
-            whole[:, _HEAD.itemsize :] = messages[some]
-            self._note(channel, times, self._pending_bytes + np.arange(len(times)) * whole.shape[1])
-            self._add(whole.data.cast("B"))
+            fitting = max(1, -((self._pending_bytes - CHUNK_BYTES) // (_MESSAGE_HEADER.itemsize + size)))
+            block = slice(done, done + fitting)
+            times = times_ns[block]
+            encoded = np.empty((len(times), _MESSAGE_HEADER.itemsize + size), np.uint8)
+            header = np.empty(len(times), _MESSAGE_HEADER)
+            header["opcode"], header["length"], header["channel"] = (
+                Opcode.MESSAGE,
+                _COUNTED_HEADER_BYTES + size,
+                channel,
+            )
+            header["sequence"], header["log"], header["publish"] = sequences[block], times, times
+            encoded[:, : _MESSAGE_HEADER.itemsize] = header.view(np.uint8).reshape(len(times), -1)
+            encoded[:, _MESSAGE_HEADER.itemsize :] = messages[block]
+            self._add_to_index(channel, times, self._pending_bytes + np.arange(len(times)) * encoded.shape[1])
+            self._add(encoded.data.cast("B"))
             done += len(times)
-            self._end_if_full()
+            self._flush_if_full()
 
     def flush(self) -> None:
-        """End the chunk: what was added so far goes to the system."""
+        """End the chunk and write it to the file."""
         if not self._pending:
             return
         data = self._pending[0] if len(self._pending) == 1 else b"".join(self._pending)
-        # Message order does not matter to readers, so the chunk's times are the least and the greatest.
+        # Readers do not depend on message order, so the chunk's times are its minimum and maximum.
         first, last = _bounds(self._index)
-        kept = self._compressor.compress(data)
+        compressed = self._compressor.compress(data)
         chunk = _record(
             records.Chunk(
                 compression="zstd",
-                data=kept,
+                data=compressed,
                 message_end_time=last,
                 message_start_time=first,
                 uncompressed_crc=zlib.crc32(data),
                 uncompressed_size=len(data),
             )
         )
-        offsets, indices, at = {}, [], self._at + len(chunk)
+        offsets, indices, offset = {}, [], self._offset + len(chunk)
         for channel, entries in self._index.items():
             pairs = np.concatenate(entries).tobytes()
-            offsets[channel] = at
-            indices.append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(pairs), channel, len(pairs)) + pairs)
-            at += len(indices[-1])
+            offsets[channel] = offset
+            indices.append(_INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, 6 + len(pairs), channel, len(pairs)) + pairs)
+            offset += len(indices[-1])
         index = records.ChunkIndex(
             chunk_length=len(chunk),
-            chunk_start_offset=self._at,
+            chunk_start_offset=self._offset,
             compression="zstd",
-            compressed_size=len(kept),
+            compressed_size=len(compressed),
             message_end_time=last,
             message_index_length=sum(map(len, indices)),
             message_index_offsets=offsets,
@@ -162,8 +165,8 @@ class McapFile:
             uncompressed_size=len(data),
         )
         if self._index:
-            before = self._span or (first, last)
-            self._span = min(before[0], first), max(before[1], last)
+            previous = self._time_range or (first, last)
+            self._time_range = min(previous[0], first), max(previous[1], last)
         added = {channel: sum(map(len, entries)) for channel, entries in self._index.items()}
         self._pending, self._pending_bytes, self._index = [], 0, {}
         self._write(chunk + b"".join(indices))
@@ -173,18 +176,18 @@ class McapFile:
             self.counts[channel] = self.counts.get(channel, 0) + count
 
     def finish(self) -> None:
-        """Write what is left, and the summary by which readers find their way."""
+        """Write pending messages, and the summary with the indices for readers."""
         self.flush()
         self._write(_record(records.DataEnd(data_section_crc=0)))
-        start = self._at
+        start = self._offset
         statistics = records.Statistics(
             attachment_count=0,
             channel_count=len(self._channels),
             channel_message_counts=self.counts,
             chunk_count=self._chunk_count,
             message_count=sum(self.counts.values()),
-            message_end_time=(self._span or (0, 0))[1],
-            message_start_time=(self._span or (0, 0))[0],
+            message_end_time=(self._time_range or (0, 0))[1],
+            message_start_time=(self._time_range or (0, 0))[0],
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
@@ -197,41 +200,43 @@ class McapFile:
         ]
         crc, offsets = 0, b""
         for opcode, parts in groups:
-            begin = self._at
+            group_start = self._offset
             for part in parts:
                 crc = zlib.crc32(part, crc)
                 self._write(part)
-            if self._at > begin:
+            if self._offset > group_start:
                 offsets += _record(
-                    records.SummaryOffset(group_opcode=opcode, group_start=begin, group_length=self._at - begin)
+                    records.SummaryOffset(
+                        group_opcode=opcode, group_start=group_start, group_length=self._offset - group_start
+                    )
                 )
-        footer = _record(records.Footer(summary_start=start, summary_offset_start=self._at, summary_crc=0))[:-4]
+        footer = _record(records.Footer(summary_start=start, summary_offset_start=self._offset, summary_crc=0))[:-4]
         crc = zlib.crc32(offsets + footer, crc)
         self._write(offsets + footer + crc.to_bytes(4, "little") + MCAP0_MAGIC)
 
     def _chunk_indices(self) -> Iterator[bytes]:
         self._chunks.seek(0)
-        yield from iter(partial(self._chunks.read, INDEX_KEPT), b"")
+        yield from iter(partial(self._chunks.read, INDEX_MEMORY_BYTES), b"")
 
     def _add(self, data: bytes | memoryview) -> None:
         self._pending.append(data)
         self._pending_bytes += len(data)
 
-    def _note(self, channel: int, times: Times, offsets: NDArray[np.int64]) -> None:
+    def _add_to_index(self, channel: int, times: Times, offsets: NDArray[np.int64]) -> None:
         pairs = np.empty((len(times), 2), "<u8")
         pairs[:, 0], pairs[:, 1] = times, offsets
         self._index.setdefault(channel, []).append(pairs)
 
-    def _end_if_full(self) -> None:
+    def _flush_if_full(self) -> None:
         if self._pending_bytes >= CHUNK_BYTES:
             self.flush()
 
     def _write(self, data: bytes) -> None:
-        left, begun = memoryview(data), time.monotonic()
-        while left:
-            left = left[self._file.write(left) or 0 :]
-        self.worst_write_s = max(self.worst_write_s, time.monotonic() - begun)
-        self._at += len(data)
+        remaining, start_s = memoryview(data), time.monotonic()
+        while remaining:
+            remaining = remaining[self._file.write(remaining) or 0 :]
+        self.worst_write_s = max(self.worst_write_s, time.monotonic() - start_s)
+        self._offset += len(data)
 
 
 def _record(record: Any) -> bytes:
@@ -241,6 +246,6 @@ def _record(record: Any) -> bytes:
 
 
 def _bounds(index: Mapping[int, list[NDArray[np.uint64]]]) -> tuple[int, int]:
-    """The least and the greatest time in a chunk: 0 where it has no message."""
+    """Return the minimum and maximum time of a chunk; 0 without messages."""
     times = [pairs[:, 0] for entries in index.values() for pairs in entries]
     return min((int(t.min()) for t in times), default=0), max((int(t.max()) for t in times), default=0)

@@ -1,7 +1,7 @@
-"""What is drawn of a run by viewers that know nothing of this program: Foxglove's messages of poses, frames, objects.
+"""Pictures of a run for general viewers: Foxglove messages with poses, frames and objects.
 
-Objects are drawn where the scene or the last `drive` put them, those on a body of [world] in its frame; one that moves
-by itself stands still in the picture.
+Objects are drawn at the pose of the scene or of the last `drive`; objects on a body of [world] are drawn in its frame.
+An object with a motion of another kind is drawn at rest.
 """
 
 from __future__ import annotations
@@ -26,74 +26,80 @@ WORLD: Final = "world"
 FINGERTIP: Final = "fingertip"
 PROXY: Final = "proxy"
 PLANE_M: Final = 0.3
-"""Edge of the square that stands for a plane, and length of a cylinder without ends: half a desk device's workspace."""
+"""Edge of the square drawn for a plane, and length of an infinite cylinder: half the workspace of a desktop device."""
 SHEET_M: Final = 0.001
 RING_POINTS: Final = 48
 MAP_PIXELS: Final = 96
-"""Pixels of a height map along each side that are drawn."""
+"""Maximum of drawn pixels along each side of a height map."""
 
 _OBJECT: Final = {"r": 0.55, "g": 0.62, "b": 0.72, "a": 0.6}
 _FINGER: Final = {"r": 0.9, "g": 0.55, "b": 0.35, "a": 0.9}
 _FORCE: Final = {"r": 0.85, "g": 0.2, "b": 0.2, "a": 1.0}
-_NO_TURN: Final = (1.0, 0.0, 0.0, 0.0)
+_IDENTITY: Final = (1.0, 0.0, 0.0, 0.0)
 DISPLAY_HZ: Final = 60.0
-"""Pictures a second: what a display shows."""
+"""Pictures per second: the rate of a display."""
 ARROW_M_PER_N: Final = 0.02
-"""Length of the arrow of a force: of 1 N twice the radius of a fingertip."""
+"""Length of a force arrow: 1 N gives twice the radius of a fingertip."""
 
 
-def displayed(records: Record, before: float) -> tuple[NDArray[np.int64], float]:
-    """Which of the records (n, RECORD_SIZE) a display shows; `before` is what the last call returned, NaN at first."""
+def select_displayed(records: Record, before: float) -> tuple[NDArray[np.int64], float]:
+    """Return the indices of the records (n, RECORD_SIZE) to draw, and the number of the last picture.
+
+    Parameters
+    ----------
+    before
+        Number of the last picture, returned by the previous call; NaN for the first.
+    """
     if not len(records):
         return np.empty(0, np.int64), before
     pictures = np.floor(records[:, AT.timestamp] * DISPLAY_HZ)
     return np.flatnonzero(pictures != np.concatenate(([before], pictures[:-1]))), float(pictures[-1])
 
 
-def stamp(time_ns: int) -> dict[str, int]:
-    """A time as protobuf has it."""
+def to_timestamp(time_ns: int) -> dict[str, int]:
+    """Return a time as a protobuf timestamp."""
     return {"seconds": time_ns // 10**9, "nanos": time_ns % 10**9}
 
 
-def frames(finger: str) -> tuple[str, str]:
-    """Names of a finger's frames: the measured fingertip, and the proxy."""
+def frame_names(finger: str) -> tuple[str, str]:
+    """Return the names of a finger's frames: measured fingertip and proxy."""
     return (f"{finger}/{FINGERTIP}", f"{finger}/{PROXY}") if finger else (FINGERTIP, PROXY)
 
 
 def pose_message(record: Record, time_ns: int) -> bytes:
-    """The measured pose of a record (RECORD_SIZE,)."""
-    pose = _pose(_three(record, AT.probe_position), _four(record, AT.probe_orientation))
-    return _encoded(POSE, timestamp=stamp(time_ns), frame_id=WORLD, pose=pose)
+    """Encode the measured pose of a record (RECORD_SIZE,)."""
+    pose = _pose(_xyz(record, AT.probe_position), _wxyz(record, AT.probe_orientation))
+    return _encode(POSE, timestamp=to_timestamp(time_ns), frame_id=WORLD, pose=pose)
 
 
 def frame_messages(record: Record, time_ns: int, finger: str) -> list[bytes]:
-    """The frames of fingertip and proxy, both turned as the fingertip is."""
-    turn = _quaternion(_four(record, AT.probe_orientation))
-    places = _three(record, AT.probe_position), _three(record, AT.proxy_position)
+    """Encode the frames of fingertip and proxy, both with the orientation of the fingertip."""
+    rotation = _quaternion(_wxyz(record, AT.probe_orientation))
+    positions = _xyz(record, AT.probe_position), _xyz(record, AT.proxy_position)
     return [
-        _encoded(
+        _encode(
             FRAME,
-            timestamp=stamp(time_ns),
+            timestamp=to_timestamp(time_ns),
             parent_frame_id=WORLD,
             child_frame_id=name,
-            translation=_vector(place),
-            rotation=turn,
+            translation=_vector(position),
+            rotation=rotation,
         )
-        for name, place in zip(frames(finger), places, strict=True)
+        for name, position in zip(frame_names(finger), positions, strict=True)
     ]
 
 
 def body_frame(body: str) -> str:
-    """Name of the frame of a body, which no finger's frame has."""
+    """Return the name of a body's frame, distinct from all frames of fingers."""
     return f"body/{body}"
 
 
 def body_messages(bodies: Sequence[Mapping[str, Any]], time_ns: int) -> list[bytes]:
-    """The frames of the bodies in a message of `world`."""
+    """Encode the frames of the bodies in a message of `world`."""
     return [
-        _encoded(
+        _encode(
             FRAME,
-            timestamp=stamp(time_ns),
+            timestamp=to_timestamp(time_ns),
             parent_frame_id=WORLD,
             child_frame_id=body_frame(body["name"]),
             translation=_vector(body["position"]),
@@ -104,54 +110,56 @@ def body_messages(bodies: Sequence[Mapping[str, Any]], time_ns: int) -> list[byt
 
 
 def force_message(record: Record, time_ns: int, finger: str) -> bytes:
-    """The force on the hand, an arrow from where the finger is."""
+    """Encode the force on the hand as an arrow from the proxy."""
     force = record[AT.force : AT.force + 3]
     size = float(np.linalg.norm(force))
-    name, when = f"{frames(finger)[0]}/force", stamp(time_ns)
+    name, timestamp = f"{frame_names(finger)[0]}/force", to_timestamp(time_ns)
     if not 0.0 < size < math.inf:
-        return _encoded(SCENE, deletions=[{"timestamp": when, "type": 0, "id": name}])
+        return _encode(SCENE, deletions=[{"timestamp": timestamp, "type": 0, "id": name}])
     length = ARROW_M_PER_N * size
     arrow = {
-        "pose": _pose(_three(record, AT.proxy_position), _turn_x_to((force / size).tolist())),
+        "pose": _pose(_xyz(record, AT.proxy_position), _rotation_from_x((force / size).tolist())),
         "shaft_length": 0.8 * length,
         "shaft_diameter": 0.001,
         "head_length": 0.2 * length,
         "head_diameter": 0.002,
         "color": _FORCE,
     }
-    return _encoded(SCENE, entities=[{"timestamp": when, "frame_id": WORLD, "id": name, "arrows": [arrow]}])
+    return _encode(SCENE, entities=[{"timestamp": timestamp, "frame_id": WORLD, "id": name, "arrows": [arrow]}])
 
 
 def scene_message(scene: schema.Scene, time_ns: int) -> bytes:
-    """Every object and every fingertip, whole, so that a viewer that begins anywhere has all."""
-    when = stamp(time_ns)
+    """Encode every object and fingertip, complete, so that a viewer can start with any message."""
+    timestamp = to_timestamp(time_ns)
     entities = [
-        {"timestamp": when, "frame_id": frame_of(thing), "id": thing.name, "frame_locked": True} | drawn(thing)
-        for thing in scene.object
+        {"timestamp": timestamp, "frame_id": object_frame(obj), "id": obj.name, "frame_locked": True} | draw_object(obj)
+        for obj in scene.object
     ]
     for finger in scene.fingers:
-        _, frame = frames(finger.name)
+        _, frame = frame_names(finger.name)
         ball = {"pose": _pose((0.0, 0.0, 0.0)), "size": _vector([2.0 * finger.radius_m] * 3), "color": _FINGER}
-        entities.append({"timestamp": when, "frame_id": frame, "id": frame, "frame_locked": True, "spheres": [ball]})
-    return _encoded(SCENE, entities=entities)
+        entities.append(
+            {"timestamp": timestamp, "frame_id": frame, "id": frame, "frame_locked": True, "spheres": [ball]}
+        )
+    return _encode(SCENE, entities=entities)
 
 
-def frame_of(thing: schema.Object) -> str:
-    """The frame that the object's pose is in."""
-    return body_frame(thing.motion.body) if isinstance(thing.motion, schema.Body) else WORLD
+def object_frame(obj: schema.Object) -> str:
+    """Return the frame of the object's pose."""
+    return body_frame(obj.motion.body) if isinstance(obj.motion, schema.Body) else WORLD
 
 
-def drawn(thing: schema.Object) -> dict[str, Any]:
-    """The primitives of an object; of a shape that is none of these its name, as a text."""
-    at = _pose(thing.position_m, thing.orientation_wxyz)
-    draw: Callable[[Any, Any], dict[str, Any]] | None = _SHAPES.get(thing.shape)
+def draw_object(obj: schema.Object) -> dict[str, Any]:
+    """Return the primitives of an object; for shapes without a drawing function its name as a text."""
+    at = _pose(obj.position_m, obj.orientation_wxyz)
+    draw: Callable[[Any, Any], dict[str, Any]] | None = _SHAPES.get(obj.shape)
     if draw is None:
-        return _named(thing, at)
-    return draw(thing, at)
+        return _draw_name(obj, at)
+    return draw(obj, at)
 
 
-def _named(thing: schema.Object, at: Any) -> dict[str, Any]:
-    return {"texts": [{"pose": at, "billboard": True, "font_size": 0.01, "color": _OBJECT, "text": thing.name}]}
+def _draw_name(obj: schema.Object, at: Any) -> dict[str, Any]:
+    return {"texts": [{"pose": at, "billboard": True, "font_size": 0.01, "color": _OBJECT, "text": obj.name}]}
 
 
 def _cube(at: Any, size: Sequence[float]) -> dict[str, Any]:
@@ -167,58 +175,58 @@ def _tube(at: Any, radius: float, length: float) -> dict[str, Any]:
     return {"cylinders": [{"pose": at, "size": size, "bottom_scale": 1.0, "top_scale": 1.0, "color": _OBJECT}]}
 
 
-def _plane(thing: schema.Plane, at: Any) -> dict[str, Any]:
-    below = _beside(thing, -0.5 * SHEET_M)  # its upper face is the plane
-    return _cube(_pose(below, thing.orientation_wxyz), (PLANE_M, PLANE_M, SHEET_M))
+def _plane(obj: schema.Plane, at: Any) -> dict[str, Any]:
+    below = _point_on_axis(obj, -0.5 * SHEET_M)  # its upper face is the plane
+    return _cube(_pose(below, obj.orientation_wxyz), (PLANE_M, PLANE_M, SHEET_M))
 
 
-def _capsule(thing: schema.Capsule, at: Any) -> dict[str, Any]:
-    diameter = [2.0 * thing.radius_m] * 3
-    ends = [_pose(_beside(thing, way * 0.5 * thing.length_m)) for way in (-1.0, 1.0)]
+def _capsule(obj: schema.Capsule, at: Any) -> dict[str, Any]:
+    diameter = [2.0 * obj.radius_m] * 3
+    ends = [_pose(_point_on_axis(obj, sign * 0.5 * obj.length_m)) for sign in (-1.0, 1.0)]
     balls = [{"pose": end, "size": _vector(diameter), "color": _OBJECT} for end in ends]
-    return _tube(at, thing.radius_m, thing.length_m) | {"spheres": balls}
+    return _tube(at, obj.radius_m, obj.length_m) | {"spheres": balls}
 
 
-def _torus(thing: schema.Torus, at: Any) -> dict[str, Any]:
-    turns = [2.0 * math.pi * k / RING_POINTS for k in range(RING_POINTS)]
-    ring = [_vector((thing.major_radius_m * math.cos(a), thing.major_radius_m * math.sin(a), 0.0)) for a in turns]
-    line = {"type": "LINE_LOOP", "pose": at, "thickness": 2.0 * thing.minor_radius_m, "points": ring, "color": _OBJECT}
+def _torus(obj: schema.Torus, at: Any) -> dict[str, Any]:
+    angles = [2.0 * math.pi * k / RING_POINTS for k in range(RING_POINTS)]
+    ring = [_vector((obj.major_radius_m * math.cos(a), obj.major_radius_m * math.sin(a), 0.0)) for a in angles]
+    line = {"type": "LINE_LOOP", "pose": at, "thickness": 2.0 * obj.minor_radius_m, "points": ring, "color": _OBJECT}
     return {"lines": [line]}
 
 
-def _heightmap(thing: schema.Heightmap, at: Any) -> dict[str, Any]:
+def _heightmap(obj: schema.Heightmap, at: Any) -> dict[str, Any]:
     try:
-        vertices, triangles = relief(*thinned(read_heights(thing), thing.pitch_m, MAP_PIXELS))
-    except ConfigError:  # the file has gone since it was read for the scene
-        return _named(thing, at)
+        vertices, triangles = relief(*thinned(read_heights(obj), obj.pitch_m, MAP_PIXELS))
+    except ConfigError:  # the file was removed after the scene was loaded
+        return _draw_name(obj, at)
     points, indices = [_vector(point) for point in vertices.tolist()], triangles.ravel().tolist()
     return {"triangles": [{"pose": at, "points": points, "color": _OBJECT, "indices": indices}]}
 
 
 _SHAPES: Final[dict[str, Callable[[Any, Any], dict[str, Any]]]] = {
     "plane": _plane,
-    "sphere": lambda thing, at: _ball(at, [2.0 * thing.radius_m] * 3),
-    "cylinder": lambda thing, at: _tube(at, thing.radius_m, thing.length_m or PLANE_M),
+    "sphere": lambda obj, at: _ball(at, [2.0 * obj.radius_m] * 3),
+    "cylinder": lambda obj, at: _tube(at, obj.radius_m, obj.length_m or PLANE_M),
     "capsule": _capsule,
-    "box": lambda thing, at: _cube(at, thing.size_m),
-    "ellipsoid": lambda thing, at: _ball(at, [2.0 * axis for axis in thing.semi_axes_m]),
+    "box": lambda obj, at: _cube(at, obj.size_m),
+    "ellipsoid": lambda obj, at: _ball(at, [2.0 * axis for axis in obj.semi_axes_m]),
     "torus": _torus,
     "heightmap": _heightmap,
 }
 
 
-def _beside(thing: schema.Object, along_z: float) -> tuple[float, ...]:
-    """A point on the object's z axis, world."""
-    w, x, y, z = thing.orientation_wxyz
+def _point_on_axis(obj: schema.Object, along_z: float) -> tuple[float, ...]:
+    """Return the point at `along_z` (m) on the object's z axis, world frame."""
+    w, x, y, z = obj.orientation_wxyz
     axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
-    return tuple(p + along_z * a for p, a in zip(thing.position_m, axis, strict=True))
+    return tuple(p + along_z * a for p, a in zip(obj.position_m, axis, strict=True))
 
 
-def _encoded(name: str, **fields: Any) -> bytes:
+def _encode(name: str, **fields: Any) -> bytes:
     return bytes(message_class(name)(**fields).SerializeToString())
 
 
-def _pose(position: Sequence[float], orientation: Sequence[float] = _NO_TURN) -> dict[str, Any]:
+def _pose(position: Sequence[float], orientation: Sequence[float] = _IDENTITY) -> dict[str, Any]:
     return {"position": _vector(position), "orientation": _quaternion(orientation)}
 
 
@@ -230,20 +238,20 @@ def _quaternion(wxyz: Sequence[float]) -> dict[str, float]:
     return dict(zip("wxyz", wxyz, strict=True))
 
 
-def _turn_x_to(way: Sequence[float]) -> tuple[float, ...]:
-    """Unit quaternion that turns the x axis into a unit vector: the shortest turn."""
-    x, y, z = way
+def _rotation_from_x(direction: Sequence[float]) -> tuple[float, ...]:
+    """Return the unit quaternion of the shortest rotation from the x axis to a unit vector."""
+    x, y, z = direction
     if x < -0.999999:
         return (0.0, 0.0, 0.0, 1.0)
     w = math.sqrt(0.5 * (1.0 + x))
     return (w, 0.0, -0.5 * z / w, 0.5 * y / w)
 
 
-def _three(record: Record, at: int) -> list[float]:
+def _xyz(record: Record, at: int) -> list[float]:
     values: list[float] = record[at : at + 3].tolist()
     return values
 
 
-def _four(record: Record, at: int) -> list[float]:
+def _wxyz(record: Record, at: int) -> list[float]:
     values: list[float] = record[at : at + 4].tolist()
     return values

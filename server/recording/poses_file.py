@@ -1,4 +1,4 @@
-"""Files of poses, as the replay device plays them: a table in CSV, or whole records in MCAP."""
+"""Files of poses for the replay device: a table in CSV, or complete records in MCAP."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ import numpy as np
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import open_recording
 from softfinger.drivers.poses import POSE_COLUMNS
-from softfinger.server.offline.results import McapResults
+from softfinger.server.recording.results import McapResults
 from softfinger.server.wire.client import Sample, record_of
 
-ENDINGS: Final = (".csv", ".mcap")
-_LINE: Final = ",".join(["%.17g"] * len(POSE_COLUMNS)) + "\n"  # 17 digits bring every float64 back
+SUFFIXES: Final = (".csv", ".mcap")
+_LINE: Final = ",".join(["%.17g"] * len(POSE_COLUMNS)) + "\n"  # 17 digits reproduce every float64
 
 
-def _new(path: Path) -> Any:
-    """A file that was not there; OSError where it cannot be made."""
+def _create(path: Path) -> Any:
+    """Create a new file; raises RecordingError if it exists, OSError if it cannot be created."""
     try:
         return open_recording(path)
     except FileExistsError as error:
@@ -28,7 +28,7 @@ def _new(path: Path) -> Any:
 
 
 class PosesFile(ABC):
-    """A file that rows of t (s), position (m), orientation go to, with the message they are from."""
+    """File of poses: t (s), position (m) and orientation, with the message that they come from."""
 
     @abstractmethod
     def add(self, t: float, sample: Sample) -> None:
@@ -36,44 +36,44 @@ class PosesFile(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Finish the file."""
+        """Write pending poses and close the file."""
 
 
 class CsvPoses(PosesFile):
-    """`t,x,y,z,qw,qx,qy,qz`; every number comes back to the bit."""
+    """CSV file with the columns `t,x,y,z,qw,qx,qy,qz`; reading gives bit-identical numbers."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            self._file = io.BufferedWriter(_new(path))
+            self._file = io.BufferedWriter(_create(path))
             self._file.write((",".join(POSE_COLUMNS) + "\n").encode())
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._write_error(error) from error
 
     def add(self, t: float, sample: Sample) -> None:
         try:
             self._file.write((_LINE % (t, *sample.probe.position, *sample.probe.orientation)).encode())
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._write_error(error) from error
 
     def close(self) -> None:
         try:
             self._file.close()
         except OSError as error:
-            raise self._failed(error) from error
+            raise self._write_error(error) from error
 
-    def _failed(self, error: OSError) -> RecordingError:
+    def _write_error(self, error: OSError) -> RecordingError:
         return RecordingError(f"{self._path}: cannot be written: {error.strerror or error}")
 
 
 class McapPoses(PosesFile):
-    """Whole records on topic `contact`, in blocks; their time is the wall clock's."""
+    """Complete records on topic `contact`, in blocks, with the wall clock's time."""
 
     BLOCK: Final = 256
 
     def __init__(self, path: Path) -> None:
         try:
-            self._results = McapResults(path, _new(path))
+            self._results = McapResults(path, _create(path))
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
         self._rows: list[list[float]] = []
@@ -94,9 +94,9 @@ class McapPoses(PosesFile):
 
 
 def poses_file(path: Path) -> PosesFile:
-    """Open the file for the kind its ending names; ConfigError for another ending."""
+    """Open a file of the type given by its suffix; raises ConfigError for other suffixes."""
     kinds: dict[str, Any] = {".csv": CsvPoses, ".mcap": McapPoses}
     if path.suffix.lower() not in kinds:
-        raise ConfigError(f"--poses {path}: poses are recorded as {' or '.join(ENDINGS)}, by the file's ending")
-    made: PosesFile = kinds[path.suffix.lower()](path)
-    return made
+        raise ConfigError(f"--poses {path}: poses are recorded as {' or '.join(SUFFIXES)}, by the file's ending")
+    file: PosesFile = kinds[path.suffix.lower()](path)
+    return file

@@ -1,7 +1,7 @@
-"""Recordings read as they are written: chunk by chunk, in bounded memory, up to wherever the file ends.
+"""Reading of recordings chunk by chunk in bounded memory, up to the end of a possibly incomplete file.
 
-A recording is foreign input. Whatever its bytes are, reading it gives ticks and events or a RecordingError. It may be
-another version's: what a tick has is told by the file, and numbers are found by their telemetry names.
+A recording is untrusted input. Reading yields ticks and events or raises RecordingError, for any bytes. Files of other
+versions are supported: the file describes its ticks, and fields are found by their telemetry names.
 """
 
 from __future__ import annotations
@@ -21,37 +21,37 @@ from softfinger.config.files import open_input
 from softfinger.drivers.containers import mcap_records
 from softfinger.proxy.record import FIELDS
 from softfinger.server.recording.layout import Layout
-from softfinger.server.recording.schemas import class_of, event_of, world_of
+from softfinger.server.recording.schemas import decode_event, decode_world, load_message_class
 from softfinger.server.recording.writer import EVENT_TOPIC, JSON, MARK_TOPIC, WORLD_TOPIC
 from softfinger.server.wire.protocol import finger_of
 
 Array = NDArray[np.float64]
 
 METADATA_MAX: Final = 256
-"""Tables of metadata that are read; this program writes some ten."""
+"""Maximum of metadata tables read; this program writes about ten."""
 
 
 class Ticks(NamedTuple):
-    """Ticks of a finger, some at a time: `rows` (n, width), whose columns `layout` names."""
+    """Block of ticks of a finger: `rows` (n, width) with the columns of `layout`."""
 
     finger: str
     layout: Layout
     rows: Array
 
     def column(self, name: str) -> Array | None:
-        """A field by its telemetry name, (n,) or (n, size); None where the file does not have it."""
+        """Return a field by its telemetry name, (n,) or (n, size); None if the file does not have it."""
         part = next((part for part in self.layout.parts if part.name == name), None)
         if part is None:
             return None
         return self.rows[:, part.at] if part.size == 1 else self.rows[:, part.at : part.at + part.size]
 
     def missing(self) -> list[str]:
-        """Fields of this version's ticks that the file lacks, or has with another number of components."""
-        have = {(part.name, part.size) for part in self.layout.parts}
-        return [field.name for field in FIELDS if (field.name, field.size) not in have]
+        """Return the fields of this version that the file lacks or has with another number of components."""
+        present = {(part.name, part.size) for part in self.layout.parts}
+        return [field.name for field in FIELDS if (field.name, field.size) not in present]
 
     def records(self) -> Array:
-        """The rows as records (n, RECORD_SIZE) of this version; RecordingError where a field is missing."""
+        """Return the rows as records (n, RECORD_SIZE) of this version; raises RecordingError if a field is missing."""
         if missing := self.missing():
             raise RecordingError(f"its ticks have no {', '.join(missing[:5])}: it is another version's")
         if [(part.name, part.size) for part in self.layout.parts] == [(field.name, field.size) for field in FIELDS]:
@@ -61,26 +61,26 @@ class Ticks(NamedTuple):
 
 
 class Event(NamedTuple):
-    """An event's map, as the wire has it."""
+    """Event, a map as on the wire."""
 
     event: dict[str, Any]
 
 
 class World(NamedTuple):
-    """A message of `world`, a map as the wire has it."""
+    """Message of `world`, a map as on the wire."""
 
     world: dict[str, Any]
 
 
 class Note(NamedTuple):
-    """A table of metadata, and what it says."""
+    """Name and value of a table of metadata."""
 
     name: str
     value: Any
 
 
 class Topic(NamedTuple):
-    """A topic, its schema's name, and how many messages it has, at the file's end."""
+    """Name of a topic, name of its schema, and number of its messages in the file."""
 
     name: str
     schema: str
@@ -88,7 +88,7 @@ class Topic(NamedTuple):
 
 
 class End(NamedTuple):
-    """The end of a file: its topics, and why it is cut short, empty for a whole one."""
+    """End of a file: its topics, and the reason if it is incomplete, else empty."""
 
     topics: list[Topic]
     cut: str
@@ -99,29 +99,35 @@ class _Channel:
         self.topic, self.schema, self.messages = topic, schema, 0
         self.finger = finger_of(topic)
         self.layout: Layout | None = None
-        self._class: Any = None
+        self._message_type: Any = None
 
     @property
-    def kind(self) -> Any:
-        """The class of its messages."""
-        if self._class is None:
+    def message_type(self) -> Any:
+        """Class of its messages."""
+        if self._message_type is None:
             if self.schema is None or self.schema.encoding != "protobuf":
                 raise ValueError(f"messages of topic {self.topic[:40]!r} are not protobuf")
-            self._class = class_of(self.schema.data, self.schema.name)
-        return self._class
+            self._message_type = load_message_class(self.schema.data, self.schema.name)
+        return self._message_type
 
     def ticks(self, messages: list[bytes]) -> Ticks:
-        layout = self.layout = self.layout or Layout(self.kind.FromString(messages[0]))
+        layout = self.layout = self.layout or Layout(self.message_type.FromString(messages[0]))
         rows = None
         if all(len(message) == layout.size for message in messages):
             rows = layout.decode(np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1))
-        if rows is None:  # another writer's way to say the same
-            rows = np.array([layout.row(self.kind.FromString(message)) for message in messages])
+        if rows is None:  # another program may encode the same values differently
+            rows = np.array([layout.row(self.message_type.FromString(message)) for message in messages])
         return Ticks(self.finger or "", layout, rows)
 
 
-def contents(path: str | Path) -> Iterator[Ticks | Event | World | Note | End]:
-    """All that a recording has, in file order, in the end an End. RecordingError for a file without anything."""
+def read_contents(path: str | Path) -> Iterator[Ticks | Event | World | Note | End]:
+    """Yield the contents of a recording in file order, followed by an End.
+
+    Raises
+    ------
+    RecordingError
+        If the file is not a readable recording.
+    """
     try:
         with open_input(path) as file:
             yield from _contents(Path(path), file)
@@ -136,39 +142,39 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | World | N
     schemas: dict[int, Any] = {}
     channels: dict[int, _Channel] = {}
     notes = 0
-    cut = "it ends without an index: its writer was ended, or the disk was full"
+    cut = "it has no index at its end: its writer was killed, or the disk was full"
     try:
         for outer in mcap_records(file):
-            found: dict[int, list[bytes]] = {}
-            for record in _unchunked(outer.data) if isinstance(outer, Chunk) else (outer,):
+            messages_by_channel: dict[int, list[bytes]] = {}
+            for record in _unpack_chunk(outer.data) if isinstance(outer, Chunk) else (outer,):
                 if isinstance(record, tuple):
-                    found.setdefault(record[0], []).append(record[1])
+                    messages_by_channel.setdefault(record[0], []).append(record[1])
                 elif isinstance(record, Message):
-                    found.setdefault(record.channel_id, []).append(record.data)
+                    messages_by_channel.setdefault(record.channel_id, []).append(record.data)
                 elif isinstance(record, Schema):
                     schemas[record.id] = record
                 elif isinstance(record, Channel):
-                    known = schemas.get(record.schema_id)
-                    channels.setdefault(record.id, _Channel(record.topic, known))
+                    schema = schemas.get(record.schema_id)
+                    channels.setdefault(record.id, _Channel(record.topic, schema))
                 elif isinstance(record, Metadata) and notes < METADATA_MAX:
                     notes += 1
-                    yield Note(record.name, _value(record.metadata))
+                    yield Note(record.name, _decode_value(record.metadata))
                 elif isinstance(record, Footer):
                     cut = ""
-            for number, messages in found.items():
-                channel = channels[number]
+            for channel_id, messages in messages_by_channel.items():
+                channel = channels[channel_id]
                 channel.messages += len(messages)
                 if channel.finger is not None:
                     yield channel.ticks(messages)
                 elif channel.topic in (EVENT_TOPIC, MARK_TOPIC):
                     for message in messages:
-                        yield Event(event_of(channel.kind.FromString(message)))
+                        yield Event(decode_event(channel.message_type.FromString(message)))
                 elif channel.topic == WORLD_TOPIC:
                     for message in messages:
-                        yield World(world_of(channel.kind.FromString(message)))
+                        yield World(decode_world(channel.message_type.FromString(message)))
     except (GeneratorExit, OSError, RecordingError):
         raise
-    except Exception as error:  # the decoders fail in many ways on damaged bytes
+    except Exception as error:  # the decoders raise exceptions of many types on damaged bytes
         if not isinstance(error, EndOfFile):
             cut = f"{type(error).__name__}: {str(error)[:120]}"
         if not channels:
@@ -177,7 +183,7 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | World | N
     yield End(topics, cut)
 
 
-def _value(table: Mapping[str, str]) -> Any:
+def _decode_value(table: Mapping[str, str]) -> Any:
     if set(table) == {JSON}:
         return json.loads(table[JSON])
     return dict(table)
@@ -188,8 +194,8 @@ _MESSAGE: Final = 5
 _SCHEMA, _CHANNEL = 3, 4
 
 
-def _unchunked(data: bytes) -> Iterator[Any]:
-    """Records of an unpacked chunk; of a message, which are many, only its channel and its data."""
+def _unpack_chunk(data: bytes) -> Iterator[Any]:
+    """Yield the records of an unpacked chunk; for messages, of which there are many, only channel and data."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Channel, Schema
 

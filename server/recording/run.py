@@ -1,4 +1,4 @@
-"""A recording as a run: every tick of every finger, what was commanded meanwhile, and what it was made with."""
+"""Complete run read from a recording: ticks of all fingers, events and metadata."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import RecordingError
-from softfinger.drivers.poses import POSES_MAX, rate_of
-from softfinger.server.recording.reader import End, Event, Note, Ticks, World, contents
+from softfinger.drivers.poses import POSES_MAX, rate_from_period
+from softfinger.server.recording.reader import End, Event, Note, Ticks, World, read_contents
 
 Array = NDArray[np.float64]
 
-_NEEDED: Final = ("tick", "dt", "probe.position", "probe.orientation")
+_REQUIRED: Final = ("tick", "dt", "probe.position", "probe.orientation")
 
 
-class Bodies(NamedTuple):
-    """Where the bodies of a [world] were, some ticks apart.
+class BodyPoses(NamedTuple):
+    """Poses of the bodies of a [world] at some of the ticks.
 
-    ticks  (m,)    after the step of each
+    ticks  (m,)       pose after the step of this tick
     names  (n,)
     poses  (m, n, 7)  position m, quaternion w, x, y, z, body to world
     """
@@ -31,45 +31,51 @@ class Bodies(NamedTuple):
     poses: Array
 
 
-NO_BODIES: Final = Bodies(np.empty(0, np.int64), (), np.empty((0, 0, 7)))
+NO_BODIES: Final = BodyPoses(np.empty(0, np.int64), (), np.empty((0, 0, 7)))
 
 
 class Run(NamedTuple):
-    """Ticks that all fingers have.
+    """Ticks that all fingers have in common.
 
-    fingers  by name, of each its fields by telemetry name, (n,) or (n, size) each
+    fingers  fields of each finger by name, with telemetry names, (n,) or (n, size) each
     notes    tables of metadata
     events   in file order
-    cut      why the file is cut short; empty for a whole one
-    bodies   of a scene's [world]
+    cut      reason why the file is incomplete; empty for a complete one
+    bodies   of the scene's [world]
     """
 
     fingers: dict[str, dict[str, Array]]
     notes: dict[str, Any]
     events: list[dict[str, Any]]
     cut: str
-    bodies: Bodies = NO_BODIES
+    bodies: BodyPoses = NO_BODIES
 
     @property
     def first(self) -> dict[str, Array]:
-        """The fields of the first finger; `tick` and `dt` are the same for all."""
+        """Fields of the first finger; `tick` and `dt` are the same for all."""
         return next(iter(self.fingers.values()))
 
     @property
     def rate_hz(self) -> float:
-        """Of the loop: as the file says, else by the shortest time step."""
+        """Rate of the loop, as in the metadata, else from the shortest time step."""
         rate = self.notes.get("rate_hz")
-        return float(rate) if isinstance(rate, int | float) else rate_of(float(self.first["dt"].min()))
+        return float(rate) if isinstance(rate, int | float) else rate_from_period(float(self.first["dt"].min()))
 
 
 def load_run(path: Path, fields: tuple[str, ...]) -> Run:
-    """Read these fields and those of the poses; RecordingError where there are none."""
+    """Read the poses and these fields of a recording.
+
+    Raises
+    ------
+    RecordingError
+        If the file has no ticks, too many, or lacks a field.
+    """
     blocks: dict[str, list[dict[str, Array]]] = {}
     notes: dict[str, Any] = {}
     events: list[dict[str, Any]] = []
     worlds: list[dict[str, Any]] = []
     cut, count = "", 0
-    for part in contents(path):
+    for part in read_contents(path):
         match part:
             case Ticks():
                 blocks.setdefault(part.finger, []).append(dict(_fields(part, fields)))
@@ -85,47 +91,49 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
             case End():
                 cut = part.cut
     if not blocks:
-        raise RecordingError(f"{path}: holds no tick")
+        raise RecordingError(f"{path}: has no tick")
     fingers = {}
     for finger, each in blocks.items():
-        if missing := [name for name in (*_NEEDED, *fields) if name not in each[0]]:
+        if missing := [name for name in (*_REQUIRED, *fields) if name not in each[0]]:
             raise RecordingError(f"{path}: its ticks have no {', '.join(missing)}: not a recording of this program")
         fingers[finger] = {name: np.concatenate([block[name] for block in each]) for name in each[0]}
-    return Run(_in_all(_in_order(fingers, notes)), notes, events, cut, _bodies(worlds))
+    return Run(_keep_common_ticks(_sort_fingers(fingers, notes)), notes, events, cut, _read_body_poses(worlds))
 
 
-def _bodies(worlds: list[dict[str, Any]]) -> Bodies:
-    """Those messages that have the bodies of the first."""
+def _read_body_poses(worlds: list[dict[str, Any]]) -> BodyPoses:
+    """Return the messages with the same bodies as the first one."""
     if not worlds:
         return NO_BODIES
     names = tuple(body["name"] for body in worlds[0]["bodies"])
-    same = {each["tick"]: each for each in worlds if tuple(body["name"] for body in each["bodies"]) == names}
-    poses = [[body["position"] + body["orientation"] for body in same[tick]["bodies"]] for tick in sorted(same)]
-    return Bodies(np.array(sorted(same), np.int64), names, np.array(poses, np.float64).reshape(-1, len(names), 7))
+    messages = {each["tick"]: each for each in worlds if tuple(body["name"] for body in each["bodies"]) == names}
+    poses = [[body["position"] + body["orientation"] for body in messages[tick]["bodies"]] for tick in sorted(messages)]
+    return BodyPoses(
+        np.array(sorted(messages), np.int64), names, np.array(poses, np.float64).reshape(-1, len(names), 7)
+    )
 
 
 def _fields(ticks: Ticks, fields: tuple[str, ...]) -> Iterator[tuple[str, Array]]:
-    for name in dict.fromkeys((*_NEEDED, *fields)):
+    for name in dict.fromkeys((*_REQUIRED, *fields)):
         column = ticks.column(name)
         if column is not None:
             yield name, column
 
 
-def _in_order(fingers: dict[str, dict[str, Array]], notes: dict[str, Any]) -> dict[str, dict[str, Array]]:
-    """As the scene has them."""
-    said = notes.get("fingers")
-    names = [each.get("name") for each in said if isinstance(each, dict)] if isinstance(said, list) else []
+def _sort_fingers(fingers: dict[str, dict[str, Array]], notes: dict[str, Any]) -> dict[str, dict[str, Array]]:
+    """Sort the fingers in the order of the scene."""
+    described = notes.get("fingers")
+    names = [each.get("name") for each in described if isinstance(each, dict)] if isinstance(described, list) else []
     return dict(sorted(fingers.items(), key=lambda each: names.index(each[0]) if each[0] in names else len(names)))
 
 
-def _in_all(fingers: dict[str, dict[str, Array]]) -> dict[str, dict[str, Array]]:
-    """Those ticks only that every finger has."""
-    kept = np.unique(next(iter(fingers.values()))["tick"])
+def _keep_common_ticks(fingers: dict[str, dict[str, Array]]) -> dict[str, dict[str, Array]]:
+    """Return the ticks that all fingers have."""
+    common = np.unique(next(iter(fingers.values()))["tick"])
     for fields in fingers.values():
-        kept = np.intersect1d(kept, fields["tick"])
-    cut = {}
+        common = np.intersect1d(common, fields["tick"])
+    result = {}
     for finger, fields in fingers.items():
-        _, places = np.unique(fields["tick"], return_index=True)
-        places = places[np.isin(fields["tick"][places], kept)]
-        cut[finger] = {name: column[places] for name, column in fields.items()}
-    return cut
+        _, rows = np.unique(fields["tick"], return_index=True)
+        rows = rows[np.isin(fields["tick"][rows], common)]
+        result[finger] = {name: column[rows] for name, column in fields.items()}
+    return result

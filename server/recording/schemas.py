@@ -1,7 +1,7 @@
-"""What the messages of a recording consist of: protobuf descriptors, made at run time, that travel in the file.
+"""Protobuf message types of a recording: descriptors built at run time and stored in the file.
 
-Ticks follow from the record table, events from the table of the wire. Beside them stand four of Foxglove's well-known
-messages, from which its 3-D panel and Rerun draw the run without knowing this program. Source of their fields:
+Ticks follow the record table, and events the table of the wire. Messages of Foxglove's well-known types are recorded in
+addition, so that its 3-D panel and Rerun can draw the run without knowing this program. Source of their fields:
 https://github.com/foxglove/foxglove-sdk, schemas/proto/foxglove.
 """
 
@@ -26,14 +26,14 @@ SCENE: Final = "foxglove.SceneUpdate"
 LOG: Final = "foxglove.Log"
 
 BODIES: Final = "bodies[]."
-"""What the keys of a body begin with."""
+"""Prefix of the keys of a body."""
 MORE: Final = "more"
-"""Field of an event with what no field of its own is for, as JSON: keys that are maps, or in no table."""
+"""Field of an event with all values that have no other field, as JSON: maps, and keys that are in no table."""
 
 _TIME: Final = "google.protobuf.Timestamp"
 _DURATION: Final = "google.protobuf.Duration"
 
-# Message: fields in the order of their numbers, from 1. [X]: any number of them; names in capitals: an enumeration.
+# Message: fields in the order of their numbers, from 1. [X]: repeated; names in capitals: an enumeration.
 _FOXGLOVE: Final[dict[str, dict[str, str]]] = {
     "Vector3": {"x": "double", "y": "double", "z": "double"},
     "Point3": {"x": "double", "y": "double", "z": "double"},
@@ -140,7 +140,7 @@ _PLAIN: Final = {"int": "sfixed64", "float": "double", "str": "string"}
 
 @cache
 def descriptor_set(name: str) -> bytes:
-    """A message type with all that it consists of, as a serialized FileDescriptorSet.
+    """Return a message type and its dependencies as a serialized FileDescriptorSet.
 
     Dotted names of ticks become nested messages. Integers are sfixed64, so that every tick has the same length and
     layout.
@@ -168,12 +168,12 @@ def descriptor_set(name: str) -> bytes:
 
 @cache
 def message_class(name: str) -> Any:
-    """The class of a message type of this program's recordings."""
-    return class_of(descriptor_set(name), name)
+    """Return the class of a message type of this program's recordings."""
+    return load_message_class(descriptor_set(name), name)
 
 
-def class_of(descriptors: bytes, name: str) -> Any:
-    """The class of a message type in a FileDescriptorSet; what the library raises on damage."""
+def load_message_class(descriptors: bytes, name: str) -> Any:
+    """Return the class of a message type in a FileDescriptorSet; damaged descriptors raise the library's exceptions."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     pool = descriptor_pool.DescriptorPool()
@@ -183,30 +183,30 @@ def class_of(descriptors: bytes, name: str) -> Any:
 
 
 def event_message(event: Mapping[str, Any]) -> bytes:
-    """An event's map, as the wire has it, encoded."""
+    """Encode an event, a map as on the wire."""
     known = {key.name for key in _keys_of(event)}
     fields = {key: value for key, value in event.items() if key in known and key in _EVENT_FIELDS}
-    # A value may be a type of the wire, as the change of a parameter is.
+    # A value may have a type of the wire, such as the change of a parameter.
     more = msgspec.to_builtins({key: value for key, value in event.items() if key not in fields})
-    # `from` is a word of Python's, so no keyword argument.
+    # `from` is a keyword in Python and cannot be a keyword argument.
     message = message_class(EVENT)(**fields | ({MORE: json.dumps(more)} if more else {}))
     return bytes(message.SerializeToString())
 
 
 def world_message(world: Mapping[str, Any]) -> bytes:
-    """A message of `world`, a map as the wire has it, encoded."""
+    """Encode a message of `world`, a map as on the wire."""
     return bytes(message_class(WORLD)(**world).SerializeToString())
 
 
 def log_message(time_ns: int, level: int, name: str, text: str) -> bytes:
-    """A line of the log, encoded; Foxglove counts levels from 1, `logging` in tens."""
+    """Encode a line of the log; Foxglove numbers levels from 1, `logging` in steps of ten."""
     message = message_class(LOG)(level=min(max(level // 10, 0), 5), message=text, name=name)
     message.timestamp.FromNanoseconds(time_ns)
     return bytes(message.SerializeToString())
 
 
-def event_of(message: Any) -> dict[str, Any]:
-    """The map of a decoded event; keys that the file does not have are left out."""
+def decode_event(message: Any) -> dict[str, Any]:
+    """Return the map of a decoded event, without keys that the file does not have."""
     head = {"kind": message.kind}
     names = [key.name for key in _keys_of(head) if key.name in message.DESCRIPTOR.fields_by_name]
     event = {name: getattr(message, name) for name in names if name in _EVENT_FIELDS}
@@ -215,14 +215,14 @@ def event_of(message: Any) -> dict[str, Any]:
     return event | (more if isinstance(more, dict) else {})
 
 
-def world_of(message: Any) -> dict[str, Any]:
-    """The map of a decoded message of `world`; ValueError for numbers that no body has."""
+def decode_world(message: Any) -> dict[str, Any]:
+    """Return the map of a decoded message of `world`; raises ValueError for a body with a wrong number of values."""
     bodies = []
     for body in message.bodies:
-        told = {"name": body.name} | {name: list(getattr(body, name)) for name, _ in _BODY_PARTS}
-        if any(len(told[name]) != size for name, size in _BODY_PARTS):
+        values = {"name": body.name} | {name: list(getattr(body, name)) for name, _ in _BODY_PARTS}
+        if any(len(values[name]) != size for name, size in _BODY_PARTS):
             raise ValueError(f"the body {body.name[:40]!r} has other numbers than a pose and its rates")
-        bodies.append(told)
+        bodies.append(values)
     return {"schema": message.schema, "timestamp": message.timestamp, "tick": message.tick, "bodies": bodies}
 
 
@@ -234,21 +234,21 @@ def _keys_of(event: Mapping[str, Any]) -> Iterator[Key]:
 def _add_ticks(top: Any) -> None:
     nested: dict[str, Any] = {}
     for field in FIELDS:
-        message, within = top, f".{TICK}"
+        message, parent_type = top, f".{TICK}"
         *parents, leaf = field.name.split(".")
         for depth, parent in enumerate(parents):
             type_name, key = parent.capitalize(), ".".join(parents[: depth + 1])
-            within = f"{within}.{type_name}"
+            parent_type = f"{parent_type}.{type_name}"
             if key not in nested:
                 nested[key] = message.nested_type.add(name=type_name)
-                _add_field(message, parent, within)
+                _add_field(message, parent, parent_type)
             message = nested[key]
         plain = _PLAIN[field.kind]
         _add_field(message, leaf, f"[{plain}]" if field.size > 1 else plain)
 
 
 def _add_bodies(message: Any) -> None:
-    """The keys of the wire's `world`; those of a body in a message of its own."""
+    """Add the keys of the wire's `world`; the keys of a body form a nested message."""
     body = message.nested_type.add(name="Body")
     for key in WORLD_KEYS:
         plain, _, size = key.type.partition("[")
@@ -258,12 +258,12 @@ def _add_bodies(message: Any) -> None:
 
 
 def _add_foxglove(files: Any, name: str, done: set[str]) -> None:
-    """A file for each message, as Foxglove has them, those that it needs first."""
+    """Add one file per Foxglove message, dependencies first, as in Foxglove's schemas."""
     from google.protobuf import duration_pb2, timestamp_pb2
 
     done.add(name)
-    needed = [kind.strip("[]") for kind in _FOXGLOVE[name].values()]
-    for kind in needed:
+    dependencies = [kind.strip("[]") for kind in _FOXGLOVE[name].values()]
+    for kind in dependencies:
         if kind in _FOXGLOVE and kind not in done:
             _add_foxglove(files, kind, done)
         for known, module in ((_TIME, timestamp_pb2), (_DURATION, duration_pb2)):
@@ -274,7 +274,7 @@ def _add_foxglove(files: Any, name: str, done: set[str]) -> None:
     message = file.message_type.add(name=name)
     paths = {_TIME: "google/protobuf/timestamp.proto", _DURATION: "google/protobuf/duration.proto"}
     paths |= {kind: f"foxglove/{kind}.proto" for kind in _FOXGLOVE}
-    file.dependency.extend(dict.fromkeys(paths[kind] for kind in needed if kind in paths))
+    file.dependency.extend(dict.fromkeys(paths[kind] for kind in dependencies if kind in paths))
     for key, kind in _FOXGLOVE[name].items():
         bare = kind.strip("[]")
         if bare in _FOXGLOVE:
@@ -290,7 +290,7 @@ def _add_foxglove(files: Any, name: str, done: set[str]) -> None:
 
 
 def _add_field(message: Any, name: str, kind: str) -> None:
-    """A field with the next number. kind: a plain type's name, `.a.Message`, `.an.Enumeration=`; in [] if repeated."""
+    """Add a field with the next number. kind: a plain type, `.a.Message`, `.an.Enumeration=`; in [] if repeated."""
     from google.protobuf import descriptor_pb2
 
     kinds = descriptor_pb2.FieldDescriptorProto

@@ -1,4 +1,4 @@
-"""What is in a recording: one pass over it, in bounded memory."""
+"""Summary of a recording, computed in one pass and bounded memory."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import RecordingError
 from softfinger.proxy.record import MODE_NAMES
-from softfinger.server.recording.reader import End, Event, Note, Ticks, contents
+from softfinger.server.recording.reader import End, Event, Note, Ticks, read_contents
 from softfinger.server.recording.recorder import END
 
-_TOLD = ("scene_name", "rate_hz", "every", "versions", "machine", "settings", "device", "scene", "rig", "lost")
-"""Tables of metadata that go into a summary as they are."""
+_COPIED_TABLES = ("scene_name", "rate_hz", "every", "versions", "machine", "settings", "device", "scene", "rig", "lost")
+"""Tables of metadata that a summary copies unchanged."""
 
 
 class _Finger:
@@ -24,7 +24,7 @@ class _Finger:
     def __init__(self) -> None:
         self.ticks = self.gaps = self.missing = 0
         self.first = self.last = -1
-        self.begun_s = self.ended_s = 0.0
+        self.start_s = self.end_s = 0.0
         self.longest = 0
         self.modes: Counter[int] = Counter()
         self.peaks: dict[str, float] = {}
@@ -34,12 +34,12 @@ class _Finger:
         if numbers is None or stamps is None:
             raise RecordingError("its ticks have no tick, or no timestamp: not a recording of this program")
         if not self.ticks:
-            self.first, self.begun_s = int(numbers[0]), float(stamps[0])
-        apart = np.diff(numbers, prepend=self.last if self.ticks else numbers[0] - 1).astype(int)
-        lost = apart[apart > 1] - 1
+            self.first, self.start_s = int(numbers[0]), float(stamps[0])
+        steps = np.diff(numbers, prepend=self.last if self.ticks else numbers[0] - 1).astype(int)
+        lost = steps[steps > 1] - 1
         self.gaps, self.missing = self.gaps + len(lost), self.missing + int(lost.sum())
         self.longest = max(self.longest, int(lost.max(initial=0)))
-        self.ticks, self.last, self.ended_s = self.ticks + len(numbers), int(numbers[-1]), float(stamps[-1])
+        self.ticks, self.last, self.end_s = self.ticks + len(numbers), int(numbers[-1]), float(stamps[-1])
         modes = ticks.column("contact.mode")
         if modes is not None:
             self.modes.update(modes.astype(int).tolist())
@@ -49,8 +49,8 @@ class _Finger:
                 key = f"{name.rpartition('.')[2]}_max_{unit}"
                 self.peaks[key] = max(self.peaks.get(key, 0.0), _largest(values))
 
-    def told(self) -> dict[str, Any]:
-        """As plain values."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return the sums as plain values."""
         modes = {name: self.modes[number] for number, name in enumerate(MODE_NAMES)}
         return {"ticks": self.ticks, "modes": modes} | self.peaks
 
@@ -61,17 +61,24 @@ def _largest(values: NDArray[np.float64]) -> float:
 
 
 def summary(path: Path) -> dict[str, Any]:
-    """What `softfinger info --json` prints. RecordingError for a file that is no recording of this program.
+    """Return the summary that `softfinger info --json` prints.
 
-    missing  ticks that the file lacks, in so many gaps; dropped: those that the disk was too slow for, as far as its
-             end says; events_dropped: events likewise; lost: ticks that did not arrive over the wire
+    missing         ticks that the file lacks, in `gaps` gaps
+    dropped         ticks not written because the disk was too slow, if the file has a regular end
+    events_dropped  events not written for the same reason
+    lost            ticks that did not arrive over the wire
+
+    Raises
+    ------
+    RecordingError
+        If the file is not a recording of this program.
     """
     fingers: dict[str, _Finger] = {}
     notes: dict[str, Any] = {}
     events: Counter[str] = Counter()
     marks: list[dict[str, Any]] = []
     end = End([], "")
-    for part in contents(path):
+    for part in read_contents(path):
         match part:
             case Ticks():
                 fingers.setdefault(part.finger, _Finger()).add(part)
@@ -84,27 +91,27 @@ def summary(path: Path) -> dict[str, Any]:
             case End():
                 end = part
     if not fingers:
-        raise RecordingError(f"{path}: holds no tick")
-    one = next(iter(fingers.values()))
+        raise RecordingError(f"{path}: has no tick")
+    first_finger = next(iter(fingers.values()))
     every = notes.get("every") if isinstance(notes.get("every"), int) else 1
-    ended = (notes.get(END) if isinstance(notes.get(END), dict) else None) or {}
-    thin = every != 1
+    end_table = (notes.get(END) if isinstance(notes.get(END), dict) else None) or {}
+    is_thinned = every != 1
     return {
         "file": str(path),
         "bytes": path.stat().st_size,
         "whole": not end.cut,
         "cut": end.cut,
-        "duration_s": one.ended_s - one.begun_s,
-        "first_tick": one.first,
-        "last_tick": one.last,
-        "ticks": one.ticks,
-        "gaps": 0 if thin else one.gaps,
-        "missing": 0 if thin else one.missing,
-        "longest_gap": 0 if thin else one.longest,
-        "dropped": ended.get("dropped"),
-        "events_dropped": ended.get("events_dropped"),
-        "fingers": {name: finger.told() for name, finger in fingers.items()},
+        "duration_s": first_finger.end_s - first_finger.start_s,
+        "first_tick": first_finger.first,
+        "last_tick": first_finger.last,
+        "ticks": first_finger.ticks,
+        "gaps": 0 if is_thinned else first_finger.gaps,
+        "missing": 0 if is_thinned else first_finger.missing,
+        "longest_gap": 0 if is_thinned else first_finger.longest,
+        "dropped": end_table.get("dropped"),
+        "events_dropped": end_table.get("events_dropped"),
+        "fingers": {name: finger.to_dict() for name, finger in fingers.items()},
         "events": dict(events),
         "marks": marks,
         "topics": [topic._asdict() for topic in end.topics],
-    } | {key: notes.get(key) for key in _TOLD}
+    } | {key: notes.get(key) for key in _COPIED_TABLES}

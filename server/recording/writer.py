@@ -1,7 +1,7 @@
-"""A recording as it is written: ticks, events, what viewers draw, and what it was made with.
+"""Writing of a recording: ticks, events, pictures for viewers, and metadata of the run.
 
-Topics: `contact`, or `finger/NAME` of several fingers, with every tick; `event`, and `mark` for those of that kind;
-`pose`, `tf`, `scene` and `forces` as Foxglove has them, as often as a display. docs/operate/recordings.md lists them.
+Topics: `contact`, or `finger/NAME` for each of several fingers, with every tick; `event`, and `mark` for marks; `pose`,
+`tf`, `scene` and `forces` as Foxglove messages at the rate of a display. docs/operate/recordings.md lists them.
 """
 
 from __future__ import annotations
@@ -49,85 +49,94 @@ SCENE_TOPIC: Final = "scene"
 FORCE_TOPIC: Final = "forces"
 LOG_TOPIC: Final = "log"
 SCENE_PERIOD_S: Final = 1.0
-"""A player that is moved to another moment has the scene within so long."""
+"""After seeking, a player has the scene within this time."""
 JSON: Final = "json"
-"""Key of the text in each table of metadata."""
+"""Key of the JSON text in each table of metadata."""
 
 _NS: Final = 1e9
-_WHOLE: Final = [field.at for field in FIELDS if field.kind == "int"]
-_TIME_MAX_S: Final = 9e9  # MCAP has no time before 1970, and none after 2554
+_INTEGER_COLUMNS: Final = [field.at for field in FIELDS if field.kind == "int"]
+_TIME_MAX_S: Final = 9e9  # MCAP times range from 1970 to 2554
 
 
-class Sink(Protocol):
-    """What takes messages: a file, or a server."""
+class MessageSink(Protocol):
+    """Receiver of messages: a file or a server."""
 
     def channel(self, topic: str, schema: str, descriptors: bytes) -> int:
-        """Number of a new topic with protobuf messages of this type."""
+        """Return the number of a new topic with protobuf messages of this type."""
 
     def message(self, channel: int, time_ns: int, data: bytes) -> None:
-        """Take one message."""
+        """Write one message."""
 
     def block(self, channel: int, times_ns: Times, messages: Bytes, sequences: NDArray[np.int64]) -> None:
-        """Take messages (n, size) with their times (n,)."""
+        """Write messages (n, size) with their times (n,)."""
 
 
 class Topics:
-    """What is said of a run, as messages in topics.
+    """Writer of a run's messages to their topics.
 
-    fingers  names of several fingers, one empty name for a single one
-    scene    what is drawn beside the fingers, None for nothing
-    drawn    whether there are topics for viewers
+    Parameters
+    ----------
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    scene
+        Scene to draw in addition to the fingers; None: no scene.
+    with_pictures
+        Whether to write the topics for viewers.
     """
 
     def __init__(
-        self, sink: Sink, fingers: Sequence[str] = ("",), scene: schema.Scene | None = None, drawn: bool = True
+        self,
+        sink: MessageSink,
+        fingers: Sequence[str] = ("",),
+        scene: schema.Scene | None = None,
+        with_pictures: bool = True,
     ) -> None:
         self._sink = sink
         self._layout = tick_layout()
         ticks = descriptor_set(TICK)
         self._ticks = {finger: sink.channel(contact_topic(finger), TICK, ticks) for finger in fingers}
         self._topics: dict[str, int] = {}
-        self._drawn = drawn
-        self._pictures: dict[str, float] = {}
+        self._with_pictures = with_pictures
+        self._last_pictures: dict[str, float] = {}
         self._scene = scene
         self._scene_due_s = 0.0
 
     def ticks(self, records: Array, finger: str = "") -> None:
-        """Add records (n, RECORD_SIZE) of a finger. ValueError where an integer's is no whole number."""
+        """Write records (n, RECORD_SIZE) of a finger; raises ValueError if an integer field has a fraction."""
         messages = np.empty((len(records), self._layout.size), np.uint8)
         self._layout.encode(records, messages)
         times = times_ns(records)
         sequences = records[:, AT.tick].astype(np.int64) & 0xFFFFFFFF
         self._sink.block(self._ticks[finger], times, messages, sequences)
-        if self._drawn:
+        if self._with_pictures:
             self._draw(records, times, finger)
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """Add an event, a map as the wire has it."""
+        """Write an event, a map as on the wire."""
         topic = MARK_TOPIC if event["kind"] == "mark" else EVENT_TOPIC
         self._add(topic, EVENT, event_time_ns(event), event_message(event))
-        if self._scene is not None and (moved := driven(self._scene, event)) is not None:
-            self.show(moved)
+        if self._scene is not None and (driven_scene := apply_drive(self._scene, event)) is not None:
+            self.set_scene(driven_scene)
 
     def world(self, world: Mapping[str, Any]) -> None:
-        """Add where the bodies of a [world] were, a map as the wire has it."""
+        """Write the poses of the bodies of a [world], a map as on the wire."""
         time_ns = event_time_ns(world)
         self._add(WORLD_TOPIC, WORLD, time_ns, world_message(world))
-        if self._drawn:
+        if self._with_pictures:
             for message in picture.body_messages(world["bodies"], time_ns):
                 self._add(FRAME_TOPIC, FRAME, time_ns, message)
 
     def log(self, time_s: float, level: int, name: str, text: str) -> None:
-        """Add a line of the log: time since the epoch, level as `logging` has it, who said it, what."""
+        """Write a line of the log: time (s) since the epoch, level of `logging`, name of the logger, text."""
         time_ns = event_time_ns({"timestamp": time_s})
         self._add(LOG_TOPIC, LOG, time_ns, log_message(time_ns, level, name, text))
 
-    def show(self, scene: schema.Scene) -> None:
-        """Draw another scene from here on."""
+    def set_scene(self, scene: schema.Scene) -> None:
+        """Draw another scene from now on."""
         self._scene, self._scene_due_s = scene, 0.0
 
     def _draw(self, records: Array, times: NDArray[np.int64], finger: str) -> None:
-        rows, self._pictures[finger] = picture.displayed(records, self._pictures.get(finger, np.nan))
+        rows, self._last_pictures[finger] = picture.select_displayed(records, self._last_pictures.get(finger, np.nan))
         for row in rows:
             time_ns = int(times[row])
             at = f"{POSE_TOPIC}/{finger}" if finger else POSE_TOPIC
@@ -147,11 +156,18 @@ class Topics:
 
 
 class RecordingFile(Topics):
-    """Writes to an unbuffered file, which it closes in the end; what that raises is raised here.
+    """Recording in an unbuffered file, which `close` closes; errors of the file are raised unchanged.
 
-    fingers  names of several fingers, one empty name for a single one
-    about    what it is made with, by name: a table of metadata of each; `scene` is drawn
-    drawn    whether there are topics for viewers
+    Parameters
+    ----------
+    file
+        Open, empty file.
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    about
+        Tables of metadata by name; the scene in `scene` is drawn.
+    with_pictures
+        Whether to write the topics for viewers.
     """
 
     def __init__(
@@ -159,64 +175,64 @@ class RecordingFile(Topics):
         file: IO[bytes],
         fingers: Sequence[str] = ("",),
         about: Mapping[str, Any] | None = None,
-        drawn: bool = True,
+        with_pictures: bool = True,
     ) -> None:
         self._file = file
         try:
             self.mcap: Final = McapFile(file)
             for name, value in (about or {}).items():
                 self.note(name, value)
-            super().__init__(self.mcap, fingers, scene_of(about or {}) if drawn else None, drawn)
+            super().__init__(self.mcap, fingers, parse_scene(about or {}) if with_pictures else None, with_pictures)
         except BaseException:
             file.close()
             raise
 
     def note(self, name: str, value: Any) -> None:
-        """A table of metadata, with a value that JSON has."""
+        """Write a table of metadata with a JSON value."""
         self.mcap.metadata(name, {JSON: json.dumps(value)})
 
     def count(self, finger: str = "") -> int:
-        """Ticks of a finger that the system has."""
+        """Return the number of ticks of a finger that were written to the file."""
         return self.mcap.counts.get(self._ticks[finger], 0)
 
     def flush(self) -> None:
-        """Give the system all that was added."""
+        """Write all pending messages to the file."""
         self.mcap.flush()
 
     def close(self) -> None:
-        """Write the rest and the index. Any number of times; the file is closed whatever happens."""
+        """Write pending messages and the index, and close the file even if that fails; may be called repeatedly."""
         if not self._file.closed:
             with self._file:
                 self.mcap.finish()
 
 
-def with_whole_numbers(records: Array) -> Array:
-    """Records (n, RECORD_SIZE), changed in place, whose integers a file can have: of a record that is spoilt 0."""
-    records[:, _WHOLE] = np.rint(np.nan_to_num(records[:, _WHOLE], nan=0.0, posinf=0.0, neginf=0.0))
+def round_integer_fields(records: Array) -> Array:
+    """Round the integer fields of records (n, RECORD_SIZE) in place; non-finite ones, of a damaged record, become 0."""
+    records[:, _INTEGER_COLUMNS] = np.rint(np.nan_to_num(records[:, _INTEGER_COLUMNS], nan=0.0, posinf=0.0, neginf=0.0))
     return records
 
 
 def times_ns(records: Array) -> NDArray[np.int64]:
-    """Times of records (n, RECORD_SIZE) in nanoseconds since the epoch, as a file can have them."""
+    """Return the times of records (n, RECORD_SIZE) in nanoseconds since the epoch, clamped to the range of MCAP."""
     seconds = np.nan_to_num(records[:, AT.timestamp], nan=0.0, posinf=0.0, neginf=0.0)
     return np.rint(np.clip(seconds, 0.0, _TIME_MAX_S) * _NS).astype(np.int64)
 
 
 def event_time_ns(event: Mapping[str, Any]) -> int:
-    """Time of an event, or of bodies, in nanoseconds since the epoch, as a file can have it."""
+    """Return the time of an event or of bodies in nanoseconds since the epoch, clamped to the range of MCAP."""
     return round(min(max(float(event["timestamp"]), 0.0), _TIME_MAX_S) * _NS)
 
 
-def scene_of(about: Mapping[str, Any]) -> schema.Scene | None:
-    """The scene of a daemon's description; None where it has none that can be drawn."""
+def parse_scene(about: Mapping[str, Any]) -> schema.Scene | None:
+    """Return the scene in a daemon's description; None if it has no scene that can be drawn."""
     try:
         return build(schema.Scene, about["scene"], "scene")
-    except (KeyError, ConfigError):  # unknown, or of a daemon with shapes that are not installed here
+    except (KeyError, ConfigError):  # unknown scene, or shapes that are not installed here
         return None
 
 
-def driven(scene: schema.Scene, event: Mapping[str, Any]) -> schema.Scene | None:
-    """The scene with the pose that an event of `drive` tells; None for any other event."""
+def apply_drive(scene: schema.Scene, event: Mapping[str, Any]) -> schema.Scene | None:
+    """Return the scene with the pose set by an event of `drive`; None for other events."""
     what = event.get("what")
     if (event["kind"], event["name"]) != ("command", "drive") or not isinstance(what, dict):
         return None
@@ -224,7 +240,6 @@ def driven(scene: schema.Scene, event: Mapping[str, Any]) -> schema.Scene | None
     return msgspec.structs.replace(
         scene,
         object=tuple(
-            msgspec.structs.replace(thing, **pose) if thing.name == what.get("object") else thing
-            for thing in scene.object
+            msgspec.structs.replace(obj, **pose) if obj.name == what.get("object") else obj for obj in scene.object
         ),
     )

@@ -1,4 +1,4 @@
-"""What the daemon is made of: services, each with its start, its stop and what its failure means.
+"""Services of the daemon: each can be started and stopped, and defines the effect of its failure on the run.
 
-No loop and no format: a service runs what is elsewhere.
+Contains no servo loop and no message format.
 """

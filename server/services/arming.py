@@ -1,7 +1,7 @@
-"""Who arms: the program, a command or a button, as the rig says; and what follows from a handle that was too fast.
+"""Arming by the program, a command or a button, as selected in the rig, and disarming after the handle was too fast.
 
-The guard itself keeps the force off while the handle is too fast. Where a person has to arm, it does so until it was
-disarmed, which is done here.
+The guard itself keeps the force off while the handle is too fast. If a person must arm, the guard continues to do so
+until it is disarmed, which is done here.
 """
 
 from __future__ import annotations
@@ -18,40 +18,41 @@ from softfinger.server.services.rendering import Rendering
 from softfinger.server.states import FAST, UNARMED, States, Trigger
 
 _WORD: Final = 2.0**53
-"""A device may say that its buttons are no number."""
+"""Upper bound of the bits of the buttons; a device may report nan."""
 
 
 class Arming:
-    """Sees every tick, and arms or disarms by it. Its `sink` is none that a run ends with: the guard needs it not."""
+    """Arming and disarming, evaluated for every tick; its `sink` is not vital, since the guard does not need it."""
 
     def __init__(self, rendering: Rendering, states: States) -> None:
         self._rendering, self._states = rendering, states
         fingers = len(rendering.servo.devices)
-        each = [place * RECORD_SIZE + at for place in range(fingers) for at in (AT.servo_guard, AT.buttons)]
+        each = [finger * RECORD_SIZE + at for finger in range(fingers) for at in (AT.servo_guard, AT.buttons)]
         self._columns: Final = [AT.tick, *each]
         self._pressed = -1
-        """Buttons of the tick before, -1 before the first: one that is held at the start arms nothing."""
+        """Buttons of the previous tick, -1 before the first: a button that is pressed at the start does not arm."""
         self.sink: Final = Sink("arming", self.take)
 
     def take(self, records: NDArray[np.float64], drops: int) -> None:
-        """A batch (n, fingers x RECORD_SIZE)."""
+        """Evaluate a batch (n, fingers x RECORD_SIZE)."""
         by, fast, pressed = self._rendering.rig.guard.arm, False, False
         for tick, *each in records[:, self._columns].tolist():
             bits = [int(guard) for guard in each[::2]]
-            fast = tick >= self._rendering.force.given_at and any(b & TOO_FAST and not b & DISARMED for b in bits)
+            fast = tick >= self._rendering.force.switched_on_tick and any(
+                b & TOO_FAST and not b & DISARMED for b in bits
+            )
             if fast and by != "automatic":
                 self._rendering.disarm(FAST)
-            pressed |= self._press(each[1::2])
+            pressed |= self._was_pressed(each[1::2])
         if by == "automatic":
             self._rendering.force.note_guard(FAST, fast)
         elif by == "button" and pressed:
             self._rendering.arm(UNARMED, FAST)
-        self._rendering.advance()
         self._states.fire(Trigger.TICK, "the first tick")
-        self._rendering.force.tell()
+        self._rendering.force.update_state()
 
-    def _press(self, buttons: list[float]) -> bool:
-        """Whether a button is down that was not."""
+    def _was_pressed(self, buttons: list[float]) -> bool:
+        """Return whether a button was pressed since the last tick."""
         down = 0
         for word in buttons:
             down |= int(word) if 0.0 <= word < _WORD else 0

@@ -1,4 +1,4 @@
-"""A service: a part of the daemon that is started, stopped, and may fail."""
+"""Service: a part of the daemon that can be started and stopped, and may fail."""
 
 from __future__ import annotations
 
@@ -13,38 +13,41 @@ from softfinger.server.loop import shutdown
 log: Final = logging.getLogger(__name__)
 
 JOIN_S: Final = 2.0
-"""How long a stop waits for a thread. One that has not ended by then hangs, and the others have their turn."""
+"""Time for which `stop` waits for a thread; a thread that takes longer hangs, and the next service is stopped."""
 
 
 class Service(Protocol):
-    """Started in order, stopped in reverse; `stop` also of what was never started, for it may hold something."""
+    """Part of the daemon; services are started in order and stopped in reverse.
+
+    `stop` is also called without `start`, since a service may own resources before it starts.
+    """
 
     def start(self) -> None: ...
 
     def stop(self) -> None:
-        """End, and release what is held; what fails is raised once every step was taken."""
+        """Stop and release all resources; raise an error only after every step has been attempted."""
 
 
 class Worker(ABC):
-    """A service with a thread of its own, which does `work`; what that raises goes to `failed`."""
+    """Service with a thread that runs `work`; an exception of `work` is passed to `failed`."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.closing = threading.Event()
-        """Set when the work is to end."""
+        """Set when `work` must return."""
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     @abstractmethod
     def work(self) -> None:
-        """What the thread does, until it is done or `closing` is set."""
+        """Run in the thread, until done or until `closing` is set."""
 
     @abstractmethod
     def failed(self, error: Exception) -> None:
-        """What it means for the run that the work failed."""
+        """Handle an exception of `work`: define its effect on the run."""
 
     @property
     def native_id(self) -> int | None:
-        """Of the thread; None before it is started."""
+        """Native id of the thread; None before it is started."""
         return self._thread.native_id
 
     def start(self) -> None:
@@ -64,5 +67,5 @@ class Worker(ABC):
 
 
 def stop_all(services: Iterable[Service], first: BaseException | None = None) -> BaseException | None:
-    """Stop services, the last of them first; the first error, as of `shutdown.every`."""
-    return shutdown.every(*(service.stop for service in reversed(list(services))), first=first)
+    """Stop services in reverse order and return the first error, as `shutdown.run_all_steps` does."""
+    return shutdown.run_all_steps(*(service.stop for service in reversed(list(services))), first=first)

@@ -1,4 +1,4 @@
-"""The black box as a service: always on, and a file of the last ten seconds for every fault."""
+"""Black box service: always on, it writes a file of the last ten seconds at every fault."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.loop.servo_thread import Servo
-from softfinger.server.recording.blackbox import BlackBox, folder, make_room, name_of
+from softfinger.server.recording.blackbox import BlackBox, folder, format_file_name, prepare_folder
 from softfinger.server.services.base import Worker
 from softfinger.server.services.records import Sink
 
@@ -24,24 +24,26 @@ log: Final = logging.getLogger(__name__)
 
 POLL_S: Final = 0.1
 AFTER_S: Final = 0.5
-"""What comes within this behind a fault is in its file, too."""
+"""Time after a fault that is also included in its file."""
 APART_S: Final = 5.0
-"""Faults that come faster than this share a file."""
+"""Minimum time between files; faults at shorter intervals share a file."""
 
 
 class BlackBoxes(Worker):
-    """Keeps what comes, and writes it once something has failed; nobody waits for it.
+    """Service that stores the latest records and events, and writes them to a file after a fault.
 
-    servo     whose ticks are kept
-    fingers   names of several fingers, one empty name for a single one
-    describe  what the run is made of, for the file
+    No thread waits for it.
+
+    servo     source of the ticks
+    fingers   names of several fingers, an empty name for a single one
+    describe  returns the description of the run, for the file
     """
 
     def __init__(self, servo: Servo, fingers: Sequence[str], describe: Callable[[], Mapping[str, Any]]) -> None:
         super().__init__("blackbox")
         self._describe = describe
         self.box: Final = BlackBox(fingers, GUARD_NAMES, NS_PER_S / servo.period_ns)
-        self.sink: Final = Sink("blackbox", self._take)
+        self.sink: Final = Sink("blackbox", self._add_records)
         self._due: tuple[float, Path] | None = None
         self._written_s = -APART_S
         self._number = 0
@@ -52,32 +54,31 @@ class BlackBoxes(Worker):
         super().stop()
         logging.getLogger().removeHandler(self.box.log)
 
-    def due(self, fault: str) -> str:
-        """The file that a fault of now will be in; empty where none can be made. From any thread."""
+    def schedule_file(self, fault: str) -> str:
+        """Return the file that will contain a present fault; empty if none can be created. Callable from any thread."""
         with self._lock:
             if self._due is None:
-                try:
-                    place = folder()
-                except RuntimeError:
+                directory = folder()
+                if directory is None:
                     return ""
                 self._number += 1
-                self._due = time.monotonic() + AFTER_S, place / name_of(fault, self._number)
+                self._due = time.monotonic() + AFTER_S, directory / format_file_name(fault, self._number)
             return str(self._due[1])
 
-    def tell(self, event: Mapping[str, Any]) -> None:
-        """Keep an event that is published; from any thread."""
+    def record_event(self, event: Mapping[str, Any]) -> None:
+        """Store a published event; callable from any thread."""
         self.box.event(event)
 
     def work(self) -> None:
         while not self.closing.wait(POLL_S):
-            self._look()
-        self._look(last=True)
+            self._write_due()
+        self._write_due(last=True)
 
     def failed(self, error: Exception) -> None:
-        """The run goes on without it: it is there for those who look afterwards."""
-        log.error("the black box has ended: %s", error)
+        """Log the error; the run continues, because the black box only serves later analysis."""
+        log.error("the black box has stopped: %s", error)
 
-    def _look(self, last: bool = False) -> None:
+    def _write_due(self, last: bool = False) -> None:
         due, now = self._due, time.monotonic()
         if due is None or not (last or now >= max(due[0], self._written_s + APART_S)):
             return
@@ -85,13 +86,13 @@ class BlackBoxes(Worker):
             path, self._due = due[1], None
         self._written_s = now
         try:
-            make_room(path.parent)
+            prepare_folder(path.parent)
             self.box.write(path, self._describe())
         except (OSError, ConfigError) as error:
-            said = error.strerror if isinstance(error, OSError) and error.strerror else error
-            log.warning("the black box %s cannot be written: %s", path, said)
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+            log.warning("the black box %s cannot be written: %s", path, reason)
             return
         log.info("the last 10 s are in %s", path)
 
-    def _take(self, records: NDArray[np.float64], drops: int) -> None:
+    def _add_records(self, records: NDArray[np.float64], drops: int) -> None:
         self.box.take(records)

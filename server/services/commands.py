@@ -1,15 +1,19 @@
-"""Commands as a service: what each method does to the daemon. The thread that looks after the publisher answers; it
-never waits long.
+"""Command service: handlers for all methods of the command endpoint.
 
-`set_scene` is answered from another thread, when it is done; everything else is answered at once, meanwhile too.
-The file is as long as the list of methods.
+The thread that serves the publisher receives requests. It answers the methods AT_ONCE, which turn the force off or keep
+it on; these read no file and never wait. Another thread answers all other methods in order of arrival, so that they do
+not delay `disarm`. A third thread (`compilation.py`) reads, compiles and answers `set_scene`. The file is as long as
+the list of methods.
 """
 
 from __future__ import annotations
 
 import logging
+import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
+from queue import SimpleQueue
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -20,48 +24,59 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import build, completed, describe, load_scene, numbered, overridden, shipped, value_at
 from softfinger.config.words import near, shown
-from softfinger.drivers.simulated.lead import Wanted, hand_of
+from softfinger.drivers import switch_interval
+from softfinger.drivers.simulated.lead import RequestedPose, hand_of
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import shutdown
+from softfinger.server.publishing.brake import SHORT
+from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.compilation import Change, NotCompiled, SceneChanges, Superseded
-from softfinger.server.services.description import described
+from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.prompts import Prompts
 from softfinger.server.services.recordings import Recordings
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering, Replacing
 from softfinger.server.states import COMMANDED, FAST, SILENT, UNARMED
 from softfinger.server.wire import commands as wire
-from softfinger.server.wire.envelope import Declined, Request, answered, declined, parse
-from softfinger.server.wire.link import Answering
+from softfinger.server.wire.envelope import Declined, Request, encode_answer, encode_refusal, parse
+from softfinger.server.wire.link import RequestHandlers
 from softfinger.server.wire.protocol import encode, wire_schema
 
 log: Final = logging.getLogger(__name__)
 
 EVENT_BYTES_MAX: Final = 1024
-"""Most that a request puts into an event: the publisher keeps 40 000 messages for whoever is slow."""
+"""Largest part of a request that is copied into an event: the publisher stores 40 000 messages for slow subscribers."""
 
 LOG_PERIOD_S: Final = 10.0
 
+AT_ONCE: Final = frozenset({"get_state", "heartbeat", "arm", "disarm", "zero", "stop"})
+"""Methods answered before all others. Requests longer than SHORT are none of these; they take milliseconds to decode,
+and are queued first."""
+WAITING_MAX: Final = 100
+"""Largest number of queued requests of a client; further ones are answered with `busy`."""
+REST_MAX_S: Final = 0.1
+"""Longest pause after a queued request: queued requests use at most half of a processor."""
 
-class Doing(NamedTuple):
-    """What the commands do with the daemon besides its rendering.
 
-    replace     puts a scene in under a name, and returns the first tick with it
-    ring        where local readers find every tick, as `describe` has it
-    telemetry   endpoint that it is published on
-    serve       has requests answered, or by nobody any more
-    reply       answers a client later than at once
+class DaemonInterface(NamedTuple):
+    """Interface of the commands to the daemon, other than the rendering.
+
+    replace     renders a scene under a name, and returns its first tick
+    ring        returns where local readers find every tick, in the format of `describe`
+    telemetry   endpoint of the telemetry
+    serve       sets the handler of requests; None removes it
+    reply       sends a deferred answer to a client
     event       publishes an event
     stop        ends the run in order
     fail        ends the run with an error
-    recordings  records what is rendered
+    recordings  service that records
     """
 
     replace: Callable[[schema.Scene, str], int]
     ring: Callable[[], dict[str, Any]]
     telemetry: str
-    serve: Callable[[Answering | None], None]
+    serve: Callable[[RequestHandlers | None], None]
     reply: Callable[[bytes, bytes], None]
     event: Callable[..., None]
     stop: Callable[[], None]
@@ -70,57 +85,129 @@ class Doing(NamedTuple):
 
 
 class Commands:
-    """Answers what comes in on an endpoint.
+    """Service that answers the requests of an endpoint.
 
-    scene_name  what the scene of the beginning is called
+    scene_name  name of the initial scene
     """
 
-    def __init__(self, endpoint: str, rendering: Rendering, doing: Doing, scene_name: str) -> None:
+    def __init__(self, endpoint: str, rendering: Rendering, daemon: DaemonInterface, scene_name: str) -> None:
         self.endpoint: Final = endpoint
-        self._rendering, self._doing, self._scene_name = rendering, doing, scene_name
+        self._rendering, self._daemon, self._scene_name = rendering, daemon, scene_name
         self._heartbeat_s = rendering.rig.commands.heartbeat_s
-        self._heard_s = 0.0
+        self._started = False
+        self._last_request_s = 0.0
         self._logged_s = -LOG_PERIOD_S
-        self._newest: NDArray[np.float64] | None = None
-        self._led: Final = set[int]()
-        """Fingers whose hands a program leads."""
-        self._scenes = SceneChanges(doing.replace)
-        prompts = Prompts(self._tell, lambda: rendering.servo.ticks)
+        self._latest: NDArray[np.float64] | None = None
+        self._led_fingers: Final = set[int]()
+        """Indices of the fingers with hands moved by a program."""
+        self._scenes = SceneChanges(daemon.replace)
+        self._queue: Final = SimpleQueue[tuple[bytes, Request | bytes, bool] | None]()
+        self._pending_counts: Final = Counter[bytes]()
+        """Number of requests of each client in `_queue` or being answered; protected by `_counts_lock`."""
+        self._counts_lock = threading.Lock()
+        self._thread = threading.Thread(target=self._run_queue, name="commands", daemon=True)
+        prompts = Prompts(self._publish_change, lambda: rendering.servo.ticks)
         self._get_prompt, self._set_prompt, self._answer = prompts.get, prompts.set, prompts.answer
-        self.sink: Final = Sink("commands", self._keep)
+        self.sink: Final = Sink("commands", self._store_latest)
 
     def start(self) -> None:
+        switch_interval.shorten()
+        self._started = True
         self._scenes.start()
-        self._heard_s = time.monotonic()
-        self._doing.serve(Answering(self._take, self._each_period))
+        self._thread.start()
+        self._note_alive()
+        self._daemon.serve(RequestHandlers(self._receive, self._check_periodically))
 
     def stop(self) -> None:
-        failed = shutdown.every(self._scenes.stop, lambda: self._doing.serve(None))
+        failed = shutdown.run_all_steps(self._scenes.stop, self._stop_queue, lambda: self._daemon.serve(None))
+        if self._started:
+            self._started = False
+            switch_interval.restore()
         if failed is not None:
             raise failed
 
-    def _keep(self, records: NDArray[np.float64], drops: int) -> None:
-        self._newest = records[-1].copy()
+    def _stop_queue(self) -> None:
+        self._queue.put(None)
+        if self._thread.ident is not None:
+            self._thread.join(JOIN_S)
 
-    # --- what comes in --------------------------------------------------------------------------------
+    def _store_latest(self, records: NDArray[np.float64], drops: int) -> None:
+        self._latest = records[-1].copy()
 
-    def _take(self, client: bytes, body: bytes | None, too_much: bool) -> bytes | None:
+    # --- requests --------------------------------------------------------------------------------------
+
+    def _receive(self, client: bytes, body: bytes | None, too_much: bool) -> bytes | None:
+        """Answer a request, or queue it; never waits."""
         command_id = ""
         try:
-            request = parse(body)
-            command_id = request.command_id
-            if too_much:
-                raise Declined("busy", "too many requests from this client: ask more slowly")
-            self._heard_s = time.monotonic()
-            if request.method in ("set_scene", "reset_world"):
-                (self._set_scene if request.method == "set_scene" else self._reset_world)(client, request)
+            if body is not None and len(body) > SHORT:
+                self._enqueue(client, body, too_much)
                 return None
-            return answered(command_id, getattr(self, f"_{request.method}")(request))
+            request = self._parse(body, too_much)
+            command_id = request.command_id
+            if request.method in AT_ONCE:
+                return self._handle(request)
+            self._enqueue(client, request, too_much)
+            return None
         except Exception as error:
-            return declined(self._declined(error), command_id)
+            return encode_refusal(self._as_declined(error), command_id)
 
-    def _declined(self, error: Exception) -> Declined:
-        """What became of a request, as its answer has it."""
+    def _parse(self, body: bytes | None, too_much: bool) -> Request:
+        """Return the parsed request and count it as a sign of life; raises Declined."""
+        request = parse(body)
+        if too_much:
+            raise Declined("busy", "too many requests from this client: ask more slowly", request.command_id)
+        self._check_heartbeat()  # a heartbeat missed before this request counts as missed
+        self._note_alive()
+        return request
+
+    def _note_alive(self) -> None:
+        self._last_request_s = time.monotonic()
+        if self._heartbeat_s is not None:
+            self._rendering.force.end_at(round(1e9 * (self._last_request_s + self._heartbeat_s)))
+
+    def _enqueue(self, client: bytes, message: Request | bytes, too_much: bool) -> None:
+        with self._counts_lock:
+            if self._pending_counts[client] >= WAITING_MAX:
+                raise Declined("busy", "too many requests of this client wait for their turn: wait for answers first")
+            self._pending_counts[client] += 1
+        self._queue.put((client, message, too_much))
+
+    def _run_queue(self) -> None:
+        """Answer queued requests one after the other; runs in its own thread."""
+        while (item := self._queue.get()) is not None:
+            started = time.monotonic()
+            client, message, too_much = item
+            answer = self._answer_queued(client, message, too_much)
+            if answer is not None:
+                self._daemon.reply(client, answer)
+            with self._counts_lock:
+                self._pending_counts[client] -= 1
+                if not self._pending_counts[client]:
+                    del self._pending_counts[client]
+            time.sleep(min(time.monotonic() - started, REST_MAX_S))
+
+    def _answer_queued(self, client: bytes, message: Request | bytes, too_much: bool) -> bytes | None:
+        command_id = ""
+        try:
+            request = self._parse(message, too_much) if isinstance(message, bytes) else message
+            command_id = request.command_id
+            if request.method == "set_scene":
+                self._set_scene(client, request)
+                return None
+            if request.method == "reset_world":
+                self._reset_world(client, request)
+                return None
+            return self._handle(request)
+        except Exception as error:
+            return encode_refusal(self._as_declined(error), command_id)
+
+    def _handle(self, request: Request) -> bytes:
+        """Handle a request and return the answer."""
+        return encode_answer(request.command_id, getattr(self, f"_{request.method}")(request))
+
+    def _as_declined(self, error: Exception) -> Declined:
+        """Convert an exception into an answer."""
         match error:
             case Declined():
                 return error
@@ -134,242 +221,257 @@ class Commands:
                 return Declined("busy", str(error))
             case HapticError():
                 return Declined("refused", str(error))
-        if time.monotonic() - self._logged_s > LOG_PERIOD_S:  # seldom: a peer must not fill the log
+        if time.monotonic() - self._logged_s > LOG_PERIOD_S:  # rarely, because a client must not fill the log
             self._logged_s = time.monotonic()
             log.error("a command failed", exc_info=error)
         return Declined("failed", f"{type(error).__name__}: {error}"[:500])
 
-    def _each_period(self) -> None:
+    def _check_periodically(self) -> None:
         try:
-            self._look_after()
+            self._check_heartbeat()
         except Exception as error:
-            self._failed(error)
+            log.exception("commands failed")
+            self._daemon.serve(None)
+            self._daemon.event("fault", "commands", message=str(error))
+            self._daemon.fail(SafetyStop(f"commands cannot be taken: {error}; the heartbeat cannot be checked"))
 
-    def _failed(self, error: Exception) -> None:
-        """Nobody can command. That ends the run where a heartbeat is needed, for nobody would miss it any more."""
-        log.exception("commands failed")
-        self._doing.serve(None)
-        self._doing.event("fault", "commands", message=str(error))
-        if self._heartbeat_s is not None:
-            self._doing.fail(SafetyStop(f"commands cannot be taken: {error}; nobody would see the heartbeat end"))
+    def _check_heartbeat(self) -> None:
+        """Record a missed heartbeat, if it is missed.
 
-    def _look_after(self) -> None:
-        self._rendering.advance()
-        silent_s = time.monotonic() - self._heard_s
-        if (
-            self._heartbeat_s is not None
-            and silent_s > self._heartbeat_s
-            and not self._rendering.force.kept_off(SILENT)
-        ):
+        The loop has already turned the force off, and a request alone does not turn it on again.
+        """
+        if self._heartbeat_s is None or time.monotonic() - self._last_request_s <= self._heartbeat_s:
+            return
+        if not self._rendering.force.is_inhibited_by(SILENT):
             self._rendering.disarm(SILENT)
-            log.warning("commands: none for %.2f s: the force is taken off until the next heartbeat", silent_s)
-            self._tell("heartbeat_missed", "", {"after_s": self._heartbeat_s})
+            log.warning(
+                "commands: none for %.2f s: the force is taken off until the next heartbeat",
+                time.monotonic() - self._last_request_s,
+            )
+            self._publish_change("heartbeat_missed", "", {"after_s": self._heartbeat_s})
 
-    def _tell(self, name: str, command_id: str, what: Mapping[str, Any]) -> None:
-        """Publish what changed, if it is not too long to be kept for everybody."""
-        told = dict(what)
-        if len(encode(told)) > EVENT_BYTES_MAX:
-            told = {"keys": len(what)}
-        self._doing.event("command", name, command_id=command_id, what=told)
+    def _publish_change(self, name: str, command_id: str, change: Mapping[str, Any]) -> None:
+        """Publish a change, shortened if it is too long to store for all subscribers."""
+        content = dict(change)
+        if len(encode(content)) > EVENT_BYTES_MAX:
+            content = {"keys": len(change)}
+        self._daemon.event("command", name, command_id=command_id, what=content)
 
     # --- methods --------------------------------------------------------------------------------------
 
     def _get_state(self, request: Request) -> wire.State:
-        if self._newest is None:
+        if self._latest is None:
             raise Declined("refused", "there has been no tick yet: ask again later")
-        return wire.state_of(self._newest[:RECORD_SIZE], self._rendering.servo.epoch_s, self._scene_name)
+        return wire.state_of(self._latest[:RECORD_SIZE], self._rendering.servo.epoch_s, self._scene_name)
 
     def _heartbeat(self, request: Request) -> wire.Alive:
-        if self._rendering.force.kept_off(SILENT):
+        if self._rendering.force.is_inhibited_by(SILENT):
             self._rendering.arm(SILENT)
-            self._tell("heartbeat", request.command_id, {"armed": self._rendering.force.wanted})
+            self._publish_change("heartbeat", request.command_id, {"armed": self._rendering.force.is_requested})
         return wire.Alive(round(1000 * (self._heartbeat_s or 0.0)))
 
     def _set_params(self, request: Request) -> wire.Changed:
         before, after, tick = self._rendering.set_parameters(request.params, "set_params")
         old, new = describe(before), describe(after)
-        ways = {key: numbered(old, key) for key in request.params}  # a name may be what has changed
-        each = {key: wire.Change(value_at(old, way), value_at(new, way)) for key, way in ways.items()}
+        paths = {key: numbered(old, key) for key in request.params}  # the change itself may rename the object
+        each = {key: wire.Change(value_at(old, path), value_at(new, path)) for key, path in paths.items()}
         changed = {key: change for key, change in each.items() if change.before != change.after}
         if changed:
-            self._tell("set_params", request.command_id, changed)
+            self._publish_change("set_params", request.command_id, changed)
         return wire.Changed(changed, tick, self._rendering.rig.commands.ramp_s)
 
     def _set_scene(self, client: bytes, request: Request) -> None:
-        asked: wire.SetScene = request.params
-        if isinstance(asked.scene, str):
-            if asked.scene not in shipped(schema.Scene):
-                raise Declined(
-                    "bad_params",
-                    f"no scene is called {shown(asked.scene)}{near(asked.scene, shipped(schema.Scene))}; shipped are "
-                    f"{', '.join(shipped(schema.Scene))}; one of your own is given whole",
-                )
-            scene = load_scene(asked.scene)
-        else:
-            scene = completed(build(schema.Scene, asked.scene, "set_scene"))
-        if asked.overrides:
-            scene = overridden(scene, asked.overrides, "set_scene")
-        self._rendering.check(scene, self._rendering.rig)  # before it is compiled
-        name = asked.name or (asked.scene if isinstance(asked.scene, str) else "unnamed")
-        self._go_on_with(scene, name, client, request, lambda tick: wire.SceneSet(name, tick))
+        params: wire.SetScene = request.params
+        name = params.name or (params.scene if isinstance(params.scene, str) else "unnamed")
+        if isinstance(params.scene, str) and params.scene not in shipped(schema.Scene):
+            raise Declined(
+                "bad_params",
+                f"no scene is called {shown(params.scene)}{near(params.scene, shipped(schema.Scene))}; shipped are "
+                f"{', '.join(shipped(schema.Scene))}; send another one as a complete map",
+            )
+
+        def read() -> schema.Scene:
+            if isinstance(params.scene, str):
+                scene = load_scene(params.scene)
+            else:
+                scene = completed(build(schema.Scene, params.scene, "set_scene"))
+            return overridden(scene, params.overrides, "set_scene") if params.overrides else scene
+
+        self._change_scene(read, name, client, request, lambda tick: wire.SceneSet(name, tick))
 
     def _reset_world(self, client: bytes, request: Request) -> None:
         scene = self._rendering.scene
         if scene.world is None:
             raise Declined("refused", "the scene has no [world]: there is nothing to be put back")
-        self._go_on_with(scene, self._scene_name, client, request, wire.Applied)
+        self._change_scene(lambda: scene, self._scene_name, client, request, wire.Applied)
 
-    def _go_on_with(
-        self, scene: schema.Scene, name: str, client: bytes, request: Request, result: Callable[[int], Any]
+    def _change_scene(
+        self,
+        read: Callable[[], schema.Scene],
+        name: str,
+        client: bytes,
+        request: Request,
+        result: Callable[[int], Any],
     ) -> None:
-        """Have a scene compiled and rendered from zero force on, and answer with the `result` of its first tick."""
+        """Read, compile and render a scene from zero force, and answer with the `result` of its first tick."""
+
+        def checked() -> schema.Scene:
+            scene = read()
+            self._rendering.check(scene, self._rendering.rig)  # before it is compiled
+            return scene
 
         def done(outcome: int | Exception) -> None:
             if isinstance(outcome, Exception):
-                self._doing.reply(client, declined(self._declined(outcome), request.command_id))
+                self._daemon.reply(client, encode_refusal(self._as_declined(outcome), request.command_id))
                 return
             self._scene_name = name
-            self._tell(request.method, request.command_id, {"scene": name, "tick": outcome})
-            self._doing.reply(client, answered(request.command_id, result(outcome)))
+            self._publish_change(request.method, request.command_id, {"scene": name, "tick": outcome})
+            self._daemon.reply(client, encode_answer(request.command_id, result(outcome)))
 
-        self._scenes.ask(Change(scene, name, done))
+        self._scenes.request(Change(checked, name, done))
 
     def _drive(self, request: Request) -> wire.Applied:
-        asked: wire.Drive = request.params
-        number, thing = self._object(asked.object)
-        if not isinstance(thing.motion, schema.Driven):
-            raise Declined(
-                "refused", f'object {thing.name} is not driven: its scene says motion = {{ kind = "driven" }}'
-            )
-        pose: dict[str, Any] = {"position_m": list(asked.position_m)}
-        if asked.orientation_wxyz is not msgspec.UNSET:
-            pose["orientation_wxyz"] = list(asked.orientation_wxyz)
-        _, _, tick = self._rendering.set_parameters({f"object.{number}.{k}": v for k, v in pose.items()}, "drive")
-        self._tell("drive", request.command_id, {"object": thing.name} | pose)
+        params: wire.Drive = request.params
+        object_index, obj = self._object(params.object)
+        if not isinstance(obj.motion, schema.Driven):
+            raise Declined("refused", f'object {obj.name} is not driven: it needs motion = {{ kind = "driven" }}')
+        pose: dict[str, Any] = {"position_m": list(params.position_m)}
+        if params.orientation_wxyz is not msgspec.UNSET:
+            pose["orientation_wxyz"] = list(params.orientation_wxyz)
+        _, _, tick = self._rendering.set_parameters({f"object.{object_index}.{k}": v for k, v in pose.items()}, "drive")
+        self._publish_change("drive", request.command_id, {"object": obj.name} | pose)
         return wire.Applied(tick)
 
-    def _object(self, asked: str | int) -> tuple[int, schema.Object]:
-        """The number of an object, and itself."""
+    def _object(self, key: str | int) -> tuple[int, schema.Object]:
+        """Return the index of an object, and the object."""
         objects = self._rendering.scene.object
-        names = [thing.name for thing in objects]
-        number = asked if isinstance(asked, int) else names.index(asked) if asked in names else len(names)
-        if number >= len(names):
-            raise Declined("bad_params", f"no object is {shown(asked)}: there are {', '.join(names)}")
-        return number, objects[number]
+        names = [obj.name for obj in objects]
+        object_index = key if isinstance(key, int) else names.index(key) if key in names else len(names)
+        if object_index >= len(names):
+            raise Declined("bad_params", f"no object is {shown(key)}: there are {', '.join(names)}")
+        return object_index, objects[object_index]
 
     def _hand(self, request: Request) -> wire.Applied:
-        asked: wire.Hand = request.params
-        place = self._finger(asked.finger)
-        if asked.release == (asked.position_m is not msgspec.UNSET):  # both, or neither
-            raise Declined("bad_params", "say either position_m, where the hand is to be, or release")
-        wanted = None
-        if asked.position_m is not msgspec.UNSET:
-            turn = None if asked.orientation_wxyz is msgspec.UNSET else asked.orientation_wxyz
-            hand_of(self._rendering.servo.devices[place])  # that there is none is said, tick or no tick
-            wanted = Wanted(asked.position_m, turn, self._turned(place))
-        self._rendering.lead(place, wanted)
-        self._tell_led(place, not asked.release, request)
+        params: wire.Hand = request.params
+        finger_index = self._finger(params.finger)
+        if params.release == (params.position_m is not msgspec.UNSET):  # both, or neither
+            raise Declined("bad_params", "give either position_m, the goal of the hand, or release")
+        target = None
+        if params.position_m is not msgspec.UNSET:
+            turn = None if params.orientation_wxyz is msgspec.UNSET else params.orientation_wxyz
+            hand_of(self._rendering.servo.devices[finger_index])  # raises NoSimulatedHand even before the first tick
+            target = RequestedPose(params.position_m, turn, self._orientation(finger_index))
+        self._rendering.lead_hand(finger_index, target)
+        self._publish_led(finger_index, not params.release, request)
         return wire.Applied(self._rendering.servo.ticks)
 
     def _hold(self, request: Request) -> wire.Held:
-        place = self._finger(request.params.finger)
-        goal = self._rendering.hold(place)
-        self._tell_led(place, True, request)
+        finger_index = self._finger(request.params.finger)
+        goal = self._rendering.hold_hand(finger_index)
+        self._publish_led(finger_index, True, request)
         return wire.Held(goal.position, goal.orientation, self._rendering.servo.ticks)
 
-    def _tell_led(self, place: int, led: bool, request: Request) -> None:
-        """Tell that a program begins to lead a hand, or ends; where it is meanwhile is in every tick."""
-        if (place in self._led) != led:
-            (self._led.add if led else self._led.discard)(place)
-            name = self._rendering.scene.fingers[place].name
-            self._tell(request.method, request.command_id, {"finger": name, "led": led})
+    def _publish_led(self, finger_index: int, led: bool, request: Request) -> None:
+        """Publish when a program starts or stops moving a hand; every record has its pose."""
+        if (finger_index in self._led_fingers) != led:
+            (self._led_fingers.add if led else self._led_fingers.discard)(finger_index)
+            name = self._rendering.scene.fingers[finger_index].name
+            self._publish_change(request.method, request.command_id, {"finger": name, "led": led})
 
-    def _turned(self, place: int) -> wire.Quaternion:
-        """How a finger is turned."""
-        if self._newest is None:
+    def _orientation(self, finger_index: int) -> wire.Quaternion:
+        """Return the orientation of a finger."""
+        if self._latest is None:
             raise Declined("refused", "there has been no tick yet: ask again later")
         at = AT.probe_orientation
-        w, x, y, z = self._newest.reshape(-1, RECORD_SIZE)[place][at : at + 4].tolist()
+        w, x, y, z = self._latest.reshape(-1, RECORD_SIZE)[finger_index][at : at + 4].tolist()
         return w, x, y, z
 
-    def _finger(self, asked: str | int | msgspec.UnsetType) -> int:
-        """Place of the finger that is asked for by name or number, of one without being said; raises Declined."""
+    def _finger(self, key: str | int | msgspec.UnsetType) -> int:
+        """Return the index of a finger given by name or index; a single finger need not be given. Raises Declined."""
         names = [finger.name for finger in self._rendering.scene.fingers]
-        if asked is msgspec.UNSET and len(names) > 1:
-            raise Declined("bad_params", f"there are several fingers: say finger, one of {', '.join(names)}")
-        given = 0 if asked is msgspec.UNSET else asked
-        place = given if isinstance(given, int) else names.index(given) if given in names else len(names)
-        if place >= len(names):
-            there = f"there are {', '.join(names)}" if len(names) > 1 else "there is one, without a name: leave it out"
-            raise Declined("bad_params", f"no finger is {shown(given)}: {there}")
-        return place
+        if key is msgspec.UNSET and len(names) > 1:
+            raise Declined("bad_params", f"there are several fingers: give finger, one of {', '.join(names)}")
+        selected = 0 if key is msgspec.UNSET else key
+        finger_index = (
+            selected if isinstance(selected, int) else names.index(selected) if selected in names else len(names)
+        )
+        if finger_index >= len(names):
+            choices = (
+                f"there are {', '.join(names)}" if len(names) > 1 else "there is one, without a name: leave it out"
+            )
+            raise Declined("bad_params", f"no finger is {shown(selected)}: {choices}")
+        return finger_index
 
     def _arm(self, request: Request) -> wire.Armed:
-        before = self._rendering.force.wanted
+        before = self._rendering.force.is_requested
         self._rendering.arm(COMMANDED, SILENT, UNARMED, FAST)
-        return self._switched(request, before)
+        return self._publish_armed(request, before)
 
     def _disarm(self, request: Request) -> wire.Armed:
-        before = self._rendering.force.wanted
+        before = self._rendering.force.is_requested
         self._rendering.disarm(COMMANDED)
-        return self._switched(request, before)
+        return self._publish_armed(request, before)
 
-    def _switched(self, request: Request, before: bool) -> wire.Armed:
-        if self._rendering.force.wanted != before:
-            self._tell(request.method, request.command_id, {"armed": self._rendering.force.wanted})
-        return wire.Armed(self._rendering.force.wanted)
+    def _publish_armed(self, request: Request, before: bool) -> wire.Armed:
+        if self._rendering.force.is_requested != before:
+            self._publish_change(request.method, request.command_id, {"armed": self._rendering.force.is_requested})
+        return wire.Armed(self._rendering.force.is_requested)
 
     def _zero(self, request: Request) -> wire.Zeroed:
-        asked: wire.Zero = request.params
-        place = self._finger(asked.finger)
-        if self._rendering.force.wanted:
+        params: wire.Zero = request.params
+        finger_index = self._finger(params.finger)
+        if self._rendering.force.is_requested:
             raise Declined(
                 "refused", "there may be force, and the probe would jump under it: disarm first, and arm after"
             )
-        if self._newest is None:
+        if self._latest is None:
             raise Declined("refused", "there has been no tick yet: ask again later")
-        seen = self._newest.reshape(-1, RECORD_SIZE)[place]
-        tick = self._rendering.move(place, None if asked.reset else asked.position_m, seen)
-        offset = self._rendering.offsets[place]
-        self._tell(
-            "zero", request.command_id, {"finger": self._rendering.scene.fingers[place].name, "offset_m": offset}
+        record = self._latest.reshape(-1, RECORD_SIZE)[finger_index]
+        tick = self._rendering.set_offset(finger_index, None if params.reset else params.position_m, record)
+        offset = self._rendering.offsets[finger_index]
+        self._publish_change(
+            "zero", request.command_id, {"finger": self._rendering.scene.fingers[finger_index].name, "offset_m": offset}
         )
         return wire.Zeroed(offset, tick)
 
     def _mark(self, request: Request) -> wire.Applied:
-        asked: wire.Mark = request.params
-        if len(encode(asked.data)) > EVENT_BYTES_MAX:
-            raise Declined("bad_params", f"data has more than {EVENT_BYTES_MAX} bytes: mark what is kept elsewhere")
+        params: wire.Mark = request.params
+        if len(encode(params.data)) > EVENT_BYTES_MAX:
+            raise Declined(
+                "bad_params", f"data has more than {EVENT_BYTES_MAX} bytes: store the data elsewhere, and mark its name"
+            )
         tick = self._rendering.servo.ticks
-        self._doing.event("mark", "mark", command_id=request.command_id, label=asked.label, data=asked.data)
+        self._daemon.event("mark", "mark", command_id=request.command_id, label=params.label, data=params.data)
         return wire.Applied(tick)
 
     def _describe(self, request: Request) -> dict[str, Any]:
-        about = described(self._rendering, self._scene_name)
-        endpoints = {"telemetry": self._doing.telemetry, "commands": self.endpoint}
+        about = describe_daemon(self._rendering, self._scene_name)
+        endpoints = {"telemetry": self._daemon.telemetry, "commands": self.endpoint}
         return {
-            "wire": wire_schema(), "ring": self._doing.ring(), "commands": wire.schema(), "endpoints": endpoints,
+            "wire": wire_schema(), "ring": self._daemon.ring(), "commands": wire.schema(), "endpoints": endpoints,
         } | about  # fmt: skip
 
     def _mesh(self, request: Request) -> wire.Triangles:
-        _, thing = self._object(request.params.object)
-        if not isinstance(thing, Filed):
-            raise Declined("refused", f"object {thing.name} is a {thing.shape} and no mesh: its table says all")
-        (vertices, triangles), of = picture_of(thing)
+        _, obj = self._object(request.params.object)
+        if not isinstance(obj, Filed):
+            raise Declined(
+                "refused", f"object {obj.name} is a {obj.shape} and no mesh: its table describes it completely"
+            )
+        (vertices, triangles), of = picture_of(obj)
         return wire.Triangles(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes(), of)
 
     def _record_start(self, request: Request) -> wire.RecordStarted:
-        asked: wire.RecordStart = request.params
-        file = str(self._doing.recordings.begin(asked.file, self._scene_name))
-        self._tell("record_start", request.command_id, {"file": file})
+        params: wire.RecordStart = request.params
+        file = str(self._daemon.recordings.begin(params.file, self._scene_name))
+        self._publish_change("record_start", request.command_id, {"file": file})
         return wire.RecordStarted(file, self._rendering.servo.ticks)
 
     def _record_stop(self, request: Request) -> wire.RecordStopped:
-        file, recorded = self._doing.recordings.end()
-        self._tell("record_stop", request.command_id, {"file": str(file), "ticks": recorded.ticks})
+        file, recorded = self._daemon.recordings.end()
+        self._publish_change("record_stop", request.command_id, {"file": str(file), "ticks": recorded.ticks})
         return wire.RecordStopped(str(file), *recorded)
 
     def _stop(self, request: Request) -> wire.Stopping:
-        self._tell("stop", request.command_id, {})
-        self._doing.stop()
+        self._publish_change("stop", request.command_id, {})
+        self._daemon.stop()
         return wire.Stopping(True)

@@ -1,7 +1,7 @@
-"""Another scene, put in while the daemon runs: compiled in a process that can be ended, then exchanged.
+"""Replacement of the scene while the daemon runs: compiled in a separate process, then exchanged.
 
-A compiler of half a minute can be neither interrupted nor hurried within a process. So another one compiles, into the
-cache, and the daemon loads what it made.
+A compilation of half a minute cannot be interrupted within a process. A separate process therefore compiles into the
+cache, and the daemon loads the result. `commands.py` requests the changes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import build, describe, load_rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
-from softfinger.proxy.kernels.jit.compiler.doing import DOING
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.kernels.jit.decorators import KEPT
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning
@@ -32,29 +32,34 @@ from softfinger.server.services.base import Worker
 log: Final = logging.getLogger(__name__)
 
 NICE: Final = 10
-"""The compiler gives way to the daemon."""
+"""Niceness of the compiler, below the priority of the daemon."""
 
 
 class Superseded(HapticError):
-    """A scene that was asked for before the last one."""
+    """Request for a scene that was replaced by a later request."""
 
 
 class NotCompiled(HapticError):
-    """A compiler that ended with an error."""
+    """Compiler process that failed."""
 
 
 class Change(NamedTuple):
-    """A scene to be put in, and what it is called; `done` is called with its first tick or with what went wrong."""
+    """Request to replace the scene.
 
-    scene: schema.Scene
+    read  returns the validated scene
+    name  name of the scene
+    done  called with the first tick of the scene, or with the error
+    """
+
+    read: Callable[[], schema.Scene]
     name: str
     done: Callable[[int | Exception], None]
 
 
 class SceneChanges(Worker):
-    """Puts in the newest scene that is asked for; an older one is given up while it is being compiled.
+    """Service that applies the latest requested scene; an earlier one is cancelled while it is being compiled.
 
-    replace  puts a scene in under a name, and returns the first tick with it
+    replace  renders a scene under a name, and returns its first tick
     """
 
     def __init__(self, replace: Callable[[schema.Scene, str], int]) -> None:
@@ -64,8 +69,8 @@ class SceneChanges(Worker):
         self._next: Change | None = None
         self._compiler: subprocess.Popen[str] | None = None
 
-    def ask(self, change: Change) -> None:
-        """Put a scene in when it is compiled; returns at once."""
+    def request(self, change: Change) -> None:
+        """Replace the scene once it is compiled; returns at once."""
         with self._changed:
             before, self._next = self._next, change
             self._end_compiler()
@@ -81,18 +86,19 @@ class SceneChanges(Worker):
         super().stop()
 
     def work(self) -> None:
-        while (change := self._taken()) is not None:
+        while (change := self._next_change()) is not None:
             try:
-                self._compile(change.scene, change.name)
-                outcome: int | Exception = self._replace(change.scene, change.name)
+                scene = change.read()
+                self._compile(scene, change.name)
+                outcome: int | Exception = self._replace(scene, change.name)
             except Exception as error:
                 outcome = error
             change.done(outcome)
 
     def failed(self, error: Exception) -> None:
-        """Only `done` can have: the peer that asked hears nothing, and what is rendered is not concerned."""
+        """Do nothing: only `done` can have raised, so one client gets no answer, and rendering is not affected."""
 
-    def _taken(self) -> Change | None:
+    def _next_change(self) -> Change | None:
         with self._changed:
             while self._next is None and not self.closing.is_set():
                 self._changed.wait()
@@ -100,18 +106,18 @@ class SceneChanges(Worker):
             return None if self.closing.is_set() else change
 
     def _compile(self, scene: schema.Scene, name: str) -> None:
-        """Have the loop of a scene, called `name`, in the cache; Superseded where a later one is wanted by then."""
-        if Servo.compiled_for(make_tuning(scene, schema.Guard())) or KEPT.problem() is not None:
-            return  # in the second case a process of its own would be of no use
-        with tempfile.TemporaryFile("w+") as said:
-            code = self._run_compiler(scene, name, said)
+        """Compile the loop of a scene into the cache; raises Superseded if a later scene has been requested."""
+        if Servo.has_compiled(make_tuning(scene, schema.Guard())) or KEPT.problem() is not None:
+            return  # if the cache cannot be written, a separate process is useless
+        with tempfile.TemporaryFile("w+") as errors:
+            code = self._run_compiler(scene, name, errors)
             if code:
-                said.seek(0)
-                log.error("the compiler of a scene ended with %d: %s", code, said.read().strip())
-                raise NotCompiled("the scene could not be compiled: the daemon's log says why")
+                errors.seek(0)
+                log.error("the compiler of a scene ended with %d: %s", code, errors.read().strip())
+                raise NotCompiled("the scene could not be compiled: see the daemon's log")
 
-    def _run_compiler(self, scene: schema.Scene, name: str, said: IO[str]) -> int:
-        """Exit code of a process that fills the cache, with its errors in `said`."""
+    def _run_compiler(self, scene: schema.Scene, name: str, errors: IO[str]) -> int:
+        """Run a process that fills the cache and return its exit code; its errors are in `errors`."""
         with self._changed:
             if self._next is not None or self.closing.is_set():
                 raise _superseded()
@@ -119,27 +125,27 @@ class SceneChanges(Worker):
                 [sys.executable, "-P", "-m", __name__],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=said,
+                stderr=errors,
                 text=True,
-                start_new_session=True,  # Ctrl-C is the daemon's affair
+                start_new_session=True,  # the daemon handles Ctrl-C
             )
         try:
             assert compiler.stdin is not None and compiler.stdout is not None
             with contextlib.suppress(BrokenPipeError):
-                # Left open: its end tells the compiler that the daemon has gone.
+                # Not closed yet: the compiler exits when its standard input ends, as when the daemon dies.
                 compiler.stdin.write(json.dumps(describe(scene)) + "\n")
                 compiler.stdin.flush()
-            with compiler.stdout as told:
-                for line in told:
+            with compiler.stdout as output:
+                for line in output:
                     log.info("scene %s: %s", name, line.rstrip())
             code = compiler.wait()
         finally:
             with self._changed:
                 self._compiler = None
-                ended = self._next is not None or self.closing.is_set()
+                is_superseded = self._next is not None or self.closing.is_set()
             with contextlib.suppress(BrokenPipeError):
                 compiler.stdin.close()  # type: ignore[union-attr]
-        if ended:
+        if is_superseded:
             raise _superseded()
         return code
 
@@ -149,11 +155,14 @@ class SceneChanges(Worker):
 
 
 def _superseded() -> Superseded:
-    return Superseded("another scene was asked for, or the daemon ends, before this one was compiled")
+    return Superseded("another scene was requested, or the daemon ends, before this one was compiled")
 
 
 def compile_loop(scene: schema.Scene) -> Tuning:
-    """Compile the servo's loop for a scene, with any device at hand: it is the same for all. Returns the tuning."""
+    """Compile the servo's loop for a scene and return the tuning.
+
+    Any device will do, since the compiled loop is the same for all.
+    """
     rig = load_rig("replay")
     with open_device(single_device(rig), rig.servo.rate_hz) as device:
         tuning = make_tuning(scene, rig.guard)
@@ -164,16 +173,18 @@ def compile_loop(scene: schema.Scene) -> Tuning:
 
 
 def main() -> None:
-    """Compile the loop of the scene on standard input, a line of JSON; end as soon as that input does. Standard output
-    has a line as soon as anything is compiled: what is kept is only loaded."""
+    """Compile the loop of the scene on standard input, a line of JSON; exit when standard input ends.
+
+    Prints a line to standard output if anything has to be compiled; functions in the cache are only loaded.
+    """
     os.nice(NICE)
-    DOING.at_first = lambda: print("compiling what is not kept of it, in a process of its own", flush=True)
+    COMPILE_PROGRESS.on_first = lambda: print("compiling kernels that are not cached, in another process", flush=True)
     scene = build(schema.Scene, json.loads(sys.stdin.readline()), "the scene")
-    threading.Thread(target=_leave_with_the_daemon, daemon=True).start()
+    threading.Thread(target=_exit_with_daemon, daemon=True).start()
     compile_loop(scene)
 
 
-def _leave_with_the_daemon() -> None:
+def _exit_with_daemon() -> None:
     while os.read(sys.stdin.fileno(), 1):
         pass
     os._exit(1)

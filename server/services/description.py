@@ -1,4 +1,4 @@
-"""What a daemon is made of, for whoever asks and for its recordings."""
+"""Description of a daemon for the command `describe` and for its recordings."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from softfinger.server.services.rendering import Rendering
 PACKAGES: Final = ("softfinger", "numpy", "numba", "llvmlite", "msgspec", "pyzmq")
 
 
-def described(rendering: Rendering, scene_name: str) -> dict[str, Any]:
-    """The answer to `describe`, but for the wire itself; plain values."""
+def describe_daemon(rendering: Rendering, scene_name: str) -> dict[str, Any]:
+    """Return the answer to `describe` without the wire schema; plain values."""
     servo, scene, faults = rendering.servo, rendering.scene, rendering.faults
     return {
         "rig": describe(rendering.rig),
@@ -38,7 +38,7 @@ def described(rendering: Rendering, scene_name: str) -> dict[str, Any]:
         ],
         "device": msgspec.to_builtins(servo.devices[0].info),
         "rate_hz": NS_PER_S / servo.period_ns,
-        "armed": rendering.force.wanted,
+        "armed": rendering.force.is_requested,
         "state": rendering.force.state,
         "ticks": servo.ticks,
         "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},

@@ -1,4 +1,4 @@
-"""What devices have to say while they go on working: into the log, and to subscribers."""
+"""Warnings of devices that still work, reported to the log and to subscribers."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ NAME: Final = "device_warning"
 
 
 class DeviceWarnings(Worker):
-    """Asks the devices that are rendered on for their warnings, and tells each once, when it begins or changes.
+    """Service that polls the devices for warnings, and reports each once, when it starts or changes.
 
-    devices  those of now: another rig brings others
+    devices  returns the present devices, which change with the rig
     """
 
     def __init__(self, devices: Callable[[], Sequence[Device]], event: Callable[..., Any]) -> None:
         super().__init__("device warnings")
         self._devices, self._event = devices, event
-        self._told: set[tuple[str, str]] = set()
+        self._reported: set[tuple[str, str]] = set()
 
     def work(self) -> None:
         while not self.closing.wait(PERIOD_S):
-            self.look()
+            self.check()
 
-    def look(self) -> None:
-        """Tell what is new since the last look."""
+    def check(self) -> None:
+        """Report warnings that are new since the last call."""
         now = {(device.info.name, device.warning()) for device in self._devices()}
-        for name, warning in sorted(now - self._told):
+        for name, warning in sorted(now - self._reported):
             if warning:
                 log.warning("%s: %s", name, warning)
                 self._event("fault", NAME, message=f"{name}: {warning}")
-        self._told = now
+        self._reported = now
 
     def failed(self, error: Exception) -> None:
-        """What is rendered needs none of it: the run goes on."""
-        self._event("fault", NAME, message=f"warnings of devices are not told any more: {error}")
+        """Publish an event; the run continues, because rendering does not depend on this service."""
+        self._event("fault", NAME, message=f"warnings of devices are no longer published: {error}")

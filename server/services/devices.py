@@ -1,4 +1,4 @@
-"""The devices of a scene's fingers: opened, and whether another scene or rig may have them."""
+"""Devices of a scene's fingers: opening them, and the check whether another scene or rig can use them."""
 
 from __future__ import annotations
 
@@ -11,22 +11,24 @@ from softfinger.server.loop import shutdown
 
 
 def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
-    """The device of each finger; where one cannot be opened, those before it are closed."""
+    """Open the device of each finger; on an error, close the devices opened before."""
     devices: tuple[Device, ...] = ()
     try:
         for each in pair(scene, rig):
             devices += (registry.open_device(each.device, rig.servo.rate_hz, each.table),)
     except BaseException as error:
-        shutdown.every(lambda: shutdown.close_all(devices), first=error)
+        shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
         raise
     return devices
 
 
-def injected(
+def inject_faults(
     devices: tuple[Device, ...], scene: schema.Scene, faults: schema.Faults | None, rate_hz: float
 ) -> tuple[Device, ...]:
-    """The devices of a scene's fingers with faults injected, as they are without any; ConfigError for a fault of a
-    finger that there is not."""
+    """Return the devices with faults injected, or unchanged without any.
+
+    Raises ConfigError for a fault of a finger that the scene does not have.
+    """
     if faults is None:
         return devices
     names = [finger.name for finger in scene.fingers]
@@ -36,36 +38,37 @@ def injected(
                 f"a fault of kind '{fault.kind}' has finger = '{fault.finger}': the scene has "
                 f"{', '.join(repr(name) for name in names if name) or 'a single one, without a name'}: leave it out"
             )
-    from softfinger.drivers.injected import Injected  # its kernels are compiled with it
+    from softfinger.drivers.injected import FaultInjector  # imported here, because its kernels are compiled on import
 
-    return tuple(Injected(device, faults, rate_hz, name) for device, name in zip(devices, names, strict=True))
+    return tuple(FaultInjector(device, faults, rate_hz, name) for device, name in zip(devices, names, strict=True))
 
 
 def tools(scene: schema.Scene, rig: schema.Rig) -> list[schema.Tool | None]:
-    """What the device of each finger holds."""
+    """Return the tool of each finger's device."""
     return [each.device.tool for each in pair(scene, rig)]
 
 
-def check_replacement(scene: schema.Scene, rig: schema.Rig, of_now: schema.Scene, rig_of_now: schema.Rig) -> None:
-    """Raise ConfigError where a scene and a rig cannot take the place of those that run, as far as it shows before a
-    compile."""
+def check_replacement(
+    scene: schema.Scene, rig: schema.Rig, running_scene: schema.Scene, running_rig: schema.Rig
+) -> None:
+    """Raise ConfigError if a scene and a rig cannot replace the running ones, as far as known without compiling."""
     for each in pair(scene, rig):
         registry.options(each.device, each.table)
-    now, running = ([finger.name for finger in given.fingers] for given in (scene, of_now))
-    if now != running and max(len(now), len(running)) > 1:
+    new_names, old_names = ([finger.name for finger in each.fingers] for each in (scene, running_scene))
+    if new_names != old_names and max(len(new_names), len(old_names)) > 1:
         raise ConfigError(
-            f"the fingers of the new scene ({', '.join(now)}) are not those of the running one "
-            f"({', '.join(running)}), whose names telemetry has as long as the process: start another"
+            f"the fingers of the new scene ({', '.join(new_names)}) are not those of the running one "
+            f"({', '.join(old_names)}), whose names telemetry has as long as the process: start another"
         )
     for name, new, old in (
-        ("[telemetry]", rig.telemetry, rig_of_now.telemetry),
-        ("[commands]", rig.commands, rig_of_now.commands),
-        ("[recording]", rig.recording, rig_of_now.recording),
-        ("[security]", rig.security, rig_of_now.security),
-        ("[metrics]", rig.metrics, rig_of_now.metrics),
-        ("servo.realtime", rig.servo.realtime, rig_of_now.servo.realtime),
-        ("servo.priority", rig.servo.priority, rig_of_now.servo.priority),
-        ("servo.cpu", rig.servo.cpu, rig_of_now.servo.cpu),
+        ("[telemetry]", rig.telemetry, running_rig.telemetry),
+        ("[commands]", rig.commands, running_rig.commands),
+        ("[recording]", rig.recording, running_rig.recording),
+        ("[security]", rig.security, running_rig.security),
+        ("[metrics]", rig.metrics, running_rig.metrics),
+        ("servo.realtime", rig.servo.realtime, running_rig.servo.realtime),
+        ("servo.priority", rig.servo.priority, running_rig.servo.priority),
+        ("servo.cpu", rig.servo.cpu, running_rig.servo.cpu),
     ):
         if new != old:
             raise ConfigError(

@@ -1,91 +1,108 @@
-"""Whether there is force: wanted or not and why, on, on its way to zero, or off."""
+"""State of the force: the reasons that inhibit it, and the switch that the loop reads."""
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Final
 
-from softfinger.server.loop.tick import Tuning
-from softfinger.server.loop.tuning import fading_out, with_armed
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.server.loop.force_switch import DEADLINE_NS, FOREVER, IS_ACTIVE, IS_REQUESTED
 from softfinger.server.states import UNARMED, States
 
-ARM_TICKS: Final = 2
-"""The first begun before may have met the force; the second has the guard forget it, so that the next fades in."""
+SWITCH_TICKS: Final = 2
+"""The first tick may have started before the switch was written; the second has read it."""
 
 
 class Force:
-    """The force of all fingers, and every reason to keep it off.
+    """Force of all fingers, and all reasons that inhibit it; callable from any thread.
 
-    It goes from on through fading to off, and back, as `advance` is called; nothing waits. It changes no servo: a
-    caller hands what `applied` returns to the loop.
+    The loop applies the switch: it turns the force off within MAX_OFF_S, and on along the guard's ramp.
 
-    unarmed  whether somebody has to arm first
-    states   go by the reasons
+    unarmed  whether a person must arm first
+    states   updated with the reasons
+    switch   memory of the servo's switch (`loop/force_switch.py`)
+    ticks    returns the number of ticks done
     """
 
-    def __init__(self, unarmed: bool, states: States) -> None:
-        self._states = states
-        self._disarmed = {UNARMED} if unarmed else set[str]()
-        self._guarded = set[str]()
-        """Why the guard gives none by itself."""
-        self.share: float | None = float(self.wanted)
-        """Of the force, None while it is on its way to zero."""
-        self._due = 0
-        """Ticks after which `advance` may change it."""
-        self.given_at = 0
-        """How many ticks may have begun before the force was given last."""
+    def __init__(self, unarmed: bool, states: States, switch: NDArray[np.int64], ticks: Callable[[], int]) -> None:
+        self._states, self._switch, self._ticks = states, switch, ticks
+        self._lock = threading.Lock()
+        self._reasons = {UNARMED} if unarmed else set[str]()
+        self._guard_reasons = set[str]()
+        """Reasons for which the guard itself inhibits the force."""
+        self._suspended = False
+        self._off_tick = -SWITCH_TICKS
+        """Number of ticks done when the force was last switched off."""
+        self.switched_on_tick = 0
+        """Largest number of ticks that may have started before the force was last switched on."""
+        switch[IS_REQUESTED] = int(self.is_requested)
 
     @property
-    def wanted(self) -> bool:
-        """Whether there is force, or is to be."""
-        return not self._disarmed
+    def is_requested(self) -> bool:
+        """Whether the force is on or fades in: no reason inhibits it."""
+        return not self._reasons
 
     @property
     def state(self) -> str:
-        """The daemon's."""
+        """State of the daemon."""
         return self._states.now.value
 
-    def kept_off(self, why: str) -> bool:
-        """Whether it is kept off for this reason."""
-        return why in self._disarmed
+    @property
+    def is_off(self) -> bool:
+        """Whether the force is switched off and all hands have zero force."""
+        switch = self._switch
+        return not switch[IS_REQUESTED] and not switch[IS_ACTIVE] and self._ticks() >= self._off_tick + SWITCH_TICKS
 
-    def keep_off(self, why: str) -> None:
-        """Add a reason to keep it off."""
-        self._disarmed.add(why)
+    def is_inhibited_by(self, why: str) -> bool:
+        """Return whether this reason inhibits the force."""
+        return why in self._reasons
+
+    def inhibit(self, why: str) -> None:
+        """Add a reason that inhibits the force."""
+        with self._lock:
+            self._reasons.add(why)
+            self._write()
 
     def allow(self, *why: str) -> None:
-        """Take back reasons of `keep_off`."""
-        self._disarmed.difference_update(why)
+        """Remove reasons of `inhibit`."""
+        with self._lock:
+            self._reasons.difference_update(why)
+            self._write()
 
-    def note_guard(self, why: str, there: bool) -> None:
-        """Note whether the guard keeps it off by itself for this reason."""
-        (self._guarded.add if there else self._guarded.discard)(why)
+    def end_at(self, time_ns: int = FOREVER) -> None:
+        """Set the time, ns on CLOCK_MONOTONIC, after which the loop turns the force off unless it is extended."""
+        self._switch[DEADLINE_NS] = time_ns
 
-    def tell(self) -> None:
-        """Have the state go by what keeps it off now."""
-        self._states.follow(self._disarmed | self._guarded)
+    @contextmanager
+    def suspended(self) -> Iterator[None]:
+        """Turn the force off while the block runs, without adding a reason."""
+        self._suspend(True)
+        try:
+            yield
+        finally:
+            self._suspend(False)
 
-    def is_off(self, ticks: int) -> bool:
-        """Whether it has been taken off, and after so many ticks all hands feel none."""
-        return self.share == 0.0 and ticks >= self._due
+    def _suspend(self, suspended: bool) -> None:
+        with self._lock:
+            self._suspended = suspended
+            self._write()
 
-    def advance(self, ticks: int, to_zero: int) -> bool:
-        """The next step after `ticks`, where `to_zero` more take a force off; returns whether there was one."""
-        if ticks < self._due:
-            return False
-        if self.share is None:
-            self.share, self._due = 0.0, ticks + ARM_TICKS
-        elif self.share and self._disarmed:
-            self.share, self._due = None, ticks + to_zero
-        elif not self.share and not self._disarmed:
-            self.share, self.given_at = 1.0, ticks + ARM_TICKS
-        else:
-            return False
-        return True
+    def _write(self) -> None:
+        on, before = self.is_requested and not self._suspended, bool(self._switch[IS_REQUESTED])
+        if on and not before:
+            self.switched_on_tick = self._ticks() + SWITCH_TICKS
+        self._switch[IS_REQUESTED] = int(on)
+        if before and not on:
+            self._off_tick = self._ticks()
 
-    def begin(self, share: float) -> None:
-        """Go on with the share that a new loop has begun with."""
-        self.share, self._due = share, 0
+    def note_guard(self, why: str, is_inhibiting: bool) -> None:
+        """Set whether the guard itself inhibits the force for this reason."""
+        (self._guard_reasons.add if is_inhibiting else self._guard_reasons.discard)(why)
 
-    def applied(self, tuning: Tuning) -> Tuning:
-        """The tuning with as much force as there is to be now."""
-        return fading_out(tuning) if self.share is None else with_armed(tuning, self.share)
+    def update_state(self) -> None:
+        """Update the state with the present reasons."""
+        self._states.follow(self._reasons | self._guard_reasons)

@@ -1,6 +1,6 @@
-"""Noticing what is plugged in and pulled out while the daemon runs.
+"""Detection of devices that are attached or detached while the daemon runs.
 
-The system's tables are listed once a second, in a thread of its own; nothing is opened, and the servo does not know.
+A separate thread lists the system's tables once per second. It opens no device and does not affect the servo.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import claim_on
+from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.discovery import Attached
 from softfinger.server.services.base import Worker
 
@@ -22,41 +22,42 @@ PERIOD_S: Final = 1.0
 
 
 class Hotplug:
-    """Compares what is attached with what was, from the time it is made. `root` holds sys and dev."""
+    """Detector of changes of the attached devices, starting when it is created; `root` contains sys and dev."""
 
     def __init__(self, root: Path = discovery.ROOT) -> None:
         self._root = root
         self._known: dict[str, Attached] = {}
         self.present = [device for _, device in self.changes()]
-        """What was there when this was made."""
+        """Devices attached when the object was created."""
 
     def changes(self) -> list[tuple[str, Attached]]:
-        """What happened since the last call: `detached` or `attached`, and the device."""
+        """Return the changes since the last call: `detached` or `attached`, and the device."""
         names = discovery.names(self._root)
-        gone = [("detached", self._known.pop(name)) for name in sorted(self._known.keys() - names)]
-        came = []
+        detached = [("detached", self._known.pop(name)) for name in sorted(self._known.keys() - names)]
+        attached = []
         for name in sorted(names - self._known.keys()):
-            device = discovery.described(name, self._root)
-            # A device that is listed before its ids can be read is looked at again; a hub too, for it says nothing.
+            device = discovery.read_device(name, self._root)
+            # A device listed before its ids can be read is examined again next time; so is a hub, which is never
+            # described.
             if device is not None:
                 self._known[name] = device
-                came.append(("attached", device))
-        return [*gone, *came]
+                attached.append(("attached", device))
+        return [*detached, *attached]
 
 
 def watch(hotplug: Hotplug, event: Callable[..., None], closing: threading.Event) -> None:
-    """Report what was there, then every change, as an event of kind `device` each, until `closing` is set."""
+    """Publish the devices present, then every change, as an event of kind `device` each, until `closing` is set."""
     for device in hotplug.present:
-        event("device", "present", **described(device))
+        event("device", "present", **event_fields(device))
     while not closing.wait(PERIOD_S):
         for what, device in hotplug.changes():
             log.info("%s: %s", what, device)
-            event("device", what, **described(device))
+            event("device", what, **event_fields(device))
 
 
-def described(device: Attached) -> dict[str, Any]:
-    """The keys of an event that tell which device it is."""
-    claim = claim_on(device)
+def event_fields(device: Attached) -> dict[str, Any]:
+    """Return the keys of an event that identify the device."""
+    claim = find_claim(device)
     return {
         "device": device.name,
         "bus": device.bus,
@@ -68,7 +69,7 @@ def described(device: Attached) -> dict[str, Any]:
 
 
 class HotplugWatch(Worker):
-    """Publishes by `event` what is plugged in and pulled out since `hotplug` was made, however late this is started."""
+    """Service that publishes by `event` all changes since `hotplug` was created, even if it is started later."""
 
     def __init__(self, hotplug: Hotplug, event: Callable[..., Any]) -> None:
         super().__init__("hotplug")
@@ -78,5 +79,5 @@ class HotplugWatch(Worker):
         watch(self._attached, self._event, self.closing)
 
     def failed(self, error: Exception) -> None:
-        """What is rendered needs none of it: the run goes on."""
+        """Publish an event; the run continues, because rendering does not depend on this service."""
         self._event("fault", "hotplug", message=str(error))

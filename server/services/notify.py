@@ -1,7 +1,8 @@
-"""What systemd is told of the daemon: READY with the first tick, a sign of life for as long as ticks go on, STOPPING.
+"""Notifications to systemd: READY at the first tick, WATCHDOG while ticks continue, and STOPPING.
 
-Started by systemd with `Type=notify`, a process is given a datagram socket by NOTIFY_SOCKET, and by WATCHDOG_USEC how
-long it may say nothing. The sign of life is a tick of the servo, not of this thread: where ticks stop, so does it.
+For a process started with `Type=notify`, systemd sets NOTIFY_SOCKET to a datagram socket, and WATCHDOG_USEC to the
+longest interval between signs of life. The sign of life is a tick of the servo, not of this thread, so it ends when the
+ticks end.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from softfinger.server.services.base import Worker
 log: Final = logging.getLogger(__name__)
 
 POLL_S: Final = 0.05
-"""How often ticks are looked for: READY comes so much late at the most."""
+"""Interval of the check for ticks, and so the largest delay of READY."""
 
 
 class Notify(Worker):
-    """Tells systemd of a servo, from its first tick to its last zero. To be started before it and stopped behind it.
+    """Service that notifies systemd of a servo; start it before the servo and stop it after the servo.
 
-    environment  with NOTIFY_SOCKET, and WATCHDOG_USEC and WATCHDOG_PID where there is a watchdog
+    environment  with NOTIFY_SOCKET, and WATCHDOG_USEC and WATCHDOG_PID if there is a watchdog
     """
 
     def __init__(self, servo: Servo, environment: Mapping[str, str]) -> None:
@@ -35,37 +36,37 @@ class Notify(Worker):
         self._period_s = min(_watchdog_s(environment) / 4.0, 1.0)
 
     def work(self) -> None:
-        ready, told, due = False, 0, 0.0
+        ready, reported_ticks, due = False, 0, 0.0
         while not self.closing.wait(min(POLL_S, self._period_s)):
             ticks, now = self._servo.ticks, time.monotonic()
-            if ticks == told or now < due:
+            if ticks == reported_ticks or now < due:
                 continue
             state = ["WATCHDOG=1", f"STATUS={ticks} ticks, {self._servo.missed} missed"]
             self._send(*state, *([] if ready else ["READY=1"]))
-            ready, told, due = True, ticks, now + self._period_s
+            ready, reported_ticks, due = True, ticks, now + self._period_s
 
     def stop(self) -> None:
         super().stop()
-        self._send("STOPPING=1", "STATUS=stopping", "WATCHDOG_USEC=0")  # closing has TimeoutStopSec, and no ticks
+        self._send("STOPPING=1", "STATUS=stopping", "WATCHDOG_USEC=0")  # TimeoutStopSec limits closing
 
     def failed(self, error: Exception) -> None:
-        """Nothing: with no sign of life any more, systemd ends the daemon."""
+        """Do nothing: without a sign of life, systemd ends the daemon."""
 
     def _send(self, *state: str) -> None:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as to:
             try:
                 to.sendto("\n".join(state).encode(), self._address)
-            except OSError as error:  # a manager that has gone, or is restarted
-                log.debug("systemd was not told %s: %s", state, error)
+            except OSError as error:  # a service manager that has exited or is restarting
+                log.debug("systemd was not notified of %s: %s", state, error)
 
 
 def _address(name: str) -> str:
-    """Of a socket as NOTIFY_SOCKET has it: a path, or behind an `@` an abstract name."""
+    """Return the address for a value of NOTIFY_SOCKET: a path, or an abstract name after an `@`."""
     return f"\0{name[1:]}" if name.startswith("@") else name
 
 
 def _watchdog_s(environment: Mapping[str, str]) -> float:
-    """Time after which systemd takes a silent daemon for dead, s; endless where it does not watch this process."""
+    """Return the time after which systemd considers a silent daemon dead, s; infinite without a watchdog."""
     if environment.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
         return float("inf")
     try:

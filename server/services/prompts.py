@@ -1,4 +1,4 @@
-"""What pages show the participant of an experiment, and the one answer to it."""
+"""Prompts that pages show to the participant of an experiment, and the single answer to each."""
 
 from __future__ import annotations
 
@@ -14,50 +14,50 @@ from softfinger.server.wire.envelope import Declined, Request
 
 
 class Prompts:
-    """The prompt of now, and whether it waits for an answer.
+    """Current prompt, and whether it is open for an answer.
 
-    tell   publishes what a command changed: the method, the request's id, the change
-    ticks  how many ticks have begun
+    publish  publishes a change made by a command: method, id of the request, change
+    ticks    returns the number of ticks started
     """
 
-    def __init__(self, tell: Callable[[str, str, Mapping[str, Any]], None], ticks: Callable[[], int]) -> None:
-        self._tell, self._ticks = tell, ticks
-        self._now = wire.Prompted(0, wire.Prompt(), open=False)
-        self._asked_s = 0.0
+    def __init__(self, publish: Callable[[str, str, Mapping[str, Any]], None], ticks: Callable[[], int]) -> None:
+        self._publish, self._ticks = publish, ticks
+        self._current = wire.Prompted(0, wire.Prompt(), open=False)
+        self._shown_s = 0.0
 
     def get(self, request: Request) -> wire.Prompted:
-        """The prompt of now."""
-        return self._now
+        """Return the current prompt."""
+        return self._current
 
     def set(self, request: Request) -> wire.Prompted:
-        """Put a prompt in the place of the one before."""
-        asked: wire.Prompt = request.params
-        if asked.choices and asked.number is not None:
-            raise Declined("bad_params", "say either choices or number: there is one answer")
-        if asked.number is not None and not asked.number[0] < asked.number[1]:
-            raise Declined("bad_params", f"number is {list(asked.number)}: give the smallest, then the largest")
-        asks = bool(asked.choices) or asked.number is not None
-        self._now, self._asked_s = wire.Prompted(self._now.number + 1, asked, asks), time.monotonic()
-        self._tell("set_prompt", request.command_id, {"prompt": self._now.number})
-        return self._now
+        """Replace the current prompt."""
+        prompt: wire.Prompt = request.params
+        if prompt.choices and prompt.number is not None:
+            raise Declined("bad_params", "give either choices or number: a prompt has one answer")
+        if prompt.number is not None and not prompt.number[0] < prompt.number[1]:
+            raise Declined("bad_params", f"number is {list(prompt.number)}: give the smallest, then the largest")
+        is_open = bool(prompt.choices) or prompt.number is not None
+        self._current, self._shown_s = wire.Prompted(self._current.number + 1, prompt, is_open), time.monotonic()
+        self._publish("set_prompt", request.command_id, {"prompt": self._current.number})
+        return self._current
 
     def answer(self, request: Request) -> wire.Applied:
-        """Take the answer; raises Declined where nothing is asked, and for what is no answer."""
-        given: wire.Answer = request.params
-        if not self._now.open or given.prompt not in (None, self._now.number):
+        """Store the answer; raises Declined if no question is open or the answer is not valid."""
+        params: wire.Answer = request.params
+        if not self._current.open or params.prompt not in (None, self._current.number):
             raise Declined("refused", "this question is not open, or not any more: answer the one that is shown")
-        if (wanted := self._wanted(given.value)) is not None:
-            raise Declined("bad_params", f"value is {shown(given.value)}: give {wanted}")
-        after_s = time.monotonic() - self._asked_s
-        self._now = structs.replace(self._now, open=False, answer=given.value, after_s=after_s)
-        self._tell("answer", request.command_id, {"prompt": self._now.number, "value": given.value})
+        if (expected := self._expected_answer(params.value)) is not None:
+            raise Declined("bad_params", f"value is {shown(params.value)}: give {expected}")
+        after_s = time.monotonic() - self._shown_s
+        self._current = structs.replace(self._current, open=False, answer=params.value, after_s=after_s)
+        self._publish("answer", request.command_id, {"prompt": self._current.number, "value": params.value})
         return wire.Applied(self._ticks())
 
-    def _wanted(self, value: str | float) -> str | None:
-        """What an answer has to be, None where this is one."""
-        now = self._now.prompt
+    def _expected_answer(self, value: str | float) -> str | None:
+        """Return a description of the valid answers, None if the value is valid."""
+        now = self._current.prompt
         if now.number is None:
             return None if value in now.choices else f"one of {', '.join(now.choices)}"
         low, high = now.number
-        there = isinstance(value, int | float) and low <= value <= high  # false for NaN
-        return None if there else f"a number from {low:g} to {high:g}"
+        is_valid = isinstance(value, int | float) and low <= value <= high  # false for NaN
+        return None if is_valid else f"a number from {low:g} to {high:g}"

@@ -1,4 +1,4 @@
-"""Recordings as a service: one at a time, from the beginning or by command, written beside the loop."""
+"""Recording service: one recording at a time, from the start or by command, written outside the loop."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_recording
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.recording.recorder import Recorded, Recorder
-from softfinger.server.services.description import described
+from softfinger.server.recording.recorder import Recorder, RecorderState
+from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering
 from softfinger.server.wire.protocol import SCHEMA
@@ -27,13 +27,19 @@ log: Final = logging.getLogger(__name__)
 
 ENDING: Final = ".mcap"
 STOP_S: Final = 0.5
-"""How long the answer to `record_stop` waits for the disk."""
+"""Time for which the answer to `record_stop` waits for the disk."""
 CLOSE_S: Final = 2.0
-"""How long the end of the run does."""
+"""Time for which the end of the run waits for the disk."""
 
 
-class Written(NamedTuple):
-    """Of recordings: ticks and bytes in them, ticks and events that the disk was too slow for, the longest write."""
+class RecordingTotals(NamedTuple):
+    """Statistics of recordings.
+
+    ticks, bytes    written
+    ticks_dropped   ticks lost because the disk was too slow
+    events_dropped  events lost because the disk was too slow
+    worst_write_s   duration of the longest write
+    """
 
     ticks: int
     bytes: int
@@ -41,9 +47,9 @@ class Written(NamedTuple):
     events_dropped: int
     worst_write_s: float
 
-    def with_(self, one: Recorded) -> Written:
-        """These and one more."""
-        return Written(
+    def with_recording(self, one: RecorderState) -> RecordingTotals:
+        """Return the statistics with one recording added."""
+        return RecordingTotals(
             self.ticks + one.ticks,
             self.bytes + one.bytes,
             self.ticks_dropped + one.dropped,
@@ -53,9 +59,9 @@ class Written(NamedTuple):
 
 
 class Recordings:
-    """What of a daemon is recorded, and whether it is.
+    """Service that starts, feeds and ends recordings of a daemon.
 
-    fingers  names of several fingers, one empty name for a single one
+    fingers  names of several fingers, an empty name for a single one
     event    publishes an event
     """
 
@@ -63,18 +69,18 @@ class Recordings:
         self._rendering, self._fingers, self._event = rendering, list(fingers), event
         self._changing = threading.Lock()
         self._recorder: Recorder | None = None
-        self._ending: list[Recorder] = []  # the disk may still be taking the last of them
-        self._ended = Written(0, 0, 0, 0, 0.0)
+        self._ending: list[Recorder] = []  # recordings with a last part that may not be on disk yet
+        self._ended = RecordingTotals(0, 0, 0, 0, 0.0)
         self._path = Path()
         self._failure: RecordingError | None = None
         self._settings: Any = None
-        self.sink: Final = Sink("recordings", self._take)
+        self.sink: Final = Sink("recordings", self._add_records)
 
     def start(self) -> None:
-        """Nothing: a recording begins when it is asked for."""
+        """Do nothing: a recording starts on request."""
 
     def stop(self) -> None:
-        """End what is recorded. Raises RecordingError, once, where a recording of this run has ended early."""
+        """End the recording; raises RecordingError, once, if a recording of this run failed."""
         with self._changing:
             if self._recorder is not None:
                 self._recorder.stop(CLOSE_S)
@@ -83,18 +89,18 @@ class Recordings:
             raise failure
 
     def record(self, path: str | Path, scene_name: str) -> None:
-        """Record into a new file of whoever started the daemon; RecordingError where it cannot be made."""
+        """Record into a new file chosen by the user of the daemon; raises RecordingError if it cannot be created."""
         self._begin(Path(path), None, scene_name)
 
     def begin(self, name: str, scene_name: str) -> Path:
-        """Record into a new file below the rig's folder of recordings, as a client asked; returns its path.
+        """Record into a new file in the rig's folder of recordings, at the request of a client; return its path.
 
-        RecordingError where there is a recording already, or the name leads elsewhere or to a file that is there.
+        Raises RecordingError if a recording is running, or if the name leads outside the folder or to an existing file.
         """
         return self._begin(Path(name), Path(self._rendering.rig.recording.directory), scene_name)
 
-    def end(self) -> tuple[Path, Recorded]:
-        """End the recording; its file, and what became of it. RecordingError where there is none."""
+    def end(self) -> tuple[Path, RecorderState]:
+        """End the recording; return its file and its statistics. Raises RecordingError if none is running."""
         with self._changing:
             if self._recorder is None:
                 raise RecordingError("nothing is being recorded")
@@ -102,10 +108,10 @@ class Recordings:
             self._ending.append(recorder)
             return self._path, recorder.stop(STOP_S)
 
-    def kept_to(self) -> int:
-        """The last tick that is in the file of the recording of now, -1 for none.
+    def last_written_tick(self) -> int:
+        """Return the last tick in the file of the current recording, -1 for none.
 
-        Raises RecordingError where it has ended early, or there is none. Whoever asks tells it, so `stop` does not.
+        Raises RecordingError if the recording has failed or none is running. The caller reports it, so `stop` does not.
         """
         with self._changing:
             recorder = self._recorder
@@ -114,37 +120,37 @@ class Recordings:
             if error := recorder.recorded.error:
                 failure, self._failure = self._failure, None
                 raise failure or RecordingError(f"{self._path}: the recording has ended: {error}")
-            return recorder.written_to
+            return recorder.last_written_tick
 
-    def written(self) -> Written:
-        """What became of all recordings of this run so far."""
+    def written(self) -> RecordingTotals:
+        """Return the statistics of all recordings of this run so far."""
         with self._changing:
             recorders, self._ending = self._ending, []
             for recorder in recorders:
                 recorded = recorder.recorded
                 if recorded.whole or recorded.error:
-                    self._ended = self._ended.with_(recorded)
+                    self._ended = self._ended.with_recording(recorded)
                 else:
                     self._ending.append(recorder)
             total = self._ended
             for recorder in (*self._ending, *filter(None, [self._recorder])):
-                total = total.with_(recorder.recorded)
+                total = total.with_recording(recorder.recorded)
         return total
 
-    def tell(self, event: dict[str, Any]) -> None:
-        """Record an event that is published; from any thread."""
+    def record_event(self, event: dict[str, Any]) -> None:
+        """Record a published event; callable from any thread."""
         recorder = self._recorder
         if recorder is not None:
             recorder.event(event)
 
     def world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
-        """Record where the bodies of a [world] are; from any thread."""
+        """Record the poses of the bodies of a [world]; callable from any thread."""
         recorder = self._recorder
         if recorder is not None:
             recorder.world({"schema": SCHEMA, "timestamp": now_s(), "tick": tick, "bodies": bodies})
 
     def note_settings(self, settings: Any) -> None:
-        """What the machine granted of the real-time settings, plain values; known with the servo's start."""
+        """Record the real-time settings granted by the machine, plain values; called after the servo has started."""
         self._settings = settings
         recorder = self._recorder
         if recorder is not None:
@@ -156,33 +162,33 @@ class Recordings:
         with self._changing:
             if self._recorder is not None and not self._recorder.recorded.error:
                 raise RecordingError(f"{self._path} is being recorded: end that first")
-            file = _opened(path, folder)
+            file = _open_new_file(path, folder)
             if self._recorder is not None:
                 self._ending.append(self._recorder)
-            about = described(self._rendering, scene_name)
+            about = describe_daemon(self._rendering, scene_name)
             if self._settings is not None:
                 about["settings"] = self._settings
             self._path = (folder / path if folder is not None else path).absolute()
-            trouble = partial(self._trouble, self._path)
+            trouble = partial(self._report_trouble, self._path)
             self._recorder = Recorder(file, self._fingers, about, trouble, GUARD_NAMES)
             return self._path
 
-    def _take(self, records: NDArray[np.float64], drops: int) -> None:
+    def _add_records(self, records: NDArray[np.float64], drops: int) -> None:
         recorder = self._recorder
         if recorder is not None:
             fingers = records.reshape(len(records), -1, RECORD_SIZE)
-            for place in range(fingers.shape[1]):
-                recorder.take(fingers[:, place], place)
+            for finger_index in range(fingers.shape[1]):
+                recorder.take(fingers[:, finger_index], finger_index)
 
-    def _trouble(self, path: Path, message: str, ended: bool) -> None:
-        said = f"{path}: {message}"
+    def _report_trouble(self, path: Path, message: str, ended: bool) -> None:
+        text = f"{path}: {message}"
         if ended and self._failure is None:
-            self._failure = RecordingError(said)
-        log.error("%s", said)
-        self._event("fault", "recording", message=said)
+            self._failure = RecordingError(text)
+        log.error("%s", text)
+        self._event("fault", "recording", message=text)
 
 
-def _opened(path: Path, folder: Path | None) -> IO[bytes]:
+def _open_new_file(path: Path, folder: Path | None) -> IO[bytes]:
     try:
         return open_recording(path, folder)
     except FileExistsError as error:

@@ -1,4 +1,4 @@
-"""Records from the relay to whoever takes them in Python: one thread, which hands each batch to every sink."""
+"""Distribution of records from the relay to their consumers in Python: one thread passes each batch to every sink."""
 
 from __future__ import annotations
 
@@ -21,14 +21,13 @@ BATCH: Final = 256
 
 
 class Sink(NamedTuple):
-    """Something that takes records.
+    """Consumer of records.
 
-    name    of it, in logs and events
-    take    is given batches (n, fingers x RECORD_SIZE), a row a tick, in order, and how many ticks did not
-            get here so far; a batch is
-            overwritten by the next, so it copies what it keeps, and waits for nobody
-    vital   the error that the run ends with when `take` raises; None: the sink is left out from there on, with an
-            event, and the run goes on
+    name    name in logs and events
+    take    is called with batches (n, fingers x RECORD_SIZE), a row per tick, in order, and with the number of ticks
+            lost so far; the next batch overwrites the array, so it must copy what it needs, and it must not wait
+    vital   returns the error that ends the run if `take` raises; None: the sink is removed, with an event, and the run
+            continues
     """
 
     name: str
@@ -37,10 +36,10 @@ class Sink(NamedTuple):
 
 
 class Records(Worker):
-    """Reads what the relay hands on, from the servo's start to the last record after its end.
+    """Service that reads the relay's tap, from the servo's start to the last record after its end.
 
-    tap    where it is read
-    sinks  in the order in which they are given each batch; a sink that failed gets no more
+    tap    source of the records
+    sinks  consumers, in the order of their calls; a sink that failed is not called again
     fail   ends the run with an error
     event  publishes an event
 
@@ -57,7 +56,7 @@ class Records(Worker):
     ) -> None:
         super().__init__("records")
         self._servo, self._tap, self._sinks, self._fail, self._event = servo, tap, list(sinks), fail, event
-        self._given_up = False
+        self._abandoned = False
 
     def work(self) -> None:
         try:
@@ -70,22 +69,22 @@ class Records(Worker):
         running = True
         while running:
             self._tap.wait()
-            # asked before it is emptied: what came before the end is handed on
-            running = not (self._tap.ended or self._given_up)
+            # read before the tap is emptied, so that records from before the end are passed on
+            running = not (self._tap.ended or self._abandoned)
             while (count := self._tap.take(batch)) > 0:
-                self._hand_on(batch[:count], self._servo.records.drops + self._tap.lost)
+                self._distribute(batch[:count], self._servo.records.drops + self._tap.lost)
         if self._tap.failed:
-            raise RuntimeError("the thread that hands ticks on has ended")
+            raise RuntimeError("the thread that forwards ticks has ended")
 
-    def _hand_on(self, records: NDArray[np.float64], drops: int) -> None:
+    def _distribute(self, records: NDArray[np.float64], drops: int) -> None:
         for sink in list(self._sinks):
             try:
                 sink.take(records, drops)
             except Exception as error:
                 self._sinks.remove(sink)
-                self._dropped(sink, error)
+                self._report_failure(sink, error)
 
-    def _dropped(self, sink: Sink, error: Exception) -> None:
+    def _report_failure(self, sink: Sink, error: Exception) -> None:
         if sink.vital is not None:
             log.exception("%s failed; stopping", sink.name)
             self._fail(sink.vital(error))
@@ -94,21 +93,21 @@ class Records(Worker):
         self._event("fault", "sink", sink=sink.name, message=str(error))
 
     def failed(self, error: Exception) -> None:
-        """No sink's fault: nobody can see what is rendered."""
-        self._fail(SafetyStop(f"records cannot be taken: {error}; nobody can see what is rendered"))
+        """End the run: without records, rendering cannot be monitored."""
+        self._fail(SafetyStop(f"records cannot be taken: {error}; the rendered state would be invisible"))
 
     def stop(self) -> None:
-        # Of a servo that was never started, or hangs, no last record will come.
-        failed = shutdown.every(*([self._give_up] if self._servo.running else []), super().stop, self._release)
+        # A servo that was never started, or that hangs, produces no last record.
+        failed = shutdown.run_all_steps(*([self._abandon] if self._servo.running else []), super().stop, self._release)
         if self._thread.ident is None:
             self._tap.close()
         if failed is not None:
             raise failed
 
-    def _give_up(self) -> None:
-        self._given_up = True
+    def _abandon(self) -> None:
+        self._abandoned = True
         self._tap.wake()
 
     def _release(self) -> None:
-        if not self._servo.running and not self._thread.is_alive():  # a reader that was not waited for still reads
+        if not self._servo.running and not self._thread.is_alive():  # a reader that did not end in time still reads
             self._servo.close()

@@ -1,8 +1,7 @@
-"""Rendering as a service: the servo with its devices, from the first tick to the last zero."""
+"""Rendering service: the servo with its devices, from the first tick to the last zero."""
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,48 +16,61 @@ from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import overridden
 from softfinger.config.schema.pairing import pair
 from softfinger.drivers.base import Device
-from softfinger.drivers.simulated.lead import Wanted, hold, lead
+from softfinger.drivers.simulated.lead import RequestedPose, hold, lead
 from softfinger.proxy.kernels.model import Pose, Vec3
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import other_model
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.clock import NS_PER_S
+from softfinger.server.loop.force_switch import MAX_OFF_S
 from softfinger.server.loop.handover import Loop
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import UNMOVED
-from softfinger.server.loop.tuning import make_tuning, seconds_to_zero, with_armed, with_offsets, with_scene
-from softfinger.server.progress import making
+from softfinger.server.loop.tuning import make_tuning, with_armed, with_offsets, with_scene
+from softfinger.server.progress import report_compilation
 from softfinger.server.services.base import JOIN_S
-from softfinger.server.services.devices import check_replacement, injected, open_devices, tools
+from softfinger.server.services.devices import check_replacement, inject_faults, open_devices, tools
 from softfinger.server.services.force import Force
 from softfinger.server.states import UNARMED, States
 
 PAUSE_TICKS: Final = 3
-"""The first begun before may still carry a force, the second is zero, and the third says that it was written."""
+"""The first tick may have started earlier and still have a force; the second is zero; the third confirms the write."""
 PAUSE_SETTLE_S: Final = 0.02
-"""Zeros go on for so long before the process stops: a thread or a transfer between us and the device hands them on."""
+"""Time for which zeros continue before the process is stopped: a thread or a transfer may delay them to the device."""
 PAUSE_WAIT_S: Final = 0.5
 POLL_S: Final = 0.001
 CHANGE_WAIT_S: Final = 0.5
-"""A change of parameters waits for another one, or for a replacement, so long: both take milliseconds."""
+"""Time for which a change of parameters waits for another change or a replacement; both take milliseconds."""
 
 
 class Replacing(HapticError):
-    """What cannot be changed at the moment, since another change is on its way."""
+    """Change that is refused while another change is in progress."""
+
+
+@contextmanager
+def _locked(lock: threading.Lock) -> Iterator[None]:
+    """Acquire a lock; raise Replacing after a timeout."""
+    if not lock.acquire(timeout=CHANGE_WAIT_S):
+        raise Replacing("the rendering is being replaced or paused: nothing was changed; try again")
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 class Rendering:
-    """A servo and its devices, opened when made: stopped, the servo has ended, and the devices are closed regardless.
+    """Service of a servo and its devices, which are opened on construction and closed by `stop` in any case.
 
-    All that changes what the servo renders while it runs is here: it knows the scene and whether there is force.
+    All changes to the running servo are made here; this class knows the scene and whether the force is on.
 
     rig, scene      validated configuration
-    ticks, prepare  as of `Servo`
-    faults          to be injected between the devices and the loop
-    states          go by what keeps the force off
+    ticks, prepare  as for `Servo`
+    faults          faults to inject between the devices and the loop
+    states          updated with the reasons that keep the force off
+    switch          as for `Servo`
 
-    Its failures are how the servo ends: `Servo.join` has them. Raises what opening a device raises, and ConfigError for
-    a rig that has no device for a finger; nothing stays open then.
+    A failure of the servo is reported by `Servo.join`. The constructor raises the errors of opening a device, and
+    ConfigError if the rig has no device for a finger; no device remains open then.
     """
 
     def __init__(
@@ -69,28 +81,34 @@ class Rendering:
         prepare: Callable[[], Callable[[], None]],
         faults: schema.Faults | None = None,
         states: States | None = None,
+        switch: NDArray[np.int64] | None = None,
     ) -> None:
         self._rig, self._scene = rig, scene
         self.faults: Final = faults
         self._started = self._stopped = False
         self._since = 0
         self._pauses = 0
-        """A handler that pauses may be interrupted by another; with the last of them force comes back."""
-        self._replacing = threading.Lock()
-        self._handing_over = threading.Lock()
-        """Held by whoever changes the tuning of the loop, or the loop."""
-        self.force: Final = Force(rig.guard.arm != "automatic", states or States())
-        self._moved = 0
-        """How many ticks had begun when an offset was set last."""
+        """Nested pauses: a signal handler that pauses may be interrupted by another one; the force returns with the
+        last."""
+        self._replace_lock = threading.Lock()
+        self._parameters_lock = threading.Lock()
+        """Held while parameters of the scene are changed, including the time to read their files."""
+        self._tuning_lock = threading.Lock()
+        """Held while the tuning or the loop is changed; acquired after `_parameters_lock` if both are needed."""
+        self._offset_tick = 0
+        """Number of ticks started when an offset was last set."""
         devices = self._open(scene, rig)
         try:
             self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
-            with making("kernels that call the device"):
-                begun = self.force.applied(self._tuning)
-                self.servo: Final = Servo(devices, begun, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s)
+            with report_compilation("kernels that call the device"):
+                self.servo: Final = Servo(
+                    devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s, switch
+                )
         except BaseException as error:
-            shutdown.every(lambda: shutdown.close_all(devices), first=error)
+            shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
             raise
+        unarmed = rig.guard.arm != "automatic"
+        self.force: Final = Force(unarmed, states or States(), self.servo.switch, lambda: self.servo.ticks)
 
     def start(self) -> None:
         self._started = True
@@ -98,254 +116,258 @@ class Rendering:
 
     def stop(self) -> None:
         self._stopped = True
-        failed = shutdown.every(self.servo.stop, self._join, self._close)
+        failed = shutdown.run_all_steps(self.servo.stop, self._join, self._close)
         if failed is not None:
             raise failed
 
     def replace(self, scene: schema.Scene | None = None, rig: schema.Rig | None = None) -> int:
-        """Go on with another scene or rig, from zero force; returns the number of the first tick with it.
+        """Replace scene or rig, starting from zero force; return the number of the first tick with it.
 
-        All that can be refused or takes long comes first, while the old one runs on: where it fails, nothing has
-        changed. Then the guard takes the force off along its slew limit, the loop ends with zero, and the next begins
-        with the guard's ramp. Devices whose tables and rate are the same stay open and armed. Others are opened once
-        those of before are closed, since both may be one piece of hardware: where that fails, the run ends with the
-        error. From any thread but the servo's; one at a time.
+        All steps that can be refused or take long run first, while the old loop continues; if they fail, nothing has
+        changed. Then the guard brings the force to zero within MAX_OFF_S, the loop ends with zero, and the next loop
+        starts with the guard's ramp. Devices with the same tables and rate remain open and armed. Other devices are
+        opened after the old ones are closed, because both may be the same hardware; if that fails, the run ends with
+        the error. Callable from any thread except the servo's, one call at a time.
 
-        Raises ConfigError, SafetyStop where nothing runs, or what opening a device raises.
+        Raises ConfigError if scene and rig cannot replace the running ones, SafetyStop if the servo is not running, and
+        the errors of opening a device.
         """
-        with self._replacing:
+        with self._replace_lock:
             servo = self.servo
             servo.check_running()
-            rig, asked = rig or self._rig, scene or self._scene
-            self.check(asked, rig)
-            moved, before = pair(asked, rig), pair(self._scene, self._rig)
-            keeps = [each.device for each in moved] == [each.device for each in before]
-            keeps = keeps and rig.servo.rate_hz == self._rig.servo.rate_hz
-            # With the devices of now: what is compiled does not depend on which they are.
-            servo.compile(self._loop(asked, rig))
-            with self._handing_over:
-                scene = scene or self._scene  # whose parameters may have changed meanwhile
-                if not keeps and rig.guard.arm != "automatic":  # it may be another hand
-                    self.force.keep_off(UNARMED)
-                self._fade_out()
-                first = servo.replace(
-                    (lambda: self._loop(scene, rig)) if keeps else (lambda: self._opened(scene, rig)), keeps
-                )
+            rig, new_scene = rig or self._rig, scene or self._scene
+            self.check(new_scene, rig)
+            new_pairs, old_pairs = pair(new_scene, rig), pair(self._scene, self._rig)
+            keeps_devices = [each.device for each in new_pairs] == [each.device for each in old_pairs]
+            keeps_devices = keeps_devices and rig.servo.rate_hz == self._rig.servo.rate_hz
+            # Compiled with the present devices: the compiled loop does not depend on them.
+            compiled = self._loop(new_scene, rig)
+            servo.compile(compiled)
+
+            def make() -> Loop:
+                if not keeps_devices:
+                    return self._loop_for_new_devices(new_scene, rig)
+                # Parameters of a scene that continues, and the offset of a device, may have changed in the meantime.
+                if scene is None:
+                    return self._loop(new_scene, rig)
+                return servo.with_tuning(compiled, with_offsets(compiled.tuning, self._tuning.offsets))
+
+            with self._parameters_lock, self._tuning_lock:
+                new_scene = scene or self._scene
+                if not keeps_devices and rig.guard.arm != "automatic":  # it may be another hand
+                    self.force.inhibit(UNARMED)
+                with self.force.suspended():
+                    self._await_no_force()
+                    first = servo.replace(make, keeps_devices)
                 self._since = first
-                self.force.begin(servo.tuning.guards[0].armed)
-                self._rig, self._scene = rig, scene
-                self._tuning = with_armed(servo.tuning, 1.0)
-            self.advance()
-            if self._stopped:  # and did not wait until the devices were open
+                self._rig, self._scene, self._tuning = rig, new_scene, servo.tuning
+            if self._stopped:  # `stop` did not wait for the devices to open
                 shutdown.close_all(servo.devices)
             return first
 
     def check(self, scene: schema.Scene, rig: schema.Rig) -> None:
-        """Raise ConfigError where these cannot take the place of what runs, as far as it shows before a compile."""
+        """Raise ConfigError if these cannot replace the running ones, as far as this is known without compiling."""
         check_replacement(scene, rig, self._scene, self._rig)
 
     @property
     def scene(self) -> schema.Scene:
-        """What is rendered."""
+        """Scene being rendered."""
         return self._scene
 
     @property
     def since(self) -> int:
-        """The first tick of this loop, at which what moves by itself began."""
+        """First tick of this loop, at which scripted motions started."""
         return self._since
 
     @property
     def rig(self) -> schema.Rig:
-        """What it is rendered with."""
+        """Rig in use."""
         return self._rig
 
     def set_parameters(self, changes: Mapping[str, Any], where: str) -> tuple[schema.Scene, schema.Scene, int]:
-        """Put values in place of the scene's, keys as of `load_scene`: from one tick on all of them, or none. What acts
-        on the force is there once the ramp of the rig's [commands] is over.
+        """Change parameters of the scene, all in the same tick.
 
-        Returns the scene before and after, and how many ticks had begun without them at the least. `where` is named
-        in messages. Raises ConfigError where a value is out of its range, or would need another loop; Replacing.
+        Parameters that act on the force reach their values at the end of the ramp of the rig's [commands].
+
+        Parameters
+        ----------
+        changes
+            Values by dotted key, as for `load_scene`.
+        where
+            Origin of the changes, for messages.
+
+        Returns
+        -------
+        tuple[Scene, Scene, int]
+            Scene before and after, and a lower bound of the number of ticks started without the change.
+
+        Raises
+        ------
+        ConfigError
+            If a value is out of its range, or would need another loop.
+        Replacing
+            If another change is in progress.
         """
-        with self._change():
+        with _locked(self._parameters_lock):
             before, after = self._scene, overridden(self._scene, changes, where)
             if pair(after, self._rig) != pair(before, self._rig):
-                raise ConfigError(f"{where}: a finger's name and device are no parameters: set the whole scene")
+                raise ConfigError(f"{where}: the name and the device of a finger are no parameters: use set_scene")
             tuning = with_scene(self._tuning, after)
-            if not self.servo.fits(tuning):
-                raise ConfigError(f"{where}: {other_model(before, changes)}: set the whole scene")
-            self._tuning, self._scene = tuning, after
-            return before, after, self._tune()
-
-    @property
-    def forceless(self) -> bool:
-        """Whether the force has been taken off, and all hands feel none."""
-        return self.force.is_off(self.servo.ticks)
+            if not self.servo.is_compiled_for(tuning):
+                raise ConfigError(f"{where}: {other_model(before, changes)}: use set_scene")
+            with _locked(self._tuning_lock):
+                # An offset may have been set in the meantime.
+                self._tuning = self._tuning._replace(scene=tuning.scene, passivity=tuning.passivity)
+                self._scene = after
+                return before, after, self._tune()
 
     @property
     def offsets(self) -> tuple[Vec3, ...]:
-        """What is added to the position that the device of each finger says, m."""
+        """Offset added to the position from the device of each finger, m."""
         return tuple((x + 0.0, y + 0.0, z + 0.0) for x, y, z in self._tuning.offsets)
 
-    def move(self, finger: int, position: Vec3 | None, seen: NDArray[np.float64]) -> int:
-        """Have a finger's probe be at `position` (m, world) where its newest record, `seen`, has it; None: where its
-        device says. Until the run ends, or its device is another one. Its contact begins anew.
+    def set_offset(self, finger: int, position: Vec3 | None, record: NDArray[np.float64]) -> int:
+        """Set the offset that moves a finger's probe to `position`; None removes the offset.
 
-        Returns how many ticks had begun without it at the least. Raises Replacing, also where there is force.
+        The offset remains until the run ends or the finger gets another device. The contact of the finger restarts.
+
+        finger    index of the finger
+        position  (3,) m, world, or None
+        record    latest record of the finger
+        returns   a lower bound of the number of ticks started without the change
+
+        Raises Replacing if another change is in progress or the force is not off.
         """
-        with self._change():
-            if not self.forceless:
-                raise Replacing("the force is on its way off: nothing was changed; try again")
-            if position is not None and seen[AT.tick] < self._moved + 2:
+        with _locked(self._tuning_lock):
+            if not self.force.is_off:
+                raise Replacing("the force is being switched off: nothing was changed; try again")
+            if position is not None and record[AT.tick] < self._offset_tick + 2:
                 raise Replacing("where the probe is now is not known yet: nothing was changed; try again")
             offsets = list(self._tuning.offsets)
             offsets[finger] = UNMOVED
             if position is not None:
-                at, before = seen[AT.probe_position : AT.probe_position + 3].tolist(), self.offsets[finger]
+                at, before = record[AT.probe_position : AT.probe_position + 3].tolist(), self.offsets[finger]
                 offsets[finger] = tuple(p - (x - b) for p, x, b in zip(position, at, before, strict=True))
             self._tuning = with_offsets(self._tuning, tuple(offsets))
-            self._moved = self._tune()
-            return self._moved
+            self._offset_tick = self._tune()
+            return self._offset_tick
 
-    def lead(self, finger: int, wanted: Wanted | None) -> None:
-        """Have a finger's hand, which is computed, want to be there, and stay; None: do what it does by itself.
+    def lead_hand(self, finger: int, target: RequestedPose | None) -> None:
+        """Move the computed hand of a finger to a pose and hold it there; None: resume its default motion.
 
-        Raises NoHand where none is computed, ConfigError for what its device does not reach or sense, Replacing.
+        Raises NoSimulatedHand if the device computes none, ConfigError if the device cannot reach or sense the pose, or
+        Replacing.
         """
-        with self._change():
-            lead(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], wanted)
+        with _locked(self._tuning_lock):
+            lead(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], target)
 
-    def hold(self, finger: int) -> Pose:
-        """Have a finger's hand, which is computed, stay where it wants to be, and say where; raises as `lead`."""
-        with self._change():
+    def hold_hand(self, finger: int) -> Pose:
+        """Hold the computed hand of a finger at its present goal and return that pose; errors as for `lead_hand`."""
+        with _locked(self._tuning_lock):
             return hold(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger])
 
     def disarm(self, why: str) -> None:
-        """Take the force off along the slew limit, and keep it off; never waits."""
-        self.force.keep_off(why)
-        self.advance()
-        self.force.tell()
+        """Turn the force off within MAX_OFF_S and add the reason `why`; never waits."""
+        self.force.inhibit(why)
+        self.force.update_state()
 
     def arm(self, *why: str) -> None:
-        """Take back reasons of `disarm`: with the last of them the force fades in, along the guard's ramp."""
+        """Remove reasons of `disarm`; with the last one the force fades in along the guard's ramp."""
         self.force.allow(*why)
-        self.advance()
-        self.force.tell()
-
-    def advance(self) -> None:
-        """What is next in taking the force off or giving it back; to be called at times, never waits."""
-        if not self._handing_over.acquire(blocking=False):
-            return
-        try:
-            if self.force.advance(self.servo.ticks, self._ticks_to_zero()):
-                self._tune()
-        finally:
-            self._handing_over.release()
-
-    @contextmanager
-    def _change(self) -> Iterator[None]:
-        if not self._handing_over.acquire(timeout=CHANGE_WAIT_S):
-            raise Replacing("the rendering is being replaced or paused: nothing was changed; try again")
-        try:
-            yield
-        finally:
-            self._handing_over.release()
+        self.force.update_state()
 
     def _tune(self) -> int:
-        """Hand the tuning over as it is to be now; returns how many ticks had begun without it at the least."""
+        """Pass the tuning to the servo; return a lower bound of the number of ticks started without it."""
         ticks = self.servo.ticks
-        self.servo.tune(self.force.applied(self._tuning))
+        self.servo.tune(self._tuning)
         return ticks
 
-    def _loop(self, scene: schema.Scene, rig: schema.Rig, given: Sequence[Device] = ()) -> Loop:
-        """A loop on the devices given, or on the present ones."""
-        devices = given or self.servo.devices
+    def _loop(self, scene: schema.Scene, rig: schema.Rig, new_devices: Sequence[Device] = ()) -> Loop:
+        """Return a loop for the given devices, or for the present ones."""
+        devices = new_devices or self.servo.devices
         infos = [device.info for device in devices]
-        tuning = with_armed(make_tuning(scene, rig.guard, infos, tools(scene, rig)), float(self.force.wanted))
-        if not given:  # an offset is of a device, and stays with it
+        tuning = make_tuning(scene, rig.guard, infos, tools(scene, rig))
+        if not new_devices:  # an offset belongs to its device
             tuning = with_offsets(tuning, self._tuning.offsets)
         return self.servo.loop(devices, tuning, rig.servo.rate_hz)
 
-    def _opened(self, scene: schema.Scene, rig: schema.Rig) -> Loop:
-        """A loop on devices that are opened in place of the present ones."""
+    def _loop_for_new_devices(self, scene: schema.Scene, rig: schema.Rig) -> Loop:
+        """Return a loop for devices that are opened in place of the present ones."""
         shutdown.close_all(self.servo.devices)
         devices = self._open(scene, rig)
         try:
             return self._loop(scene, rig, devices)
         except BaseException as error:
-            shutdown.every(lambda: shutdown.close_all(devices), first=error)
+            shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
             raise
 
     def _open(self, scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
         devices = open_devices(scene, rig)
         try:
-            return injected(devices, scene, self.faults, rig.servo.rate_hz)
+            return inject_faults(devices, scene, self.faults, rig.servo.rate_hz)
         except BaseException as error:
-            shutdown.every(lambda: shutdown.close_all(devices), first=error)
+            shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
             raise
 
-    def _fade_out(self) -> None:
-        """Take the force off as fast as the guard lets it change."""
-        before = self.force.share
-        if before == 0.0:
-            return
-        self.force.share = None
-        count = self._ticks_to_zero()
-        self._tune()
-        if not self._ticked(count, 2.0 * count * self.servo.period_ns / NS_PER_S + PAUSE_WAIT_S):
-            self.force.share = before
-            self._tune()
-            raise SafetyStop(f"nothing was replaced: the servo did not tick {count} times to take the force off")
-
-    def _ticks_to_zero(self) -> int:
-        return math.ceil(seconds_to_zero(self._tuning) * NS_PER_S / self.servo.period_ns) + PAUSE_TICKS
+    def _await_no_force(self) -> None:
+        """Wait until the loop has turned the force off; raises SafetyStop if it does not tick."""
+        to_zero_s = MAX_OFF_S + PAUSE_TICKS * self.servo.period_ns / NS_PER_S
+        until = time.monotonic() + 2.0 * to_zero_s + PAUSE_WAIT_S
+        while self.servo.is_ticking and not self.force.is_off:
+            if time.monotonic() > until:
+                raise SafetyStop("nothing was replaced: the servo did not tick until the force was off")
+            time.sleep(POLL_S)
 
     def pause(self) -> Callable[[], None]:
-        """Take the force off, before the process is stopped; call the result to have it fade in anew.
+        """Turn the force off before the process is stopped; return a function that lets it fade in again.
 
-        From the main thread or its signal handlers. Without ticks to take it off in, or while a loop is replaced, the
-        servo is asked to end.
+        Callable from the main thread and its signal handlers. Ends the servo if it does not tick, or while a loop is
+        replaced.
         """
-        if not self._pauses and not self._handing_over.acquire(timeout=PAUSE_WAIT_S):
+        if not self._pauses and not self._tuning_lock.acquire(timeout=PAUSE_WAIT_S):
             self._end()
             return lambda: None
         self._pauses += 1
         self.servo.tune(with_armed(self._tuning, 0.0))
-        # Where no tick has come yet, the first will find the guard without force.
-        if not self._ticked(PAUSE_TICKS, PAUSE_WAIT_S) and self.servo.ticks:
+        # If no tick has run yet, the first will find the guard disarmed.
+        if not self._wait_ticks(PAUSE_TICKS, PAUSE_WAIT_S) and self.servo.ticks:
             self._end()
         time.sleep(PAUSE_SETTLE_S)
-        return self._go_on
+        return self._resume
 
-    def _go_on(self) -> None:
+    def _resume(self) -> None:
         self._pauses -= 1
         if not self._pauses:
             self._tune()
-            self._handing_over.release()
+            self._tuning_lock.release()
 
     def _end(self) -> None:
         self.servo.stop()
         shutdown.stop_all(self.servo.devices)
 
-    def _ticked(self, count: int, timeout_s: float) -> bool:
-        """Wait for so many more ticks; False where they do not come in time. With the loop's end there is no force."""
+    def _wait_ticks(self, count: int, timeout_s: float) -> bool:
+        """Wait for a number of further ticks; return False on a timeout.
+
+        Returns True if the loop ends, because the force is then zero.
+        """
         ticks, until = self.servo.ticks, time.monotonic() + timeout_s
-        while self.servo.looping and self.servo.ticks < ticks + count:
+        while self.servo.is_ticking and self.servo.ticks < ticks + count:
             if time.monotonic() > until:
                 return False
             time.sleep(POLL_S)
         return True
 
     def _join(self) -> None:
-        # A servo that does not answer within this is stuck in a device; the devices are closed regardless.
+        # A servo that does not end in time hangs in a device; the devices are closed anyway.
         if self._started:
             self._started = False
             self.servo.join(JOIN_S)
 
     def _close(self) -> None:
         # Not while another device is being opened in its place, unless that takes too long.
-        changed = self._handing_over.acquire(timeout=JOIN_S)
+        acquired = self._tuning_lock.acquire(timeout=JOIN_S)
         try:
             shutdown.close_all(self.servo.devices)
         finally:
-            if changed:
-                self._handing_over.release()
+            if acquired:
+                self._tuning_lock.release()

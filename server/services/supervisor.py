@@ -1,4 +1,4 @@
-"""The supervisor: zero force when ticks stop coming though nobody asked them to. Runs above the servo's priority."""
+"""Supervisor: commands zero force if ticks stop unexpectedly. Runs above the servo's priority."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from softfinger.server.services.base import Worker
 
 
 class Supervisor(Worker):
-    """Looks at a servo from its start to its last tick.
+    """Service that monitors a servo from its start to its last tick.
 
     fail   ends the run with an error
     event  publishes an event
@@ -25,27 +25,27 @@ class Supervisor(Worker):
 
     def work(self) -> None:
         watchdog = health.Watchdog()
-        while self._servo.looping:
+        while self._servo.is_ticking:
             time.sleep(health.STALL_POLL_S)
             ticks = self._servo.ticks
-            held = any(device.info.holds_a_force for device in self._servo.devices)
-            polls = health.STALL_POLLS if held else health.STALL_POLLS_WITHOUT_HAND
+            has_force = any(device.info.has_persistent_force for device in self._servo.devices)
+            polls = health.STALL_POLLS if has_force else health.STALL_POLLS_WITHOUT_HAND
             idle_s = watchdog.stalled_s(ticks, self._servo.armed, polls)
-            if idle_s and self._servo.looping:
+            if idle_s and self._servo.is_ticking:
                 self._stop_stalled(idle_s, ticks)
                 return
 
     def failed(self, error: Exception) -> None:
-        """A servo that nobody looks at may hold a force."""
-        self._fail(SafetyStop(f"the supervisor failed: {error}; nobody would see the servo stall"))
+        """End the run: an unmonitored servo may stall with a force."""
+        self._fail(SafetyStop(f"the supervisor failed: {error}; a stall of the servo would go unnoticed"))
 
     def _stop_stalled(self, idle_s: float, ticks: int) -> None:
         stalled = SafetyStop(
             f"no tick for {idle_s:.2f} s after tick {ticks}: zero force was commanded; "
             "a device's exchange hangs, or this machine starves the servo thread"
         )
-        shutdown.every(
-            lambda: self._fail(stalled),  # first: it takes no time, and stopping a device may
+        shutdown.run_all_steps(
+            lambda: self._fail(stalled),  # first: it takes no time, unlike stopping a device
             lambda: shutdown.stop_all(self._servo.devices),
             lambda: self._event("fault", "stalled", message=str(stalled)),
             first=stalled,

@@ -1,4 +1,4 @@
-"""Whether the system has put memory of the daemon on its disk: a tick that needs it waits for milliseconds."""
+"""Detection of memory of the daemon in swap: a tick that needs it waits for milliseconds."""
 
 from __future__ import annotations
 
@@ -16,42 +16,42 @@ PERIOD_S: Final = 1.0
 NAME: Final = "swapped"
 STATUS: Final = Path("/proc/self/status")
 ADVICE: Final = (
-    "a tick that needs it waits for the disk: end what fills the memory, or let the daemon lock its own "
+    "a tick that needs it waits for the disk: end the programs that fill the memory, or let the daemon lock its memory "
     "(softfinger doctor says how)"
 )
 
 
 class Swapping(Worker):
-    """Looks at the start, and once a second, and tells it once, until all of it is back in memory.
+    """Service that checks for swapped memory once per second, and reports it once until all of it is back.
 
-    status  of the process, as proc_pid_status(5) has it
+    status  of the process, in the format of proc_pid_status(5)
     """
 
     def __init__(self, event: Callable[..., Any], status: Path = STATUS) -> None:
         super().__init__("swapping")
         self._event, self._status = event, status
-        self._told = False
+        self._reported = False
 
     def work(self) -> None:
-        self.look()
+        self.check()
         while not self.closing.wait(PERIOD_S):
-            self.look()
+            self.check()
 
-    def look(self) -> None:
-        """Tell what is new since the last look."""
+    def check(self) -> None:
+        """Report memory in swap, unless it has been reported."""
         kilobytes = swapped_kb(self._status.read_text())
-        if kilobytes and not self._told:
+        if kilobytes and not self._reported:
             message = f"{kilobytes} kB of the daemon are in swap: {ADVICE}"
             log.warning("%s", message)
             self._event("fault", NAME, message=message)
-        self._told = kilobytes > 0
+        self._reported = kilobytes > 0
 
     def failed(self, error: Exception) -> None:
-        """What is rendered needs none of it: the run goes on."""
-        self._event("fault", NAME, message=f"memory in swap is not told any more: {error}")
+        """Publish an event; the run continues, because rendering does not depend on this service."""
+        self._event("fault", NAME, message=f"memory in swap is no longer reported: {error}")
 
 
 def swapped_kb(status: str) -> int:
-    """Memory of a process in swap, kB; 0 where the system does not say."""
+    """Return the memory of a process in swap, kB; 0 if the system does not report it."""
     found = re.search(r"^VmSwap:\s+(\d+) kB$", status, re.MULTILINE)
     return int(found[1]) if found else 0

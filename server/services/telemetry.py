@@ -1,4 +1,4 @@
-"""Telemetry as a service: tells of the run's start and end, and closes the publisher after the last record."""
+"""Telemetry service: publishes start and end of the run, and closes the publisher after the last record."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from softfinger.server.wire.publisher import Publisher
 
 
 class Telemetry:
-    """An open publisher beside a servo. Its `sink` is vital: nobody can see what is rendered without it."""
+    """Service of an open publisher; its `sink` is vital, because without it rendering cannot be monitored."""
 
     def __init__(self, publisher: Publisher, servo: Servo) -> None:
         self._publisher, self._servo = publisher, servo
-        self._told = False
-        self.sink = Sink("publisher", publisher.observe, _lost)
+        self._announced = False
+        self.sink = Sink("publisher", publisher.observe, _telemetry_error)
 
     def start(self) -> None:
         self._publisher.attach(self._servo.records)
         self._publisher.event("lifecycle", "started", device=names(self._servo.devices))
-        self._told = True
+        self._announced = True
 
     def stop(self) -> None:
-        failed = shutdown.every(self._tell_stopped, self._publisher.close)
+        failed = shutdown.run_all_steps(self._publish_stopped, self._publisher.close)
         if failed is not None:
             raise failed
 
-    def _tell_stopped(self) -> None:
-        if self._told:
+    def _publish_stopped(self) -> None:
+        if self._announced:
             self._publisher.event("lifecycle", "stopped", ticks=self._servo.ticks)
 
 
-def _lost(error: Exception) -> HapticError:
-    return SafetyStop(f"telemetry cannot be published: {error}; nobody can see what is rendered")
+def _telemetry_error(error: Exception) -> HapticError:
+    return SafetyStop(f"telemetry cannot be published: {error}; the rendered state would be invisible")

@@ -1,4 +1,4 @@
-"""Where the bodies of a scene are, published some 60 times a second; nothing in a scene without a [world]."""
+"""Publication of the bodies' poses about 60 times per second; nothing for a scene without a [world]."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from softfinger.server.wire.protocol import WORLD_HZ
 log: Final = logging.getLogger(__name__)
 
 IDLE_S: Final = 0.2
-"""How often it is looked whether another scene has bodies, or theirs have failed."""
+"""Interval of the check for a scene with bodies, and for a fault of the bodies."""
 
 
 class WorldState(Worker):
-    """Reads what the servo tells of the bodies.
+    """Service that reads the motion of the bodies from the servo.
 
-    publish  sends where they were in a tick (`Publisher.world`)
+    publish  publishes their poses in a tick (`Publisher.world`)
     event    publishes an event
     """
 
@@ -38,48 +38,51 @@ class WorldState(Worker):
         self._servo, self._publish, self._event = servo, publish, event
         self._motion: Slot | None = None
         self._sequence, self._values = 0, np.empty(0)
-        self._told: Any = None
-        """The bodies whose fault was told."""
+        self._reported: Any = None
+        """Bodies whose fault has been reported."""
 
     def work(self) -> None:
         wait_s = IDLE_S
         while not self.closing.wait(wait_s):
-            wait_s = self._look()
+            wait_s = self._publish_latest()
 
-    def _look(self) -> float:
-        """Publish what is new; returns after how long (s) to look again. Nothing of a loop that ended is held on to."""
+    def _publish_latest(self) -> float:
+        """Publish the latest motion and return the time (s) until the next check.
+
+        Drops references to a loop that has finished, or that is about to be replaced by one with other bodies.
+        """
         shared, scene = self._servo.shared, self._servo.tuning.scene
-        self._tell_fault(scene)
-        if scene.bodies is None or len(shared.motion.values) != motion_size(scene):  # or a loop with others begins now
+        self._report_fault(scene)
+        if scene.bodies is None or len(shared.motion.values) != motion_size(scene):
             self._motion = None
             return IDLE_S
-        if self._motion is not shared.motion:  # another loop has begun, or the first
+        if self._motion is not shared.motion:  # the first loop, or another one has started
             self._motion, self._sequence = shared.motion, 0
             self._values = np.empty_like(shared.motion.values)
             read.compile(tuple(map(numba.typeof, (self._motion, self._sequence, self._values))))  # type: ignore[attr-defined]
         newest = read(self._motion, self._sequence, self._values)
         if newest != self._sequence:
             self._sequence = newest
-            self._publish(int(self._values[0]), told(scene.bodies.block.owner.names, self._values))
+            self._publish(int(self._values[0]), body_maps(scene.bodies.block.owner.names, self._values))
         return 1.0 / WORLD_HZ
 
-    def _tell_fault(self, scene: Scene) -> None:
-        """Once for bodies that stand still; those that are put back are others."""
+    def _report_fault(self, scene: Scene) -> None:
+        """Report a fault once; after a reset, the bodies are new objects."""
         owner = None if scene.bodies is None else scene.bodies.block.owner
-        if owner is None or owner is self._told or (failure := owner.failure) is None:
+        if owner is None or owner is self._reported or (failure := owner.failure) is None:
             return
-        self._told = owner
+        self._reported = owner
         message = f"{failure}; then softfinger ctl reset_world puts them back"
         log.error("%s", message)
         self._event("fault", "bodies", message=message)
 
     def failed(self, error: Exception) -> None:
-        """The page stands still; what is felt goes on."""
+        """Publish an event; the page stops moving, but rendering continues."""
         self._event("fault", "world", message=str(error))
 
 
-def told(names: list[str], values: NDArray[np.float64]) -> list[dict[str, Any]]:
-    """The bodies of a message, from what `query.bodies.tell_motion` has written."""
+def body_maps(names: list[str], values: NDArray[np.float64]) -> list[dict[str, Any]]:
+    """Return the bodies of a message, from the array that `query.bodies.tell_motion` writes."""
     return [
         {
             "name": name,

@@ -1,4 +1,4 @@
-"""The verbs of the command line, one a file: `configure(parser)` and `run(args) -> exit code`.
+"""Verbs of the command line, one per file: `configure(parser)` and `run(args) -> exit code`.
 
-Nothing that another module needs: what two verbs share lives elsewhere.
+Contains no code that other modules import: code that two verbs share is elsewhere.
 """

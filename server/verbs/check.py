@@ -1,4 +1,4 @@
-"""`softfinger check`: are these scenes, rigs and experiments usable, and what do they model?"""
+"""`softfinger check`: check scenes, rigs and experiments, and summarise their contents."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
@@ -14,7 +14,6 @@ from softfinger.config.errors import ConfigError, DeviceError, HapticError, Reco
 from softfinger.config.load import (
     EXPERIMENTS,
     FaultyConfig,
-    build,
     describe,
     find,
     find_in,
@@ -35,10 +34,8 @@ from softfinger.config.schema import (
 )
 from softfinger.config.words import near, shown
 from softfinger.server.offline.figures import plot_file
-from softfinger.server.offline.summary import mesh_report, rig_summary, scene_summary
-
-if TYPE_CHECKING:  # with the kernels behind it, which no rig needs
-    pass
+from softfinger.server.offline.summary import mesh_report, object_rows, rig_summary, scene_summary
+from softfinger.server.offline.worlds import check_start
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
 _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
@@ -46,7 +43,7 @@ _EXPERIMENT_KEYS: Final = frozenset(("task", "procedure"))
 
 
 class Finding(NamedTuple):
-    """What one file is: kind (scene, rig, experiment, or empty), summary rows, errors, content, meshes by object."""
+    """Result for one file: kind (scene, rig, experiment, or empty), summary rows, errors, content, meshes by object."""
 
     file: str
     kind: str
@@ -57,11 +54,12 @@ class Finding(NamedTuple):
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.description = "Check scenes, rigs and experiments. Exit code 0: all are usable; 2: at least one is not."
     parser.add_argument("files", nargs="+", metavar="FILE", help="one of these, as a file or a shipped name")
     parser.add_argument(
-        "--explain", action="store_true", help="compile each scene and measure what a tick and each part of it cost"
+        "--explain",
+        action="store_true",
+        help="compile each scene and measure the cost of a tick and of each part of it",
     )
     parser.add_argument(
         "--plot",
@@ -73,8 +71,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check every file and print what it is; returns 0, or ConfigError's exit code if any is faulty."""
-    findings = [examine_file(file) for file in args.files]
+    """Check every file and print the results; return 0, or the exit code of ConfigError if any file is faulty."""
+    findings = _with_starts([examine_file(file) for file in args.files])
     if args.explain:
         findings = [with_costs(finding) for finding in findings]
     if args.json:
@@ -86,10 +84,27 @@ def run(args: argparse.Namespace) -> int:
     return ConfigError.exit_code if any(finding.errors for finding in findings) else 0
 
 
-def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None:
-    """Print each rig's soft wall about the objects of each scene, unless `quiet`, and save the only one as `plot`.
+def _with_starts(findings: list[Finding]) -> list[Finding]:
+    """Return the findings with an error for each scene whose [world] cannot begin at the rate of a rig beside it."""
+    usable = [finding for finding in findings if not finding.errors]
+    rates = {load_rig(_locate(each.file)).servo.rate_hz for each in usable if each.kind == "rig"}
+    checked = []
+    for finding in findings:
+        try:
+            world = load_scene(_locate(finding.file)).world if finding.kind == "scene" and not finding.errors else None
+            for rate_hz in rates or {Servo().rate_hz}:
+                if world is not None:
+                    check_start(world, rate_hz)
+        except ConfigError as error:
+            finding = finding._replace(summary=[], errors=[str(error)])
+        checked.append(finding)
+    return checked
 
-    Raises ConfigError for a plot of none, or of several.
+
+def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None:
+    """Print the soft wall of each rig around the objects of each scene, unless `quiet`, and save a picture as `plot`.
+
+    Raises ConfigError if a plot is requested and there is not exactly one rig with a wall and one scene.
     """
     usable = [finding for finding in findings if not finding.errors]
     rigs = [(each.file, load_rig(_locate(each.file))) for each in usable if each.kind == "rig"]
@@ -102,13 +117,13 @@ def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None
         )
     if not walls or not scenes or (quiet and plot is None):
         return
-    from softfinger.drivers.kinematics.freedom import freedom_of_table
+    from softfinger.drivers.kinematics.subspace import read_subspace
     from softfinger.server.offline import workspace
 
     for name, rig, wall in walls:
-        freedom = None if rig.device is None else freedom_of_table(rig.device)
+        freedom = None if rig.device is None else read_subspace(rig.device)
         for scene in scenes:
-            objects = workspace.drawn(wall, load_scene(_locate(scene)))
+            objects = workspace.place_objects(wall, load_scene(_locate(scene)))
             if plot is not None:
                 workspace.plot(wall, objects, plot, freedom)
             if not quiet:
@@ -118,7 +133,7 @@ def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None
 
 
 def examine_file(file: str) -> Finding:
-    """Everything `run` would find wrong with a file before it touches the device, or what the file means."""
+    """Check a file for every fault that `run` finds before it opens the device, and summarise it if it has none."""
     kind = ""
     try:
         path = _locate(file)
@@ -127,14 +142,16 @@ def examine_file(file: str) -> Finding:
             return _experiment(file, path)
         config = load_scene(path) if kind == "scene" else load_rig(path)
         if isinstance(config, Scene):
+            if faults := _object_faults(config):
+                return Finding(file, kind, [], faults, {}, {})
             summary = scene_summary(config)
         else:
             if config.security is not None:
-                from softfinger.server.gateway.allowed import key_folders
+                from softfinger.server.publishing.allowed import key_folders
 
                 key_folders(config.security)
             for table, device in config.tables.items():
-                _check_driver(device, table, file)
+                _check_driver(device, config.servo.rate_hz, table, file)
                 _check_recording(device, table, file)
             summary = rig_summary(config)
     except FaultyConfig as error:
@@ -152,17 +169,28 @@ def _experiment(file: str, path: Path) -> Finding:
     return Finding(file, "experiment", summary(experiment), [], describe(experiment), {})
 
 
+def _object_faults(scene: Scene) -> list[str]:
+    """Return what is wrong with the files of each object."""
+    faults = []
+    for item in scene.object:
+        try:
+            object_rows(item, scene.soft)
+        except ConfigError as error:
+            faults.append(str(error))
+    return faults
+
+
 def _reports(config: Scene | Rig) -> dict[str, Any]:
-    """What was found of each mesh, by the name of its object."""
+    """Return the report on each mesh by the name of its object."""
     meshes = [thing for thing in config.object if isinstance(thing, Mesh)] if isinstance(config, Scene) else []
     return {thing.name: msgspec.to_builtins(mesh_report(thing)) for thing in meshes}
 
 
 def with_costs(finding: Finding) -> Finding:
-    """The finding of a usable scene with the measured cost of a tick and of each part; any other as it is."""
+    """Add the measured cost of a tick and of its parts to the finding of a usable scene; return any other unchanged."""
     if finding.kind != "scene" or finding.errors:
         return finding
-    from softfinger.server.offline.cost import bare, measure, touching_poses, without_parts
+    from softfinger.server.offline.cost import bare_contact, measure, touching_poses, without_parts
     from softfinger.server.progress import progress
 
     scene = load_scene(_locate(finding.file))
@@ -175,13 +203,13 @@ def with_costs(finding: Finding) -> Finding:
         for number, (name, rest) in enumerate(parts):
             rows.append((f"  {name}", f"{whole - measure(rest, poses).median_ns:+.0f} ns"))
             done(number + 2)
-        rows.append(("  bare contact", f"{measure(bare(scene), poses).median_ns:.0f} ns"))
+        rows.append(("  bare contact", f"{measure(bare_contact(scene), poses).median_ns:.0f} ns"))
     rows += [_stability_row(thing) for thing in scene.object]
     return finding._replace(summary=finding.summary + rows)
 
 
 def _stability_row(item: Object) -> tuple[str, str]:
-    """Slope of the normal force at the guard's default largest force, and the device that is passive with it."""
+    """Return the stiffness of the normal force at the guard's default limit, and the device damping for passivity."""
     force, rate = Guard().force_max_n, Servo().rate_hz
     normal = item.material.normal
     crossed = 0.0 if normal is None else normal.damping_s_per_m or 0.0
@@ -194,7 +222,10 @@ def _stability_row(item: Object) -> tuple[str, str]:
 
 
 def kind_of(mapping: dict[str, Any], where: str) -> str:
-    """`scene`, `rig` or `experiment`, by the tables a file has. Raises ConfigError when it is none, or two."""
+    """Return `scene`, `rig` or `experiment`, according to the tables of a file.
+
+    Raises ConfigError if the tables belong to none of them, or to two.
+    """
     if mapping.keys() >= _EXPERIMENT_KEYS:
         return "experiment"
     scene, rig = _SCENE_KEYS & mapping.keys(), _RIG_KEYS & mapping.keys()
@@ -215,12 +246,12 @@ def kind_of(mapping: dict[str, Any], where: str) -> str:
 
 
 def _locate(file: str) -> Path:
-    """Path of a file or of a shipped scene, rig or experiment."""
+    """Return the path of a file, or of a shipped scene, rig or experiment."""
     names = [*shipped(Scene), *shipped(Rig), *names_in(EXPERIMENTS)]
     if file not in names and "." not in file and "/" not in file and not _exists(file):
         raise ConfigError(
-            f"no scene, rig or experiment is called {shown(file)}{near(file, names)}; shipped are {', '.join(names)}; "
-            "a file of your own is named with its ending .toml"
+            f"no scene, rig or experiment is named {shown(file)}{near(file, names)}; shipped are {', '.join(names)}; "
+            "give the path of another file with its suffix .toml"
         )
     if file in names_in(EXPERIMENTS):
         return find_in(EXPERIMENTS, "experiment", file)
@@ -230,23 +261,23 @@ def _locate(file: str) -> Path:
 def _exists(file: str) -> bool:
     try:
         return Path(file).exists()
-    except (OSError, ValueError):  # no name that a file can have
+    except (OSError, ValueError):  # not a valid file name
         return False
 
 
-def _check_driver(device: DeviceConfig, table: str, file: str) -> None:
-    """Raise if there is no such driver, or if it does not take the rig's options."""
+def _check_driver(device: DeviceConfig, rate_hz: float, table: str, file: str) -> None:
+    """Raise ConfigError if the driver is unknown, or if it does not accept the rig's options or this rate."""
     from softfinger.drivers import registry
 
     try:
-        driver = registry.load(device.driver)
+        registry.load(device.driver)
     except HapticError as error:
         raise ConfigError(f"{file}: {table}.driver = {device.driver!r}: {error}") from error
-    build(driver.Options, device.options, f"{file} [{table}]")
+    registry.check(device, rate_hz, f"{file} [{table}]")
 
 
 def _check_recording(device: DeviceConfig, table: str, file: str) -> None:
-    """Raise if the recording that a rig replays cannot be."""
+    """Raise ConfigError if the recording that a rig replays cannot be loaded."""
     if device.driver != "replay":
         return
     from softfinger.drivers.poses import load_poses

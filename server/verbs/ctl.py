@@ -1,12 +1,10 @@
-"""`ctl`: one command to a running daemon, and its answer."""
+"""`softfinger ctl`: send one command to a running daemon and print the result."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import tomllib
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
@@ -14,8 +12,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import read_toml
 from softfinger.config.words import near, shown
 from softfinger.server import keys
-from softfinger.server.arguments import duration
-from softfinger.server.gateway.addresses import BUSY_S, addresses_of
+from softfinger.server.arguments import duration, parse_parameter
+from softfinger.server.gateway.addresses import BUSY_S, find_addresses
 from softfinger.server.progress import progress
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 from softfinger.server.wire.commands import METHODS, table
@@ -23,7 +21,6 @@ from softfinger.server.wire.control import Control
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     width = max(map(len, METHODS))
     methods = "\n".join(
@@ -38,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  softfinger ctl set_scene scene=sphere          # or a file: scene=mine.toml\n"
         "  softfinger ctl drive object=lid 'position_m=[0, 0, 0.01]'"
     )
-    parser.add_argument("method", metavar="METHOD", help="what to do, one of the methods below")
+    parser.add_argument("method", metavar="METHOD", help="method: one of those below")
     parser.add_argument(
         "params", nargs="*", metavar="key=value", help="its parameters: values of TOML or JSON, else texts"
     )
@@ -46,25 +43,27 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--endpoint", default=DEFAULT_ENDPOINT, help="of the daemon: its telemetry or its commands (%(default)s)"
     )
     keys.add_options(parser)
-    parser.add_argument("--timeout", type=duration, metavar="S", help="wait so long (default: what the method needs)")
+    parser.add_argument(
+        "--timeout", type=duration, metavar="S", help="longest wait for the answer (default: by method)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Send the command and print its result; returns 0."""
+    """Send the command and print its result; return 0."""
     if args.method not in METHODS:
         raise ConfigError(f"no method {shown(args.method)}{near(args.method, METHODS)}: there are {', '.join(METHODS)}")
-    params = dict(map(parameter, args.params))
+    params = dict(map(parse_parameter, args.params))
     scene = params.get("scene")
     if args.method == "set_scene" and isinstance(scene, str) and scene.endswith(".toml"):
-        # Read here, as this user: the daemon opens no file that a client names.
+        # Read here with the rights of this user: the daemon opens no file that a client names.
         params = {"name": Path(scene).stem[:64]} | params | {"scene": read_toml(scene)}
-    waiting = f"{args.method}: the daemon compiles the scene, or loads what is kept of it"
-    shown_wait = progress(waiting if args.method == "set_scene" else f"{args.method}: waiting for the daemon")
-    lock = keys.of_options(args)
-    asked_s = BUSY_S if args.timeout is None else args.timeout
-    found = addresses_of(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=asked_s)
-    with Control(found.commanded(), args.timeout, lock) as daemon, shown_wait:
+    compiles = ", which may have to compile the scene" if args.method == "set_scene" else ""
+    wait_display = progress(f"{args.method}: waiting for the daemon{compiles}")
+    lock = keys.keys_from_options(args)
+    within_s = BUSY_S if args.timeout is None else args.timeout
+    addresses = find_addresses(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=within_s)
+    with Control(addresses.command_endpoint(), args.timeout, lock) as daemon, wait_display:
         result = msgspec.to_builtins(daemon.ask(args.method, params))
     if args.json:
         print(json.dumps(result))
@@ -72,21 +71,3 @@ def run(args: argparse.Namespace) -> int:
         for key, value in result.items():
             print(f"{key}: {json.dumps(value)}")
     return 0
-
-
-def parameter(word: str) -> tuple[str, Any]:
-    key, equals, text = word.partition("=")
-    if not equals or not key:
-        raise ConfigError(f"{shown(word)} is no parameter: write key=value")
-    return key, _value(text)
-
-
-def _value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError):
-        pass
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except (ValueError, RecursionError):
-        return text

@@ -1,4 +1,4 @@
-"""`devices`: what is attached, which driver claims it, why it cannot be opened, and the command that mends it."""
+"""`softfinger devices`: list attached devices, their drivers, why they cannot be opened, and the remedies."""
 
 from __future__ import annotations
 
@@ -14,64 +14,66 @@ from softfinger.config.schema import DeviceConfig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers import registry
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import Claim, claim_on
-from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, needs, options_for
+from softfinger.drivers.system.claims import Claim, find_claim
+from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, diagnose_requirements, options_for
 from softfinger.drivers.system.discovery import Attached
 
-MAY_BE_ASKED: Final = ("usable", "firmware")
-"""States in which a device can be opened; whether firmware runs in a Falcon, only it knows."""
+OPENABLE_STATES: Final = ("usable", "firmware")
+"""States in which a device can be opened. Only an opened Falcon can report whether its firmware is loaded."""
 
 
-Found = tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None]
-"""A device, who claims it, what is in the way, and what it said itself."""
+ListedDevice = tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None]
+"""Device, claim of its driver, diagnosis, and identification that the device reported."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "List what is attached, which driver claims it, why it cannot be opened, and the command that mends it. "
+        "List attached devices, the driver of each, why one cannot be opened, and the command that corrects it. "
         "Nothing is opened, so a device in use is not disturbed, unless --ask is given."
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--ask", action="store_true", help="open each device that is free, and ask what only it knows")
-    parser.add_argument("--rig", help="rig whose library or firmware file counts for the devices of its driver")
+    parser.add_argument("--ask", action="store_true", help="open each free device, and read its data")
+    parser.add_argument("--rig", help="rig with the library or firmware file for the devices of its driver")
 
 
 def run(args: argparse.Namespace) -> int:
     rig = None if args.rig is None else single_device(load_rig(args.rig))
-    found: list[Found] = []
+    devices: list[ListedDevice] = []
     for device in discovery.attached():
-        claim = claim_on(device)
-        diagnosis, said = diagnose(device, claim, rig), None
-        if args.ask and claim is not None and diagnosis.state in MAY_BE_ASKED:
-            diagnosis, said = ask(device, claim, rig)
-        found.append((device, claim, diagnosis, said))
+        claim = find_claim(device)
+        diagnosis, identification = diagnose(device, claim, rig), None
+        if args.ask and claim is not None and diagnosis.state in OPENABLE_STATES:
+            diagnosis, identification = identify_device(device, claim, rig)
+        devices.append((device, claim, diagnosis, identification))
     if args.json:
-        print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*one) for one in found]}, indent=2))
+        print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*one) for one in devices]}, indent=2))
     else:
-        print("\n".join(lines(found)))
+        print("\n".join(lines(devices)))
     return 0
 
 
-def ask(device: Attached, claim: Claim, rig: DeviceConfig | None = None) -> tuple[Diagnosis, dict[str, Any] | None]:
-    """Open a device that is free and ask it; what is in the way then, and its answers by name.
+def identify_device(
+    device: Attached, claim: Claim, rig: DeviceConfig | None = None
+) -> tuple[Diagnosis, dict[str, Any] | None]:
+    """Open a free device and read its identification; return the diagnosis and the identification by name.
 
-    The answers are None where its driver has nothing to ask, or the device could not be opened.
+    The identification is None if the driver has no `identify`, or if the device could not be opened.
     """
     driver, options = registry.load(claim.driver), options_for(claim, rig)
     identify = getattr(driver, "identify", None)
     if identify is None:
-        return needs(claim, options), None
+        return diagnose_requirements(claim, options), None
     try:
-        said = identify(device, build(driver.Options, dict(options), "[device]"))
+        identification = identify(device, build(driver.Options, dict(options), "[device]"))
     except HapticError as error:
         return Diagnosis("busy" if isinstance(error, DeviceBusy) else "error", str(error)), None
-    return needs(claim, options, said), said
+    return diagnose_requirements(claim, options, identification), identification
 
 
 def as_map(
-    device: Attached, claim: Claim | None, diagnosis: Diagnosis, said: Mapping[str, Any] | None = None
+    device: Attached, claim: Claim | None, diagnosis: Diagnosis, identification: Mapping[str, Any] | None = None
 ) -> dict[str, object]:
-    """One device for `--json`."""
+    """Return a device as a mapping for `--json`."""
     return {
         "name": device.name,
         "bus": device.bus,
@@ -82,18 +84,18 @@ def as_map(
         "driver": claim.driver if claim else None,
         "rigs": list(claim.rigs) if claim else [],
         **diagnosis._asdict(),
-        "said": said,
+        "said": identification,
     }
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     return (" and ".join(value) or "none") if isinstance(value, list) else str(value)
 
 
-def lines(found: list[Found]) -> list[str]:
-    """The same for people: what a driver claims first, then the rest."""
+def lines(devices: list[ListedDevice]) -> list[str]:
+    """Return the list as text: devices with a driver first, then the others."""
     text = []
-    for device, claim, diagnosis, said in sorted(found, key=lambda one: one[1] is None):
+    for device, claim, diagnosis, identification in sorted(devices, key=lambda one: one[1] is None):
         text.append(f"{device.node or 'no node'}  {device.ids}  {device.name}")
         if claim is None:
             hint = f": {diagnosis.remedy}" if diagnosis.remedy else ""
@@ -102,12 +104,14 @@ def lines(found: list[Found]) -> list[str]:
         command = " or ".join(f"--rig {name}" for name in claim.rigs) or f"--device {claim.driver}"
         text.append(f"    driver {claim.driver}: softfinger run {command}")
         text.append(f"    {diagnosis.state}{': ' if diagnosis.reason else ''}{diagnosis.reason}")
-        if said is not None:
-            text.append(f"    it says: {', '.join(f'{name} {_shown(value)}' for name, value in said.items())}")
+        if identification is not None:
+            text.append(
+                f"    it says: {', '.join(f'{name} {_format_value(value)}' for name, value in identification.items())}"
+            )
         if diagnosis.remedy:
             text.append(f"    mend it: {diagnosis.remedy}")
-    if not any(claim for _, claim, *_ in found):
-        where = "no device that a driver knows is attached" if found else "no USB or HID device is attached"
+    if not any(claim for _, claim, *_ in devices):
+        where = "no device that a driver knows is attached" if devices else "no USB or HID device is attached"
         bus = "" if discovery.has_usb() else f"; this system has no USB bus ({Path('/') / discovery.USB} is not there)"
         text.append(f"{where}{bus}. Without hardware: softfinger run, or softfinger run --rig simulated")
     return text

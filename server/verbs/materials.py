@@ -1,4 +1,4 @@
-"""`softfinger materials`: the library of feels, or one entry of it with its sources, as text or as a figure."""
+"""`softfinger materials`: the library of materials and fingertips, or one entry with its sources, as text or figure."""
 
 from __future__ import annotations
 
@@ -11,28 +11,39 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.materials import Entry
 from softfinger.server.offline.feel_figure import draw
-from softfinger.server.offline.feels import cited, entries, found, measured_text, paper_rows, value_rows
 from softfinger.server.offline.figures import plot_file
+from softfinger.server.offline.library_texts import (
+    cited_papers,
+    entries,
+    find_entry,
+    measured_text,
+    paper_rows,
+    value_rows,
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.description = (
         'The materials that a scene may name (material = "rubber") and the fingertips (fingertip = "human-index").'
     )
     parser.add_argument("name", nargs="?", metavar="NAME", help="one of them, with its values, its range and sources")
-    parser.add_argument("--plot", type=plot_file, metavar="FILE", help="draw it beside what was published (.png, .svg)")
+    parser.add_argument(
+        "--plot", type=plot_file, metavar="FILE", help="draw it with published measurements (.png, .svg)"
+    )
     parser.add_argument("--json", action="store_true", help="print as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print, and draw where asked for; returns 0. ConfigError for an unknown name, or a plot of none."""
+    """Print the library or an entry, and draw it if requested; return 0.
+
+    Raises ConfigError if the name is unknown, or if a plot is requested without a name.
+    """
     if args.name is None:
         if args.plot is not None:
             raise ConfigError("--plot draws one of them: softfinger materials NAME --plot FILE")
         _list(args.json)
         return 0
-    kind, entry = found(args.name)
+    kind, entry = find_entry(args.name)
     if args.plot is not None:
         draw(args.name, args.plot)
     if args.json:
@@ -42,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     rows = [("holds", entry.holds)]
     rows += [("friction of", entry.friction_of)] if entry.friction_of else []
     rows += [*value_rows(entry), *(("measured", measured_text(each)) for each in entry.measured)]
-    rows += paper_rows(cited(entry))
+    rows += paper_rows(cited_papers(entry))
     width = max(len(name) for name, _ in rows)
     for name, text in rows:
         print(f"  {name:{width}}  {text}")
@@ -50,24 +61,24 @@ def run(args: argparse.Namespace) -> int:
 
 
 def as_json(name: str, kind: str, entry: Entry) -> dict[str, Any]:
-    """An entry as plain values; the papers as a mapping from name to text."""
+    """Return an entry as plain values, with the papers as a mapping from name to text."""
     plain = msgspec.to_builtins(entry)
     measured = [{key: value for key, value in each.items() if value is not None} for each in plain.pop("measured")]
-    return {"name": name, "kind": kind, **plain, "measured": measured, "papers": dict(paper_rows(cited(entry)))}
+    return {"name": name, "kind": kind, **plain, "measured": measured, "papers": dict(paper_rows(cited_papers(entry)))}
 
 
-def _list(as_text: bool) -> None:
-    known = entries()
-    if as_text:
-        print(json.dumps([as_json(name, *each) for name, each in known.items()], indent=1))
+def _list(is_json: bool) -> None:
+    all_entries = entries()
+    if is_json:
+        print(json.dumps([as_json(name, *each) for name, each in all_entries.items()], indent=1))
         return
-    width = max(map(len, known))
-    for name, (kind, entry) in known.items():
+    width = max(map(len, all_entries))
+    for name, (kind, entry) in all_entries.items():
         print(f"{name:{width}}  {kind:9}  {_short(entry):32}  {entry.about}")
 
 
 def _short(entry: Entry) -> str:
-    """The values that tell one from another."""
+    """Return the main values of an entry, for the list."""
     values = entry.values
     if "friction" in values:
         friction = values["friction"]

@@ -1,7 +1,7 @@
-"""`softfinger monitor`: what the server is doing, live in a terminal.
+"""`softfinger monitor`: live view of a running server in a terminal.
 
-A client of the wire and nothing more. On a terminal it draws a dashboard; into a pipe or a file it
-writes one line a second; `--json` writes one JSON object a second.
+Only a client of the wire. It draws a dashboard on a terminal, and writes one line per second into a pipe or file. With
+`--json` it writes one JSON object per second.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import MODE_NAMES
 from softfinger.server import keys
-from softfinger.server.gateway.addresses import addresses_of
-from softfinger.server.wire.client import DEFAULT_ENDPOINT, NoTelemetry, Sample, silence, subscribe
+from softfinger.server.gateway.addresses import find_addresses
+from softfinger.server.wire.client import DEFAULT_ENDPOINT, NoTelemetry, Sample, no_telemetry_text, subscribe
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, finger_of
 
 if TYPE_CHECKING:  # rich takes 50 ms to import and only the dashboard needs it
@@ -31,18 +31,17 @@ if TYPE_CHECKING:  # rich takes 50 ms to import and only the dashboard needs it
 _EVENTS_KEPT: Final = 8
 _DASHBOARD_PERIOD_S: Final = 0.1
 _LINE_PERIOD_S: Final = 1.0
-_STALLED_S: Final = 1.5  # health comes once a second, so this long without anything means that ticks stopped
-_ONCE_WAIT_S: Final = 2.5  # two seconds bring a whole health message
-_NOTHING: Final = 1e-9
-"""A rounding error of a sum, in any unit of the wire: nothing that a device senses or displays is so small."""
+_STALLED_S: Final = 1.5  # health is sent once a second, so a longer silence means that ticks stopped
+_ONCE_WAIT_S: Final = 2.5  # a full health message arrives within two seconds
+_ROUNDING: Final = 1e-9
+"""Values below this are rounding errors of a sum, in any unit of the wire; no device senses or displays so little."""
 _BAR_CELLS: Final = 32
 _EVENT_INDENT: Final = 12
 _MODE_STYLES: Final = {0: "green", 1: "bold blue", 2: "bold red"}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the verb's arguments."""
-    parser.description = "Show what a running server renders: contact mode, forces, lateness, events."
+    parser.description = "Show contact mode, forces, lateness and events of a running server."
     parser.add_argument(
         "--endpoint",
         default=DEFAULT_ENDPOINT,
@@ -58,32 +57,35 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb. Raises NoTelemetry if nothing arrives, ProtocolError for a stream that is not ours."""
+    """Run the verb; return 0.
+
+    Raises NoTelemetry if nothing arrives, and ProtocolError if the stream has another format.
+    """
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not (0.0 < value < math.inf):
             raise ConfigError(f"--{name} = {value} is not a time: give seconds above 0")
     try:
         if args.json:
-            _watch(args, lambda board: print(_json(board), flush=True), _LINE_PERIOD_S)
+            _show_until_end(args, lambda board: print(_json(board), flush=True), _LINE_PERIOD_S)
         elif args.once or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
-            _watch(args, lambda board: print(line(board), flush=True), _LINE_PERIOD_S)
+            _show_until_end(args, lambda board: print(line(board), flush=True), _LINE_PERIOD_S)
         else:
             _dashboard(args)
     except KeyboardInterrupt:
         return 0
-    except BrokenPipeError:  # the reader (head, grep -m1) has enough
+    except BrokenPipeError:  # the reader (head, grep -m1) closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
 class Board:
-    """What has arrived so far."""
+    """State of the server according to the messages received so far."""
 
     def __init__(self, endpoint: str) -> None:
         self.endpoint = endpoint
         self.fingers: dict[str, Sample] = {}
-        """The newest tick of each finger by its name; a single one has the name ""."""
+        """Latest tick of each finger by its name; a single finger has the name ""."""
         self.health: Sample | None = None
         self.events: deque[Sample] = deque(maxlen=_EVENTS_KEPT)
         self.event_count = 0
@@ -91,10 +93,10 @@ class Board:
         self.lost = 0
         self.force_peak_n = 1.0
         self.stopped = False
-        """The server has said that it stopped, and not started again since."""
+        """True after the server reported that it stopped, until its next tick."""
         self._arrived_s = time.monotonic()
 
-    def take(self, sample: Sample) -> None:
+    def update(self, sample: Sample) -> None:
         self.messages += 1
         self._arrived_s = time.monotonic()
         finger = finger_of(sample.topic)
@@ -113,32 +115,34 @@ class Board:
 
     @property
     def contact(self) -> Sample | None:
-        """The newest tick of a single finger."""
+        """Latest tick of a single finger."""
         return self.fingers.get("")
 
     @property
     def silent_s(self) -> float:
-        """Time since the last message."""
+        """Time since the last message, s."""
         return time.monotonic() - self._arrived_s
 
     @property
-    def gone(self) -> str:
-        """Why nothing is rendered now, in words; empty while messages come."""
+    def outage_text(self) -> str:
+        """Text on why nothing is rendered now; empty while messages arrive."""
         if self.stopped:
             return "the server has stopped"
         return f"no data for {self.silent_s:.1f} s" if self.messages and self.silent_s > _STALLED_S else ""
 
     def summary(self) -> dict[str, Any]:
-        """The board as plain data; `contact` and `health` are None until their first message. Of several fingers there
-        is no `contact`, and each is in `fingers`."""
-        named = {name: sample for name, sample in self.fingers.items() if name}
-        told = {
+        """Return the board as plain data; `contact` and `health` are None until their first message.
+
+        With several fingers there is no `contact`; each finger is in `fingers`.
+        """
+        named_fingers = {name: sample for name, sample in self.fingers.items() if name}
+        fingers = {
             "fingers": {
                 name: {"mode": _mode_name(sample["contact.mode"]), "contact": sample.as_map()}
-                for name, sample in named.items()
+                for name, sample in named_fingers.items()
             }
         }
-        return (told if named else {}) | {
+        return (fingers if named_fingers else {}) | {
             "endpoint": self.endpoint,
             "silent_s": round(self.silent_s, 3),
             "mode": _mode_name(self.contact["contact.mode"]) if self.contact else None,
@@ -150,23 +154,23 @@ class Board:
         }
 
 
-def _watch(args: argparse.Namespace, show: Callable[[Board], None], period_s: float) -> None:
-    """Receive, and show the board every `period_s`, until `--once` or `--duration` is fulfilled."""
+def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], period_s: float) -> None:
+    """Receive messages and show the board every `period_s`, until `--once` or `--duration` is satisfied."""
     started = time.monotonic()
     end = started + (args.duration or math.inf)
     next_show = started + period_s
     topics = CONTACT, EVENT, HEALTH, FINGERS
-    lock = keys.of_options(args)
-    endpoint = addresses_of(args.endpoint, lock, within_s=args.timeout).telemetry
+    lock = keys.keys_from_options(args)
+    endpoint = find_addresses(args.endpoint, lock, within_s=args.timeout).telemetry
     with subscribe(endpoint, topics, keys=lock) as subscription:
         board = Board(endpoint)
         while True:
             sample = subscription.receive(max(0.0, min(_DASHBOARD_PERIOD_S, end - time.monotonic())))
             if sample is not None:
-                board.take(sample)
+                board.update(sample)
             now = time.monotonic()
             if not board.messages and now >= min(end, started + args.timeout):
-                raise NoTelemetry(silence(endpoint, min(args.timeout, args.duration or math.inf)))
+                raise NoTelemetry(no_telemetry_text(endpoint, min(args.timeout, args.duration or math.inf)))
             if args.once:
                 if board.messages and (now >= min(end, started + _ONCE_WAIT_S) or (board.fingers and board.health)):
                     show(board)
@@ -180,23 +184,23 @@ def _watch(args: argparse.Namespace, show: Callable[[Board], None], period_s: fl
 
 
 def _json(board: Board) -> str:
-    # msgspec writes null for nan, which json.dumps would not.
+    # msgspec writes null for nan, json.dumps writes invalid JSON.
     return msgspec.json.encode(board.summary(), enc_hook=str).decode()
 
 
 def line(board: Board) -> str:
-    """One line of plain text."""
+    """Return the board as one line of text."""
     parts = [time.strftime("%H:%M:%S")]
-    if board.gone:
-        parts.append(f"{board.gone};")
+    if board.outage_text:
+        parts.append(f"{board.outage_text};")
     for name, sample in sorted(board.fingers.items()):
         data = sample.data
         parts.append(
             (f"{name}: " if name else "")
             + f"tick {data.tick} {_mode_name(data.contact.mode)} object {data.contact.object} "
-            f"normal {_fixed(data.contact.normal_force, 0, 3)} N "
-            f"tangential {_fixed(data.contact.tangential_force, 0, 3)} N "
-            f"depth {_fixed(data.contact.penetration * 1e3, 0, 3)} mm"
+            f"normal {_format_fixed(data.contact.normal_force, 0, 3)} N "
+            f"tangential {_format_fixed(data.contact.tangential_force, 0, 3)} N "
+            f"depth {_format_fixed(data.contact.penetration * 1e3, 0, 3)} mm"
         )
     if board.health:
         health = board.health.data
@@ -206,7 +210,7 @@ def line(board: Board) -> str:
         )
     parts.append(f"lost {board.lost} events {board.event_count}")
     if board.events:
-        parts.append(f"(last: {_event_words(board.events[-1])})")
+        parts.append(f"(last: {_format_event(board.events[-1])})")
     return " ".join(parts)
 
 
@@ -214,23 +218,23 @@ def _mode_name(mode: int) -> str:
     return MODE_NAMES[mode] if 0 <= mode < len(MODE_NAMES) else f"mode {mode}"
 
 
-def _event_words(event: Sample) -> str:
+def _format_event(event: Sample) -> str:
     common = ("schema", "timestamp", "tick", "kind", "name")
     more = " ".join(f"{key}={_short(value)}" for key, value in event.data.items() if key not in common)
-    words = f"{event.kind} {event.name} {more}".rstrip()
-    return words if words.isprintable() else repr(words)  # nothing from the wire may steer the terminal
+    text = f"{event.kind} {event.name} {more}".rstrip()
+    return text if text.isprintable() else repr(text)  # text from the wire must not control the terminal
 
 
 def _short(value: Any) -> str:
     if isinstance(value, float):
-        return "0" if abs(value) < _NOTHING else f"{value:.3g}"
+        return "0" if abs(value) < _ROUNDING else f"{value:.3g}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(_short(item) for item in value)}]"
     return str(value)
 
 
-def _fixed(value: float, width: int, digits: int) -> str:
-    """A number with so many digits behind the point, and no minus before a zero."""
+def _format_fixed(value: float, width: int, digits: int) -> str:
+    """Format a number with `digits` decimals, and without a minus sign if it rounds to zero."""
     return f"{round(value, digits) + 0.0:{width}.{digits}f}"
 
 
@@ -240,11 +244,13 @@ def _dashboard(args: argparse.Namespace) -> None:
 
     console = Console()
     with Live(console=console, auto_refresh=False) as live:
-        _watch(args, lambda board: live.update(render(board, *console.size), refresh=True), _DASHBOARD_PERIOD_S)
+        _show_until_end(
+            args, lambda board: live.update(render(board, *console.size), refresh=True), _DASHBOARD_PERIOD_S
+        )
 
 
 def render(board: Board, width: int, height: int) -> RenderableType:
-    """The dashboard, for a terminal of so many columns and rows: as many of the newest events as fit, each whole."""
+    """Return the dashboard for a terminal of `width` columns and `height` rows, with the latest events that fit."""
     from rich.console import Group
     from rich.panel import Panel
     from rich.table import Table
@@ -262,29 +268,31 @@ def render(board: Board, width: int, height: int) -> RenderableType:
     if board.health is not None:
         health = board.health.data
         for name, values in (("late", health.late), ("exec", health.exec)):
-            figures = "   ".join(f"{key} {_fixed(getattr(values, key) * 1e6, 8, 2)}" for key in ("p50", "p99", "max"))
+            figures = "   ".join(
+                f"{key} {_format_fixed(getattr(values, key) * 1e6, 8, 2)}" for key in ("p50", "p99", "max")
+            )
             rows.add_row(name, f"{figures}  us")
-        rows.add_row("ticks", f"{_fixed(health.rate, 0, 1)} /s   missed {health.missed}   drops {health.drops}")
-        rows.add_row("energy", f"{_fixed(health.energy_total * 1e3, 0, 3)} mJ")
+        rows.add_row("ticks", f"{_format_fixed(health.rate, 0, 1)} /s   missed {health.missed}   drops {health.drops}")
+        rows.add_row("energy", f"{_format_fixed(health.energy_total * 1e3, 0, 3)} mJ")
     rows.add_row("lost here", Text(str(board.lost), style="red" if board.lost else ""))
     title = Text(f"softfinger  {board.endpoint}")  # not markup: an IPv6 address has brackets
-    if board.gone:
-        title.append(f"  {board.gone}", style="bold red")
-    # Frames take two rows each, and the terminal keeps one for the cursor.
+    if board.outage_text:
+        title.append(f"  {board.outage_text}", style="bold red")
+    # Each frame takes two rows, and the terminal needs one for the cursor.
     events = _event_lines(board, width - 4, height - rows.row_count - 5)
     return Group(Panel(rows, title=title, title_align="left"), Panel(events, title="events", title_align="left"))
 
 
 def _event_lines(board: Board, width: int, height: int) -> str:
-    """The newest events that fit whole, the newest last."""
+    """Return the latest events that fit completely, the latest one last."""
     lines: list[str] = []
     for event in reversed(board.events):
-        told = textwrap.wrap(
-            f"{event.tick:>10}  {_event_words(event)}", max(width, 20), subsequent_indent=" " * _EVENT_INDENT
+        lines_of_event = textwrap.wrap(
+            f"{event.tick:>10}  {_format_event(event)}", max(width, 20), subsequent_indent=" " * _EVENT_INDENT
         )
-        if len(told) + len(lines) > max(height, 1) and lines:
+        if len(lines_of_event) + len(lines) > max(height, 1) and lines:
             break
-        lines = told + lines
+        lines = lines_of_event + lines
     return "\n".join(lines) or "none yet"
 
 
@@ -292,17 +300,17 @@ def _contact_rows(rows: Any, data: Any, board: Board) -> None:
     from rich.text import Text
 
     contact = data.contact
-    style = "dim" if board.gone else ""  # what was last, and is no more
+    style = "dim" if board.outage_text else ""  # outdated values
     rows.add_row("mode", Text(_mode_name(contact.mode), style=style or _MODE_STYLES.get(contact.mode, "")))
     rows.add_row("object", f"number {contact.object} of the scene" if contact.object >= 0 else "none")
     rows.add_row("tick", str(data.tick))
     for name, value in (("normal", contact.normal_force), ("tangential", contact.tangential_force)):
-        bar = _bar(0.0 if board.gone else value, board.force_peak_n)
-        rows.add_row(name, Text(f"{bar} {_fixed(value, 7, 3)} N", style=style))
-    rows.add_row("force", Text("  ".join(_fixed(value, 8, 3) for value in data.force) + "  N", style=style))
-    rows.add_row("torque", Text("  ".join(_fixed(v * 1e3, 8, 3) for v in data.torque) + "  N mm", style=style))
-    rows.add_row("penetration", f"{_fixed(contact.penetration * 1e3, 8, 3)}  mm")
-    rows.add_row("spin", f"{_fixed(math.degrees(contact.spin), 8, 2)}  deg")
+        bar = _bar(0.0 if board.outage_text else value, board.force_peak_n)
+        rows.add_row(name, Text(f"{bar} {_format_fixed(value, 7, 3)} N", style=style))
+    rows.add_row("force", Text("  ".join(_format_fixed(value, 8, 3) for value in data.force) + "  N", style=style))
+    rows.add_row("torque", Text("  ".join(_format_fixed(v * 1e3, 8, 3) for v in data.torque) + "  N mm", style=style))
+    rows.add_row("penetration", f"{_format_fixed(contact.penetration * 1e3, 8, 3)}  mm")
+    rows.add_row("spin", f"{_format_fixed(math.degrees(contact.spin), 8, 2)}  deg")
 
 
 def _bar(value: float, full: float) -> str:

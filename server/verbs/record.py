@@ -1,6 +1,6 @@
-"""`record`: a running daemon as a recording, or its poses alone as a table that the replay device plays.
+"""`softfinger record`: record a running daemon, or only its poses as a table that the replay device plays.
 
-A client of the wire and nothing more. Rows go to the file as they come, so what was recorded before a kill is there.
+Only a client of the wire. Rows are written as they arrive, so that a kill loses none that arrived before.
 """
 
 from __future__ import annotations
@@ -19,49 +19,50 @@ from typing import Final, Self
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import is_same_file
-from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, rate_of
+from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, rate_from_period
 from softfinger.server import keys, signals
-from softfinger.server.arguments import by_finger
-from softfinger.server.gateway.addresses import addresses_of
+from softfinger.server.arguments import files_by_finger
+from softfinger.server.gateway.addresses import find_addresses
 from softfinger.server.progress import counter
 from softfinger.server.recording.poses_file import PosesFile, poses_file
-from softfinger.server.recording.verbs.live import Live, record_live
+from softfinger.server.recording.verbs.live import RecordingJob, record_live
 from softfinger.server.wire.client import (
     DEFAULT_ENDPOINT,
     NoTelemetry,
     Sample,
     Subscription,
-    silence,
+    no_telemetry_text,
     subscribe,
 )
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, ProtocolError, finger_of
 
 log: Final = logging.getLogger(__name__)
 
-HELD: Final = 200
-"""Poses held back at the start, to find the period of the loop in; a tick that was late has more than one in its dt."""
+BUFFERED_POSES: Final = 200
+"""Poses buffered at the start to determine the loop's period: `dt` of a late tick covers more than one period."""
 POLL_S: Final = 0.1
-SHOW_EVERY_S: Final = 0.5
+SHOW_PERIOD_S: Final = 0.5
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the verb's arguments."""
     parser.description = (
-        "Record a running server: everything as .mcap, or the poses alone as .csv, by the file's ending."
+        "Record a running server: all values as .mcap, or only the poses as .csv, by the file's suffix."
     )
     parser.add_argument("file", nargs="?", metavar="FILE", help="a new .mcap with ticks, events and scene; .csv: poses")
     parser.add_argument(
         "--poses",
         action="append",
         metavar="FILE",
-        help=".csv: poses alone; .mcap: every value of every tick; NAME=FILE for each of several fingers",
+        help=".csv: only poses; .mcap: every value of every tick; NAME=FILE for each of several fingers",
     )
     parser.add_argument(
         "--endpoint",
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
-    parser.add_argument("--commands", metavar="URL", help="where the server describes itself (default: beside that)")
+    parser.add_argument(
+        "--commands", metavar="URL", help="endpoint of the server's description (default: next to that of telemetry)"
+    )
     keys.add_options(parser)
     parser.add_argument(
         "--duration", type=float, metavar="S", help="stop after S seconds (default: at the server's end)"
@@ -72,55 +73,58 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb. Raises NoTelemetry if nothing arrives, RecordingError for a file that cannot be written."""
+    """Run the verb; return the exit code.
+
+    Raises NoTelemetry if nothing arrives, and RecordingError if a file cannot be written.
+    """
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not 0.0 < value < math.inf:
             raise ConfigError(f"--{name} = {value} is not a time: give seconds above 0")
     if (args.file is None) == (args.poses is None):
         raise ConfigError("record takes a FILE, or --poses FILE: give one of them")
-    stop, lock = Stop(), keys.of_options(args)
-    found = addresses_of(args.endpoint, lock, args.commands, within_s=args.timeout)
+    stop, lock = Stop(), keys.keys_from_options(args)
+    addresses = find_addresses(args.endpoint, lock, args.commands, within_s=args.timeout)
     if args.file is not None and Path(args.file).suffix.lower() == ".mcap":
-        live = Live(found, lock, args.duration, args.timeout, lambda: stop.asked)
-        with signals.asked(stop.ask):
-            log.info("%s", record_live(live, Path(args.file)))
-        return signals.code_of_stop()
-    files = {name: Path(file) for name, file in by_finger(args.poses or [args.file], "--poses").items()}
+        job = RecordingJob(addresses, lock, args.duration, args.timeout, lambda: stop.is_requested)
+        with signals.stop_on_signal(stop.request):
+            log.info("%s", record_live(job, Path(args.file)))
+        return signals.stop_exit_code()
+    files = {name: Path(file) for name, file in files_by_finger(args.poses or [args.file], "--poses").items()}
     for (name, file), (other, another) in combinations(files.items(), 2):
         if is_same_file(file, another):
-            raise ConfigError(f"--poses {name}={file} and --poses {other}={another} are one file: give each its own")
+            raise ConfigError(f"--poses {name}={file} and --poses {other}={another} are one file: give two names")
     topics = CONTACT, FINGERS, EVENT
-    with subscribe(found.telemetry, topics, keys=lock) as samples, signals.asked(stop.ask):
+    with subscribe(addresses.telemetry, topics, keys=lock) as samples, signals.stop_on_signal(stop.request):
         recorded = record(samples, files, args.duration, args.timeout, stop)
-    for name, kept in recorded.items():
-        log.info("%s: %s", files[name], kept)
-        if kept.lost:
-            log.warning("%s", kept.gaps())
-    return signals.code_of_stop()
+    for name, stats in recorded.items():
+        log.info("%s: %s", files[name], stats)
+        if stats.lost:
+            log.warning("%s", stats.gaps())
+    return signals.stop_exit_code()
 
 
 class Stop:
-    """Whether a signal has asked for the end."""
+    """Stop request, set by a signal."""
 
-    asked = False
+    is_requested = False
 
-    def ask(self) -> None:
-        self.asked = True
+    def request(self) -> None:
+        self.is_requested = True
 
 
 @dataclass
-class Kept:
-    """What a recording holds.
+class RecordingStats:
+    """Statistics of one recording.
 
-    first_tick, last_tick  of the server, -1 before there is one
+    first_tick, last_tick  of the server, -1 before the first
     poses                  rows written
-    lost, gap_count        published ticks between them that did not arrive, in so many gaps
+    lost, gap_count        published ticks between them that did not arrive, and the number of gaps
     worst                  (tick before it, ticks lost) of the longest gap
-    unusable               poses left out because they are none: not finite
-    every                  one tick in so many is published
+    unusable               poses skipped because they are not finite
+    every                  one tick in `every` is published
     seconds                time from first to last row
-    ended                  why the recording ended
+    end_reason             reason for the end of the recording
     """
 
     first_tick: int = -1
@@ -132,20 +136,20 @@ class Kept:
     unusable: int = 0
     every: int = 1
     seconds: float = 0.0
-    ended: str = ""
+    end_reason: str = ""
 
     def __str__(self) -> str:
-        thin = f", one in {self.every}" if self.every > 1 else ""
-        whole = "" if self.lost else ", no tick lost"
-        bad = f", {self.unusable} left out that are no pose" if self.unusable else ""
-        ticks = f"ticks {self.first_tick} to {self.last_tick}{thin}"
-        return f"{self.poses} poses of {ticks}, {self.seconds:.3f} s{whole}{bad}; {self.ended}"
+        thinning = f", one in {self.every}" if self.every > 1 else ""
+        losses = "" if self.lost else ", no tick lost"
+        skipped = f", {self.unusable} left out that are no pose" if self.unusable else ""
+        ticks = f"ticks {self.first_tick} to {self.last_tick}{thinning}"
+        return f"{self.poses} poses of {ticks}, {self.seconds:.3f} s{losses}{skipped}; {self.end_reason}"
 
     def gaps(self) -> str:
-        """What to tell a user whose recording has holes."""
+        """Return a message to the user about the gaps."""
         return (
             f"{self.lost} ticks in {self.gap_count} gaps did not arrive, the longest {self.worst[1]} after tick "
-            f"{self.worst[0]}: a replay goes smoothly over each; record on a machine with less to do, or with "
+            f"{self.worst[0]}: a replay interpolates each; record on a machine with less load, or with "
             "[telemetry] every above 1"
         )
 
@@ -156,118 +160,119 @@ def record(
     duration_s: float | None = None,
     timeout_s: float = 3.0,
     stop: Stop | None = None,
-) -> dict[str, Kept]:
-    """Write what arrives of each finger, by its name, until `duration_s` of ticks, the server's end, or a stop.
+) -> dict[str, RecordingStats]:
+    """Write the poses of each finger until `duration_s` of ticks, the end of the server, or a stop.
 
-    A single finger has the name "". Raises NoTelemetry when nothing arrives within `timeout_s` at the start,
-    ConfigError when it is of other fingers; silence later ends the recording.
+    A single finger has the name "". Raises NoTelemetry if nothing arrives within `timeout_s` at the start, and
+    ConfigError if the server has other fingers. A later silence of `timeout_s` ends the recording.
     """
-    first = _first(samples, files, timeout_s, stop)
-    # Of several fingers the first message is one of a tick of which others may have gone by: all begin with the next.
+    first = _receive_first(samples, files, timeout_s, stop)
+    # With several fingers, messages of the first tick may have been missed: all recordings start at the next tick.
     start = first.tick + (len(files) > 1)
     sample: Sample | None = first
-    with ExitStack() as opened:
-        clocks = {name: opened.enter_context(Clock(poses_file(path), duration_s)) for name, path in files.items()}
-        keeping = [clock.kept for clock in clocks.values()]
-        heard = time.monotonic()
-        shown = heard - SHOW_EVERY_S
-        show = opened.enter_context(counter())
-        while not all(kept.ended for kept in keeping):
+    with ExitStack() as stack:
+        writers = {name: stack.enter_context(PoseWriter(poses_file(path), duration_s)) for name, path in files.items()}
+        all_stats = [writer.stats for writer in writers.values()]
+        received_s = time.monotonic()
+        shown_s = received_s - SHOW_PERIOD_S
+        show = stack.enter_context(counter())
+        while not all(stats.end_reason for stats in all_stats):
             now = time.monotonic()
             if sample is None:
-                if now - heard > timeout_s:
-                    end_all(keeping, f"nothing arrived for {timeout_s:g} s")
+                if now - received_s > timeout_s:
+                    set_end_reason(all_stats, f"nothing arrived for {timeout_s:g} s")
             else:
-                heard = now
-                _hand_on(sample, clocks, start)
-            if stop is not None and stop.asked:
-                end_all(keeping, "stopped")
-            if show is not None and now - shown > SHOW_EVERY_S:
-                shown = now
-                show(f"{keeping[0].poses} poses, {sum(kept.lost for kept in keeping)} lost; Ctrl-C stops")
-            if not all(kept.ended for kept in keeping):
+                received_s = now
+                _dispatch(sample, writers, start)
+            if stop is not None and stop.is_requested:
+                set_end_reason(all_stats, "stopped")
+            if show is not None and now - shown_s > SHOW_PERIOD_S:
+                shown_s = now
+                show(f"{all_stats[0].poses} poses, {sum(stats.lost for stats in all_stats)} lost; Ctrl-C stops")
+            if not all(stats.end_reason for stats in all_stats):
                 sample = samples.receive(POLL_S)
-    for name, clock in clocks.items():
-        if clock.kept.poses < 2:
+    for name, writer in writers.items():
+        if writer.stats.poses < 2:
             files[name].unlink(missing_ok=True)
             raise RecordingError(
-                f"{files[name]}: {clock.kept.poses} pose(s) arrived ({clock.kept.ended}), a recording has at least 2"
+                f"{files[name]}: {writer.stats.poses} pose(s) arrived ({writer.stats.end_reason}), "
+                "a recording has at least 2"
             )
-    return {name: clock.kept for name, clock in clocks.items()}
+    return {name: writer.stats for name, writer in writers.items()}
 
 
-def _hand_on(sample: Sample, clocks: Mapping[str, Clock], start: int) -> None:
+def _dispatch(sample: Sample, writers: Mapping[str, PoseWriter], start: int) -> None:
     finger = finger_of(sample.topic)
-    for name, clock in clocks.items():
-        early = finger is not None and clock.kept.first_tick < 0 and sample.tick < start
-        if finger in (name, None) and not early and not clock.kept.ended:
-            clock.take(sample)
+    for name, writer in writers.items():
+        is_before_start = finger is not None and writer.stats.first_tick < 0 and sample.tick < start
+        if finger in (name, None) and not is_before_start and not writer.stats.end_reason:
+            writer.take(sample)
 
 
-def end_all(keeping: Sequence[Kept], why: str) -> None:
-    """End what has not ended."""
-    for kept in keeping:
-        kept.ended = kept.ended or why
+def set_end_reason(all_stats: Sequence[RecordingStats], reason: str) -> None:
+    """Set the reason of the end for recordings that have not ended."""
+    for stats in all_stats:
+        stats.end_reason = stats.end_reason or reason
 
 
-def _first(samples: Subscription, files: Mapping[str, Path], timeout_s: float, stop: Stop | None) -> Sample:
+def _receive_first(samples: Subscription, files: Mapping[str, Path], timeout_s: float, stop: Stop | None) -> Sample:
     until = time.monotonic() + timeout_s
-    while time.monotonic() < until and not (stop is not None and stop.asked):
+    while time.monotonic() < until and not (stop is not None and stop.is_requested):
         sample = samples.receive(POLL_S)
         finger = None if sample is None else finger_of(sample.topic)
         if sample is None or finger is None:
             continue
         if (finger == "") != ("" in files):
-            wanted = f"several fingers, such as {finger}: --poses {finger}=FILE" if finger else "one: --poses FILE"
-            raise ConfigError(f"--poses of {', '.join(files) or 'one finger'}: the server has {wanted}")
+            expected = f"several fingers, such as {finger}: --poses {finger}=FILE" if finger else "one: --poses FILE"
+            raise ConfigError(f"--poses of {', '.join(files) or 'one finger'}: the server has {expected}")
         if finger in files:
             return sample
-    raise NoTelemetry(silence(samples.endpoint, timeout_s))
+    raise NoTelemetry(no_telemetry_text(samples.endpoint, timeout_s))
 
 
-class Clock:
-    """Gives each pose its time and hands it to the file.
+class PoseWriter:
+    """Assigns a time to each pose and writes it to the file.
 
-    The time of a row is a whole number of the loop's periods: those in each tick's `dt`, and one for each tick that
-    did not arrive. So a replay at the same rate plays each pose in a tick of its own, which times of the wall clock,
-    rounded as they are, would not do. Leaving the context finishes the file.
+    The time of a row is an integer number of loop periods: the periods in the `dt` of each tick, and one for each lost
+    tick. A replay at the same rate therefore plays one pose per tick. Rounded wall-clock times would not guarantee
+    that. Leaving the context completes the file.
     """
 
     def __init__(self, file: PosesFile, duration_s: float | None) -> None:
-        self.kept = Kept()
+        self.stats = RecordingStats()
         self._file = file
         self._duration_s = duration_s
         self._period = 0.0
         self._periods = 0
-        self._held: list[tuple[int, Sample]] = []  # with the ticks lost before each
+        self._buffer: list[tuple[int, Sample]] = []  # (ticks since the previous sample, sample)
 
     def take(self, sample: Sample) -> None:
-        """A message of the wire, in its order; sets `kept.ended` at the end."""
-        kept = self.kept
+        """Process a message of the wire, in the order of arrival; set `stats.end_reason` at the end."""
+        stats = self.stats
         if sample.topic == EVENT:
             if (sample["kind"], sample["name"]) == ("lifecycle", "stopped"):
-                kept.ended = "the server stopped"
+                stats.end_reason = "the server stopped"
             return
         if finger_of(sample.topic) is None:
             return
-        if sample.tick <= kept.last_tick:
-            kept.ended = "the server started again"
+        if sample.tick <= stats.last_tick:
+            stats.end_reason = "the server started again"
             return
-        step = 0 if kept.last_tick < 0 else sample.tick - kept.last_tick
+        step = 0 if stats.last_tick < 0 else sample.tick - stats.last_tick
         if not DT_MIN_S <= sample.dt <= DT_MAX_S:
             raise ProtocolError(
                 f"tick {sample.tick} says that it took dt = {sample.dt:g} s: no loop has such a period "
                 f"({DT_MIN_S:g} to {DT_MAX_S:g}): is it this program's stream?"
             )
         if sample.lost:
-            kept.lost += sample.lost
-            kept.gap_count += 1
-            kept.worst = max(kept.worst, (kept.last_tick, sample.lost), key=lambda gap: gap[1])
-        if kept.first_tick < 0:
-            kept.first_tick = sample.tick
-        kept.last_tick, kept.every = sample.tick, sample.every
-        self._held.append((step, sample))
-        if self._period or len(self._held) >= HELD:
+            stats.lost += sample.lost
+            stats.gap_count += 1
+            stats.worst = max(stats.worst, (stats.last_tick, sample.lost), key=lambda gap: gap[1])
+        if stats.first_tick < 0:
+            stats.first_tick = sample.tick
+        stats.last_tick, stats.every = sample.tick, sample.every
+        self._buffer.append((step, sample))
+        if self._period or len(self._buffer) >= BUFFERED_POSES:
             self.flush()
 
     def __enter__(self) -> Self:
@@ -282,24 +287,24 @@ class Clock:
             self._file.close()
 
     def flush(self) -> None:
-        """Write what is held back."""
-        if not self._period and self._held:
-            self._period = min(sample.dt for _, sample in self._held)
-        for step, sample in self._held:
+        """Write the buffered poses."""
+        if not self._period and self._buffer:
+            self._period = min(sample.dt for _, sample in self._buffer)
+        for step, sample in self._buffer:
             self._write(step, sample)
-        self._held.clear()
+        self._buffer.clear()
 
     def _write(self, step: int, sample: Sample) -> None:
-        kept = self.kept
+        stats = self.stats
         if step:
             self._periods += step - 1 + max(1, round(sample.dt / self._period))
-        t = self._periods / rate_of(self._period)
+        t = self._periods / rate_from_period(self._period)
         if self._duration_s is not None and t > self._duration_s - self._period / 2:
-            kept.ended = f"{self._duration_s:g} s are over"
+            stats.end_reason = f"{self._duration_s:g} s are over"
             return
         if not all(map(math.isfinite, (*sample.probe.position, *sample.probe.orientation))):
-            kept.unusable += 1
+            stats.unusable += 1
             return
-        kept.seconds = t
-        kept.poses += 1
+        stats.seconds = t
+        stats.poses += 1
         self._file.add(t, sample)

@@ -1,4 +1,4 @@
-"""`softfinger schema`: what files, telemetry records and commands consist of, for programs and for editors."""
+"""`softfinger schema`: structure of files, telemetry records and commands, for programs and editors."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from softfinger.server.wire import commands
 
 KINDS: Final = ("scene", "rig", "experiment", "telemetry", "commands")
 _STRUCTS: Final[dict[str, type[msgspec.Struct]]] = {"scene": Scene, "rig": Rig, "experiment": ExperimentFile}
-_EITHER: Final = {"Scene": ("fingertip", "finger"), "Rig": ("device", "devices")}
+_EXACTLY_ONE: Final = {"Scene": ("fingertip", "finger"), "Rig": ("device", "devices")}
 """Keys of which a file has exactly one."""
-_NAMED: Final = {"Material": MATERIALS, "Fingertip": FINGERTIPS}
-"""Tables that a name of a library may stand for."""
+_LIBRARY_TABLES: Final = {"Material": MATERIALS, "Fingertip": FINGERTIPS}
+"""Tables that the name of a library entry may replace."""
 _REQUIRED: Final = "required"
 _OPTIONAL: Final = "optional"
 _SELECTS: Final = "selects the other keys"
 SHARED_MIN: Final = 3
-"""So many keys of another table are told by its name."""
+"""Smallest number of keys shared with another table for which the reference names that table instead of its keys."""
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
 class Row(NamedTuple):
-    """One key of a TOML table, as the reference page lists it."""
+    """Key of a TOML table, as listed on the reference page."""
 
     key: str
     allowed: str
@@ -45,7 +45,7 @@ class Row(NamedTuple):
 
 
 class TableRows(NamedTuple):
-    """One TOML table: its dotted name, what it is, its keys."""
+    """TOML table: dotted name, meaning, keys."""
 
     name: str
     meaning: str
@@ -53,7 +53,6 @@ class TableRows(NamedTuple):
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
     parser.description = (
         "Print the JSON Schema of scenes, rigs, experiments and commands, and the fields of a telemetry record."
     )
@@ -62,7 +61,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the schema; returns 0."""
+    """Print the schema; return 0."""
     if args.markdown:
         print("\n\n".join(markdown(kind) for kind in ([args.kind] if args.kind else KINDS)))
         return 0
@@ -72,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """JSON Schema of a kind of file or of every command, or the fields of a telemetry record in their order."""
+    """Return the JSON Schema of a kind of file or of all commands, or the fields of a telemetry record in order."""
     if kind == "commands":
         return commands.schema()
     if kind == "telemetry":
@@ -80,27 +79,27 @@ def json_schema(kind: str) -> dict[str, Any]:
     schema = msgspec.json.schema(_STRUCTS[kind])
     device = schema["$defs"].get("DeviceConfig")
     if device is not None:
-        # In the file a driver's options stand beside `driver`; only the driver knows them.
+        # In the file, the options of a driver are next to `driver`; only the driver knows them.
         del device["properties"][DeviceConfig.gathers]
         device["additionalProperties"] = True
-    for title, keys in _EITHER.items():
+    for title, keys in _EXACTLY_ONE.items():
         if title in schema["$defs"]:
             schema["$defs"][title]["oneOf"] = [{"required": [key]} for key in keys]
     for table in schema["$defs"].values():
         for key, value in table["properties"].items():
             _as_toml(key, value)
-            for title, library in _NAMED.items():
+            for title, library in _LIBRARY_TABLES.items():
                 if value.get("$ref") == f"#/$defs/{title}":
                     table["properties"][key] = {"anyOf": [{"$ref": value["$ref"]}, {"enum": sorted(library.entries())}]}
     material = schema["$defs"].get("Material")
     if material is not None:
-        # A named material brings what is not said.
+        # A named material supplies the missing keys.
         material["anyOf"] = [{"required": ["name"]}, {"required": material.pop("required")}]
     return {"$schema": _DIALECT, **schema}
 
 
 def _as_toml(key: str, value: dict[str, Any]) -> None:
-    """Say the unit, and drop null: TOML has none, a key is left out."""
+    """Add the unit and remove null, which TOML lacks: an absent key has no value."""
     options = [option for option in value.get("anyOf", []) if option != {"type": "null"}]
     if len(options) == 1:
         del value["anyOf"]
@@ -114,7 +113,7 @@ def _as_toml(key: str, value: dict[str, Any]) -> None:
 
 
 def markdown(kind: str) -> str:
-    """Tables of the keys as Markdown, for docs/reference; tables with the same keys are listed once."""
+    """Return tables of the keys as Markdown, for docs/reference; tables with the same keys are listed once."""
     if kind == "commands":
         rows = [[f"`{name}`", *words] for name, words in commands.table().items()]
         return grid(["method", "params", "result", "meaning"], rows)
@@ -125,90 +124,92 @@ def markdown(kind: str) -> str:
 
 
 def key_tables(struct_type: type[msgspec.Struct], name: str = "") -> str:
-    """The tables of a struct that stands at `name` in the file, as Markdown."""
+    """Return the tables of a struct at the key `name` of the file, as Markdown."""
     return "\n\n".join(f"### {heading}\n\n{body}" for heading, body in sections(struct_type, name))
 
 
 def sections(struct_type: type[msgspec.Struct], name: str = "") -> list[tuple[str, str]]:
-    """Headings and bodies of the tables of a struct that stands at `name` in the file; equal ones are listed once."""
+    """Return headings and bodies of the tables of a struct at the key `name` of the file, equal tables once."""
     kinds: dict[str, list[TableRows]] = {}
     for table in tables(struct_type, name):
         kinds.setdefault(table.name, []).append(table)
-    listed: dict[str, dict[str, list[str]]] = {}  # names by meaning, by the keys in Markdown
-    whole: dict[str, list[Row]] = {}
-    for at, same in kinds.items():
-        if len(same) > 1:
-            body = _several(same)
+    names_by_body: dict[str, dict[str, list[str]]] = {}  # by the keys in Markdown: names by meaning
+    listed_rows: dict[str, list[Row]] = {}
+    for table_name, variants in kinds.items():
+        if len(variants) > 1:
+            body = _format_variants(variants)
         else:
-            body = _added(whole, same[0].rows)
-            whole[at] = same[0].rows
-        listed.setdefault(body, {}).setdefault("" if len(same) > 1 else same[0].meaning, []).append(
-            f"`{at}`" if at else "Top of the file"
+            body = _format_new_keys(listed_rows, variants[0].rows)
+            listed_rows[table_name] = variants[0].rows
+        names_by_body.setdefault(body, {}).setdefault("" if len(variants) > 1 else variants[0].meaning, []).append(
+            f"`{table_name}`" if table_name else "Top of the file"
         )
-    return [_section(body, meanings) for body, meanings in listed.items()]
+    return [_section(body, meanings) for body, meanings in names_by_body.items()]
 
 
 def _section(body: str, meanings: dict[str, list[str]]) -> tuple[str, str]:
-    """Heading; meaning and keys; of tables that have the same keys, each with what it is."""
+    """Return heading, and meaning and keys; if several tables have the same keys, the meaning of each."""
     heading = ", ".join(name for names in meanings.values() for name in names)
-    said = "\n".join(f"- {', '.join(names)}: {meaning}" for meaning, names in meanings.items())
-    return heading, "\n\n".join(filter(None, [next(iter(meanings)) if len(meanings) == 1 else said, body]))
+    meanings_text = "\n".join(f"- {', '.join(names)}: {meaning}" for meaning, names in meanings.items())
+    return heading, "\n\n".join(filter(None, [next(iter(meanings)) if len(meanings) == 1 else meanings_text, body]))
 
 
-def _added(whole: dict[str, list[Row]], rows: list[Row]) -> str:
-    """The keys of a table; where it has all of another that is listed already, what it adds."""
-    for name, theirs in whole.items():
-        if len(theirs) >= SHARED_MIN and all(row in rows for row in theirs) and len(theirs) < len(rows):
-            return f"The keys of `{name}`, and:\n\n" + _keys(row for row in rows if row not in theirs)
+def _format_new_keys(listed_rows: dict[str, list[Row]], rows: list[Row]) -> str:
+    """Format the keys of a table; if it has all keys of a table listed before, only the additional ones."""
+    for name, other_rows in listed_rows.items():
+        if len(other_rows) >= SHARED_MIN and all(row in rows for row in other_rows) and len(other_rows) < len(rows):
+            return f"The keys of `{name}`, and:\n\n" + _keys(row for row in rows if row not in other_rows)
     return _keys(rows)
 
 
-def _several(same: list[TableRows]) -> str:
-    """A table of several kinds: the keys that all of them have, the kinds, and the keys of single kinds."""
-    tag = same[0].rows[0].key
-    shared = [row for row in same[0].rows if all(row in other.rows for other in same)]
-    own: dict[Row, list[str]] = {}
+def _format_variants(variants: list[TableRows]) -> str:
+    """Format a table that has several kinds: the common keys, the kinds, and the keys of single kinds."""
+    tag = variants[0].rows[0].key
+    shared = [row for row in variants[0].rows if all(row in other.rows for other in variants)]
+    variant_rows: dict[Row, list[str]] = {}
     lines = []
-    for table in same:
+    for table in variants:
         kind, *rows = (row for row in table.rows if row not in shared)
         for row in rows:
-            own.setdefault(row, []).append(kind.allowed.strip('`"'))
+            variant_rows.setdefault(row, []).append(kind.allowed.strip('`"'))
         lines.append([kind.allowed, table.meaning, ", ".join(f"`{row.key}`" for row in rows) or "none"])
-    said = [row.key for row in own]
-    of = {row: f" of {', '.join(names)}" if said.count(row.key) > 1 else "" for row, names in own.items()}
+    all_keys = [row.key for row in variant_rows]
+    suffixes = {
+        row: f" of {', '.join(names)}" if all_keys.count(row.key) > 1 else "" for row, names in variant_rows.items()
+    }
     return "\n\n".join([
         *([_keys(shared)] if shared else []),
-        grid([f"`{tag}`", "what it is", "its own keys"], lines),
-        _keys(own, of),
+        grid([f"`{tag}`", "meaning", "further keys"], lines),
+        _keys(variant_rows, suffixes),
     ])  # fmt: skip
 
 
-def _keys(rows: Iterable[Row], of: Mapping[Row, str] = MappingProxyType({})) -> str:
-    """Keys as Markdown; `of` says whose a key is."""
-    lines = [[f"`{row.key}`{of.get(row, '')}", _allowed(row), row.meaning] for row in rows]
+def _keys(rows: Iterable[Row], suffixes: Mapping[Row, str] = MappingProxyType({})) -> str:
+    """Format keys as Markdown; `suffixes` names the kinds that have a key."""
+    lines = [[f"`{row.key}`{suffixes.get(row, '')}", _allowed(row), row.meaning] for row in rows]
     return grid(["key", "allowed (default)", "meaning"], lines)
 
 
 def _allowed(row: Row) -> str:
-    """What a key allows, with its default; nothing behind it: the key may be left out."""
+    """Return the allowed values of a key with its default; an optional key without a default has no suffix."""
     if row.default == _OPTIONAL:
         return row.allowed
     return f"{row.allowed}, {_REQUIRED}" if row.default == _REQUIRED else f"{row.allowed} ({row.default})"
 
 
 def grid(head: list[str], lines: list[list[str]]) -> str:
-    """A Markdown table."""
+    """Format a Markdown table."""
     return "\n".join(f"| {' | '.join(cells)} |" for cells in [head, ["---"] * len(head), *lines])
 
 
 def tables(struct_type: type[msgspec.Struct], name: str = "") -> list[TableRows]:
-    """Every TOML table of a struct that stands at `name` (empty: the file) with its keys, in order."""
-    found: dict[tuple[str, str], TableRows] = {}
+    """Return all TOML tables of a struct at the key `name` (empty: the file) with their keys, in order."""
+    tables_by_key: dict[tuple[str, str], TableRows] = {}
     for table in _tables(described(struct_type), name):
-        # A material is the same in every shape: listed where it first stands.
+        # A material is the same in all shapes: listed at its first occurrence.
         if table.rows:
-            found.setdefault((table.name, table.meaning), table)
-    return list(found.values())
+            tables_by_key.setdefault((table.name, table.meaning), table)
+    return list(tables_by_key.values())
 
 
 def _tables(info: inspect.StructType, name: str) -> Iterator[TableRows]:
@@ -229,7 +230,7 @@ def _tables(info: inspect.StructType, name: str) -> Iterator[TableRows]:
 
 def _path(name: str, field: inspect.Field) -> tuple[str, bool]:
     bare = name.strip("[]")
-    kind, _ = unwrapped(options(field.type)[0])  # of several tables each is in the same place
+    kind, _ = unwrapped(options(field.type)[0])  # all options of a union have the same path
     path = f"{bare}.{field.encode_name}" if bare else field.encode_name
     if isinstance(kind, inspect.DictType):
         path += ".NAME"
@@ -240,8 +241,10 @@ def _row(field: inspect.Field) -> Row:
     kind, extra = _bare(field.type)
     allowed = re.sub(r"'([^']*)'", r'`"\1"`', expected(kind, "").removeprefix("one of "))
     allowed = re.sub(r"^a list of (\d+) numbers from", r"\1 numbers,", allowed)
-    allowed = re.sub(r"^a (whole )?number from", lambda found: "integer," if found[1] else "", allowed).strip()
-    allowed = re.sub(r"^text of (.*) characters( like .*)?", r"text, \1", allowed)  # the meaning says which characters
+    allowed = re.sub(
+        r"^(a number|an integer) from", lambda found: "" if "number" in found[1] else "integer,", allowed
+    ).strip()
+    allowed = re.sub(r"^text of (.*) characters( like .*)?", r"text, \1", allowed)  # characters: see its meaning
     allowed = f"{allowed} {unit(field.encode_name)}".strip()
     if field.required or field.default in (None, msgspec.NODEFAULT):  # no default: an empty table
         default = _REQUIRED if field.required else _OPTIONAL
@@ -251,13 +254,13 @@ def _row(field: inspect.Field) -> Row:
 
 
 def _bare(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
-    """The type without its Meta and without `| None`, and what the Meta said."""
+    """Return the type without Meta and `| None`, and the contents of Meta."""
     (only,) = options(info)
     return unwrapped(only)
 
 
 def _structs(info: inspect.Type) -> Iterator[inspect.StructType]:
-    """The tables a field may hold: itself, one of several, or the items of a list."""
+    """Yield the possible tables of a field: its type, the options of a union, or the items of a list."""
     match info:
         case inspect.StructType():
             yield info

@@ -1,4 +1,4 @@
-"""`scenes`, `rigs`, `recordings`, `faults`, `experiments`: what is shipped, a line each."""
+"""`softfinger scenes`, `rigs`, `recordings`, `faults`, `experiments`: list the shipped files with one line each."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, Final
 from softfinger.config.load import EXPERIMENTS, FOLDERS
 from softfinger.config.schema import Faults, Rig, Scene
 from softfinger.drivers.poses import SHIPPED
-from softfinger.server.offline.feels import entries
+from softfinger.server.offline.library_texts import entries
 
 FOLDER_OF: Final = {
     "scenes": FOLDERS[Scene],
@@ -30,9 +30,9 @@ OPTIONS: Final = {
     "--poses": "recordings",
     "--inject": "faults",
 }
-"""Options that take a name of those that a verb lists, or a file."""
-WORDS: Final = {("experiment", "file"): "experiments", ("materials", "name"): "materials"}
-"""The same of a verb's word that is no option."""
+"""Verb that lists the shipped names for each option that takes a name or a file."""
+POSITIONALS: Final = {("experiment", "file"): "experiments", ("materials", "name"): "materials"}
+"""The same for positional arguments, by verb and argument."""
 
 _SENTENCE: Final = re.compile(r"(?s)(.*?\.)(?=\s|$)")
 
@@ -42,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    listed = shipped_in(args.verb)
+    listed = list_shipped(args.verb)
     if args.json:
         print(json.dumps(listed, indent=1))
         return 0
@@ -52,46 +52,46 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def shipped_in(verb: str) -> list[dict[str, Any]]:
-    """Name, file and description of each, in the order of names."""
+def list_shipped(verb: str) -> list[dict[str, Any]]:
+    """Return name, file and description of each shipped file, ordered by name."""
     folder = FOLDER_OF[verb]
     if verb == "recordings":
         files = sorted(folder.glob("*.csv"))
         motions = tomllib.loads((folder / "motions.toml").read_text("utf-8"))
-        told = {file.name: f"{_seconds(file):.1f} s: {motions[file.stem]['motion']}" for file in files}
+        descriptions = {file.name: f"{_seconds(file):.1f} s: {motions[file.stem]['motion']}" for file in files}
     else:
         files = sorted(folder.glob("*.toml"))
-        told = {file.name: first_sentence(file.read_text("utf-8")) for file in files}
-    return [{"name": file.stem, "file": str(file), "description": told[file.name]} for file in files]
+        descriptions = {file.name: first_sentence(file.read_text("utf-8")) for file in files}
+    return [{"name": file.stem, "file": str(file), "description": descriptions[file.name]} for file in files]
 
 
 def first_sentence(text: str) -> str:
-    """The first sentence of the comment that a file begins with."""
+    """Return the first sentence of the comment at the start of a file."""
     lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
     comment = " ".join(line.lstrip("# ") for line in lines)
-    found = _SENTENCE.match(comment)
-    return (found[1] if found else comment).rstrip(".")
+    match = _SENTENCE.match(comment)
+    return (match[1] if match else comment).rstrip(".")
 
 
 def _seconds(recording: Path) -> float:
-    """The time of its last row, which begins with it."""
+    """Return the duration of a recording, s: the first column of its last row."""
     return float(recording.read_text("utf-8").rstrip().rpartition("\n")[2].partition(",")[0])
 
 
 def offer_names(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
-    """Have shtab complete what takes a shipped name in every verb; returns the parser."""
+    """Make shtab complete shipped names in every verb; return the parser."""
     for verbs in parser._actions:
         if isinstance(verbs, argparse._SubParsersAction):
             for verb, action in ((name, each) for name, its in verbs.choices.items() for each in its._actions):
                 for option in OPTIONS.keys() & set(action.option_strings):
                     action.complete = _completion(OPTIONS[option])
-                if (verb, action.dest) in WORDS:
-                    action.complete = _completion(WORDS[verb, action.dest])
+                if (verb, action.dest) in POSITIONALS:
+                    action.complete = _completion(POSITIONALS[verb, action.dest])
     return parser
 
 
 def _completion(verb: str) -> dict[str, Any]:
-    listed = list(entries()) if verb == "materials" else [each["name"] for each in shipped_in(verb)]
+    listed = list(entries()) if verb == "materials" else [each["name"] for each in list_shipped(verb)]
     names, function = " ".join(listed), f"_softfinger_{verb}"
     body = f'{function}() {{ compgen -W "{names}" -- $1; compgen -f -- $1; }}'
     return {"bash": function, "zsh": f"({names})", "tcsh": f"({names})", "preamble": {"bash": body}}

@@ -1,4 +1,4 @@
-"""`simulate`: the servo's tick offline, as fast as it goes, over poses or with devices that are computed."""
+"""`softfinger simulate`: run the servo's tick offline, as fast as possible, over poses or with simulated devices."""
 
 from __future__ import annotations
 
@@ -12,29 +12,31 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT, CAUSE_NAMES, MODE_NAMES
-from softfinger.server.arguments import by_finger, default_rig, duration, keep_apart
+from softfinger.server.arguments import check_distinct, default_rig, duration, files_by_finger
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.figures import plot_file
-from softfinger.server.offline.results import write_blocks
 from softfinger.server.offline.run_figure import DRAWN, draw_run
-from softfinger.server.offline.simulate import over_poses, poses_of, with_devices
+from softfinger.server.offline.simulate import load_finger_poses, simulate_devices, simulate_poses
+from softfinger.server.recording.results import write_blocks
 
 Array = NDArray[np.float64]
 
 DURATION_S = 10.0
-"""How long a device is run that nobody gave a time."""
+"""Default duration of a run with simulated devices."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", required=True, help="scene file or the name of a shipped one")
-    felt = parser.add_mutually_exclusive_group(required=True)
-    felt.add_argument(
+    poses_or_device = parser.add_mutually_exclusive_group(required=True)
+    poses_or_device.add_argument(
         "--poses",
         action="append",
         metavar="P",
         help="CSV, npz or MCAP file, or a shipped recording; of several fingers an MCAP of all, or NAME=P for each",
     )
-    felt.add_argument("--device", metavar="D", help="devices that are computed: simulated; they feel the force")
+    poses_or_device.add_argument(
+        "--device", metavar="D", help="devices that are computed: simulated; they feel the force"
+    )
     parser.add_argument("--out", required=True, type=Path, help="where to: .csv, .npz or .mcap")
     parser.add_argument(
         "--plot", type=plot_file, metavar="FILE.png", help="draw depth, force, angles and modes (.png, .svg)"
@@ -56,63 +58,63 @@ def run(args: argparse.Namespace) -> int:
     if args.device is not None:
         rig_changes |= {f"{table}.driver": args.device for table in load_rig(rig_name).tables}
     elif args.duration is not None:
-        raise ConfigError("--duration goes with --device: poses last as long as they do")
+        raise ConfigError("--duration goes with --device: a file of poses has its own duration")
     scene = load_scene(args.scene, scene_changes, {"rolling.method": "command line --method"})
     sources = {key: f"command line --{'rate' if key == 'servo.rate_hz' else 'device'}" for key in rig_changes}
     rig = load_rig(rig_name, rig_changes, sources)
     fingers = [finger.name for finger in scene.fingers]
     rate = rig.servo.rate_hz
     if args.device is None:
-        files = by_finger(args.poses, "--poses")
-        keep_apart("--out", args.out, files.values())
-        poses = poses_of(fingers, files, rate)
-        blocks = over_poses(make_tuning(scene, rig.guard), poses, rate)
+        files = files_by_finger(args.poses, "--poses")
+        check_distinct("--out", args.out, files.values())
+        poses = load_finger_poses(fingers, files, rate)
+        blocks = simulate_poses(make_tuning(scene, rig.guard), poses, rate)
     else:
-        blocks = with_devices(scene, rig, DURATION_S if args.duration is None else args.duration)
+        blocks = simulate_devices(scene, rig, DURATION_S if args.duration is None else args.duration)
     summaries = [Summary(args.plot is not None) for _ in fingers]
-    write_blocks(args.out, fingers, summarised(blocks, summaries))
+    write_blocks(args.out, fingers, add_summaries(blocks, summaries))
     for name, each in zip(fingers, summaries, strict=True):
         single = len(fingers) == 1
         if args.plot is not None:
             picture = args.plot if single else args.plot.with_stem(f"{args.plot.stem}-{name}")
             draw_run(np.concatenate(each.curves), picture)
-        told = f"{args.out}" if single else f"{args.out}, {name}"
-        print(f"{told}: {each.ticks} ticks at {rate:g} Hz; {each}")
+        label = f"{args.out}" if single else f"{args.out}, {name}"
+        print(f"{label}: {each.ticks} ticks at {rate:g} Hz; {each}")
     return 0
 
 
-def summarised(blocks: Iterable[Array], summaries: Sequence[Summary]) -> Iterator[Array]:
-    """Pass blocks (m, fingers, RECORD_SIZE) on, and add each finger's records to its summary."""
+def add_summaries(blocks: Iterable[Array], summaries: Sequence[Summary]) -> Iterator[Array]:
+    """Yield blocks (m, fingers, RECORD_SIZE) unchanged, and add the records of each finger to its summary."""
     for block in blocks:
-        for place, each in enumerate(summaries):
-            each.add(block[:, place])
+        for index, each in enumerate(summaries):
+            each.add(block[:, index])
         yield block
 
 
 class Summary:
-    """What is printed about a finger's run, and the curves of its plot where one is wanted."""
+    """Statistics of a finger's run for the printed line, and the curves of its plot if one is drawn."""
 
-    def __init__(self, drawn: bool) -> None:
+    def __init__(self, with_curves: bool) -> None:
         self.curves: list[Array] = []
-        self.ticks, self._drawn, self._peak = 0, drawn, 0.0
+        self.ticks, self._with_curves, self._peak = 0, with_curves, 0.0
         self._modes = np.zeros(len(MODE_NAMES), int)
         self._causes = np.zeros(len(CAUSE_NAMES), int)
 
     def add(self, records: Array) -> None:
-        """Records (m, RECORD_SIZE), after those before."""
+        """Add records (m, RECORD_SIZE) that follow those added before."""
         self.ticks += len(records)
         self._modes += np.bincount(records[:, AT.contact_mode].astype(int), minlength=len(MODE_NAMES))
         self._causes += np.bincount(records[:, AT.contact_cause].astype(int), minlength=len(CAUSE_NAMES))
         strongest = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1).max(initial=0.0)
         self._peak = max(self._peak, float(strongest))
-        if self._drawn:
+        if self._with_curves:
             self.curves.append(records[:, DRAWN])
 
     def __str__(self) -> str:
-        """Modes, mode changes and largest force of the run, in a line."""
+        """Format modes, mode changes and largest force of the run as one line."""
         modes = ", ".join(
             f"{name} {count / self.ticks:.1%}" for name, count in zip(MODE_NAMES, self._modes, strict=True)
         )
-        told = list(zip(CAUSE_NAMES, self._causes, strict=True))[1:]
-        changes = ", ".join(f"{count} {name}" for name, count in told if count)
+        counts = list(zip(CAUSE_NAMES, self._causes, strict=True))[1:]
+        changes = ", ".join(f"{count} {name}" for name, count in counts if count)
         return f"{modes}; {changes or 'no contact'}; largest force {self._peak:.3f} N"

@@ -1,4 +1,4 @@
-"""`view`: a page in the browser, of a running daemon or of a recording."""
+"""`softfinger view`: show a running daemon or a recording on a page in the browser."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Final
 from softfinger.config.errors import ConfigError
 from softfinger.server import keys, signals
 from softfinger.server.arguments import duration
-from softfinger.server.gateway.addresses import addresses_of
+from softfinger.server.gateway.addresses import find_addresses
 from softfinger.server.viewer.roles import Role
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
@@ -25,25 +25,24 @@ NICE: Final = 5
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
-    parser.description = "A page in the browser: what a running daemon renders, and a mouse for a hand; or a recording."
+    parser.description = "Open a page in the browser that shows a running daemon, with a mouse as hand; or a recording."
     parser.add_argument(
         "recording", nargs="?", metavar="RECORDING", help="an .mcap, results, poses, or the name of a shipped recording"
     )
-    parser.add_argument("--scene", help="of a recording that does not say its own, or in place of that")
+    parser.add_argument("--scene", help="scene of a recording without one, or instead of it")
     parser.add_argument("--tick", type=int, default=0, metavar="N", help="where in a recording to begin")
     parser.add_argument(
         "--endpoint",
         default=DEFAULT_ENDPOINT,
         help="of the daemon: its telemetry or its commands (%(default)s)",
     )
-    parser.add_argument("--commands", help="commands endpoint (default: beside that)")
+    parser.add_argument("--commands", help="commands endpoint (default: next to that of telemetry)")
     keys.add_options(parser)
     parser.add_argument(
         "--role",
         choices=[each.value for each in Role],
         default=Role.OPERATOR.value,
-        help="who sits before it: a watcher changes nothing, a participant sees prompts alone (%(default)s)",
+        help="role of the user: a watcher changes nothing, a participant sees only prompts (%(default)s)",
     )
     parser.add_argument("--host", default=HOST, help="address that the page is served on (%(default)s)")
     parser.add_argument(
@@ -55,72 +54,75 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--port", type=int, default=PORT, help="of the page, or the next free one (%(default)s)")
     parser.add_argument(
-        "--print-address", action="store_true", help="the address alone on standard output, for programs"
+        "--print-address", action="store_true", help="only the address on standard output, for programs"
     )
-    # For `run --view`. Standard input begins with the token, or an empty line for a new one; the page ends with it.
+    # For `run --view`. The first line of standard input is the token, or empty for a new one; end of input ends the
+    # page.
     parser.add_argument("--until-eof", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--no-open", action="store_true", help="do not open a browser")
     parser.add_argument("--duration", type=duration, metavar="S", help="leave after S seconds (default: stay)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve the page until a signal, or for a duration; ConfigError without viser."""
+    """Serve the page until a signal, or for a duration. Raises ConfigError if viser is not installed."""
     try:
-        from softfinger.server.viewer.page import Page, each_frame
+        from softfinger.server.viewer.page import Page, run_frames
     except ImportError as error:
         if (error.name or "").partition(".")[0] != "viser":
             raise
         raise ConfigError("the page needs viser: pip install 'softfinger[viewer]'") from None
     if not 0 <= args.port < 65536:
         raise ConfigError(f"--port {args.port} is no port: give 0 to 65535")
-    from softfinger.server.viewer.door.opening import in_browser
+    from softfinger.server.viewer.door.opening import open_browser
     from softfinger.server.viewer.live import LivePage
     from softfinger.server.viewer.participant import ParticipantPage
     from softfinger.server.viewer.playback import RecordedPage, load
 
     recording = None if args.recording is None else load(args.recording, args.scene)
-    if args.host == HOST:  # beside a servo, most likely, and one that may have no priority
+    if args.host == HOST:  # probably on the machine of a servo, which may run without real-time priority
         os.nice(NICE)
-    lock = keys.of_options(args)
-    asked = list[bool]()
+    lock = keys.keys_from_options(args)
+    stop_requests = list[bool]()
     token = sys.stdin.readline().strip() or None if args.until_eof else None
     if args.until_eof:
-        threading.Thread(target=_until_eof, args=(asked,), daemon=True).start()
+        threading.Thread(target=_until_eof, args=(stop_requests,), daemon=True).start()
     page = Page(args.host, args.port, tuple(args.allow_host), token)
     try:
         if recording is None:
-            daemon = addresses_of(args.endpoint, lock, args.commands)
-            fed: LivePage | ParticipantPage | RecordedPage = (
+            daemon = find_addresses(args.endpoint, lock, args.commands)
+            source: LivePage | ParticipantPage | RecordedPage = (
                 ParticipantPage(page, daemon, lock)
                 if args.role == Role.PARTICIPANT
                 else LivePage(page, daemon, lock, Role(args.role))
             )
         else:
-            fed = RecordedPage(page, recording, args.tick)
+            source = RecordedPage(page, recording, args.tick)
         try:
             if args.print_address:
                 print(page.address, flush=True)
-                os.dup2(2, 1)  # whoever reads it reads no more, and a browser may have something to say
+                os.dup2(2, 1)  # the reader expects one line; a browser may write to standard output
             else:
                 log.info("the page is %s; to stop it: Ctrl-C", page.address)
             if args.host != HOST:
-                log.warning("whoever has this address may command the daemon, and it crosses the network in plain text")
-            shown = nullcontext() if args.no_open or not _can_open() else in_browser(page.address)
-            with signals.asked(lambda: asked.append(True)), shown:
-                each_frame(fed.step, asked, args.duration)
+                log.warning(
+                    "everyone with this address may command the daemon, and it crosses the network in plain text"
+                )
+            opening = nullcontext() if args.no_open or not _can_open() else open_browser(page.address)
+            with signals.stop_on_signal(lambda: stop_requests.append(True)), opening:
+                run_frames(source.step, stop_requests, args.duration)
         finally:
-            fed.close()
+            source.close()
     finally:
         page.close()
-    return signals.code_of_stop()
+    return signals.stop_exit_code()
 
 
-def _until_eof(asked: list[bool]) -> None:
+def _until_eof(stop_requests: list[bool]) -> None:
     while os.read(sys.stdin.fileno(), 64):
         pass
-    asked.append(True)
+    stop_requests.append(True)
 
 
 def _can_open() -> bool:
-    """Whether there is a screen for a browser; without one, some would start in the terminal."""
+    """Return True if a screen is available; without one, some browsers would start in the terminal."""
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) or os.name == "nt"

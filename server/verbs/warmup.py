@@ -1,4 +1,4 @@
-"""`warmup`: compile ahead, so that the first tick of a later start comes at once."""
+"""`softfinger warmup`: compile kernels ahead, so that later starts need no compilation."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from softfinger.proxy.engine import compiled
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.proxy.scene import start_state
 from softfinger.server.offline.simulate import simulate
-from softfinger.server.progress import making
+from softfinger.server.progress import report_compilation
 from softfinger.server.services.compilation import compile_loop
 from softfinger.server.wire.native.relay import Relay
 
 RATE_HZ: Final = 1000.0
-"""Nothing is compiled for a rate."""
+"""Arbitrary: kernels do not depend on the rate."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -36,26 +36,26 @@ def run(args: argparse.Namespace) -> int:
     for name in args.scenes or shipped(schema.Scene):
         try:
             scene = load_scene(name)
-        except ConfigError as error:  # its package is not installed
+        except ConfigError as error:  # a package that the scene needs is not installed
             if args.scenes:
                 raise
             print(f"{name}: left out: {error}")
             continue
-        begun = time.monotonic()
-        with making(f"kernels for {name}"):
+        start_s = time.monotonic()
+        with report_compilation(f"kernels for {name}"):
             tuning = compile_loop(scene)
             simulate(tuning, np.array([[[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]] * len(scene.fingers)]), RATE_HZ)
             compiled(tuning.scene, start_state(tuning.scene))
-        print(f"{name}: ready after {time.monotonic() - begun:.1f} s")
+        print(f"{name}: ready after {time.monotonic() - start_s:.1f} s")
     Relay(1).close()
     if (problem := KEPT.problem()) is not None:
-        raise ConfigError(f"compiled kernels are not kept: {problem}")
+        raise ConfigError(f"compiled kernels are not cached: {problem}")
     print(f"kernels are in {CACHE_DIR}")
     return 0
 
 
 def prune() -> None:
-    """Remove the compiled kernels of every other version of this program."""
+    """Remove the compiled kernels of other versions of this program."""
     if CACHE_DIR is not None and CACHE_DIR.parent.is_dir():
         for path in CACHE_DIR.parent.iterdir():
             if path.is_dir() and path != CACHE_DIR and re.fullmatch("[0-9a-f]{16}", path.name):

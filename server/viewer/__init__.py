@@ -1,4 +1,4 @@
-"""The page in the browser: a scene, its fingertips, what they do to each other, and a mouse for a hand.
+"""Browser page: 3-D picture of a scene with fingertips and contacts, and mouse control of a simulated hand.
 
-A client of the wire and nothing more, in a process of its own: no part of the servo, no device, no physics.
+A client of the wire in a separate process: contains no servo, no device and no physics.
 """

@@ -1,15 +1,15 @@
-"""What a browser says of a control, checked by the same limits that it shows: a program may say anything."""
+"""Validation of values from browsers by the limits of their controls: any program may send any value."""
 
 from __future__ import annotations
 
 from typing import Any
 
 
-def on_slider(slider: Any) -> bool:
-    """Whether a slider's value is between its ends, and a number at all."""
+def is_on_slider(slider: Any) -> bool:
+    """Return whether a slider's value is a number within its limits."""
     return bool(slider.min <= slider.value <= slider.max)
 
 
-def on_list(choice: Any) -> bool:
-    """Whether the value of a list of choices is one of them."""
+def is_in_list(choice: Any) -> bool:
+    """Return whether the value of a list is one of its choices."""
     return choice.value in choice.options

@@ -1,4 +1,4 @@
-"""What the page says of a device of one or two degrees of freedom."""
+"""Displayed part of the force of a device with one or two degrees of freedom."""
 
 from __future__ import annotations
 
@@ -12,54 +12,55 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
-from softfinger.drivers.kinematics.freedom import Freedom, freedom_of_table
+from softfinger.drivers.kinematics.subspace import MotionSubspace, read_subspace
 from softfinger.proxy.record import AT
 
 Array = NDArray[np.float64]
 
 GUIDE: Final = "devices/serial.md#one-or-two-degrees-of-freedom-in-a-three-dimensional-scene"
-WHERE: Final = {1: "along its line", 2: "in its plane"}
+DISPLAYED_ALONG: Final = {1: "along its line", 2: "in its plane"}
 
 
-class Handle(NamedTuple):
-    """A device that moves on a line or in a plane, and how far (3,) m its fingertip is from its handle."""
+class LowDofDevice(NamedTuple):
+    """Device that moves on a line or in a plane, and the offset (3,) m of its fingertip from its handle."""
 
-    freedom: Freedom
+    freedom: MotionSubspace
     offset: Array
 
-    def displayed(self, row: Array) -> Array:
-        """The part (3,) N of a tick's force that is displayed."""
-        place, force = (row[at : at + 3] for at in (AT.probe_position, AT.force))
-        return self.freedom.displayed(place - self.offset, force)
+    def displayed_force(self, row: Array) -> Array:
+        """Return the part (3,) N of a tick's force that the device displays."""
+        position, force = (row[at : at + 3] for at in (AT.probe_position, AT.force))
+        return self.freedom.displayed(position - self.offset, force)
 
-    def told(self, row: Array) -> str:
-        """A tick in words, as HTML."""
-        shown = self.displayed(row)
-        lost = float(np.linalg.norm(row[AT.force : AT.force + 3] - shown))
-        many = "one degree" if self.freedom.degrees == 1 else "two degrees"
+    def format_html(self, row: Array) -> str:
+        """Return the displayed and the missing force of a tick as HTML."""
+        displayed = self.displayed_force(row)
+        missing = float(np.linalg.norm(row[AT.force : AT.force + 3] - displayed))
+        degrees = "one degree" if self.freedom.degrees == 1 else "two degrees"
         return (
-            f"displayed: {np.linalg.norm(shown):.2f} N {WHERE[self.freedom.degrees]}; not displayed (grey dashes): "
-            f'{lost:.2f} N. <a href="{documentation()}/{GUIDE}" target="_blank" rel="noreferrer" '
-            f'style="color: inherit">A device of {many} of freedom</a>'
+            f"displayed: {np.linalg.norm(displayed):.2f} N {DISPLAYED_ALONG[self.freedom.degrees]}; "
+            f"not displayed (grey dashes): {missing:.2f} N. "
+            f'<a href="{documentation_url()}/{GUIDE}" target="_blank" rel="noreferrer" '
+            f'style="color: inherit">A device of {degrees} of freedom</a>'
         )
 
 
-def documentation() -> str:
-    """Where the project's documentation is."""
-    given = dict(str(line).split(", ", 1) for line in metadata("softfinger").get_all("Project-URL") or ())
-    return given["Documentation"]
+def documentation_url() -> str:
+    """Return the address of the project's documentation."""
+    urls = dict(str(line).split(", ", 1) for line in metadata("softfinger").get_all("Project-URL") or ())
+    return urls["Documentation"]
 
 
-def handles(described: Mapping[str, Any]) -> dict[str, Handle]:
-    """Of the fingers, by name, whose devices have fewer than three degrees of freedom; `described` as a daemon does."""
+def find_low_dof_devices(description: Mapping[str, Any]) -> dict[str, LowDofDevice]:
+    """Return the devices with fewer than three degrees of freedom, by finger, from a daemon's description."""
     try:
-        rig = build(schema.Rig, described["rig"], "the daemon's rig")
-    except (ConfigError, KeyError):  # of a driver that is not installed here, or of an older recording
+        rig = build(schema.Rig, description["rig"], "the daemon's rig")
+    except (ConfigError, KeyError):  # a driver that is not installed here, or an older recording
         return {}
-    found = {}
-    for finger in described.get("fingers", ({"name": ""},)):
+    devices = {}
+    for finger in description.get("fingers", ({"name": ""},)):
         table = rig.tables.get("device" if rig.device is not None else f"devices.{finger['name']}")
-        freedom = None if table is None else freedom_of_table(table)
+        freedom = None if table is None else read_subspace(table)
         if freedom is not None:
-            found[finger["name"]] = Handle(freedom, np.array(finger.get("offset_m", (0.0, 0.0, 0.0))))
-    return found
+            devices[finger["name"]] = LowDofDevice(freedom, np.array(finger.get("offset_m", (0.0, 0.0, 0.0))))
+    return devices

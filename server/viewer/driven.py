@@ -1,4 +1,4 @@
-"""Objects that are driven or move by themselves: where a recording has them, and handles to pull at."""
+"""Driven and moving objects: their poses during a recording, and handles to move them on the page."""
 
 from __future__ import annotations
 
@@ -9,146 +9,150 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from softfinger.config import schema
-from softfinger.server.viewer.nodes.bodies import Place
-from softfinger.server.viewer.nodes.glyphs import Quaternion
+from softfinger.server.viewer.nodes.glyphs import PoseTuple, Quaternion
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.wire import commands
 
 Vector = tuple[float, float, float]
 
-HANDLE_CM: Final = 3.0
-"""From the middle of an object to the end of its arrows."""
+CONTROL_SIZE_CM: Final = 3.0
+"""Distance from the centre of an object to the tips of its arrows."""
 
 
 class Drive(NamedTuple):
-    """Where an object, by its number, was driven to: position (3,) m and orientation, None: as it was; and when."""
+    """Tick, index of the driven object, and its new pose: position (3,) m and orientation; None: unchanged."""
 
     tick: int
-    number: int
+    object_index: int
     position: Vector
     orientation: Quaternion | None
 
 
-def drive_of(event: Mapping[str, Any], scene: schema.Scene) -> Drive | None:
-    """What an event tells of an object of the scene that was driven; None for any other event."""
+def parse_drive(event: Mapping[str, Any], scene: schema.Scene) -> Drive | None:
+    """Return the drive in an event; None for other events and for objects that the scene does not have."""
     if (event["kind"], event["name"]) != ("command", "drive"):
         return None
     try:
-        told = msgspec.convert(event.get("what"), commands.Drive)
-    except msgspec.ValidationError:  # a recording may say anything
+        command = msgspec.convert(event.get("what"), commands.Drive)
+    except msgspec.ValidationError:  # a recording may contain any value
         return None
-    number = next((k for k, thing in enumerate(scene.object) if thing.name == told.object), None)
-    if number is None:  # of another scene
+    object_index = next((k for k, obj in enumerate(scene.object) if obj.name == command.object), None)
+    if object_index is None:  # an object of another scene
         return None
-    turn = told.orientation_wxyz
-    return Drive(event["tick"], number, told.position_m, None if turn is msgspec.UNSET else turn)
+    orientation = command.orientation_wxyz
+    return Drive(event["tick"], object_index, command.position_m, None if orientation is msgspec.UNSET else orientation)
 
 
-def resting(scene: schema.Scene) -> dict[int, Place]:
-    """The driven objects of a scene by number, and where they are until they are driven."""
+def initial_poses(scene: schema.Scene) -> dict[int, PoseTuple]:
+    """Return the driven objects of a scene by index, with their initial poses."""
     return {
-        number: (thing.position_m, thing.orientation_wxyz)
-        for number, thing in enumerate(scene.object)
-        if isinstance(thing.motion, schema.Driven)
+        object_index: (obj.position_m, obj.orientation_wxyz)
+        for object_index, obj in enumerate(scene.object)
+        if isinstance(obj.motion, schema.Driven)
     }
 
 
-class Drives:
-    """Where the driven objects of a recording are at each of its ticks; `events` in the order of time."""
+class DrivenPoses:
+    """Poses of the driven objects at each tick of a recording, from its events in order of time."""
 
     def __init__(self, scene: schema.Scene, events: Iterable[Mapping[str, Any]]) -> None:
-        self._places = {number: [place] for number, place in resting(scene).items()}
-        self._ticks: dict[int, list[int]] = {number: [] for number in self._places}
-        for drive in filter(None, (drive_of(event, scene) for event in events)):
-            if drive.number in self._places:
-                places = self._places[drive.number]
-                places.append((drive.position, drive.orientation or places[-1][1]))
-                self._ticks[drive.number].append(drive.tick)
+        self._poses = {object_index: [pose] for object_index, pose in initial_poses(scene).items()}
+        self._ticks: dict[int, list[int]] = {object_index: [] for object_index in self._poses}
+        for drive in filter(None, (parse_drive(event, scene) for event in events)):
+            if drive.object_index in self._poses:
+                poses = self._poses[drive.object_index]
+                poses.append((drive.position, drive.orientation or poses[-1][1]))
+                self._ticks[drive.object_index].append(drive.tick)
 
-    def at(self, tick: int) -> dict[int, Place]:
-        """Each by its number."""
-        return {number: places[bisect_right(self._ticks[number], tick)] for number, places in self._places.items()}
+    def at(self, tick: int) -> dict[int, PoseTuple]:
+        """Return the poses by object index."""
+        return {
+            object_index: poses[bisect_right(self._ticks[object_index], tick)]
+            for object_index, poses in self._poses.items()
+        }
 
 
-class Worlds:
-    """Where the bodies of a recording are at each of its ticks; `messages` of `world` in the order of time."""
+class RecordedBodies:
+    """Poses of the bodies at each tick of a recording, from its messages of `world` in order of time."""
 
     def __init__(self, messages: Iterable[Mapping[str, Any]]) -> None:
         self._messages = list(messages)
         self._ticks = [message["tick"] for message in self._messages]
 
-    def at(self, tick: int) -> dict[str, Place]:
-        """Each by its name; none before the first message."""
-        newest = bisect_right(self._ticks, tick) - 1
-        bodies = self._messages[newest]["bodies"] if newest >= 0 else ()
+    def at(self, tick: int) -> dict[str, PoseTuple]:
+        """Return the poses by body name; empty before the first message."""
+        last = bisect_right(self._ticks, tick) - 1
+        bodies = self._messages[last]["bodies"] if last >= 0 else ()
         return {body["name"]: (tuple(body["position"]), tuple(body["orientation"])) for body in bodies}
 
 
-class Handles:
-    """Arrows and rings on each driven object, once they are switched on; `send(number, place)` asks the daemon."""
+class ObjectControls:
+    """Transform controls on each driven object, if switched on; `send(index, pose)` commands the daemon."""
 
-    def __init__(self, gui: Any, api: Any, send: Callable[[int, Place], None]) -> None:
+    def __init__(self, gui: Any, api: Any, send: Callable[[int, PoseTuple], None]) -> None:
         self._api, self._send = api, send
         self._switch = gui.add_checkbox("move objects", False)
         self._switch.on_update(lambda event: self._show())
-        self._places: dict[int, Place] = {}
+        self._poses: dict[int, PoseTuple] = {}
         self._nodes: dict[int, Any] = {}
-        self._wanted: dict[int, Place] = {}
-        self._held: set[int] = set()
+        self._unsent: dict[int, PoseTuple] = {}
+        self._dragged: set[int] = set()
         self.change({})
 
-    def change(self, places: dict[int, Place]) -> None:
-        """Other objects are driven, by number, and are there."""
-        self._places = dict(places)
-        self._wanted.clear()
-        self._switch.disabled = not places
+    def change(self, poses: dict[int, PoseTuple]) -> None:
+        """Set the driven objects by index, with their poses."""
+        self._poses = dict(poses)
+        self._unsent.clear()
+        self._switch.disabled = not poses
         self._show()
 
-    def see(self, number: int, position: Vector, orientation: Quaternion | None) -> None:
-        """An object has been driven there, by whomever; whoever holds its handles keeps them."""
-        if number in self._places:
-            self._places[number] = (position, orientation or self._places[number][1])
-            if number not in self._held:
-                self._put(number)
+    def update_pose(self, object_index: int, position: Vector, orientation: Quaternion | None) -> None:
+        """Update the pose of an object after any client drove it; a control that is being dragged does not move."""
+        if object_index in self._poses:
+            self._poses[object_index] = (position, orientation or self._poses[object_index][1])
+            if object_index not in self._dragged:
+                self._update_control(object_index)
 
     def step(self) -> None:
-        """Ask for what has been pulled since the last time: once for each object, however many pulls it were."""
-        for _ in range(len(self._wanted)):
-            self._send(*self._wanted.popitem())
+        """Send the latest pose of each object moved since the last call."""
+        for _ in range(len(self._unsent)):
+            self._send(*self._unsent.popitem())
 
     def restore(self) -> None:
-        """Back to where the objects are, after something else was asked for in vain."""
-        for number in list(self._nodes):
-            self._put(number)
+        """Move the controls back to the objects after a command was refused."""
+        for object_index in list(self._nodes):
+            self._update_control(object_index)
 
     def _show(self) -> None:
         for node in self._nodes.values():
             node.remove()
         self._nodes.clear()
-        self._held.clear()
+        self._dragged.clear()
         if self._switch.value:
-            for number in self._places:
+            for object_index in self._poses:
                 node = self._api.add_transform_controls(
-                    f"/handles/{number}", scale=HANDLE_CM, line_width=3.0, depth_test=False
+                    f"/handles/{object_index}", scale=CONTROL_SIZE_CM, line_width=3.0, depth_test=False
                 )
 
-                async def pulled(event: Any, number: int = number) -> None:  # in order: viser waits for each
-                    self._pulled(number, event)
+                # In order: viser awaits each call.
+                async def on_drag(event: Any, object_index: int = object_index) -> None:
+                    self._on_drag(object_index, event)
 
-                node.on_update(pulled)
-                self._nodes[number] = node
-                self._put(number)
+                node.on_update(on_drag)
+                self._nodes[object_index] = node
+                self._update_control(object_index)
 
-    def _pulled(self, number: int, event: Any) -> None:
-        if number not in self._nodes or event.target is not self._nodes[number]:  # of a scene before
+    def _on_drag(self, object_index: int, event: Any) -> None:
+        # A control of a previous scene may still send events.
+        if object_index not in self._nodes or event.target is not self._nodes[object_index]:
             return
-        (self._held.discard if event.phase == "end" else self._held.add)(number)
+        (self._dragged.discard if event.phase == "end" else self._dragged.add)(object_index)
         if event.phase == "update":
             x, y, z = (float(part) / CM for part in event.target.position)
             w, i, j, k = (float(part) for part in event.target.wxyz)
-            self._wanted[number] = ((x, y, z), (w, i, j, k))
+            self._unsent[object_index] = ((x, y, z), (w, i, j, k))
 
-    def _put(self, number: int) -> None:
-        if number in self._nodes:
-            (x, y, z), turn = self._places[number]
-            self._nodes[number].position, self._nodes[number].wxyz = (CM * x, CM * y, CM * z), turn
+    def _update_control(self, object_index: int) -> None:
+        if object_index in self._nodes:
+            (x, y, z), orientation = self._poses[object_index]
+            self._nodes[object_index].position, self._nodes[object_index].wxyz = (CM * x, CM * y, CM * z), orientation

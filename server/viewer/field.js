@@ -1,6 +1,6 @@
-// What a script of the page shares with the others: a text field of the page, out of sight, to tell the server by.
+// Common part of all scripts: a hidden text field of the page, by which a script sends values to the server.
 //
-// Scripts run in hidden frames of the page and speak through the page alone.
+// Scripts run in hidden frames of the page and communicate only through the elements of the page.
 const page = parent;
 const write = Object.getOwnPropertyDescriptor(page.HTMLInputElement.prototype, "value").set;
 let told = 0;
@@ -12,7 +12,7 @@ function field(name) {
   return input ? { row: row.parentElement, input } : null;
 }
 
-// Another counter each time, since the field of several browsers is one, and what it holds already is not sent.
+// The counter makes each value new: several browsers share the field, and an unchanged value is not sent.
 function tell(found, words) {
   told += 1;
   write.call(found.input, [page.Date.now() + told, ...words].join(" "));

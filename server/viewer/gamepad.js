@@ -1,7 +1,7 @@
-// Sends the state of the viewer's gamepad, some 30 times a second while it is held.
+// Sends the state of the user's gamepad about 30 times per second while it is used.
 //
-// Only a pad with the W3C's "standard" layout counts: axes 0 and 1 are the left stick, 2 and 3 the right one; buttons 4
-// and 5 the bumpers, 6 and 7 the triggers.
+// Only gamepads with the W3C's "standard" layout are supported: axes 0 and 1 are the left stick, 2 and 3 the right one;
+// buttons 4 and 5 are the bumpers, 6 and 7 the triggers.
 const EVERY_MS = 33;
 let held = false;
 

@@ -1,22 +1,22 @@
-// Two hands on keys and a pinch on the wheel: how far each has led its finger since this page was opened.
+// Keys of two hands and pinching by the wheel: sends the total motion of each finger since this page was opened.
 //
-// Only while the page says that two fingers may be led. Totals, so that nothing is lost if some of them are not sent.
+// Active only while the page has the marker for two movable fingers. Totals tolerate messages that are not sent.
 const EVERY_MS = 33;
-const STEP_MM = 1.0; // of a stroke, and of a notch of the wheel
-const MM_PER_S = 30.0; // of a key that is held
-const HELD_MS = 200; // from when on a key is held
+const STEP_MM = 1.0; // per key press, and per notch of the wheel
+const MM_PER_S = 30.0; // while a key is held down
+const HELD_MS = 200; // a key pressed for longer counts as held down
 const NOTCH = 100; // pixels of scrolling, or three lines
 const KEYS = {
-  // key: place among the totals and way; left hand x, y, z, right hand x, y, z
+  // key: index of the total, and sign; left hand x, y, z, right hand x, y, z
   KeyA: [0, -1], KeyD: [0, 1], KeyW: [1, 1], KeyS: [1, -1], KeyE: [2, 1], KeyQ: [2, -1],
   KeyJ: [3, -1], KeyL: [3, 1], KeyI: [4, 1], KeyK: [4, -1], KeyU: [5, 1], KeyO: [5, -1],
 };
-const CLOSED = 6; // place of what the wheel has closed
+const CLOSED = 6; // index of the wheel's total
 const totals = [0, 0, 0, 0, 0, 0, 0];
-const held = new Map(); // key: since when
+const held = new Map(); // key: time of its press
 const session = page.Math.random().toString(36).slice(2);
 let changed = false;
-let pressed = 0; // buttons of the mouse
+let pressed = 0; // buttons of the mouse, as a bit mask
 let last = page.performance.now();
 
 const two = () => page.document.querySelector("[data-two-hands]") !== null;
@@ -47,7 +47,7 @@ for (const kind of ["pointerdown", "pointermove", "pointerup", "pointercancel"])
   page.addEventListener(kind, (event) => { pressed = event.buttons; }, true);
 }
 page.addEventListener("wheel", (event) => {
-  const dragged = (event.buttons | pressed) & 1 || event.altKey; // not every browser says the buttons of a wheel
+  const dragged = (event.buttons | pressed) & 1 || event.altKey; // some browsers omit the buttons in wheel events
   if (!dragged || !two() || event.target.tagName !== "CANVAS") return;
   mine(event);
   lead(CLOSED, (STEP_MM * event.deltaY * (event.deltaMode ? NOTCH / 3 : 1)) / NOTCH);

@@ -1,4 +1,4 @@
-"""Keys and gamepads: what else than a mouse leads the hand, a step or a speed at a time."""
+"""Keys and gamepads: control of the hand by steps or speeds."""
 
 from __future__ import annotations
 
@@ -10,29 +10,34 @@ from typing import Any, Final, NamedTuple
 
 from softfinger.server.viewer.scripts import add_script
 
-NUMBERS: Final = 9
-"""Of a gamepad: a counter, two sticks, and four buttons."""
-REST: Final = 0.15
-"""A stick that is let go is seldom at 0."""
-SILENT_S: Final = 0.3
-"""A gamepad that has told nothing for so long is let go: its page may be gone."""
-TOTALS: Final = 7
-"""Of two hands: three of each finger, and one of the wheel."""
+GAMEPAD_VALUES: Final = 9
+"""Numbers of a gamepad: a counter, two sticks, and four buttons."""
+STICK_DEAD_ZONE: Final = 0.15
+"""Dead zone of a stick: a released stick is rarely at 0."""
+GAMEPAD_TIMEOUT_S: Final = 0.3
+"""Silence after which a gamepad counts as released: its page may be closed."""
+HAND_TOTALS: Final = 7
+"""Totals of two hands: three per finger, and one of the wheel."""
 SESSIONS: Final = 16
-"""How many pages have their totals kept; those of the oldest are dropped."""
-JUMP_M: Final = 0.02
-"""The farthest that a finger is led at once by keys or a wheel."""
-SPEED: Final = 0.05
-"""m/s of a stick or trigger that is all the way down."""
+"""Maximum number of pages with stored totals; the oldest ones are dropped."""
+MAX_STEP_M: Final = 0.02
+"""Maximum step of a finger by keys or a wheel."""
+MAX_SPEED_M_PER_S: Final = 0.05
+"""m/s at full deflection of a stick or trigger."""
 SPIN_RAD_S: Final = 1.5
 STEP_M: Final = 0.001
-"""Of a key."""
+"""Step of a key."""
 STEP_RAD: Final = radians(5.0)
 
 
 class Nudge(NamedTuple):
-    """A piece of a way: x, y, z m in the world; roll_x, roll_y m, as a ball on a level plane; spin rad about z; close
-    m, of each of several fingers towards their middle."""
+    """Increment of a pose.
+
+    x, y, z         m    world frame
+    roll_x, roll_y  m    path of a ball that rolls on a horizontal plane
+    spin            rad  about z
+    close           m    of each of several fingers, towards their centre
+    """
 
     x: float = 0.0
     y: float = 0.0
@@ -43,7 +48,7 @@ class Nudge(NamedTuple):
     close: float = 0.0
 
     def times(self, factor: float) -> Nudge:
-        """So many times as far."""
+        """Return the increment multiplied by `factor`."""
         return Nudge(*(factor * part for part in self))
 
 
@@ -63,96 +68,99 @@ KEYS: Final[dict[str, tuple[str, str | None, Nudge]]] = {
     "fingers together": ("H", None, Nudge(close=STEP_M)),
     "fingers apart": ("G", None, Nudge(close=-STEP_M)),
 }
-"""What each key does, by the name that the page's list of commands has for it: key, modifier, nudge a stroke.
+"""Key, modifier and increment per press, by the name in the page's list of commands.
 
-W, A, S, D, Q, E and the arrows move the camera already."""
+W, A, S, D, Q, E and the arrow keys move the camera.
+"""
 
 
 def add_keys(gui: Any, nudge: Callable[[Nudge], None]) -> None:
-    """The keys of KEYS, wherever on the page; held, they repeat."""
+    """Register the KEYS, active everywhere on the page; they repeat while pressed."""
     for name, (key, modifier, step) in KEYS.items():
         gui.add_command(name, hotkey=key, modifier=modifier).on_trigger(lambda event, step=step: nudge(step))
 
 
 class Gamepad:
-    """A gamepad at the computer of whoever looks."""
+    """Gamepad at the computer of the browser."""
 
     def __init__(self, gui: Any) -> None:
         self._field = add_script(gui, "gamepad")
-        self._field.on_update(self._told)
-        self._speed, self._at = Nudge(), 0.0
+        self._field.on_update(self._on_report)
+        self._speed, self._reported_s = Nudge(), 0.0
 
-    def _told(self, event: Any) -> None:
+    def _on_report(self, event: Any) -> None:
         if event.client is not None:
-            self._speed, self._at = speed_of(self._field.value), time.monotonic()
+            self._speed, self._reported_s = parse_gamepad(self._field.value), time.monotonic()
 
-    def moved(self, dt: float) -> Nudge | None:
-        """How far it has led the hand in `dt` s; None while it is let go."""
-        if self._speed == Nudge() or time.monotonic() - self._at > SILENT_S:
+    def increment(self, dt: float) -> Nudge | None:
+        """Return the increment of the hand in `dt` s; None while the gamepad is released."""
+        if self._speed == Nudge() or time.monotonic() - self._reported_s > GAMEPAD_TIMEOUT_S:
             return None
         return self._speed.times(dt)
 
 
 class TwoHands:
-    """Keys of two hands and a wheel, each a finger: `hands.js` tells how far they have led since it began."""
+    """Keys of two hands and a wheel, one hand per finger; `hands.js` reports the total motion since its start."""
 
     def __init__(self, gui: Any) -> None:
         self._field = add_script(gui, "hands")
-        self._field.on_update(self._told)
+        self._field.on_update(self._on_report)
         self._totals: dict[str, tuple[float, ...]] = {}
         self._moves: deque[tuple[float, ...]] = deque()
 
-    def _told(self, event: Any) -> None:
-        found = totals_of(self._field.value)
-        if event.client is None or found is None:
+    def _on_report(self, event: Any) -> None:
+        parsed = parse_hands(self._field.value)
+        if event.client is None or parsed is None:
             return
-        session, totals = found
-        before = self._totals.pop(session, (0.0,) * len(totals))
+        session, totals = parsed
+        previous_totals = self._totals.pop(session, (0.0,) * len(totals))
         self._totals[session] = totals
-        while len(self._totals) > SESSIONS:  # the oldest
+        while len(self._totals) > SESSIONS:  # drop the oldest
             del self._totals[next(iter(self._totals))]
-        self._moves.append(tuple(now - then for now, then in zip(totals, before, strict=True)))
+        self._moves.append(tuple(now - previous for now, previous in zip(totals, previous_totals, strict=True)))
 
-    def moved(self) -> tuple[Nudge, Nudge, float] | None:
-        """How far the left finger, the right one, and both towards each other (m) since the last time; None: not."""
+    def increment(self) -> tuple[Nudge, Nudge, float] | None:
+        """Return the increments since the last call: left finger, right finger, closing (m); None without a change."""
         moves = [self._moves.popleft() for _ in range(len(self._moves))]
         if not moves:
             return None
-        far = [min(max(sum(part), -JUMP_M), JUMP_M) for part in zip(*moves, strict=True)]
-        return Nudge(*far[:3]), Nudge(*far[3:6]), far[6]
+        steps = [min(max(sum(part), -MAX_STEP_M), MAX_STEP_M) for part in zip(*moves, strict=True)]
+        return Nudge(*steps[:3]), Nudge(*steps[3:6]), steps[6]
 
 
-def totals_of(told: str) -> tuple[str, tuple[float, ...]] | None:
-    """What the script of two hands tells: the page's session; x, y, z of the left finger, of the right one, and how far
-    both are closed, m. None where it is not that."""
-    words = told.split()
+def parse_hands(report: str) -> tuple[str, tuple[float, ...]] | None:
+    """Parse a report of `hands.js`; None if it is invalid.
+
+    Returns the page's session and the totals, m: x, y, z of the left finger, of the right finger, and closing.
+    """
+    words = report.split()
     try:
         totals = tuple(float(word) / 1000.0 for word in words[2:])
     except ValueError:
         return None
-    return (words[1], totals) if len(totals) == TOTALS and all(map(isfinite, totals)) else None
+    return (words[1], totals) if len(totals) == HAND_TOTALS and all(map(isfinite, totals)) else None
 
 
-def speed_of(told: str) -> Nudge:
-    """What a gamepad's numbers ask for, each a second; nothing where they are none.
+def parse_gamepad(report: str) -> Nudge:
+    """Parse a report of `gamepad.js` to a speed per second; zero if it is invalid.
 
-    told  a counter; left stick right and down, right stick right and down; right and left bumper, right and left
-          trigger, between -1 and 1 each
+    report  a counter; left stick right and down, right stick right and down; right and left bumper, right and left
+          trigger, each between -1 and 1
     """
     try:
-        values = [float(part) for part in told.split()]
+        values = [float(part) for part in report.split()]
     except ValueError:
         return Nudge()
-    if len(values) != NUMBERS or not all(isfinite(value) for value in values):
+    if len(values) != GAMEPAD_VALUES or not all(isfinite(value) for value in values):
         return Nudge()
     x, y, roll_x, roll_y, right, left, press, lift = (
-        0.0 if abs(value) < REST else min(max(value, -1.0), 1.0) for value in values[1:]
+        0.0 if abs(value) < STICK_DEAD_ZONE else min(max(value, -1.0), 1.0) for value in values[1:]
     )
     return Nudge(
-        x=SPEED * x,
-        y=-SPEED * y,
-        z=SPEED * (lift - press),
-        roll_x=SPEED * roll_x,
-        roll_y=-SPEED * roll_y,
+        x=MAX_SPEED_M_PER_S * x,
+        y=-MAX_SPEED_M_PER_S * y,
+        z=MAX_SPEED_M_PER_S * (lift - press),
+        roll_x=MAX_SPEED_M_PER_S * roll_x,
+        roll_y=-MAX_SPEED_M_PER_S * roll_y,
         spin=SPIN_RAD_S * (left - right),
     )

@@ -1,4 +1,4 @@
-"""The page of a running daemon: its ticks as a picture, its scene as sliders, a mouse for the hand."""
+"""Page of a running daemon: picture of its ticks, controls of its scene, and mouse control of the hand."""
 
 from __future__ import annotations
 
@@ -15,231 +15,261 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import describe
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
+from softfinger.server import surface_meshes
 from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
-from softfinger.server.viewer.displayed import handles
-from softfinger.server.viewer.driven import Handles, drive_of, resting
-from softfinger.server.viewer.hand import Hand, HandCommands, Led
+from softfinger.server.viewer.displayed import find_low_dof_devices
+from softfinger.server.viewer.driven import ObjectControls, initial_poses, parse_drive
+from softfinger.server.viewer.hand import Hand, HandCommands, MovableFinger
 from softfinger.server.viewer.inputs import Gamepad, TwoHands, add_keys
-from softfinger.server.viewer.nodes import meshes
-from softfinger.server.viewer.nodes.bodies import Place
-from softfinger.server.viewer.page import Page, began_of, scene_of
-from softfinger.server.viewer.play import SENSES, Ask, Play
+from softfinger.server.viewer.nodes.glyphs import PoseTuple
+from softfinger.server.viewer.page import Page, parse_scene, parse_scene_start
+from softfinger.server.viewer.play import ORIENTATION_DOF, PageActions, Play
 from softfinger.server.viewer.prompt import PromptPanel
 from softfinger.server.viewer.roles import ALLOWED, Role
 from softfinger.server.viewer.target import Target
 from softfinger.server.viewer.tuning import Tuning
-from softfinger.server.viewer.wire import Asker, Live, Request
+from softfinger.server.viewer.wire import CommandQueue, Request, TelemetryReceiver
 from softfinger.server.wire.commands import Held, Triangles
 
 WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"
-COMPILING: Final = "the scene is compiled, which takes up to half a minute; the old one goes on meanwhile"
-ASK_AGAIN_S: Final = 1.0
-SETS: Final = ("set_params", "set_scene")
-POSE: Final = ("position_m", "orientation_wxyz")
+COMPILING: Final = "the scene is compiled, which takes up to half a minute; the old one is rendered until then"
+REQUEST_PERIOD_S: Final = 1.0
+SCENE_COMMANDS: Final = ("set_params", "set_scene")
+POSE_KEYS: Final = ("position_m", "orientation_wxyz")
 
 
 class LivePage:
-    """Feeds a page from the daemon at two addresses, whether or not it runs yet; call `step` for each frame."""
+    """Data source of a page from a daemon, which may start later; call `step` for each frame."""
 
     def __init__(
         self, page: Page, daemon: Addresses, keys: ClientKeys | None = None, role: Role = Role.OPERATOR
     ) -> None:
-        commands, may = daemon.commanded(), ALLOWED[role]
+        commands, allowed_methods = daemon.command_endpoint(), ALLOWED[role]
         self._page = page
-        self._live = Live(daemon.telemetry, keys)
-        self._asker = Asker(commands, keys, may=may)
-        self._slow = Asker(commands, keys, may=may)  # a scene is compiled while the hand goes on
-        self._described: dict[str, Any] | None = None
-        self._fresh = threading.Event()
-        self._sent = deque[tuple[int, int, Triangles]]()
-        """Triangles of objects that are made of a file: of which scene that was drawn, of which object."""
+        self._telemetry = TelemetryReceiver(daemon.telemetry, keys)
+        self._commands = CommandQueue(commands, keys, allowed_methods=allowed_methods)
+        # Separate, so that the hand moves while a scene is compiled.
+        self._scene_commands = CommandQueue(commands, keys, allowed_methods=allowed_methods)
+        self._description: dict[str, Any] | None = None
+        self._has_new_description = threading.Event()
+        self._received_meshes = deque[tuple[int, int, Triangles]]()
+        """Received triangles of objects from files: scene number, object index."""
         self._scene: schema.Scene | None = None
-        self._first = -1
-        self._drawn = 0
-        self._turning: set[str] = set()
-        """Fingers whose devices sense how they are turned."""
-        self._since = 0.0
+        self._first_tick = -1
+        self._scene_number = 0
+        self._orientable_fingers: set[str] = set()
+        """Fingers with devices that sense orientation."""
+        self._since_request_s = 0.0
         gui = page.server.gui
-        self._prompt = PromptPanel(gui, self._asker, self._refused, answers=may is None)
-        changing = page.tabs if may is None else gui.add_tab_group(visible=False)
-        with changing.add_tab("Hand"):
-            self._hand = Hand(gui, page.server.scene, HandCommands(self._send, self._hold))
-            ask = Ask(page.say, self._put_back, lambda name: self._set_scene("scene", {"scene": name}))
-            self._play = Play(gui, self._hand, ask)
+        self._prompt = PromptPanel(gui, self._commands, self._show_refusal, can_answer=allowed_methods is None)
+        control_tabs = page.tabs if allowed_methods is None else gui.add_tab_group(visible=False)
+        with control_tabs.add_tab("Hand"):
+            self._hand = Hand(gui, page.server.scene, HandCommands(self._lead_hand, self._hold_hand))
+            actions = PageActions(
+                page.show_message, self._reset_world, lambda name: self._set_scene("scene", {"scene": name})
+            )
+            self._play = Play(gui, self._hand, actions)
             add_keys(gui, self._hand.nudge)
-            self._handles = Handles(gui, page.server.scene, self._drive)
-            gui.add_button_group("force", ("on", "off")).on_click(self._switch)
-        with changing.add_tab("Feel"):
+            self._object_controls = ObjectControls(gui, page.server.scene, self._drive_object)
+            gui.add_button_group("force", ("on", "off")).on_click(self._switch_force)
+        with control_tabs.add_tab("Feel"):
             self._tuning = Tuning(gui, self._set_params, self._set_scene)
         page.add_views()
         self._gamepad, self._two_hands = Gamepad(gui), TwoHands(gui)
-        page.say(WAITING)
+        page.show_message(WAITING)
 
     def step(self, dt: float) -> None:
-        """Show what has come in the `dt` s since the last time."""
-        news = self._live.take()
-        if self._fresh.is_set():
-            self._fresh.clear()
-            self._change()
-        self._since += dt
-        if self._scene is None and self._since > ASK_AGAIN_S:
-            self._look()
-        while self._sent:
-            self._draw(*self._sent.popleft())
-        for event in news.events:
-            self._prompt.hear(event)
-            self._hear(event)
+        """Show the data received in the last `dt` s."""
+        received = self._telemetry.take()
+        if self._has_new_description.is_set():
+            self._has_new_description.clear()
+            self._show_description()
+        self._since_request_s += dt
+        if self._scene is None and self._since_request_s > REQUEST_PERIOD_S:
+            self._request_description()
+        while self._received_meshes:
+            self._draw_mesh(*self._received_meshes.popleft())
+        for event in received.events:
+            self._prompt.handle_event(event)
+            self._handle_event(event)
         self._prompt.step()
-        if self._live.problem:
-            self._page.say(self._live.problem)
-        if (nudge := self._gamepad.moved(dt)) is not None:
+        if self._telemetry.problem:
+            self._page.show_message(self._telemetry.problem)
+        if (nudge := self._gamepad.increment(dt)) is not None:
             self._hand.nudge(nudge)
-        if (moved := self._two_hands.moved()) is not None:
-            self._hand.nudge_each(*moved)
-        self._handles.step()
-        for finger, rows in news.ticks.items():
-            self._hand.see(finger, rows[-1])
-            self._play.see(finger, rows[-1])
+        if (steps := self._two_hands.increment()) is not None:
+            self._hand.nudge_each(*steps)
+        self._object_controls.step()
+        for finger, rows in received.ticks.items():
+            self._hand.update_pose(finger, rows[-1])
+            self._play.update_force(finger, rows[-1])
         self._play.step(dt)
-        self._page.ride(news.bodies)
-        self._page.show({finger: rows[rows[:, AT.tick] >= self._first] for finger, rows in news.ticks.items()})
+        self._page.move_bodies(received.bodies)
+        self._page.show({finger: rows[rows[:, AT.tick] >= self._first_tick] for finger, rows in received.ticks.items()})
 
-    def _look(self) -> None:
-        """Ask what the daemon is, and renders."""
-        self._since = 0.0
-        self._prompt.look()
-        self._asker.ask("describe", Request("describe", {}, self._is_described, lambda text: None))
+    def _request_description(self) -> None:
+        """Request the daemon's description."""
+        self._since_request_s = 0.0
+        self._prompt.request()
+        self._commands.submit("describe", Request("describe", {}, self._store_description, lambda text: None))
 
-    def _is_described(self, described: dict[str, Any]) -> None:
-        self._described = described
-        self._fresh.set()
+    def _store_description(self, description: dict[str, Any]) -> None:
+        self._description = description
+        self._has_new_description.set()
 
-    def _change(self) -> None:
-        """Show the scene that has been described."""
-        described = self._described
-        assert described is not None
+    def _show_description(self) -> None:
+        """Show the described scene."""
+        description = self._description
+        assert description is not None
         try:
-            scene = scene_of(described)
+            scene = parse_scene(description)
         except HapticError as error:
-            self._page.say(str(error))
+            self._page.show_message(str(error))
             return
         if self._scene is None:
-            self._page.say("")
-        elif described["since"] >= self._first and _form(scene) == _form(self._scene):
-            self._go_on(scene, described)
+            self._page.show_message("")
+        elif description["since"] >= self._first_tick and _visible_parts(scene) == _visible_parts(self._scene):
+            self._update_scene(scene, description)
             return
-        self._scene, self._first = scene, int(described["since"])
-        self._drawn += 1
-        self._page.change(scene, began_of(described), handles(described))
-        self._handles.change(resting(scene))
-        self._tuning.change(scene, described["scene_name"])
-        for number, thing in enumerate(scene.object):
-            if isinstance(thing, Filed):
-                came = partial(self._keep, self._drawn, number)
-                self._asker.ask(f"mesh {number}", Request("mesh", {"object": number}, came, self._page.say))
-        self._turning = {each["name"] for each in described["fingers"] if each["device"]["sensed_dof"] >= SENSES}
-        parts = {finger.name: finger for finger in scene.fingers}
-        self._hand.change([_led(each, parts[each["name"]]) for each in described["fingers"] if each["led"]])
-        self._play.change(scene, self._page.bodies, described)
+        self._scene, self._first_tick = scene, int(description["since"])
+        self._scene_number += 1
+        self._page.change(scene, parse_scene_start(description), find_low_dof_devices(description))
+        self._object_controls.change(initial_poses(scene))
+        self._tuning.change(scene, description["scene_name"])
+        for object_index, obj in enumerate(scene.object):
+            if isinstance(obj, Filed):
+                on_mesh = partial(self._store_mesh, self._scene_number, object_index)
+                self._commands.submit(
+                    f"mesh {object_index}", Request("mesh", {"object": object_index}, on_mesh, self._page.show_message)
+                )
+        self._orientable_fingers = {
+            finger["name"] for finger in description["fingers"] if finger["device"]["sensed_dof"] >= ORIENTATION_DOF
+        }
+        finger_parts = {finger.name: finger for finger in scene.fingers}
+        self._hand.change(
+            [
+                _movable_finger(finger, finger_parts[finger["name"]])
+                for finger in description["fingers"]
+                if finger["led"]
+            ]
+        )
+        self._play.change(scene, self._page.bodies, description)
         for name, nodes in self._page.fingers.items():
-            self._hand.take(name, nodes.ball)
+            self._hand.attach_drag(name, nodes.ball)
 
-    def _go_on(self, scene: schema.Scene, described: dict[str, Any]) -> None:
-        """Show new parameters, or a world that was reset, without drawing the objects again: a drag goes on."""
+    def _update_scene(self, scene: schema.Scene, description: dict[str, Any]) -> None:
+        """Show new parameters or a reset world without drawing the objects again, so that a drag continues."""
         self._scene = scene
         for nodes in self._page.fingers.values():
             nodes.change(scene)
-        self._tuning.change(scene, described["scene_name"])
-        if described["since"] != self._first:
-            self._first = int(described["since"])
-            self._page.begin_again(began_of(described))
-            for number in resting(scene):
-                thing = scene.object[number]
-                self._page.drive(number, thing.position_m, thing.orientation_wxyz)
-            self._handles.change(resting(scene))
-            self._play.change(scene, self._page.bodies, described)
+        self._tuning.change(scene, description["scene_name"])
+        if description["since"] != self._first_tick:
+            self._first_tick = int(description["since"])
+            self._page.restart(parse_scene_start(description))
+            for object_index in initial_poses(scene):
+                obj = scene.object[object_index]
+                self._page.drive(object_index, obj.position_m, obj.orientation_wxyz)
+            self._object_controls.change(initial_poses(scene))
+            self._play.change(scene, self._page.bodies, description)
 
-    def _keep(self, drawn: int, number: int, triangles: Triangles) -> None:
-        self._sent.append((drawn, number, triangles))
+    def _store_mesh(self, scene_number: int, object_index: int, triangles: Triangles) -> None:
+        self._received_meshes.append((scene_number, object_index, triangles))
 
-    def _draw(self, drawn: int, number: int, sent: Triangles) -> None:
-        """Show the triangles of an object, if it is still there."""
-        if drawn != self._drawn:
+    def _draw_mesh(self, scene_number: int, object_index: int, mesh: Triangles) -> None:
+        """Draw the triangles of an object, unless the scene was replaced."""
+        if scene_number != self._scene_number:
             return
         try:
-            self._page.draw(number, meshes.sent(sent.vertices, sent.triangles))
+            self._page.draw(object_index, surface_meshes.decode_mesh(mesh.vertices, mesh.triangles))
         except ValueError as error:
-            self._page.say(f"object {number}: {error}")
+            self._page.show_message(f"object {object_index}: {error}")
 
-    def _hear(self, event: dict[str, Any]) -> None:
-        if self._scene is not None and (drive := drive_of(event, self._scene)) is not None:
-            self._page.drive(drive.number, drive.position, drive.orientation)
-            self._handles.see(drive.number, drive.position, drive.orientation)
-        elif event["kind"] == "lifecycle" or (event["kind"] == "command" and event["name"] in SETS):
-            self._look()
+    def _handle_event(self, event: dict[str, Any]) -> None:
+        if self._scene is not None and (drive := parse_drive(event, self._scene)) is not None:
+            self._page.drive(drive.object_index, drive.position, drive.orientation)
+            self._object_controls.update_pose(drive.object_index, drive.position, drive.orientation)
+        elif event["kind"] == "lifecycle" or (event["kind"] == "command" and event["name"] in SCENE_COMMANDS):
+            self._request_description()
 
-    def _send(self, finger: str, target: Target | None) -> None:
+    def _lead_hand(self, finger: str, target: Target | None) -> None:
         params: dict[str, Any] = {"finger": finger} if finger else {}
         if target is None:
             params["release"] = True
         else:
             params["position_m"] = [float(x) for x in target.position]
-            if finger in self._turning:  # else the command refuses one
+            if finger in self._orientable_fingers:  # other devices refuse an orientation
                 params["orientation_wxyz"] = list(target.orientation)
-        self._asker.ask(f"hand {finger}", Request("hand", params, lambda result: None, self._refused))
+        self._commands.submit(f"hand {finger}", Request("hand", params, lambda result: None, self._show_refusal))
 
-    def _hold(self, finger: str, done: Callable[[Target], None], failed: Callable[[], None]) -> None:
-        def held(answer: Held) -> None:
-            done(Target(np.array(answer.position_m), answer.orientation_wxyz))
+    def _hold_hand(self, finger: str, on_pose: Callable[[Target], None], on_failure: Callable[[], None]) -> None:
+        def on_held(answer: Held) -> None:
+            on_pose(Target(np.array(answer.position_m), answer.orientation_wxyz))
 
-        def refused(text: str) -> None:
-            failed()
-            self._refused(text)
+        def on_refused(text: str) -> None:
+            on_failure()
+            self._show_refusal(text)
 
-        self._asker.ask(f"hold {finger}", Request("hold", {"finger": finger} if finger else {}, held, refused))
+        self._commands.submit(
+            f"hold {finger}", Request("hold", {"finger": finger} if finger else {}, on_held, on_refused)
+        )
 
-    def _drive(self, number: int, place: Place) -> None:
-        params = {"object": number, "position_m": list(place[0]), "orientation_wxyz": list(place[1])}
-        self._asker.ask(f"drive {number}", Request("drive", params, lambda result: None, self._refused))
+    def _drive_object(self, object_index: int, pose: PoseTuple) -> None:
+        params = {"object": object_index, "position_m": list(pose[0]), "orientation_wxyz": list(pose[1])}
+        self._commands.submit(
+            f"drive {object_index}", Request("drive", params, lambda result: None, self._show_refusal)
+        )
 
-    def _put_back(self) -> None:
-        self._asker.ask("world", Request("reset_world", {}, lambda result: None, self._refused))
+    def _reset_world(self) -> None:
+        self._commands.submit("world", Request("reset_world", {}, lambda result: None, self._show_refusal))
 
-    def _switch(self, event: Any) -> None:
+    def _switch_force(self, event: Any) -> None:
         method = "arm" if event.target.value == "on" else "disarm"
-        self._asker.ask(
-            "force", Request(method, {}, lambda result: self._page.say(f"force {event.target.value}"), self._refused)
+        self._commands.submit(
+            "force",
+            Request(
+                method, {}, lambda result: self._page.show_message(f"force {event.target.value}"), self._show_refusal
+            ),
         )
 
     def _set_params(self, name: str, values: dict[str, Any]) -> None:
-        self._asker.ask(name, Request("set_params", values, lambda result: self._look(), self._refused))
+        self._commands.submit(
+            name, Request("set_params", values, lambda result: self._request_description(), self._show_refusal)
+        )
 
     def _set_scene(self, name: str, values: dict[str, Any]) -> None:
-        self._page.say(COMPILING)
-        self._slow.ask(name, Request("set_scene", values, lambda result: self._page.say(""), self._refused))
+        self._page.show_message(COMPILING)
+        self._scene_commands.submit(
+            name, Request("set_scene", values, lambda result: self._page.show_message(""), self._show_refusal)
+        )
 
-    def _refused(self, text: str) -> None:
-        self._page.say(text, "Not done:")
+    def _show_refusal(self, text: str) -> None:
+        self._page.show_message(text, "Not done:")
         self._tuning.restore()
-        self._handles.restore()
+        self._object_controls.restore()
 
     def close(self) -> None:
-        for part in (self._live, self._asker, self._slow):
+        for part in (self._telemetry, self._commands, self._scene_commands):
             part.close()
 
 
-def _form(scene: schema.Scene) -> dict[str, Any]:
-    """What of a scene is to be seen; where driven objects are, events tell."""
-    plain, driven = describe(scene), resting(scene)
+def _visible_parts(scene: schema.Scene) -> dict[str, Any]:
+    """Return the visible part of a scene, without the poses of driven objects, which events report."""
+    plain, driven = describe(scene), initial_poses(scene)
     objects = [
-        {key: value for key, value in each.items() if key not in (POSE if number in driven else ()) + ("material",)}
-        for number, each in enumerate(plain["object"])
+        {
+            key: value
+            for key, value in each.items()
+            if key not in (POSE_KEYS if object_index in driven else ()) + ("material",)
+        }
+        for object_index, each in enumerate(plain["object"])
     ]
     model = None if scene.world is None else scene.world.model
     return {key: plain.get(key) for key in ("fingertip", "finger")} | {"object": objects, "model": model}
 
 
-def _led(described: dict[str, Any], finger: schema.FingerParts) -> Led:
-    low, high = (np.array(described["device"][f"workspace_{end}_m"]) + described["offset_m"] for end in ("min", "max"))
-    return Led(finger.name, finger.radius_m, low, high)
+def _movable_finger(description: dict[str, Any], finger: schema.FingerParts) -> MovableFinger:
+    low, high = (
+        np.array(description["device"][f"workspace_{end}_m"]) + description["offset_m"] for end in ("min", "max")
+    )
+    return MovableFinger(finger.name, finger.radius_m, low, high)

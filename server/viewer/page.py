@@ -1,4 +1,4 @@
-"""The page: a scene and its fingertips in the middle, what is to be read and done beside it, some 30 times a second."""
+"""Page: 3-D view of a scene and its fingertips with a panel of text and controls, updated about 30 times per second."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ from typing import Any, Final
 import numpy as np
 import viser
 from numpy.typing import NDArray
+from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.controls import on_slider
-from softfinger.server.viewer.displayed import Handle
+from softfinger.server.surface_meshes import Mesh
+from softfinger.server.viewer.controls import is_on_slider
+from softfinger.server.viewer.displayed import LowDofDevice
 from softfinger.server.viewer.door.access import Access
-from softfinger.server.viewer.nodes.bodies import Began, Bodies, Place
-from softfinger.server.viewer.nodes.camera import Camera, camera_of
+from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
+from softfinger.server.viewer.nodes.camera import Camera, initial_camera
 from softfinger.server.viewer.nodes.fingers import FingerNodes
+from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.nodes.looks import Looks
-from softfinger.server.viewer.nodes.meshes import Mesh
-from softfinger.server.viewer.nodes.states import COLOURS, State
+from softfinger.server.viewer.nodes.states import COLOURS, ContactState
 from softfinger.server.viewer.plots import Plots
 from softfinger.server.viewer.theme import Theme
 
@@ -38,63 +40,92 @@ FRAME_S: Final = 1.0 / 30.0
 TEXT_S: Final = 0.2
 PLOT_S: Final = 0.33
 COLLECT_S: Final = 60.0
-"""CPython keeps 2000 freed tuples of each length, 4 MB in all, until it collects garbage among all objects: by itself
-so rarely that a page grew for the best part of an hour."""
+"""Period of garbage collection. CPython caches up to 2000 freed tuples of each length, 4 MB in all, until a full
+collection. Automatic ones are so rare that the memory of a page grew for most of an hour.
+"""
 TITLE: Final = "softfinger"
-READ: Final = '<div style="padding: 0.3em 0.75em; font-size: 0.85em; line-height: 1.5">{}</div>'
+TEXT_HTML: Final = '<div style="padding: 0.3em 0.75em; font-size: 0.85em; line-height: 1.5">{}</div>'
 GRID: Final = "display: grid; grid-template-columns: 5.5em 6em 6.5em auto; font-variant-numeric: tabular-nums"
-NONE: Final[Mapping[str, Handle]] = MappingProxyType({})
+NO_DEVICES: Final[Mapping[str, LowDofDevice]] = MappingProxyType({})
 ARROW: Final = "arrow, N per 10 mm"
 FADE_S: Final = 6.0
-"""Time constant of the largest force: the scale of arrows stays for some seconds after a push."""
-PANEL: Final = 380
+"""Time constant of the largest force: the scale of arrows changes slowly after a push."""
+PANEL_WIDTH: Final = 380
 """Width of the controls, pixels."""
-WIDE: Final = 640
-"""Of a page of prompts alone."""
+PROMPT_WIDTH: Final = 640
+"""Width of a page that has only prompts, pixels."""
+
+
+_push: Final = AsyncMessageBuffer.push
+
+
+def push_from_any_thread(buffer: AsyncMessageBuffer, message: Any) -> None:
+    """Queue a message for browsers, even while one connects or closes in the thread of the event loop.
+
+    viser 1.1.1 sets an `asyncio.Event` in the caller's thread, which raises RuntimeError if its waiters change then.
+    The message is queued by that time, so only the event loop has to be woken.
+    """
+    try:
+        _push(buffer, message)
+    except RuntimeError as error:
+        if "mutated" not in str(error):
+            raise
+        buffer.event_loop.call_soon_threadsafe(buffer.message_event.set)
+
+
+AsyncMessageBuffer.push = push_from_any_thread  # type: ignore[method-assign, assignment]
 
 
 class Page:
-    """A page on `host`:`port`, or the next port that is free, for whoever has its `address`; `allowed` are more names
-    of its host, `token` is its secret where that is to be that of a page before. What feeds it calls `change`, `show`
-    and `say`."""
+    """Page on `host`:`port`, or the next free port; a data source, such as `LivePage`, updates it.
+
+    Parameters
+    ----------
+    host, port
+        Address to listen on.
+    allowed
+        Further host names of the page.
+    token
+        Secret part of the address, reused from a previous page; None: a new one.
+    """
 
     def __init__(self, host: str, port: int, allowed: tuple[str, ...] = (), token: str | None = None) -> None:
         access = Access(host, allowed, TITLE, token)
-        logging.getLogger("websockets").setLevel(logging.WARNING)  # it tells of every page that is opened
-        with access.guarding(), contextlib.redirect_stdout(io.StringIO()):  # it draws a box with its address
+        logging.getLogger("websockets").setLevel(logging.WARNING)  # it logs every page that is opened
+        with access.guard_server(), contextlib.redirect_stdout(io.StringIO()):  # viser prints a box with its address
             self.server: Final = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
         self.address: Final = access.address(self.server.get_port())
-        # Without a graphics card each would cost a third of a frame.
+        # Without a graphics card, each would cost a third of a frame.
         self.server.scene.configure_environment_map(None)
         self.server.scene.configure_default_lights(cast_shadow=False)
         self.server.scene.add_light_hemisphere("/light", ground_color=(190, 196, 206), intensity=2.2)
         self._camera: Camera | None = None
         self._scene: schema.Scene | None = None
-        self._drawn: Final[dict[int, Array]] = {}
-        self._handles, self._unseen = NONE, False
+        self._file_vertices: Final[dict[int, Array]] = {}
+        self._low_dof_devices, self._awaits_body_poses = NO_DEVICES, False
         self.looks: Final = Looks()
         self.fingers: Final[dict[str, FingerNodes]] = {}
         self.bodies: Bodies | None = None
         self._newest: dict[str, Array] = {}
         self._largest_n, self._newtons_per_cm = 0.0, self.looks.newtons_per_cm
-        self._told, self._plotted, self._shown, self._closed = 0.0, 0.0, 0.0, False
+        self._text_updated_s, self._plotted_s, self._shown_s, self._closed = 0.0, 0.0, 0.0, False
         gui = self.server.gui
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(PANEL)
-        self._said = gui.add_markdown("")
-        self._state = gui.add_html(READ.format("waiting for the first tick"))
+        gui.main_panel.set_width(PANEL_WIDTH)
+        self._message = gui.add_markdown("")
+        self._state_text = gui.add_html(TEXT_HTML.format("waiting for the first tick"))
         self._paused = gui.add_checkbox("pause the picture", False)
         self.tabs: Final = gui.add_tab_group()
         Theme(gui)
 
-    def only_prompts(self) -> None:
-        """Leave out what tells of the rendering."""
-        for part in (self._state, self._paused, self.tabs):
+    def show_only_prompts(self) -> None:
+        """Hide everything that shows the rendering."""
+        for part in (self._state_text, self._paused, self.tabs):
             part.visible = False
-        self.server.gui.main_panel.set_width(WIDE)
+        self.server.gui.main_panel.set_width(PROMPT_WIDTH)
 
     def add_views(self) -> None:
-        """The tabs for what is shown and for plots; behind those of who feeds the page."""
+        """Add the tabs for view settings and plots; call after the data source has added its tabs."""
         gui, looks = self.server.gui, self.looks
         with self.tabs.add_tab("Show"):
             for name, text in (
@@ -103,45 +134,52 @@ class Page:
                 ("ghost", "probe apart from proxy"),
                 ("patches", "contact points and normals"),
             ):
-                _bound(gui.add_checkbox(text, getattr(looks, name)), looks, name)
-            _bound(gui.add_slider(ARROW, 0.1, 10.0, 0.1, looks.newtons_per_cm), looks, "newtons_per_cm")
-            _bound(
-                gui.add_slider("torsion, deg/mN m", 5.0, 200.0, 5.0, looks.degrees_per_mnm), looks, "degrees_per_mnm"
-            )
-            gui.add_button("wipe traces").on_click(lambda event: self.forget())
+                _bind(gui.add_checkbox(text, getattr(looks, name)), looks, name)
+            _bind(gui.add_slider(ARROW, 0.1, 10.0, 0.1, looks.newtons_per_cm), looks, "newtons_per_cm")
+            _bind(gui.add_slider("torsion, deg/mN m", 5.0, 200.0, 5.0, looks.degrees_per_mnm), looks, "degrees_per_mnm")
+            gui.add_button("wipe traces").on_click(lambda event: self.clear_traces())
         with self.tabs.add_tab("Plots"):
             self._plots = Plots(gui)
 
-    def change(self, scene: schema.Scene, began: Began, handles: Mapping[str, Handle] = NONE) -> None:
-        """Another scene; its nodes take the place of those before. Of fingers whose devices display a part of a force
-        alone, `handles` by name say which."""
+    def change(self, scene: schema.Scene, start: SceneStart, devices: Mapping[str, LowDofDevice] = NO_DEVICES) -> None:
+        """Replace the scene and all its nodes.
+
+        Parameters
+        ----------
+        scene
+            New scene.
+        start
+            Start of the scene.
+        devices
+            Devices that display only a part of the force, by finger name.
+        """
         with self.server.atomic():
             for nodes in self.fingers.values():
                 nodes.remove()
             if self.bodies is not None:
                 self.bodies.remove()
-            self.bodies = Bodies(self.server.scene, scene, began)
+            self.bodies = Bodies(self.server.scene, scene, start)
             self.fingers.clear()
             self._newest.clear()
             for finger in scene.fingers:
                 nodes = self.fingers[finger.name] = FingerNodes(self.server.scene, scene, finger, self.bodies)
-                if finger.name in handles:
-                    nodes.displays = handles[finger.name].displayed
-        self._scene, self._handles, self._unseen = scene, handles, scene.world is not None
-        self._drawn.clear()
-        self._look()
+                if finger.name in devices:
+                    nodes.displayed_force = devices[finger.name].displayed_force
+        self._scene, self._low_dof_devices, self._awaits_body_poses = scene, devices, scene.world is not None
+        self._file_vertices.clear()
+        self._set_camera()
 
-    def begin_again(self, began: Began) -> None:
-        """The same scene begins anew."""
+    def restart(self, start: SceneStart) -> None:
+        """Restart the same scene."""
         if self.bodies is not None:
-            self.bodies.began = began
-        self.forget()
+            self.bodies.start = start
+        self.clear_traces()
 
-    def _look(self) -> None:
-        """Set the camera for pages that will be opened, and in each that is open, where the scene wants another."""
+    def _set_camera(self) -> None:
+        """Set the camera for new and open pages, if the scene requires another one."""
         if self._scene is None or self.bodies is None:
             return
-        camera = camera_of(self._scene, self._drawn, self.bodies.shown())
+        camera = initial_camera(self._scene, self._file_vertices, self.bodies.drawn_objects())
         if camera == self._camera:
             return
         self._camera = camera
@@ -150,72 +188,76 @@ class Page:
             for name, value in camera._asdict().items():
                 setattr(view, name, value)
 
-    def drive(self, number: int, position: Any, orientation: Any) -> None:
-        """A driven object of the scene has been moved."""
+    def drive(self, object_index: int, position: Any, orientation: Any) -> None:
+        """Move a driven object of the scene."""
         if self.bodies is not None:
-            self.bodies.drive(number, position, orientation)
+            self.bodies.drive(object_index, position, orientation)
 
-    def ride(self, bodies: Mapping[str, Place]) -> None:
-        """Bodies of the scene's [world] are there, by name."""
+    def move_bodies(self, bodies: Mapping[str, PoseTuple]) -> None:
+        """Move the bodies of the scene's [world], by name."""
         if self.bodies is not None and not self._paused.value:
-            self.bodies.ride(bodies)
-            if bodies and self._unseen:  # where they are is not known before
-                self._unseen = False
-                self._look()
+            self.bodies.move_bodies(bodies)
+            if bodies and self._awaits_body_poses:  # their poses are unknown before
+                self._awaits_body_poses = False
+                self._set_camera()
 
-    def draw(self, number: int, mesh: Mesh) -> None:
-        """The triangles of an object of the scene that is made of a file."""
+    def draw(self, object_index: int, mesh: Mesh) -> None:
+        """Draw the triangles of an object that is loaded from a file."""
         if self.bodies is not None:
-            self.bodies.draw(number, mesh)
-            self._drawn[number] = mesh.vertices
-            self._look()
+            self.bodies.draw(object_index, mesh)
+            self._file_vertices[object_index] = mesh.vertices
+            self._set_camera()
 
     def show(self, ticks: dict[str, Array]) -> None:
-        """Ticks (n, RECORD_SIZE) of each finger since the last time."""
-        known = {name: rows for name, rows in ticks.items() if name in self.fingers and len(rows)}
-        for name, rows in known.items():
+        """Show the new ticks (n, RECORD_SIZE) of each finger."""
+        new_rows = {name: rows for name, rows in ticks.items() if name in self.fingers and len(rows)}
+        for name, rows in new_rows.items():
             self._newest[name] = rows[-1]
         first = next(iter(self.fingers), "")
-        if first in known:
-            self._plots.add(known[first])
-        if not self._paused.value and known:
-            largest = max(float(np.linalg.norm(rows[-1, AT.force : AT.force + 3])) for rows in known.values())
+        if first in new_rows:
+            self._plots.add(new_rows[first])
+        if not self._paused.value and new_rows:
+            largest = max(float(np.linalg.norm(rows[-1, AT.force : AT.force + 3])) for rows in new_rows.values())
             now = time.monotonic()
-            self._largest_n = max(largest, exp((self._shown - now) / FADE_S) * self._largest_n)
-            self._shown = now
+            self._largest_n = max(largest, exp((self._shown_s - now) / FADE_S) * self._largest_n)
+            self._shown_s = now
             self._newtons_per_cm = self.looks.arrow(self._largest_n)
             with self.server.atomic():
                 if self.bodies is not None:
-                    self.bodies.show(next(iter(known.values()))[-1])
-                for name, rows in known.items():
+                    self.bodies.show(next(iter(new_rows.values()))[-1])
+                for name, rows in new_rows.items():
                     self.fingers[name].show(rows, self.looks, self._newtons_per_cm)
-        self._keep_up()
+        self._update_panel()
 
-    def forget(self) -> None:
-        """Wipe off the traces."""
+    def clear_traces(self) -> None:
+        """Clear the traces."""
         for nodes in self.fingers.values():
-            nodes.forget()
+            nodes.clear_traces()
 
-    def say(self, text: str, title: str = "") -> None:
-        """Something that the viewer is told, until something else is; a title is shown in front, too."""
-        if self._closed:  # an answer that came late
+    def show_message(self, text: str, title: str = "") -> None:
+        """Show a message until the next one; with a title, also as a notification."""
+        if self._closed:  # a late answer
             return
-        self._said.content = f"**{title}** {text}" if title else text
+        self._message.content = f"**{title}** {text}" if title else text
         if title:
             for client in self.server.get_clients().values():
                 client.add_notification(title, "see above the tabs why", auto_close_seconds=8.0, color="orange")
 
-    def _keep_up(self) -> None:
+    def _update_panel(self) -> None:
         now = time.monotonic()
-        if now - self._told > TEXT_S and self._newest and not self._paused.value:
-            self._told = now
-            self._state.content = "".join(
-                told(name, row, self.fingers[name].state, self.fingers[name].height_m)
-                + (READ.format(self._handles[name].told(row)) if name in self._handles else "")
+        if now - self._text_updated_s > TEXT_S and self._newest and not self._paused.value:
+            self._text_updated_s = now
+            self._state_text.content = "".join(
+                format_tick_html(name, row, self.fingers[name].state, self.fingers[name].height_m)
+                + (
+                    TEXT_HTML.format(self._low_dof_devices[name].format_html(row))
+                    if name in self._low_dof_devices
+                    else ""
+                )
                 for name, row in self._newest.items()
-            ) + READ.format(f"arrow: {self._newtons_per_cm:g} N per 10 mm")
-        if now - self._plotted > PLOT_S and not self._paused.value:
-            self._plotted = now
+            ) + TEXT_HTML.format(f"arrow: {self._newtons_per_cm:g} N per 10 mm")
+        if now - self._plotted_s > PLOT_S and not self._paused.value:
+            self._plotted_s = now
             self._plots.show()
 
     def close(self) -> None:
@@ -224,19 +266,19 @@ class Page:
             self.server.stop()
 
 
-def _bound(control: Any, looks: Looks, name: str) -> None:
-    """What a control says, as a look: a checkbox, or a slider within its ends."""
+def _bind(control: Any, looks: Looks, name: str) -> None:
+    """Connect a checkbox or slider to an attribute of the looks; slider values out of range are ignored."""
 
-    def seen(event: Any) -> None:
-        if not hasattr(control, "max") or on_slider(control):
+    def store_value(event: Any) -> None:
+        if not hasattr(control, "max") or is_on_slider(control):
             setattr(looks, name, control.value)
 
-    control.on_update(seen)
+    control.on_update(store_value)
 
 
-def told(name: str, row: Array, state: State, height_m: float | None) -> str:
-    """A tick in words and figures, with the height above what lies below, as HTML."""
-    row = np.round(row, 9) + 0.0  # no minus before a zero
+def format_tick_html(name: str, row: Array, state: ContactState, height_m: float | None) -> str:
+    """Return the values of a tick as HTML, with the height above the object below."""
+    row = np.round(row, 9) + 0.0  # avoids negative zeros
     figures = (
         ("normal", f"{row[AT.contact_normal_force]:.2f} N"),
         ("tangential", f"{row[AT.contact_tangential_force]:.2f} N"),
@@ -248,26 +290,34 @@ def told(name: str, row: Array, state: State, height_m: float | None) -> str:
     cells = "".join(f'<span style="opacity: 0.6">{word}</span><span>{figure}</span>' for word, figure in figures)
     high = "" if height_m is None else f" · height {1e3 * max(height_m, 0.0):.1f} mm"
     head = f'<span style="color: rgb{COLOURS[state]}">&#9632;</span> <b>{state}</b> · tick {row[AT.tick]:.0f}{high}'
-    return READ.format(f'{html.escape(name + ": ") if name else ""}{head}<div style="{GRID}">{cells}</div>')
+    return TEXT_HTML.format(f'{html.escape(name + ": ") if name else ""}{head}<div style="{GRID}">{cells}</div>')
 
 
-def began_of(described: dict[str, Any]) -> Began:
-    """When the scene that a daemon describes began."""
-    own = all(finger["device"]["own_clock"] for finger in described["fingers"])
-    return Began(described["since"], described["since_missed"], 1.0 / described["rate_hz"], own)
+def parse_scene_start(description: dict[str, Any]) -> SceneStart:
+    """Return the start of the scene in a daemon's description."""
+    has_own_clock = all(finger["device"]["own_clock"] for finger in description["fingers"])
+    return SceneStart(description["since"], description["since_missed"], 1.0 / description["rate_hz"], has_own_clock)
 
 
-def scene_of(described: dict[str, Any]) -> schema.Scene:
-    """The scene that a daemon describes; ConfigError for one with a shape that is not known here."""
-    return build(schema.Scene, described["scene"], "the daemon's scene")
+def parse_scene(description: dict[str, Any]) -> schema.Scene:
+    """Return the scene in a daemon's description; raises ConfigError for an unknown shape."""
+    return build(schema.Scene, description["scene"], "the daemon's scene")
 
 
-def each_frame(work: Callable[[float], None], asked: list[bool], duration: float | None) -> None:
-    """Call `work(dt)` some 30 times a second until asked to stop, once anything is in the list; never faster than the
-    page is drawn. A signal may ask: an event's lock would be held by whom the signal holds up."""
-    gc.freeze()  # what is there by now stays, and makes no collection long
-    began = last = collected = time.monotonic()
-    while not asked:
+def run_frames(work: Callable[[float], None], stop_requests: list[bool], duration: float | None) -> None:
+    """Call `work(dt)` about 30 times per second, and no faster than the page is drawn.
+
+    Parameters
+    ----------
+    stop_requests
+        Stops the loop once it has an element. A list, because a signal handler may add to it: the lock of an Event
+        could be locked by the interrupted thread.
+    duration
+        Maximum duration, s; None: no limit.
+    """
+    gc.freeze()  # existing objects are permanent: exclude them from collections
+    start_s = last = collected = time.monotonic()
+    while not stop_requests:
         time.sleep(max(0.0, last + FRAME_S - time.monotonic()))
         now = time.monotonic()
         work(now - last)
@@ -275,5 +325,5 @@ def each_frame(work: Callable[[float], None], asked: list[bool], duration: float
         if now - collected > COLLECT_S:
             gc.collect()
             collected = now
-        if duration is not None and now - began >= duration:
+        if duration is not None and now - start_s >= duration:
             return

@@ -1,4 +1,4 @@
-"""The page of a participant: prompts and their answers, nothing else."""
+"""Page of a participant: only prompts and their answers."""
 
 from __future__ import annotations
 
@@ -9,34 +9,36 @@ from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.prompt import PromptPanel
 from softfinger.server.viewer.roles import ALLOWED, Role
-from softfinger.server.viewer.wire import Asker, Live
+from softfinger.server.viewer.wire import CommandQueue, TelemetryReceiver
 from softfinger.server.wire.protocol import EVENT
 
-SIZE: Final = 1.5
-"""Of the text, of that of other pages: it is read from behind a device."""
-ASK_AGAIN_S: Final = 1.0
+TEXT_SIZE: Final = 1.5
+"""Text size relative to other pages: participants sit behind a device."""
+REQUEST_PERIOD_S: Final = 1.0
 
 
 class ParticipantPage:
-    """Feeds a page from the daemon at two addresses, whether or not it runs yet; call `step` for each frame."""
+    """Data source of a page from a daemon, which may start later; call `step` for each frame."""
 
     def __init__(self, page: Page, daemon: Addresses, keys: ClientKeys | None = None) -> None:
-        self._live = Live(daemon.telemetry, keys, (EVENT,))
-        self._asker = Asker(daemon.commanded(), keys, may=ALLOWED[Role.PARTICIPANT])
-        page.only_prompts()
-        self._prompt = PromptPanel(page.server.gui, self._asker, lambda text: page.say(text, "Not done:"), size=SIZE)
-        self._since = ASK_AGAIN_S
+        self._telemetry = TelemetryReceiver(daemon.telemetry, keys, (EVENT,))
+        self._commands = CommandQueue(daemon.command_endpoint(), keys, allowed_methods=ALLOWED[Role.PARTICIPANT])
+        page.show_only_prompts()
+        self._prompt = PromptPanel(
+            page.server.gui, self._commands, lambda text: page.show_message(text, "Not done:"), size=TEXT_SIZE
+        )
+        self._since_request_s = REQUEST_PERIOD_S
 
     def step(self, dt: float) -> None:
-        """Show what has come in the `dt` s since the last time."""
-        self._since += dt
-        if not self._prompt.known and self._since > ASK_AGAIN_S:
-            self._since = 0.0
-            self._prompt.look()
-        for event in self._live.take().events:
-            self._prompt.hear(event)
+        """Show the data received in the last `dt` s."""
+        self._since_request_s += dt
+        if not self._prompt.is_known and self._since_request_s > REQUEST_PERIOD_S:
+            self._since_request_s = 0.0
+            self._prompt.request()
+        for event in self._telemetry.take().events:
+            self._prompt.handle_event(event)
         self._prompt.step()
 
     def close(self) -> None:
-        for part in (self._live, self._asker):
+        for part in (self._telemetry, self._commands):
             part.close()

@@ -1,4 +1,4 @@
-"""A button for each gesture, which plays it with the hand of the page, or says why that cannot be."""
+"""Buttons that play gestures with the simulated hand, or give the reason why one is impossible."""
 
 from __future__ import annotations
 
@@ -18,154 +18,154 @@ from softfinger.server.viewer.nodes.bodies import Bodies
 Array = NDArray[np.float64]
 
 LIFT: Final = "lift a box"
-LIFTED: Final = "lift-a-box"
-"""The shipped scene of a box, and its fingers."""
+LIFT_SCENE: Final = "lift-a-box"
+"""Shipped scene with a box, and its fingers below."""
 FINGERS: Final = ("thumb", "index")
-LONGEST_S: Final = 0.2
-"""A page that stood still for longer goes on as if it had not."""
-FIRST: Final = -1.0
-"""Place of the buttons among the controls of their tab."""
-SENSES: Final = 6
-"""Degrees of freedom of a device that senses how it is turned."""
+MAX_STEP_S: Final = 0.2
+"""Maximum time step; after a longer pause of the page, a gesture continues as if without pause."""
+BUTTON_ORDER: Final = -1.0
+"""Order of the buttons: above the other controls of the tab."""
+ORIENTATION_DOF: Final = 6
+"""Degrees of freedom of a device that senses orientation."""
 
 
-class Ask(NamedTuple):
-    """What is asked for: `say(text, title)` the viewer, `put_back()` that bodies be where they began, `scene(name)`."""
+class PageActions(NamedTuple):
+    """Requests: `show_message(text, title)`, `reset_world()` of the bodies, `scene(name)` loads a scene."""
 
-    say: Callable[[str, str], None]
-    put_back: Callable[[], None]
+    show_message: Callable[[str, str], None]
+    reset_world: Callable[[], None]
     scene: Callable[[str], None]
 
 
 class Play:
-    """The buttons; call `see` for each tick of a finger, and `step` for each frame."""
+    """Gesture buttons; call `update_force` for each tick of a finger and `step` for each frame."""
 
-    def __init__(self, gui: Any, hand: Hand, ask: Ask) -> None:
-        self._hand, self._ask = hand, ask
-        gui.add_button_group("play", (*ONE_FINGER, LIFT), order=FIRST).on_click(self._clicked)
-        hand.interrupted = self.stop
+    def __init__(self, gui: Any, hand: Hand, actions: PageActions) -> None:
+        self._hand, self._actions = hand, actions
+        gui.add_button_group("play", (*ONE_FINGER, LIFT), order=BUTTON_ORDER).on_click(self._on_click)
+        hand.on_interrupt = self.stop
         self._scene: schema.Scene | None = None
         self._bodies: Bodies | None = None
-        self._senses: dict[str, int] = {}
+        self._sensed_dof: dict[str, int] = {}
         self._forces: dict[str, float] = {}
         self._gesture: Gesture | None = None
-        self._wanted = self._after = ""
+        self._queued = self._after_scene = ""
 
-    def change(self, scene: schema.Scene, bodies: Bodies | None, described: dict[str, Any]) -> None:
-        """Another scene is rendered, as the daemon describes it."""
-        after = self._after if described["scene_name"] == LIFTED else ""
-        if scene != self._scene:  # else its bodies were put back, maybe by the gesture itself
+    def change(self, scene: schema.Scene, bodies: Bodies | None, description: dict[str, Any]) -> None:
+        """Set a new scene, with the daemon's description."""
+        scene_gesture = self._after_scene if description["scene_name"] == LIFT_SCENE else ""
+        if scene != self._scene:  # otherwise its bodies were reset, possibly by the gesture itself
             self.stop()
         self._scene, self._bodies = scene, bodies
-        self._senses = {each["name"]: each["device"]["sensed_dof"] for each in described["fingers"]}
-        self._forces = dict.fromkeys(self._senses, 0.0) if self._gesture else {}
-        self._wanted = ""
-        if after:
-            self._want(after)
+        self._sensed_dof = {each["name"]: each["device"]["sensed_dof"] for each in description["fingers"]}
+        self._forces = dict.fromkeys(self._sensed_dof, 0.0) if self._gesture else {}
+        self._queued = ""
+        if scene_gesture:
+            self._queue(scene_gesture)
 
-    def see(self, finger: str, row: Array) -> None:
-        """The newest tick (RECORD_SIZE,) of a finger."""
+    def update_force(self, finger: str, row: Array) -> None:
+        """Update the force from the latest tick (RECORD_SIZE,) of a finger."""
         self._forces[finger] = float(row[AT.contact_normal_force])
 
     def step(self, dt: float) -> None:
-        """`dt` s have gone by."""
-        if self._wanted and self._scene is not None and len(self._forces) == len(self._scene.fingers):
-            wanted, self._wanted = self._wanted, ""
-            why = self._begin(wanted)
-            if why:
-                self._ask.say(why, f"Cannot {wanted}:")
+        """Advance the gesture by `dt` s."""
+        if self._queued and self._scene is not None and len(self._forces) == len(self._scene.fingers):
+            name, self._queued = self._queued, ""
+            obstacle = self._try_start(name)
+            if obstacle:
+                self._actions.show_message(obstacle, f"Cannot {name}:")
         if self._gesture is None:
             return
         try:
-            goals = next(self._gesture) if self._fresh else self._gesture.send(min(dt, LONGEST_S))
+            goals = next(self._gesture) if self._is_new else self._gesture.send(min(dt, MAX_STEP_S))
         except StopIteration:
             self._gesture = None
             return
-        self._fresh = False
+        self._is_new = False
         for finger, target in goals.items():
-            self._hand.go(finger, target)
+            self._hand.send_target(finger, target)
 
-    _fresh = True
+    _is_new = True
 
     def stop(self) -> None:
-        """A person leads, or there is another scene."""
-        self._gesture, self._wanted, self._after = None, "", ""
+        """Cancel the gesture: a person moves the hand, or the scene was replaced."""
+        self._gesture, self._queued, self._after_scene = None, "", ""
 
-    def _clicked(self, event: Any) -> None:
+    def _on_click(self, event: Any) -> None:
         if event.client is not None and event.target.value in (*ONE_FINGER, LIFT):
             self.stop()
-            self._want(event.target.value)
+            self._queue(event.target.value)
 
-    def _want(self, name: str) -> None:
-        """Begin a gesture once the hands are this page's."""
-        self._hand.take_over(partial(setattr, self, "_wanted", name))
+    def _queue(self, name: str) -> None:
+        """Start a gesture after all hands have stopped at their goals."""
+        self._hand.hold_then(partial(setattr, self, "_queued", name))
 
-    def _begin(self, name: str) -> str:
-        """Begin a gesture; why not, where it cannot be."""
-        finger = self._hand.chosen()
+    def _try_start(self, name: str) -> str:
+        """Start a gesture; return why it is impossible, else empty."""
+        finger = self._hand.chosen_finger()
         if finger is None:
             return "nothing here is to be led; `softfinger run --view` has a hand"
         stage = Stage(self._hand.target, lambda finger: self._forces[finger], self._hand.radius, self._height)
         if name == LIFT:
-            return self._begin_lift(stage)
-        why = self._why_not(name, finger)
-        if not why:
+            return self._try_lift(stage)
+        obstacle = self._find_obstacle(name, finger)
+        if not obstacle:
             self._start(ONE_FINGER[name](stage, finger))
-        return why
+        return obstacle
 
     def _start(self, gesture: Gesture) -> None:
-        self._gesture, self._fresh = gesture, True
+        self._gesture, self._is_new = gesture, True
 
     def _height(self, point: Array) -> float | None:
-        foot = None if self._bodies is None else self._bodies.below(point)
-        return None if foot is None else float(foot.point[2])
+        projection = None if self._bodies is None else self._bodies.below(point)
+        return None if projection is None else float(projection.point[2])
 
-    def _why_not(self, name: str, finger: str) -> str:
-        """Why a finger cannot do it here; empty where it can."""
+    def _find_obstacle(self, name: str, finger: str) -> str:
+        """Return why a finger cannot perform a gesture here, else empty."""
         assert self._scene is not None and self._bodies is not None
-        foot = self._bodies.below(self._hand.target(finger).position)
-        if foot is None:
+        projection = self._bodies.below(self._hand.target(finger).position)
+        if projection is None:
             return "nothing lies below the fingertip: move it over an object first"
-        if foot.number >= len(self._scene.object):
+        if projection.object_index >= len(self._scene.object):
             return "no finger touches what lies below: move the fingertip over another object first"
-        below = self._scene.object[foot.number]
+        below = self._scene.object[projection.object_index]
         if name == "roll" and self._scene.rolling is None:
             return "this scene has no `[rolling]`; the tab *Feel* switches it on"
         if name == "spin" and below.material.torsion is None:
             return f"{below.name} has no torsion (`material.torsion` of the scene)"
-        if name in ("roll", "spin") and self._senses[finger] < SENSES:
+        if name in ("roll", "spin") and self._sensed_dof[finger] < ORIENTATION_DOF:
             return "this device does not sense how it is turned"
         return ""
 
-    def _begin_lift(self, stage: Stage) -> str:
+    def _try_lift(self, stage: Stage) -> str:
         assert self._scene is not None and self._bodies is not None
-        number = next(
+        object_index = next(
             (
-                number
-                for number, thing in enumerate(self._scene.object)
-                if isinstance(thing, schema.Box) and isinstance(thing.motion, schema.Body)
+                object_index
+                for object_index, obj in enumerate(self._scene.object)
+                if isinstance(obj, schema.Box) and isinstance(obj.motion, schema.Body)
             ),
             None,
         )
         sides = self._hand.sides()
-        if number is None or len(sides) < 2:
-            return self._fetch_a_box()
-        thing = self._scene.object[number]
-        assert isinstance(thing, schema.Box)
-        half = half_width(thing.size_m, self._bodies.places[number][1])
-        box = Box(lambda: self._middle(number), half, self._ask.put_back)
+        if object_index is None or len(sides) < 2:
+            return self._request_box_scene()
+        obj = self._scene.object[object_index]
+        assert isinstance(obj, schema.Box)
+        half = half_width(obj.size_m, self._bodies.poses[object_index][1])
+        box = Box(lambda: self._box_centre(object_index), half, self._actions.reset_world)
         self._start(lift(stage, sides[0], sides[1], box))
         return ""
 
-    def _middle(self, number: int) -> Array:
+    def _box_centre(self, object_index: int) -> Array:
         assert self._bodies is not None
-        return np.array(self._bodies.places[number][0])
+        return np.array(self._bodies.poses[object_index][0])
 
-    def _fetch_a_box(self) -> str:
-        """Ask for the scene that has one, where the fingers are those of it."""
+    def _request_box_scene(self) -> str:
+        """Request the scene with a box, if the fingers match it."""
         assert self._scene is not None
         if tuple(finger.name for finger in self._scene.fingers) != FINGERS or not self._hand.sides():
             return "it takes two fingers and a box: end the program, and begin with `run --scene lift-a-box --view`"
-        self._after = LIFT
-        self._ask.scene(LIFTED)
+        self._after_scene = LIFT
+        self._actions.scene(LIFT_SCENE)
         return ""

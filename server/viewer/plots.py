@@ -1,4 +1,4 @@
-"""Force, depth, spin, torsion and lateness over the last seconds, as plots beside the picture."""
+"""Plots of force, depth, spin, torsion and lateness over the last seconds."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from softfinger.proxy.record import AT
 
 POINTS: Final = 250
-EACH_S: Final = 0.02
+POINT_PERIOD_S: Final = 0.02
 """Time between two points."""
 COLOURS: Final = ("#1f6feb", "#d1242f")
 
 
 class Plots:
-    """Four plots of one finger. Lateness is the largest of the ticks of a point."""
+    """Four plots of one finger. Lateness is the maximum over the ticks of a point."""
 
     def __init__(self, gui: Any) -> None:
         self._points: deque[tuple[float, ...]] = deque(maxlen=POINTS)
@@ -30,10 +30,10 @@ class Plots:
         ]
 
     def add(self, rows: NDArray[np.float64]) -> None:
-        """Ticks (n, RECORD_SIZE) of the finger."""
+        """Add ticks (n, RECORD_SIZE) of the finger."""
         for row in rows:
             self._late = max(self._late, row[AT.servo_late])
-            if self._points and 0.0 <= row[AT.timestamp] - self._points[-1][0] < EACH_S:
+            if self._points and 0.0 <= row[AT.timestamp] - self._points[-1][0] < POINT_PERIOD_S:
                 continue
             self._points.append((
                 row[AT.timestamp],
@@ -52,7 +52,7 @@ class Plots:
         self._points.clear()
 
     def show(self) -> None:
-        """Draw what has been added."""
+        """Draw the new points."""
         if not self._changed or len(self._points) < 2:
             return
         self._changed = False

@@ -1,4 +1,4 @@
-"""The prompt of an experiment on the page: text, progress, and buttons, keys or a field for the answer."""
+"""Prompt of an experiment on the page: text, progress, and buttons, keys or a field for the answer."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
-from softfinger.server.viewer.wire import Asker, Request
-from softfinger.server.wire.asking import number_of
+from softfinger.server.viewer.wire import CommandQueue, Request
+from softfinger.server.wire.client_requests import parse_number
 from softfinger.server.wire.commands import Prompt, Prompted
 
 TEXT: Final = (
@@ -17,96 +17,114 @@ TEXT: Final = (
 )
 DIGITS: Final = "123456789"
 LARGE_MAX: Final = 3
-"""So many choices have a large button each, more stand in a row."""
-FIRST: Final = -1.0
-"""Above all else of the panel."""
+"""Up to this number, each choice has a large button; more choices share a row."""
+PROMPT_ORDER: Final = -1.0
+"""Order of the prompt: above all other controls."""
 
 
 class PromptPanel:
-    """Shows the prompt of the daemon that `asker` commands, and sends the answer.
+    """Display of a daemon's prompt, and input of the answer.
 
-    refused  is told why an answer was not taken
-    answers  False: the prompt is only shown
-    size     of the text, of that of the page
+    Parameters
+    ----------
+    commands
+        Sends commands to the daemon.
+    on_refused
+        Called with the reason if an answer was refused.
+    can_answer
+        False: only show the prompt.
+    size
+        Text size relative to the page.
     """
 
     def __init__(
-        self, gui: Any, asker: Asker, refused: Callable[[str], None], answers: bool = True, size: float = 1.0
+        self,
+        gui: Any,
+        commands: CommandQueue,
+        on_refused: Callable[[str], None],
+        can_answer: bool = True,
+        size: float = 1.0,
     ) -> None:
-        self._gui, self._asker, self._refused, self._answers, self._size = gui, asker, refused, answers, size
-        self._folder = gui.add_folder(None, order=FIRST, visible=False)
+        self._gui, self._commands, self._on_refused, self._can_answer, self._size = (
+            gui,
+            commands,
+            on_refused,
+            can_answer,
+            size,
+        )
+        self._folder = gui.add_folder(None, order=PROMPT_ORDER, visible=False)
         with self._folder:
             self._text = gui.add_html("")
             self._bar = gui.add_progress_bar(0.0, visible=False)
-        self._asking: list[Any] = []
-        self._now: Prompted | None = None
-        self._came: Prompted | None = None
+        self._controls: list[Any] = []
+        self._shown_prompt: Prompted | None = None
+        self._received: Prompted | None = None
 
     @property
-    def known(self) -> bool:
-        """Whether the daemon has told its prompt."""
-        return self._now is not None
+    def is_known(self) -> bool:
+        """Whether the daemon has sent its prompt."""
+        return self._shown_prompt is not None
 
-    def look(self) -> None:
-        """Ask for the prompt; `step` shows it."""
-        self._asker.ask("prompt", Request("get_prompt", {}, self._keep, lambda text: None))
+    def request(self) -> None:
+        """Request the prompt; `step` shows it."""
+        self._commands.submit("prompt", Request("get_prompt", {}, self._store, lambda text: None))
 
-    def hear(self, event: dict[str, Any]) -> None:
-        """Look again where an event tells of another prompt, of an answer, or of another daemon."""
+    def handle_event(self, event: dict[str, Any]) -> None:
+        """Request the prompt again after an event about a new prompt, an answer, or a new daemon."""
         if event["kind"] == "lifecycle" or event["name"] in ("set_prompt", "answer"):
-            self.look()
+            self.request()
 
-    def _keep(self, prompted: Prompted) -> None:
-        self._came = prompted
+    def _store(self, prompted: Prompted) -> None:
+        self._received = prompted
 
     def step(self) -> None:
-        """Show what has come; from the thread that draws."""
-        came, self._came = self._came, None
-        if came is None or came == self._now:
+        """Show the received prompt; from the thread that draws."""
+        received, self._received = self._received, None
+        if received is None or received == self._shown_prompt:
             return
-        self._now, prompt = came, came.prompt
-        self._folder.visible = bool(prompt.title or prompt.text or came.open)
+        self._shown_prompt, prompt = received, received.prompt
+        self._folder.visible = bool(prompt.title or prompt.text or received.open)
         self._text.content = TEXT.format(
             size=self._size, title=html.escape(prompt.title), text=html.escape(prompt.text)
         )
         self._bar.visible, self._bar.value = prompt.of > 0, 100.0 * min(prompt.done / max(prompt.of, 1), 1.0)
-        for each in self._asking:
-            each.remove()
-        self._asking = self._asked(prompt, came.number) if came.open and self._answers else []
+        for control in self._controls:
+            control.remove()
+        self._controls = self._add_controls(prompt, received.number) if received.open and self._can_answer else []
 
-    def _asked(self, prompt: Prompt, number: int) -> list[Any]:
-        """What the answer is given by."""
+    def _add_controls(self, prompt: Prompt, number: int) -> list[Any]:
+        """Add the controls for the answer."""
         gui = self._gui
         with self._folder:
             if prompt.number is not None:
                 field, button = gui.add_text("your number", ""), gui.add_button("answer")
-                button.on_click(lambda event: self._send(number_of(field.value), number))
+                button.on_click(lambda event: self._send_answer(parse_number(field.value), number))
                 return [field, button]
             if len(prompt.choices) > LARGE_MAX:
                 buttons = gui.add_button_group("", prompt.choices)
-                buttons.on_click(lambda event: self._send(event.target.value, number))
-                made = [buttons]
+                buttons.on_click(lambda event: self._send_answer(event.target.value, number))
+                controls = [buttons]
             else:
-                made = [gui.add_button(choice) for choice in prompt.choices]
-                for choice, button in zip(prompt.choices, made, strict=True):
-                    button.on_click(partial(self._pressed, choice, number))
-        for key, choice in keys_of(prompt.choices).items():
+                controls = [gui.add_button(choice) for choice in prompt.choices]
+                for choice, button in zip(prompt.choices, controls, strict=True):
+                    button.on_click(partial(self._on_press, choice, number))
+        for key, choice in assign_keys(prompt.choices).items():
             command = gui.add_command(f"answer: {choice}", hotkey=key)
-            command.on_trigger(partial(self._pressed, choice, number))
-            made.append(command)
-        return made
+            command.on_trigger(partial(self._on_press, choice, number))
+            controls.append(command)
+        return controls
 
-    def _pressed(self, choice: str, number: int, event: Any) -> None:
-        self._send(choice, number)
+    def _on_press(self, choice: str, number: int, event: Any) -> None:
+        self._send_answer(choice, number)
 
-    def _send(self, value: str | float, number: int) -> None:
-        """What a browser says is checked by the daemon, which knows what is asked."""
+    def _send_answer(self, value: str | float, number: int) -> None:
+        """Send the answer unchecked: the daemon validates it."""
         params = {"value": value, "prompt": number}
-        self._asker.ask("answer", Request("answer", params, lambda result: None, self._refused))
+        self._commands.submit("answer", Request("answer", params, lambda result: None, self._on_refused))
 
 
-def keys_of(choices: tuple[str, ...]) -> dict[str, str]:
-    """Which key means which choice: the digit that it is, or of its place; Enter where there is one."""
+def assign_keys(choices: tuple[str, ...]) -> dict[str, str]:
+    """Return the keys of choices: a digit that is a choice, else of its position; Enter for a single choice."""
     if len(choices) == 1:
         return {"enter": choices[0]}
     if any(digit in choices for digit in DIGITS):

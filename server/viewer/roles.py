@@ -1,4 +1,4 @@
-"""Who sits before the page, and what it may ask of the daemon."""
+"""Roles of a page's user, and the commands that each may send."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Final
 
 
 class Role(StrEnum):
-    """Who sits before the page.
+    """Role of a page's user.
 
-    operator     sees everything and may do everything
-    watcher      sees everything and changes nothing
-    participant  sees prompts and answers them: no picture and no figure tells what is rendered
+    operator     full view, all commands
+    watcher      full view, no changes
+    participant  prompts and their answers only: no picture or number reveals what is rendered
     """
 
     OPERATOR = "operator"
@@ -24,4 +24,4 @@ ALLOWED: Final[dict[Role, frozenset[str] | None]] = {
     Role.WATCHER: frozenset({"describe", "mesh", "get_prompt"}),
     Role.PARTICIPANT: frozenset({"get_prompt", "answer"}),
 }
-"""Commands of each; None: all. Whatever a browser sends, the page sends no others."""
+"""Commands allowed per role; None: all. The page sends no others, whatever a browser requests."""

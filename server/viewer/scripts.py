@@ -1,4 +1,4 @@
-"""Scripts of this folder in the page, which tell by text fields what the page itself does not: keys, wheels, pads."""
+"""JavaScript of this folder on the page; it reports keys, wheels and gamepads, which viser does not, by text fields."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any, Final
 
 FOLDER: Final = Path(__file__).parent
-SHARED: Final = "field"
-"""The script that all others begin with."""
+SHARED_SCRIPT: Final = "field"
+"""Script that precedes all others."""
 
 
 def add_script(gui: Any, name: str) -> Any:
-    """A hidden frame of the page that runs `NAME.js`, and the text field of that name that it writes to."""
-    script = "".join((FOLDER / f"{each}.js").read_text("utf-8") for each in (SHARED, name))
+    """Add a hidden frame that runs `NAME.js`; return the text field of that name, to which the script writes."""
+    script = "".join((FOLDER / f"{each}.js").read_text("utf-8") for each in (SHARED_SCRIPT, name))
     frame = html.escape(f"<script>{script}</script>", quote=True)
     gui.add_html(f'<iframe hidden aria-hidden="true" tabindex="-1" srcdoc="{frame}"></iframe>')
     return gui.add_text(name, "")

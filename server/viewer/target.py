@@ -1,4 +1,4 @@
-"""Where a hand is to be, and what a drag or a nudge makes of that."""
+"""Targets of a hand, and their change by drags and increments."""
 
 from __future__ import annotations
 
@@ -9,86 +9,91 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.server.viewer.inputs import Nudge
-from softfinger.server.viewer.nodes.glyphs import UNTURNED, Quaternion, about, product
+from softfinger.server.viewer.nodes.glyphs import IDENTITY, Quaternion, axis_angle_rotation, product
 
 Array = NDArray[np.float64]
 
-GRAZING: Final = 0.05
-"""Of the sine of the angle between a look and a plane: below it, a pixel would be a long way."""
+MIN_VIEW_SINE: Final = 0.05
+"""Minimum sine of the angle between view ray and plane; below it, one pixel would be a long distance."""
 
 
 class Target(NamedTuple):
-    """Where the hand is to be: position (3,) m and orientation."""
+    """Target of a hand: position (3,) m and orientation."""
 
     position: Array
     orientation: Quaternion
 
 
-def hit(eye: Array, through: Array, point: Array, normal: Array) -> Array | None:
-    """Where the look from `eye` through a point meets the plane of `point` and `normal`; None where it hardly does."""
-    look = through - eye
-    slope = float(look @ normal) / float(np.linalg.norm(look) * np.linalg.norm(normal))
-    if abs(slope) < GRAZING:
+def intersect_plane(eye: Array, through: Array, point: Array, normal: Array) -> Array | None:
+    """Return the point where the ray from `eye` through a point meets the plane of `point` and `normal`.
+
+    None if the ray is nearly parallel to the plane or points away from it.
+    """
+    ray = through - eye
+    slope = float(ray @ normal) / float(np.linalg.norm(ray) * np.linalg.norm(normal))
+    if abs(slope) < MIN_VIEW_SINE:
         return None
-    way = float((point - eye) @ normal) / float(look @ normal)
-    return eye + way * look if way > 0.0 else None
+    scale = float((point - eye) @ normal) / float(ray @ normal)
+    return eye + scale * ray if scale > 0.0 else None
 
 
-def moved(start: Target, eye: Array, grabbed: Array, pointer: Array, how: str, radius: float) -> Target | None:
-    """What a drag makes of the target that it began with, all (3,) m; None where the look does not tell.
+def drag_target(start: Target, eye: Array, grabbed: Array, pointer: Array, mode: str, radius: float) -> Target | None:
+    """Return the target after a drag from `start`, all positions (3,) m; None if the ray misses the drag plane.
 
-    how  "move" in a level plane, "press" up and down, or "roll", as a ball of `radius` on a level plane
+    mode  "move" in a horizontal plane, "press" up and down, or "roll", as a ball of `radius` on a horizontal plane
     """
     up = np.array([0.0, 0.0, 1.0])
-    if how == "press":
+    if mode == "press":
         facing = (grabbed - eye) * (1.0, 1.0, 0.0)
-        if np.linalg.norm(facing) < GRAZING * np.linalg.norm(grabbed - eye):
+        if np.linalg.norm(facing) < MIN_VIEW_SINE * np.linalg.norm(grabbed - eye):
             return None
-        found = hit(eye, pointer, grabbed, facing)
-        return None if found is None else Target(start.position + up * (found - grabbed)[2], start.orientation)
-    found = hit(eye, pointer, grabbed, up)
-    if found is None:
+        hit_point = intersect_plane(eye, pointer, grabbed, facing)
+        return None if hit_point is None else Target(start.position + up * (hit_point - grabbed)[2], start.orientation)
+    hit_point = intersect_plane(eye, pointer, grabbed, up)
+    if hit_point is None:
         return None
-    way = (found - grabbed) * (1.0, 1.0, 0.0)
-    if how == "move":
-        return Target(start.position + way, start.orientation)
-    return Target(start.position + way, product(rolled(way, radius), start.orientation))
+    displacement = (hit_point - grabbed) * (1.0, 1.0, 0.0)
+    if mode == "move":
+        return Target(start.position + displacement, start.orientation)
+    return Target(start.position + displacement, product(rolling_rotation(displacement, radius), start.orientation))
 
 
-def rolled(way: Array, radius: float) -> Quaternion:
-    """How a ball turns that rolls a level way (3,) m; none of it where there is no way."""
-    length = float(np.linalg.norm(way))
-    return UNTURNED if length == 0.0 else about(np.cross((0.0, 0.0, 1.0), way), length / radius)
+def rolling_rotation(displacement: Array, radius: float) -> Quaternion:
+    """Return the rotation of a ball that rolls horizontally by `displacement` (3,) m; the identity for zero."""
+    length = float(np.linalg.norm(displacement))
+    return IDENTITY if length == 0.0 else axis_angle_rotation(np.cross((0.0, 0.0, 1.0), displacement), length / radius)
 
 
-def nudged(start: Target, nudge: Nudge, radius: float) -> Target:
-    """The target a piece of a way further, as a ball of `radius` m where it rolls."""
+def nudge_target(start: Target, nudge: Nudge, radius: float) -> Target:
+    """Return the target moved by an increment; a ball of `radius` (m) for rolling."""
     roll = np.array([nudge.roll_x, nudge.roll_y, 0.0])
-    turn = product(about(np.array([0.0, 0.0, 1.0]), nudge.spin), rolled(roll, radius))
-    return Target(start.position + roll + (nudge.x, nudge.y, nudge.z), product(turn, start.orientation))
+    rotation = product(axis_angle_rotation(np.array([0.0, 0.0, 1.0]), nudge.spin), rolling_rotation(roll, radius))
+    return Target(start.position + roll + (nudge.x, nudge.y, nudge.z), product(rotation, start.orientation))
 
 
-def mirrored(way: Array, line: Array) -> Array:
-    """How one finger goes (3,) m when another goes `way`: along with it across their `line`, against it along that."""
+def mirror_motion(displacement: Array, line: Array) -> Array:
+    """Return the mirrored motion (3,) m: the component along `line`, between two fingers, is reversed."""
     length = float(line @ line)
-    return way if length == 0.0 else way - 2.0 * float(way @ line) / length * line
+    return displacement if length == 0.0 else displacement - 2.0 * float(displacement @ line) / length * line
 
 
-def closed(place: Array, middle: Array, way: float) -> Array:
-    """A place (3,) m, `way` m nearer to the middle of all fingers, and not past it."""
-    apart = middle - place
-    distance = float(np.linalg.norm(apart))
-    return place if distance == 0.0 else place + min(way, distance) / distance * apart
+def move_towards(position: Array, centre: Array, distance_m: float) -> Array:
+    """Return a position (3,) m moved by `distance_m` towards the centre of all fingers, and not past it."""
+    offset = centre - position
+    remaining = float(np.linalg.norm(offset))
+    return position if remaining == 0.0 else position + min(distance_m, remaining) / remaining * offset
 
 
 def from_angles(roll_x: float, roll_y: float, spin: float) -> Quaternion:
-    """First about x, then y, then z, all of the world; rad."""
+    """Return the rotation about the world axes x, then y, then z; rad."""
     x, y, z = (np.array(axis, dtype=np.float64) for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
-    return product(about(z, spin), product(about(y, roll_y), about(x, roll_x)))
+    return product(
+        axis_angle_rotation(z, spin), product(axis_angle_rotation(y, roll_y), axis_angle_rotation(x, roll_x))
+    )
 
 
 def to_angles(q: Quaternion) -> tuple[float, float, float]:
-    """The angles of `from_angles`, rad."""
+    """Return the angles of `from_angles`, rad."""
     w, x, y, z = q
     return (
         atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),

@@ -1,4 +1,4 @@
-// Light or dark: as the browser prefers, until the page's switch says otherwise, which this browser remembers.
+// Light or dark theme: the browser's preference, or the choice by the page's switch, which this browser stores.
 const KEY = "softfinger-theme";
 const EVERY_MS = 200;
 const system = page.matchMedia("(prefers-color-scheme: dark)");
@@ -8,7 +8,7 @@ function dark() {
   let chosen = null;
   try {
     chosen = page.localStorage.getItem(KEY);
-  } catch {} // no storage: nothing is remembered
+  } catch {} // no storage: the choice is not stored
   return chosen === null ? system.matches : chosen === "dark";
 }
 

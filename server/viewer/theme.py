@@ -1,4 +1,4 @@
-"""Light or dark, for each browser by itself: as it prefers, or as its switch says."""
+"""Light or dark theme of each browser: its preference, or the choice made by a switch on the page."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ SWITCH: Final = (
 
 
 class Theme:
-    """A switch, and the script that tells what it says."""
+    """Theme switch, and the script that reports its value."""
 
     def __init__(self, gui: Any) -> None:
         gui.configure_theme(show_logo=False, show_share_button=False)
         gui.add_html(SWITCH)
         self._field = add_script(gui, "theme")
-        self._field.on_update(self._told)
+        self._field.on_update(self._on_report)
 
-    def _told(self, event: Any) -> None:
+    def _on_report(self, event: Any) -> None:
         chosen = self._field.value.split()[1:]
         if event.client is not None and chosen in (["dark"], ["light"]):
             event.client.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=chosen == ["dark"])

@@ -1,4 +1,4 @@
-"""What happened in a recording: a band with the colours of its states over its time, and its events to jump to."""
+"""Timeline of a recording: coloured bands of the contact states, and the events."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT, SLIDING
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.viewer.nodes.states import COLOURS, State, state_of
+from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
 from softfinger.server.wire.events import RecordEvents
 
 Array = NDArray[np.float64]
 
 COLUMNS: Final = 600
-"""Of the band: two to a pixel of it."""
-EARLIER: Final = 100
-"""Ticks over which a contact is seen to roll or to spin, as in the picture."""
-SHOWN: Final = 4
-"""Events that are told at once, the newest first."""
+"""Columns of a band: two per pixel."""
+STATE_TICKS: Final = 100
+"""Ticks over which rolling and spinning are detected, as in the picture."""
+LISTED_EVENTS: Final = 4
+"""Number of events listed at once, latest first."""
 HEIGHT: Final = 14
 
 
-def states_of(rows: Array, radius: float) -> list[tuple[int, State]]:
-    """What the contact does from which row (n, RECORD_SIZE) on. A column of the band that slides anywhere slides."""
+def find_state_runs(rows: Array, radius: float) -> list[tuple[int, ContactState]]:
+    """Return the contact's states, each with its first row (n, RECORD_SIZE); a column with any slip is sliding."""
     wide = max(1, len(rows) // COLUMNS)
-    runs: list[tuple[int, State]] = []
+    runs: list[tuple[int, ContactState]] = []
     for first in range(0, len(rows), wide):
         column = rows[first : first + wide]
         slides = np.flatnonzero(column[:, AT.contact_mode] == SLIDING)
         at = first + (int(slides[0]) if len(slides) else len(column) - 1)
-        state = state_of(rows[max(0, at - EARLIER)], rows[at], radius)
+        state = classify_contact(rows[max(0, at - STATE_TICKS)], rows[at], radius)
         if not runs or runs[-1][1] != state:
             runs.append((first, state))
     return runs
 
 
 def band(fingers: dict[str, Array], radii: dict[str, float]) -> str:
-    """HTML of a band for each finger, the whole recording wide, and what its colours say."""
+    """Return the HTML of a band per finger, of the length of the recording, with a legend."""
     count = max(len(rows) for rows in fingers.values())
     lines = []
     for name, rows in fingers.items():
-        runs = states_of(rows, radii[name])
+        runs = find_state_runs(rows, radii[name])
         ends = [first for first, _ in runs[1:]] + [len(rows)]
         boxes = "".join(
             f'<rect x="{first}" width="{end - first}" height="1" fill="{_css(state)}"/>'
@@ -55,12 +55,12 @@ def band(fingers: dict[str, Array], radii: dict[str, float]) -> str:
             f'{title}<svg viewBox="0 0 {count} 1" preserveAspectRatio="none" '
             f'style="display: block; width: 100%; height: {HEIGHT}px">{boxes}</svg>'
         )
-    legend = " ".join(f'<span style="color: {_css(state)}">&#9632;</span> {state}' for state in State)
+    legend = " ".join(f'<span style="color: {_css(state)}">&#9632;</span> {state}' for state in ContactState)
     return f'<div style="padding: 0 0.75em; font-size: 0.75em">{"".join(lines)}{legend}</div>'
 
 
 def pointer(share: float) -> str:
-    """HTML of what stands above a band and points to a place of it, 0 to 1."""
+    """Return the HTML of a pointer above a band at the position `share`, 0 to 1."""
     return (
         f'<div style="padding: 0 0.75em"><div style="margin-left: {100.0 * share:.2f}%; width: 0; '
         "border-left: 5px solid transparent; border-right: 5px solid transparent; border-top: 7px solid currentColor; "
@@ -68,49 +68,49 @@ def pointer(share: float) -> str:
     )
 
 
-def _css(state: State) -> str:
+def _css(state: ContactState) -> str:
     return f"rgb{COLOURS[state]}"
 
 
 class Events:
-    """The events of a recording in the order of its rows; those that follow from the ticks, where it has none."""
+    """Events of a recording in order of time; if it has none, they are derived from its ticks."""
 
-    def __init__(self, fingers: dict[str, Array], told: tuple[dict[str, Any], ...], rate_hz: float) -> None:
+    def __init__(self, fingers: dict[str, Array], recorded: tuple[dict[str, Any], ...], rate_hz: float) -> None:
         ticks = next(iter(fingers.values()))[:, AT.tick]
-        events = [*told] or [
+        events = [*recorded] or [
             event for name, rows in fingers.items() for event in RecordEvents(GUARD_NAMES, name).observe(rows)
         ]
         at = [int(np.searchsorted(ticks, event.get("tick", -1))) for event in events]
         order = sorted(range(len(events)), key=lambda k: at[k])
         self._rows = [min(at[k], len(ticks) - 1) for k in order]
-        self._words = [words(events[k]) for k in order]
+        self._texts = [describe_event(events[k]) for k in order]
         self._rate_hz = rate_hz
 
     def before(self, row: int) -> int | None:
-        """The row of the last event before a row."""
-        found = bisect_left(self._rows, row)
-        return self._rows[found - 1] if found else None
+        """Return the row of the last event before a row."""
+        index = bisect_left(self._rows, row)
+        return self._rows[index - 1] if index else None
 
     def after(self, row: int) -> int | None:
-        """The row of the first event after a row."""
-        found = bisect_right(self._rows, row)
-        return self._rows[found] if found < len(self._rows) else None
+        """Return the row of the first event after a row."""
+        index = bisect_right(self._rows, row)
+        return self._rows[index] if index < len(self._rows) else None
 
-    def told(self, row: int) -> str:
-        """The last events up to a row, the newest first, as HTML."""
+    def format_html(self, row: int) -> str:
+        """Return the last events up to a row, latest first, as HTML."""
         end = bisect_right(self._rows, row)
         lines = [
-            f"{self._rows[k] / self._rate_hz:.3f} s · {html.escape(self._words[k])}"
-            for k in range(end - 1, max(end - 1 - SHOWN, -1), -1)
+            f"{self._rows[k] / self._rate_hz:.3f} s · {html.escape(self._texts[k])}"
+            for k in range(end - 1, max(end - 1 - LISTED_EVENTS, -1), -1)
         ]
         text = "<br>".join(lines) or ("no event yet" if self._rows else "no events")
         return f'<div style="padding: 0 0.75em; font-size: 0.75em; line-height: 1.5">{text}</div>'
 
 
-def words(event: dict[str, Any]) -> str:
-    """An event in a few words: what it is, why, and whose."""
-    said = f"{event.get('kind', '')} {event.get('name', '')}"
+def describe_event(event: dict[str, Any]) -> str:
+    """Return an event as a short text: kind, name, cause and finger."""
+    text = f"{event.get('kind', '')} {event.get('name', '')}"
     for key in ("cause", "finger", "label", "message", "count"):
         if event.get(key) not in (None, "", 0, event.get("name")):
-            said += f", {key} {event[key]}"
-    return said
+            text += f", {key} {event[key]}"
+    return text

@@ -1,4 +1,4 @@
-"""Sliders and choices: what of a scene may change while it is felt, and which scene it is."""
+"""Controls of a scene's parameters, and choice of the scene."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any, Final, get_args
 from softfinger.config import schema
 from softfinger.config.load import describe, shipped
 from softfinger.config.schema.contact import RollingMethod
-from softfinger.server.viewer.controls import on_list, on_slider
+from softfinger.server.viewer.controls import is_in_list, is_on_slider
 
 NO_ROLLING: Final = "none"
 Change = Callable[[str, dict[str, Any]], None]
 
 
 class Knob:
-    """A slider for one number of a material: `read` gives it, None where the scene has none; `keys` what sets it."""
+    """Slider of one number of a material: `read` returns it, or None without one; `keys` returns the change."""
 
     def __init__(
         self,
@@ -26,27 +26,27 @@ class Knob:
         self.slider, self._read, self._keys = slider, read, keys
 
     def show(self, material: schema.Material) -> None:
-        """Put the slider where the material has it."""
+        """Set the slider to the material's value."""
         value = self._read(material)
         self.slider.disabled = value is None
         if value is not None:
             self.slider.max = max(self.slider.max, 2.0 * value)
             self.slider.value = value
 
-    def wanted(self, material: schema.Material) -> dict[str, float]:
-        """Keys below the material, and the values that the slider asks for."""
+    def changed_keys(self, material: schema.Material) -> dict[str, float]:
+        """Return the keys, relative to the material, and the values set by the slider."""
         return self._keys(material, float(self.slider.value))
 
 
 def _friction(material: schema.Material, static: float) -> dict[str, float]:
-    """Both coefficients, in the proportion that they have."""
+    """Return both coefficients in their present ratio."""
     friction = material.friction
     share = friction.kinetic / friction.static if friction is not None and friction.static > 0.0 else 1.0
     return {"friction.static": static, "friction.kinetic": static * share}
 
 
 class Tuning:
-    """The sliders and choices; `params(name, values)` and `scene(name, values)` ask the daemon."""
+    """Controls of a scene; `params(name, values)` and `scene(name, values)` send commands to the daemon."""
 
     def __init__(self, gui: Any, params: Change, scene: Change) -> None:
         self._params, self._set_scene = params, scene
@@ -57,75 +57,75 @@ class Tuning:
         self._knobs = {
             "stiffness": Knob(
                 gui.add_slider("stiffness, N/m", 0.0, 3000.0, 10.0, 0.0),
-                lambda made: made.stiffness_n_per_m,
-                lambda made, value: {"stiffness_n_per_m": value},
+                lambda material: material.stiffness_n_per_m,
+                lambda material, value: {"stiffness_n_per_m": value},
             ),
             "damping": Knob(
                 gui.add_slider("damping, N s/m", 0.0, 10.0, 0.1, 0.0),
-                lambda made: made.damping_ns_per_m,
-                lambda made, value: {"damping_ns_per_m": value},
+                lambda material: material.damping_ns_per_m,
+                lambda material, value: {"damping_ns_per_m": value},
             ),
             "friction": Knob(
                 gui.add_slider("friction", 0.0, 1.5, 0.01, 0.0),
-                lambda made: None if made.friction is None else made.friction.static,
+                lambda material: None if material.friction is None else material.friction.static,
                 _friction,
             ),
             "torsion": Knob(
                 gui.add_slider("torsion, N m/rad", 0.0, 0.2, 0.001, 0.0),
-                lambda made: None if made.torsion is None else made.torsion.stiffness_nm_per_rad,
-                lambda made, value: {"torsion.stiffness_nm_per_rad": value},
+                lambda material: None if material.torsion is None else material.torsion.stiffness_nm_per_rad,
+                lambda material, value: {"torsion.stiffness_nm_per_rad": value},
             ),
         }
         for name, knob in self._knobs.items():
-            knob.slider.on_update(lambda event, name=name: self._slid(event, name))
+            knob.slider.on_update(lambda event, name=name: self._on_slider(event, name))
         self._rolling = gui.add_dropdown("rolling", (*get_args(RollingMethod), NO_ROLLING))
-        self._rolling.on_update(self._rolled)
-        self._choice = gui.add_dropdown("scene", tuple(shipped(schema.Scene)))
-        self._choice.on_update(self._chosen)
+        self._rolling.on_update(self._on_rolling)
+        self._scene_list = gui.add_dropdown("scene", tuple(shipped(schema.Scene)))
+        self._scene_list.on_update(self._on_scene)
 
     def change(self, scene: schema.Scene, name: str) -> None:
-        """What is rendered now."""
+        """Set the current scene."""
         self._scene, self._name = scene, name
-        names = tuple(thing.name for thing in scene.object)
+        names = tuple(obj.name for obj in scene.object)
         if self._object.options != names:
             self._object.options = names
         self._object.visible = len(names) > 1
         self._show()
 
     def restore(self) -> None:
-        """Show again what is rendered, after something else was asked for in vain."""
+        """Show the current values again after a command was refused."""
         self._show()
 
-    def _number(self) -> int:
+    def _object_index(self) -> int:
         return self._object.options.index(self._object.value) if self._object.value in self._object.options else 0
 
     def _show(self) -> None:
         if self._scene is None:
             return
         for knob in self._knobs.values():
-            knob.show(self._scene.object[self._number()].material)
+            knob.show(self._scene.object[self._object_index()].material)
         self._rolling.value = NO_ROLLING if self._scene.rolling is None else self._scene.rolling.method
         names = tuple(shipped(schema.Scene))
         if self._name not in names:
             names = (*names, self._name)
-        if self._choice.options != names:
-            self._choice.options = names
-        self._choice.value = self._name
+        if self._scene_list.options != names:
+            self._scene_list.options = names
+        self._scene_list.value = self._name
 
-    def _slid(self, event: Any, name: str) -> None:
+    def _on_slider(self, event: Any, name: str) -> None:
         if event.client is None or self._scene is None:  # set by this program, not by a person
             return
-        if not on_slider(self._knobs[name].slider):
+        if not is_on_slider(self._knobs[name].slider):
             self._show()
             return
-        number = self._number()
-        wanted = self._knobs[name].wanted(self._scene.object[number].material)
-        self._params(name, {f"object.{number}.material.{key}": value for key, value in wanted.items()})
+        object_index = self._object_index()
+        changed_keys = self._knobs[name].changed_keys(self._scene.object[object_index].material)
+        self._params(name, {f"object.{object_index}.material.{key}": value for key, value in changed_keys.items()})
 
-    def _rolled(self, event: Any) -> None:
+    def _on_rolling(self, event: Any) -> None:
         if event.client is None or self._scene is None:
             return
-        if not on_list(self._rolling):
+        if not is_in_list(self._rolling):
             self._show()
             return
         scene, method = describe(self._scene), self._rolling.value
@@ -135,8 +135,8 @@ class Tuning:
             scene["rolling"] = scene.get("rolling", {}) | {"method": method}
         self._set_scene("scene", {"scene": scene, "name": self._name})
 
-    def _chosen(self, event: Any) -> None:
-        if not on_list(self._choice):
+    def _on_scene(self, event: Any) -> None:
+        if not is_in_list(self._scene_list):
             self._show()
-        elif event.client is not None and self._choice.value != self._name:
-            self._set_scene("scene", {"scene": self._choice.value})
+        elif event.client is not None and self._scene_list.value != self._name:
+            self._set_scene("scene", {"scene": self._scene_list.value})

@@ -1,4 +1,4 @@
-"""The wire as the page needs it: ticks and events gathered by one thread, commands asked by another."""
+"""Connection of the page to a daemon: one thread collects telemetry, another sends commands."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ from softfinger.server.wire.client import record_of, subscribe
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, WORLD, finger_of
 
-KEPT: Final = 8192
-"""Ticks of a finger that are kept until they are taken."""
+QUEUE_MAX: Final = 8192
+"""Maximum of queued ticks per finger, and of queued events."""
 TOPICS: Final = (CONTACT, FINGERS, EVENT, WORLD)
 WAIT_S: Final = 0.2
-"""How long a thread waits before it looks whether it is to end."""
+"""Period at which a thread checks whether it should exit."""
 
 
-class News(NamedTuple):
-    """What has come since the last time: records (n, RECORD_SIZE) by finger, events, and where bodies are by name."""
+class ReceivedData(NamedTuple):
+    """New data: records (n, RECORD_SIZE) by finger, events, and the latest poses of bodies by name."""
 
     ticks: dict[str, NDArray[np.float64]]
     events: list[dict[str, Any]]
     bodies: dict[str, Any]
 
 
-class Live:
-    """What a running daemon publishes. `problem` says why nothing comes that can be shown, or is empty."""
+class TelemetryReceiver:
+    """Telemetry of a running daemon. `problem` is an error of the received messages, or empty."""
 
     def __init__(self, endpoint: str, keys: ClientKeys | None, topics: Sequence[str] = TOPICS) -> None:
         self._samples = subscribe(endpoint, topics, keys=keys)
         self._rows: dict[str, deque[list[float]]] = {}
-        self._events = deque[dict[str, Any]](maxlen=KEPT)
+        self._events = deque[dict[str, Any]](maxlen=QUEUE_MAX)
         self._bodies: dict[str, Any] = {}
         self._closing = threading.Event()
         self.problem = ""
-        self._thread = threading.Thread(target=self._gather, name="ticks", daemon=True)
+        self._thread = threading.Thread(target=self._receive_samples, name="ticks", daemon=True)
         self._thread.start()
 
-    def _gather(self) -> None:
+    def _receive_samples(self) -> None:
         while not self._closing.is_set():
             try:
                 sample = self._samples.receive(WAIT_S)
@@ -59,12 +59,12 @@ class Live:
             elif finger is None:
                 self._events.append(sample.data)
             else:
-                self._rows.setdefault(finger, deque(maxlen=KEPT)).append(record_of(sample))
+                self._rows.setdefault(finger, deque(maxlen=QUEUE_MAX)).append(record_of(sample))
 
-    def take(self) -> News:
-        """What has come since the last time."""
-        ticks = {finger: np.array(rows) for finger, held in list(self._rows.items()) if (rows := _emptied(held))}
-        return News(ticks, _emptied(self._events), self._bodies)
+    def take(self) -> ReceivedData:
+        """Return the data received since the last call."""
+        ticks = {finger: np.array(rows) for finger, queue in list(self._rows.items()) if (rows := _drain(queue))}
+        return ReceivedData(ticks, _drain(self._events), self._bodies)
 
     def close(self) -> None:
         self._closing.set()
@@ -72,24 +72,24 @@ class Live:
         self._samples.close()
 
 
-def _emptied(queue: deque[Any]) -> list[Any]:
-    """All that is in a queue, which another thread may go on to fill."""
+def _drain(queue: deque[Any]) -> list[Any]:
+    """Remove and return all elements of a queue that another thread may be filling."""
     return [queue.popleft() for _ in range(len(queue))]
 
 
 class Request(NamedTuple):
-    """A command, and what is to be called with its result, and with what kept it from being done."""
+    """Command, and the functions to call with its result or its error."""
 
     method: str
     params: dict[str, Any]
-    done: Callable[[Any], None]
-    failed: Callable[[str], None]
+    on_result: Callable[[Any], None]
+    on_error: Callable[[str], None]
 
 
-class Asker:
-    """Commands to the daemon, one at a time, by a thread; of those that wait under one name the newest is sent.
+class CommandQueue:
+    """Command queue: a thread sends one command at a time; a new one replaces a waiting one of the same name.
 
-    may  the methods that are sent, None: all
+    allowed_methods  None: all
     """
 
     def __init__(
@@ -97,42 +97,42 @@ class Asker:
         endpoint: str,
         keys: ClientKeys | None,
         timeout_s: float | None = None,
-        may: Collection[str] | None = None,
+        allowed_methods: Collection[str] | None = None,
     ) -> None:
-        self._may = may
+        self._allowed_methods = allowed_methods
         self._control = Control(endpoint, timeout_s, keys)
-        self._waiting: dict[str, Request] = {}
+        self._pending: dict[str, Request] = {}
         self._changed = threading.Condition()
         self._closing = False
-        self._thread = threading.Thread(target=self._work, name="commands", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="commands", daemon=True)
         self._thread.start()
 
-    def ask(self, name: str, request: Request) -> None:
-        """Send it in its turn; what waits under the same name is not sent any more."""
-        if self._may is not None and request.method not in self._may:
-            request.failed(f"{request.method}: this page has a --role that may not")
+    def submit(self, name: str, request: Request) -> None:
+        """Queue a command; it replaces a waiting one of the same name."""
+        if self._allowed_methods is not None and request.method not in self._allowed_methods:
+            request.on_error(f"{request.method}: this page has a --role that may not")
             return
         with self._changed:
-            self._waiting[name] = request
+            self._pending[name] = request
             self._changed.notify()
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         while True:
             with self._changed:
-                while not self._waiting and not self._closing:
+                while not self._pending and not self._closing:
                     self._changed.wait()
                 if self._closing:
                     return
-                request = self._waiting.pop(next(iter(self._waiting)))
+                request = self._pending.pop(next(iter(self._pending)))
             try:
                 result = self._control.ask(request.method, request.params)
             except HapticError as error:
-                request.failed(str(error))
+                request.on_error(str(error))
             else:
-                request.done(result)
+                request.on_result(result)
 
     def close(self) -> None:
-        """What waits is not sent any more; what is under way is waited for until its time is over."""
+        """Discard the waiting commands, and wait briefly for a pending answer."""
         with self._changed:
             self._closing = True
             self._changed.notify()

@@ -1,4 +1,4 @@
-"""The wire: what is published, how it is encoded, and how it is received again.
+"""Network protocol: messages of telemetry and commands, their encoding, the endpoints, and the clients.
 
-Nothing here is waited for by the loop.
+The servo loop waits for none of it.
 """

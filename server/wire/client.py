@@ -1,15 +1,16 @@
-"""Receiving telemetry: an iterator over messages, and a numpy window of the newest ticks.
+"""Telemetry client: an iterator over messages, and a NumPy window of the latest ticks.
 
     with subscribe() as samples:
         for sample in samples:
             print(sample.tick, sample.contact.mode, sample["force"], sample.lost)
 
-Any ZeroMQ and msgpack client can read the stream (docs/protocol.md); this one also checks each
-message and counts the ticks that did not arrive.
+Any ZeroMQ and msgpack client can read the stream (docs/protocol.md); this one also validates each message and counts
+the ticks that did not arrive.
 """
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.proxy.record import FIELDS, PATCHES, RECORD_SIZE
 from softfinger.proxy.records import Records
-from softfinger.server.closing import Closing
+from softfinger.server.closing import Closeable
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.protocol import (
     CONTACT,
@@ -41,29 +42,36 @@ from softfinger.server.wire.waits import milliseconds
 
 DEFAULT_ENDPOINT: Final = "tcp://127.0.0.1:5555"
 
-_RECEIVE_BACKLOG: Final = 40960  # as the publisher's: a client that pauses for a while loses nothing
-_LARGEST_FRAME: Final = 1 << 20  # ZeroMQ hangs up on a peer that sends more, before it allocates
+_RECEIVE_BACKLOG: Final = 40960  # same as the publisher's: a short pause of the client loses nothing
+_LARGEST_FRAME: Final = 1 << 20  # ZeroMQ disconnects a peer that sends more, before it allocates
 
 _IN_LISTS: Final = [i for i, field in enumerate(FIELDS) if field.name.startswith("contacts")]
 _VALUES_BEFORE: Final = attrgetter(*(field.name for field in FIELDS[: _IN_LISTS[0]]))
-_VALUES_BEHIND: Final = attrgetter(*(field.name for field in FIELDS[_IN_LISTS[-1] + 1 :]))
+_VALUES_AFTER: Final = attrgetter(*(field.name for field in FIELDS[_IN_LISTS[-1] + 1 :]))
 _PATCH_FIELDS: Final = [field for field in FIELDS if field.name.startswith("contacts0.")]
 _PATCH_VALUES: Final = attrgetter(*(field.name.partition(".")[2] for field in _PATCH_FIELDS))
 _NO_PATCH: Final = [-1.0, *repeat(0.0, sum(field.size for field in _PATCH_FIELDS) - 1)]
-"""What a record has of a patch that a message leaves out."""
+"""Values in a record for a patch that a message omits."""
 
 
 class NoTelemetry(HapticError):
-    """Nothing arrived from an endpoint."""
+    """No telemetry arrived from an endpoint."""
 
     exit_code = 9
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One message. Keys are attributes (`sample.contact.mode`) and items (`sample["contact.mode"]`).
+    """Message with keys as attributes (`sample.contact.mode`) and items (`sample["contact.mode"]`).
 
-    `lost` is the number of published ticks that are missing before this one; 0 for other topics.
+    Attributes
+    ----------
+    topic
+        Topic of the message.
+    data
+        Decoded message.
+    lost
+        Number of published ticks missing before this one; 0 for other topics.
     """
 
     topic: str
@@ -80,7 +88,7 @@ class Sample:
         return value
 
     def __getattr__(self, name: str) -> Any:
-        if name == "data" or name.startswith("_"):  # not a key; and `data` itself is missing while a copy is made
+        if name == "data" or name.startswith("_"):  # not a key; and `data` itself is missing during a copy
             raise AttributeError(name)
         try:
             return self[name]
@@ -92,13 +100,13 @@ class Sample:
         return sorted({*object.__dir__(self), *keys})
 
     def as_map(self) -> dict[str, Any]:
-        """The message as plain dicts; the vectors of a contact message are tuples."""
+        """Convert the message to plain dicts; vectors of a contact message become tuples."""
         plain: dict[str, Any] = msgspec.to_builtins(self.data)
         return plain
 
 
-class Subscription(Closing):
-    """SUB socket on one endpoint; an iterator and a context manager, made by `subscribe`."""
+class Subscription(Closeable):
+    """Subscription to one endpoint, made by `subscribe`; an iterator and a context manager."""
 
     def __init__(
         self, endpoint: str, topics: Sequence[str], timeout_s: float | None = None, keys: ClientKeys | None = None
@@ -113,6 +121,11 @@ class Subscription(Closing):
         self.endpoint = endpoint
         self.topics: Final = tuple(topics)
         self.timeout_s = timeout_s
+        self._keys = keys
+        self._connect()
+
+    def _connect(self) -> None:
+        self._process = os.getpid()
         self._ticks: dict[str, int] = {}
         self._wait_ms = -1
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context.instance()
@@ -120,29 +133,45 @@ class Subscription(Closing):
         self._socket.linger = 0
         self._socket.rcvhwm = _RECEIVE_BACKLOG
         self._socket.maxmsgsize = _LARGEST_FRAME
-        self._socket.ipv6 = "[" in endpoint
-        if keys is not None:
-            keys.put_on(self._socket)
-        for topic in topics:
+        self._socket.ipv6 = "[" in self.endpoint
+        if self._keys is not None:
+            self._keys.apply_to(self._socket)
+        for topic in self.topics:
             self._socket.subscribe(topic)
         try:
-            self._socket.connect(endpoint)
+            self._socket.connect(self.endpoint)
         except zmq.ZMQError as error:
             self.close()
             raise ConfigError(
-                f"cannot connect to endpoint {endpoint!r}: {error}; it looks like {DEFAULT_ENDPOINT} or ipc:///path"
+                f"cannot connect to endpoint {self.endpoint!r}: {error}; it looks like {DEFAULT_ENDPOINT} or "
+                "ipc:///path"
             ) from error
 
     def __repr__(self) -> str:
         return f"<Subscription to {', '.join(self.topics)} on {self.endpoint}>"
 
     def receive(self, timeout_s: float | None = None) -> Sample | None:
-        """Next message, or None if none comes within `timeout_s` (None: wait for ever).
+        """Wait for the next message.
 
-        Raises ProtocolError for a message that is not ours; the next call reads on behind it.
+        Parameters
+        ----------
+        timeout_s
+            Longest wait, s; None waits without limit.
+
+        Returns
+        -------
+        Sample or None
+            None after the timeout.
+
+        Raises
+        ------
+        ProtocolError
+            If a message does not follow the protocol; the next call continues after it.
         """
+        if self._process != os.getpid():  # a socket does not survive a fork: libzmq would wait forever
+            self._connect()
         wait_ms = milliseconds(timeout_s)
-        if wait_ms != self._wait_ms:  # the socket's own time-out: to poll first would take half as long again
+        if wait_ms != self._wait_ms:  # timeout of the socket: polling first would take half as long again
             self._socket.rcvtimeo = self._wait_ms = wait_ms
         try:
             frames = self._socket.recv_multipart()
@@ -162,7 +191,7 @@ class Subscription(Closing):
 
     def _lost_before(self, topic: str, tick: int, every: int) -> int:
         before, self._ticks[topic] = self._ticks.get(topic), tick
-        if before is None or tick <= before:  # the first, or the server started again
+        if before is None or tick <= before:  # the first tick, or the server was restarted
             return 0
         return (tick - before - 1) // max(every, 1)
 
@@ -174,15 +203,15 @@ class Subscription(Closing):
             raise StopIteration
         sample = self.receive(self.timeout_s)
         if sample is None:
-            raise NoTelemetry(silence(self.endpoint, self.timeout_s or 0.0))
+            raise NoTelemetry(no_telemetry_text(self.endpoint, self.timeout_s or 0.0))
         return sample
 
     def close(self) -> None:
-        """Disconnect. Any number of times."""
+        """Disconnect; may be called repeatedly."""
         self._socket.close()
 
     def __del__(self) -> None:
-        # A loop that is left by break has no other place to close.
+        # A loop that is left by break cannot close it elsewhere.
         if hasattr(self, "_socket"):
             self.close()
 
@@ -193,16 +222,35 @@ def subscribe(
     timeout_s: float | None = None,
     keys: ClientKeys | None = None,
 ) -> Subscription:
-    """Iterate over the messages of `topics`, one or several, as they arrive; `keys` are for a server that wants some.
+    """Subscribe to telemetry and iterate over its messages.
 
-    Iteration raises NoTelemetry if `timeout_s` passes without a message (None: it waits for ever),
-    and ProtocolError for a message that does not follow the protocol.
+    Parameters
+    ----------
+    endpoint
+        Telemetry endpoint of the daemon.
+    topics
+        One topic or several.
+    timeout_s
+        Longest wait for a message, s; None waits without limit.
+    keys
+        Keys of the client, if the server requires them.
+
+    Returns
+    -------
+    Subscription
+        Its iteration raises NoTelemetry after the timeout, and ProtocolError for a message that does not follow the
+        protocol.
+
+    Raises
+    ------
+    ConfigError
+        If a topic is unknown or the endpoint is invalid.
     """
     return Subscription(endpoint, topics, timeout_s, keys)
 
 
-def silence(endpoint: str, waited_s: float) -> str:
-    """What to tell a user to whom nothing was sent."""
+def no_telemetry_text(endpoint: str, waited_s: float) -> str:
+    """Return the message for a user if nothing arrived."""
     return (
         f"no telemetry from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
         "and is this its [telemetry] endpoint?"
@@ -210,13 +258,13 @@ def silence(endpoint: str, waited_s: float) -> str:
 
 
 def record_of(sample: Sample) -> list[float]:
-    """A contact message as the record (RECORD_SIZE,) that was published."""
+    """Convert a contact message to the record (RECORD_SIZE,) that was published."""
     message = sample.data
     row = _flat(_VALUES_BEFORE(message))
     for patch in message.contacts:
         row += _flat(_PATCH_VALUES(patch))
     row += _NO_PATCH * (PATCHES - len(message.contacts))
-    return row + _flat(_VALUES_BEHIND(message))
+    return row + _flat(_VALUES_AFTER(message))
 
 
 def _flat(values: tuple[Any, ...]) -> list[float]:
@@ -229,11 +277,27 @@ def _flat(values: tuple[Any, ...]) -> list[float]:
     return row
 
 
-class Window(Closing):
-    """The newest `samples` ticks as numpy arrays, in tick order; of several fingers, those of `finger`.
+class Window(Closeable):
+    """Latest ticks of a finger as NumPy arrays, in tick order.
 
-    window["force"] has shape (m, 3), window["tick"] (m,), m <= samples; float fields are views that
-    the next `update` may overwrite, integer fields are int64 copies.
+    `window["force"]` has shape (m, 3) and `window["tick"]` (m,), with m <= `samples`. Float fields are views that the
+    next `update` may overwrite, integer fields are int64 copies.
+
+    Parameters
+    ----------
+    endpoint
+        Telemetry endpoint of the daemon.
+    samples
+        Largest number of ticks.
+    finger
+        Name of the finger, empty for a single one.
+    keys
+        Keys of the client, if the server requires them.
+
+    Raises
+    ------
+    ConfigError
+        If `samples` is below 1 or the endpoint is invalid.
     """
 
     def __init__(
@@ -246,8 +310,8 @@ class Window(Closing):
         if samples < 1:
             raise ConfigError(f"a window of {samples} samples is too short: 1 or more")
         self._size = samples
-        # Twice as long as needed: rows go in one after the other and are moved back when the end is
-        # reached, so the newest ones are always one contiguous view.
+        # Twice the required length: rows are appended, and moved back when the end is reached, so the latest ones are
+        # always one contiguous view.
         self._rows = np.empty((2 * samples, RECORD_SIZE))
         self._end = 0
         self._tick = -1
@@ -256,19 +320,30 @@ class Window(Closing):
         self._subscription = Subscription(endpoint, (contact_topic(finger),), keys=keys)
 
     def update(self, timeout_s: float = 0.0) -> int:
-        """Take what has arrived, waiting up to `timeout_s` for the first; returns how many ticks came."""
-        came = 0
+        """Read the ticks that have arrived.
+
+        Parameters
+        ----------
+        timeout_s
+            Longest wait for the first tick, s.
+
+        Returns
+        -------
+        int
+            Number of ticks read.
+        """
+        count = 0
         until_s = time.monotonic() + timeout_s
-        while came < _RECEIVE_BACKLOG:  # a publisher faster than this loop must not keep it for ever
-            sample = self._subscription.receive(0.0 if came else max(0.0, until_s - time.monotonic()))
+        while count < _RECEIVE_BACKLOG:  # a publisher faster than this loop must not block it forever
+            sample = self._subscription.receive(0.0 if count else max(0.0, until_s - time.monotonic()))
             if sample is None:
                 break
             self._append(sample)
-            came += 1
-        return came
+            count += 1
+        return count
 
     def _append(self, sample: Sample) -> None:
-        if sample.data.tick <= self._tick:  # the server started again: the old ticks belong to another run
+        if sample.data.tick <= self._tick:  # the server was restarted: the old ticks belong to another run
             self._end = 0
         self._tick = sample.data.tick
         if self._end == len(self._rows):
@@ -282,7 +357,7 @@ class Window(Closing):
         return f"<Window: {len(self)} of {self._size} ticks on {self._subscription.endpoint}, {self.lost} lost>"
 
     def _ipython_key_completions_(self) -> list[str]:
-        """What IPython and notebooks offer behind `window[`."""
+        """Return the completions that IPython and notebooks offer after `window[`."""
         return [field.name for field in FIELDS]
 
     def __len__(self) -> int:
@@ -293,5 +368,5 @@ class Window(Closing):
         return found
 
     def close(self) -> None:
-        """Disconnect; the ticks received stay readable. Any number of times."""
+        """Disconnect; received ticks remain readable. May be called repeatedly."""
         self._subscription.close()

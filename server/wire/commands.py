@@ -1,7 +1,7 @@
-"""Commands on the wire: a table of every method with what it takes and gives.
+"""Command protocol: a table of all methods with their parameters and results.
 
-Requests (`envelope.py`), `softfinger schema`, the reference page, the clients and the help of `softfinger ctl` all go
-by the table METHODS.
+Requests (`envelope.py`), `softfinger schema`, the reference page, the clients and the help of `softfinger ctl` all use
+the table METHODS.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ ERRORS: Final[dict[ErrorName, str]] = {
     "refused": "the daemon cannot do this in its present state",
     "busy": "too many requests, or a scene is being replaced: ask again later",
     "superseded": "a later set_scene arrived before this one was compiled",
-    "expired": "the client had given up waiting before the daemon came to it: nothing was done",
+    "expired": "the client had stopped waiting before the daemon handled it: nothing was done",
     "failed": "a defect of the daemon; its log has details",
 }
-"""Every name that an error may begin with."""
+"""Names with which an error may start."""
 
 
 class Empty(Struct, frozen=True, forbid_unknown_fields=True):
@@ -42,8 +42,11 @@ Quaternion = tuple[float, float, float, float]
 
 
 class State(Struct, frozen=True):
-    """`timestamp` in s on CLOCK_MONOTONIC; position (m), velocity (m/s) and force (N) in the world; `field_state` has
-    `mode`, `object` and `penetration`."""
+    """State of the first fingertip.
+
+    `timestamp` is in s on CLOCK_MONOTONIC; position (m), velocity (m/s) and force (N) are in the world frame;
+    `field_state` has `mode`, `object` and `penetration`.
+    """
 
     timestamp: float
     sequence: int
@@ -75,8 +78,10 @@ class Change(Struct, frozen=True, rename={"before": "from", "after": "to"}):
 
 
 class Changed(Struct, frozen=True):
-    """`changed` has `from` and `to` of each key that has a new value. Parameters that act on the force reach it
-    `ramp_s` after `tick`."""
+    """Keys with a new value.
+
+    `changed` has `from` and `to` of each. Parameters that act on the force reach their value `ramp_s` after `tick`.
+    """
 
     changed: dict[str, Change]
     tick: int
@@ -84,8 +89,11 @@ class Changed(Struct, frozen=True):
 
 
 class SetScene(Struct, frozen=True, forbid_unknown_fields=True):
-    """`scene` is the name of a shipped scene, or the map that a scene file holds. `overrides` are values as in
-    `set_params`; `name` becomes `active_field`."""
+    """Scene to render.
+
+    `scene` is the name of a shipped scene, or the content of a scene file as a map. `overrides` are values as in
+    `set_params`; `name` becomes `active_field`.
+    """
 
     scene: Name | dict[str, Any]
     overrides: dict[Name, Any] = {}
@@ -100,8 +108,10 @@ class SceneSet(Struct, frozen=True):
 
 
 class Drive(Struct, frozen=True, forbid_unknown_fields=True):
-    """Pose in the world of an object with `motion = { kind = "driven" }`; without `orientation_wxyz` the orientation
-    stays."""
+    """Pose in the world of an object with `motion = { kind = "driven" }`.
+
+    Without `orientation_wxyz` the orientation does not change.
+    """
 
     object: Name | Annotated[int, Meta(ge=0)]
     position_m: Vector
@@ -109,8 +119,10 @@ class Drive(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Hand(Struct, frozen=True, forbid_unknown_fields=True):
-    """Goal pose of the fingertip in the world; without `orientation_wxyz` the orientation stays. `release` returns the
-    hand to the motion of its rig."""
+    """Goal pose of the fingertip in the world.
+
+    Without `orientation_wxyz` the orientation does not change. `release` returns the hand to the motion of its rig.
+    """
 
     position_m: tuple[Coordinate, Coordinate, Coordinate] | msgspec.UnsetType = msgspec.UNSET
     orientation_wxyz: Quaternion | msgspec.UnsetType = msgspec.UNSET
@@ -125,7 +137,7 @@ class Hold(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Held(Struct, frozen=True):
-    """The goal pose in the world that the hand keeps. In a grip it is deeper than the fingertip comes."""
+    """Goal pose of the hand in the world. In a grip it lies deeper than the fingertip reaches."""
 
     position_m: Vector
     orientation_wxyz: Quaternion
@@ -139,7 +151,7 @@ class Applied(Struct, frozen=True):
 
 
 class Armed(Struct, frozen=True):
-    """Whether the force is on or fading in."""
+    """`armed` is true if the force is on or fading in."""
 
     armed: bool
 
@@ -170,8 +182,11 @@ Choice = Annotated[str, Meta(min_length=1, max_length=64)]
 
 
 class Prompt(Struct, frozen=True, forbid_unknown_fields=True):
-    """What pages show the participant: `title`, `text`, and how much is `done` of `of` (0: no bar). It asks for one of
-    `choices`, for a `number` from the first to the second, or, without either, for nothing."""
+    """Prompt that pages show to the participant.
+
+    It has a `title`, a `text` and a progress bar with `done` of `of` (0: no bar). The answer is one of `choices`, or a
+    `number` from the first to the second value. Without either it needs no answer.
+    """
 
     title: Annotated[str, Meta(max_length=256)] = ""
     text: Annotated[str, Meta(max_length=4096)] = ""
@@ -182,8 +197,11 @@ class Prompt(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Prompted(Struct, frozen=True):
-    """The prompt of now. `number` counts prompts; `open`: it waits for an answer. `answer` is the one that came,
-    `after_s` after the prompt."""
+    """Current prompt.
+
+    `number` counts prompts; `open` is true while the prompt waits for an answer. `answer` arrived `after_s` after the
+    prompt.
+    """
 
     number: int
     prompt: Prompt
@@ -193,30 +211,38 @@ class Prompted(Struct, frozen=True):
 
 
 class Answer(Struct, frozen=True, forbid_unknown_fields=True):
-    """`value` is one of the prompt's `choices`, or a number; `prompt` the number of the prompt, by default the one of
-    now."""
+    """Answer of the participant.
+
+    `value` is one of the prompt's `choices`, or a number; `prompt` is the number of the prompt (default: current).
+    """
 
     value: Choice | float
     prompt: Annotated[int, Meta(ge=0)] | None = None
 
 
 class RecordStart(Struct, frozen=True, forbid_unknown_fields=True):
-    """A new file that ends in `.mcap`, in an existing folder below `[recording] directory` of the rig; no absolute
-    path, no `..`, no link."""
+    """New file whose name ends in `.mcap`.
+
+    Its folder exists below `[recording] directory` of the rig. Absolute paths, `..` and links are refused.
+    """
 
     file: Name
 
 
 class RecordStarted(Struct, frozen=True):
-    """The file, and the tick from which on it is complete."""
+    """File name, and the first tick that is recorded."""
 
     file: str
     tick: int
 
 
 class RecordStopped(Struct, frozen=True):
-    """`ticks` are written; `dropped` ticks and `events_dropped` events were lost to a slow disk. `error` says why the
-    recording ended early. `whole` is false while the disk is still waited for. `worst_write_s` is the longest write."""
+    """Result of a recording.
+
+    `ticks` were written; `dropped` ticks and `events_dropped` events were lost because the disk was too slow. `error`
+    is the reason if the recording ended early. `whole` is false while writes are pending. `worst_write_s` is the
+    longest write.
+    """
 
     file: str
     ticks: int
@@ -235,9 +261,12 @@ class OfObject(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Triangles(Struct, frozen=True):
-    """`vertices` are x, y, z of each vertex in the object frame (m, float32), `triangles` three vertex indices each
+    """Triangles of an object.
+
+    `vertices` are x, y, z of each vertex in the object frame (m, float32), `triangles` three vertex indices each
     (uint32, counter-clockwise seen from outside), both little-endian. At most 50000 triangles are sent; `of` is their
-    number in the file."""
+    number in the file.
+    """
 
     vertices: bytes
     triangles: bytes
@@ -251,7 +280,7 @@ class Stopping(Struct, frozen=True):
 
 
 class Method(NamedTuple):
-    """What a method takes and gives, and what it does."""
+    """Parameters, result and description of a method."""
 
     params: Any
     result: Any
@@ -259,11 +288,11 @@ class Method(NamedTuple):
 
 
 METHODS: Final = {
-    "get_state": Method(Empty, State, "Return the newest tick of the first finger."),
+    "get_state": Method(Empty, State, "Return the latest tick of the first finger."),
     "heartbeat": Method(Empty, Alive, "Send a sign of life; restores the force that a missed heartbeat removed."),
     "set_params": Method(Values, Changed, "Change parameters of the scene, all between the same two ticks or none."),
     "set_scene": Method(SetScene, SceneSet, "Compile another scene, then switch to it at zero force."),
-    "reset_world": Method(Empty, Applied, "Put the bodies of [world] back where they began, at zero force."),
+    "reset_world": Method(Empty, Applied, "Return the bodies of [world] to their initial poses, at zero force."),
     "drive": Method(Drive, Applied, "Set the pose of a driven object."),
     "hand": Method(Hand, Applied, "Set the goal of the hand on a simulated device."),
     "hold": Method(Hold, Held, "Keep the present goal of the hand on a simulated device, and return it."),
@@ -280,11 +309,11 @@ METHODS: Final = {
     "mesh": Method(OfObject, Triangles, "Return the triangles of a mesh or height map, for display."),
     "stop": Method(Empty, Stopping, "End the daemon in order."),
 }
-"""Every method."""
+"""All methods by name."""
 
 
 def state_of(record: NDArray[np.float64], epoch_s: float, scene: str) -> State:
-    """State of a record (RECORD_SIZE,); `epoch_s` is the epoch's offset to CLOCK_MONOTONIC, s."""
+    """Return the state of a record (RECORD_SIZE,); `epoch_s` is the offset of the epoch from CLOCK_MONOTONIC, s."""
     row = record.tolist()
     mode, touched, depth = row[AT.contact_mode], row[AT.contact_object], row[AT.contact_penetration]
     return State(
@@ -299,7 +328,7 @@ def state_of(record: NDArray[np.float64], epoch_s: float, scene: str) -> State:
 
 
 def schema() -> dict[str, Any]:
-    """Every method with the JSON Schema of its parameters and its result, and the errors."""
+    """Return all methods with the JSON Schema of their parameters and results, and all errors."""
     return {
         "title": "Commands",
         "frames": ["", "msgpack map"],
@@ -318,16 +347,16 @@ def schema() -> dict[str, Any]:
 
 
 def fields(kind: Any) -> str:
-    """What a map of this type holds, for people; what stands in brackets may be left out."""
+    """Describe the fields of a map of this type for people; optional ones are in brackets."""
     info = inspect.type_info(kind)
     if isinstance(info, inspect.StructType):
         return ", ".join(map(_field, info.fields))
-    return "a value for each dotted key" if kind is Values else _words(info)
+    return "a value for each dotted key" if kind is Values else _type_text(info)
 
 
 def _field(field: inspect.Field) -> str:
-    said = f"{field.encode_name}: {_words(field.type)}"
-    return said if field.required else f"[{said}]"
+    text = f"{field.encode_name}: {_type_text(field.type)}"
+    return text if field.required else f"[{text}]"
 
 
 _PLAIN: Final = {
@@ -338,12 +367,12 @@ _PLAIN: Final = {
 }
 
 
-def _words(info: inspect.Type) -> str:
+def _type_text(info: inspect.Type) -> str:
     match info:
         case inspect.Metadata():
-            return _words(info.type)
+            return _type_text(info.type)
         case inspect.UnionType():
-            return " or ".join(_words(each) for each in info.types if not isinstance(each, inspect.NoneType))
+            return " or ".join(_type_text(each) for each in info.types if not isinstance(each, inspect.NoneType))
         case inspect.TupleType():
             return f"{len(info.item_types)} numbers"
         case inspect.DictType() | inspect.StructType():
@@ -354,5 +383,5 @@ def _words(info: inspect.Type) -> str:
 
 
 def table() -> Mapping[str, tuple[str, str, str]]:
-    """For each method its parameters, its result and what it does, in words."""
+    """Return parameters, result and description of each method as text."""
     return {name: (fields(m.params), fields(m.result), m.meaning) for name, m in METHODS.items()}

@@ -1,17 +1,18 @@
-"""Commanding a running daemon: a client that waits, and one for asyncio.
+"""Clients that command a running daemon: a blocking one, and one for asyncio.
 
     with Control() as daemon:
         daemon.set_params({"object.table.material.stiffness_n_per_m": 800.0})
         print(daemon.get_state().force)
 
-Each method of docs/protocol.md is a method here, and returns what the table there says. Both raise CommandRefused
-for what the daemon does not do, NoAnswer where nothing comes in time.
+Each method in docs/protocol.md is a method here, and returns the result documented there. Both clients raise
+CommandRefused if the daemon refuses a command, and NoAnswer after a timeout.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import time
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from functools import wraps
@@ -21,18 +22,21 @@ from typing import Any, Concatenate, ParamSpec, Self
 import zmq
 import zmq.asyncio
 
-from softfinger.server.closing import Closing
+from softfinger.config.errors import CommandRefused
+from softfinger.server.closing import Closeable
 from softfinger.server.keys import ClientKeys
-from softfinger.server.wire.asking import (
+from softfinger.server.wire.client_requests import (
+    TIMEOUT_S,
+    NoAnswer,
     R,
-    answer_in,
-    asking,
-    connected,
+    connect,
+    decode_answer,
     default_commands,
-    given,
+    encode_request,
     no_answer,
+    or_unset,
     result_of,
-    time_for,
+    timeout_for,
 )
 from softfinger.server.wire.commands import (
     METHODS,
@@ -68,76 +72,103 @@ from softfinger.server.wire.waits import milliseconds
 P = ParamSpec("P")
 
 
-class Control(Closing):
-    """A client that waits for each answer, for at most `timeout_s` (None: what the method needs). One thread only.
+class Control(Closeable):
+    """Client that waits for each answer; for one thread only.
 
-    `endpoint` is what the daemon's first lines say; without one, that of this user's daemon on the usual telemetry.
-    `keys` are for a server that wants some.
+    Parameters
+    ----------
+    endpoint
+        Command endpoint, which the daemon prints at its start; by default that of this user's daemon on the usual
+        telemetry endpoint.
+    timeout_s
+        Longest wait for an answer, s; None selects it by method.
+    keys
+        Keys of the client, if the server requires them.
     """
 
     def __init__(
         self, endpoint: str | None = None, timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
-        self.endpoint, self.timeout_s = endpoint or default_commands(), timeout_s
+        self.endpoint, self.timeout_s, self._keys = endpoint or default_commands(), timeout_s, keys
+        self._connect()
+
+    def _connect(self) -> None:
+        self._process = os.getpid()
         self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
-        connected(self._socket, self.endpoint, keys)
+        connect(self._socket, self.endpoint, self._keys)
 
     def _move(self, endpoint: str) -> None:
-        """Command what is at another endpoint."""
+        """Connect to another endpoint, without keys."""
         self._socket.close()
-        self.endpoint, self._socket = endpoint, zmq.Context.instance().socket(zmq.DEALER)
-        connected(self._socket, endpoint, None)
+        self.endpoint, self._keys = endpoint, None
+        self._connect()
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: commands on {self.endpoint}>"
 
     def ask(self, method: str, params: Any = Empty()) -> Any:  # noqa: B008 - frozen
-        """Any method by name; returns the result as it came."""
+        """Call a method by name; return the decoded result."""
         return self._ask(method, params, METHODS[method].result if method in METHODS else dict)
 
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
-        wait_s = time_for(method, self.timeout_s)
+        if self._process != os.getpid():  # a socket does not survive a fork: libzmq would wait forever
+            self._connect()
+        wait_s = timeout_for(method, self.timeout_s)
+        if wait_s > TIMEOUT_S and self.timeout_s is None:
+            self._check_answers(method)
         until = time.monotonic() + wait_s
-        command_id, frames = asking(method, params, wait_s)
+        command_id, frames = encode_request(method, params, wait_s)
         sent = False
         while not sent and self._socket.poll(milliseconds(until - time.monotonic()), zmq.POLLOUT):
-            # Where the peer is no ROUTER, or has left a thousand requests unanswered, there is nowhere to send to; and
-            # libzmq may hang up at any moment.
+            # Sending is impossible if the peer is not a ROUTER or has left a thousand requests unanswered, and libzmq
+            # may disconnect at any moment.
             with contextlib.suppress(zmq.Again):
                 self._socket.send_multipart(frames, zmq.NOBLOCK)
                 sent = True
         while sent and self._socket.poll(milliseconds(until - time.monotonic())):
-            answer = answer_in(self._socket.recv_multipart())
-            if answer.get("command_id") == command_id:  # and none that came too late for an earlier request
+            answer = decode_answer(self._socket.recv_multipart())
+            if answer.get("command_id") == command_id:  # not a late answer to an earlier request
                 return result_of(answer, kind)
         raise no_answer(method, self.endpoint, wait_s)
 
+    def _check_answers(self, method: str) -> None:
+        """Raise NoAnswer if a short request gets no answer, instead of waiting for as long as `method` may take."""
+        try:
+            self._ask("get_state", Empty(), State)
+        except CommandRefused:  # this is an answer, too
+            return
+        except NoAnswer as error:
+            raise no_answer(method, self.endpoint, TIMEOUT_S) from error
+
     def get_state(self) -> State:
-        """The newest tick in few numbers, of several fingers the first: position, velocity, force, contact."""
+        """Return the latest tick of the first finger: position, velocity, force, contact."""
         return self._ask("get_state", Empty(), State)
 
     def heartbeat(self) -> Alive:
-        """A sign of life, for a rig with `heartbeat_s`; gives the force back that was taken for want of one."""
+        """Send a sign of life, for a rig with `heartbeat_s`; restores the force that a missed heartbeat removed."""
         return self._ask("heartbeat", Empty(), Alive)
 
     def set_params(self, values: Mapping[str, Any]) -> Changed:
-        """Parameters of the scene by dotted path, all between the same two ticks, or none; says what they were."""
+        """Change parameters of the scene by dotted key, all between the same two ticks or none; return the changes."""
         return self._ask("set_params", values, Changed)
 
     def set_scene(
         self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
     ) -> SceneSet:
-        """Another scene, from zero force: the name of a shipped one or a mapping like a file. It is compiled first."""
+        """Replace the scene, starting from zero force: a shipped scene by name, or a mapping like a file.
+
+        The new scene is compiled first.
+        """
         source = scene if isinstance(scene, str) else dict(scene)
         return self._ask("set_scene", SetScene(source, dict(overrides or {}), name), SceneSet)
 
     def reset_world(self) -> Applied:
-        """The bodies of the scene's [world] back where they began, from zero force."""
+        """Put the bodies of the scene's [world] back where they started, at zero force."""
         return self._ask("reset_world", Empty(), Applied)
 
     def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
-        """Put a driven object, by name or number, at a place (m, world) with an orientation (w, x, y, z)."""
-        return self._ask("drive", Drive(what, position_m, given(orientation_wxyz)), Applied)
+        """Set the pose of a driven object, by name or index: position (m, world) and orientation (w, x, y, z)."""
+        return self._ask("drive", Drive(what, position_m, or_unset(orientation_wxyz)), Applied)
 
     def hand(
         self,
@@ -146,40 +177,52 @@ class Control(Closing):
         finger: str | int | None = None,
         release: bool = False,
     ) -> Applied:
-        """Where (m, world) the hand on a simulated device wants to hold the fingertip, and how turned (w, x, y, z).
+        """Set the goal pose of the fingertip for the hand on a simulated device.
 
-        What is left out stays as it is; `finger` by name or number, of one finger not needed. `release` lets the hand
-        do again what its rig says. Refused for any other device, and for a hand that a puck leads.
+        Refused for any other device, and for a hand that is moved by a puck.
+
+        Parameters
+        ----------
+        position_m
+            Position, m, world; by default the present goal.
+        orientation_wxyz
+            Quaternion (w, x, y, z), fingertip to world; by default the present goal.
+        finger
+            Name or index of the finger; not needed for a single one.
+        release
+            Return the hand to the motion of its rig.
         """
-        return self._ask("hand", Hand(given(position_m), given(orientation_wxyz), given(finger), release), Applied)
+        return self._ask(
+            "hand", Hand(or_unset(position_m), or_unset(orientation_wxyz), or_unset(finger), release), Applied
+        )
 
     def hold(self, finger: str | int | None = None) -> Held:
-        """The hand on a simulated device stays where it wants to be, with the force that it grips with; says where."""
-        return self._ask("hold", Hold(given(finger)), Held)
+        """Hold the hand on a simulated device at its present goal, with its grip force; return that goal."""
+        return self._ask("hold", Hold(or_unset(finger)), Held)
 
     def arm(self) -> Armed:
         """Let the force fade in along the guard's ramp."""
         return self._ask("arm", Empty(), Armed)
 
     def disarm(self) -> Armed:
-        """Take the force off every finger until `arm`; devices stay open, ticks go on. No emergency stop."""
+        """Turn off the force of all fingers until `arm`; ticks continue. Not an emergency stop."""
         return self._ask("disarm", Empty(), Armed)
 
     def zero(
         self, position_m: Vector = (0.0, 0.0, 0.0), finger: str | int | None = None, reset: bool = False
     ) -> Zeroed:
-        """Say where (m, world) the probe is now, for a finger by name or number; `reset` takes the offset away.
+        """Define the present position (m, world) of the probe; `reset` removes the offset.
 
-        Refused while there may be force: `disarm` first.
+        `finger` is a name or an index. Refused while the force may be on: `disarm` first.
         """
-        return self._ask("zero", Zero(position_m, given(finger), reset), Zeroed)
+        return self._ask("zero", Zero(position_m, or_unset(finger), reset), Zeroed)
 
     def mark(self, label: str, data: Mapping[str, Any] | None = None) -> Applied:
-        """An event with a label, into the telemetry and every recording of it."""
+        """Publish an event with a label, which is also part of every recording."""
         return self._ask("mark", Mark(label, dict(data or {})), Applied)
 
     def get_prompt(self) -> Prompted:
-        """What pages show the participant, and the answer to it."""
+        """Return the prompt that pages show the participant, and its answer."""
         return self._ask("get_prompt", Empty(), Prompted)
 
     def set_prompt(
@@ -190,27 +233,27 @@ class Control(Closing):
         choices: Sequence[str] = (),
         number: tuple[float, float] | None = None,
     ) -> Prompted:
-        """Show pages a title, a text, how much is done of how much, and a question: choices, or a number's range."""
+        """Show a title, a text, progress (done, total) and a question, by choices or a range, on all pages."""
         return self._ask("set_prompt", Prompt(title, text, *progress, tuple(choices), number), Prompted)
 
     def answer(self, value: str | float, prompt: int | None = None) -> Applied:
-        """Answer the question of the prompt with this number, or of the one of now; refused where none is open."""
+        """Answer the question with this prompt number, by default the present one; refused if none is open."""
         return self._ask("answer", Answer(value, prompt), Applied)
 
     def record_start(self, file: str) -> RecordStarted:
-        """Record every tick and event into a new .mcap below the rig's [recording] directory."""
+        """Record every tick and event into a new .mcap file below the rig's [recording] directory."""
         return self._ask("record_start", RecordStart(file), RecordStarted)
 
     def record_stop(self) -> RecordStopped:
-        """End that recording; says how many ticks it has."""
+        """End the recording; return its number of ticks and other statistics."""
         return self._ask("record_stop", Empty(), RecordStopped)
 
     def describe(self) -> dict[str, Any]:
-        """Rig, scene, device, fingers, versions, and the wire itself as data."""
+        """Return rig, scene, device, fingers, versions, and the protocol as data."""
         return self._ask("describe", Empty(), dict)
 
     def mesh(self, what: str | int) -> Triangles:
-        """The triangles of an object that is a mesh or a height map, by name or number, for a picture."""
+        """Return the triangles of an object that is a mesh or a height map, by name or index, for display."""
         return self._ask("mesh", OfObject(what), Triangles)
 
     def stop(self) -> Stopping:
@@ -218,55 +261,73 @@ class Control(Closing):
         return self._ask("stop", Empty(), Stopping)
 
     def close(self) -> None:
-        """Disconnect. Any number of times."""
+        """Disconnect; may be called repeatedly."""
         self._socket.close()
 
 
 def _awaited(
     command: Callable[Concatenate[Control, P], R],
 ) -> Callable[Concatenate[AsyncControl, P], Coroutine[Any, Any, R]]:
-    """A command of Control for asyncio: it returns what `_ask` returns, which is to be awaited there."""
+    """Convert a command of Control for asyncio: the awaitable returned by `_ask` is awaited."""
 
     @wraps(command)
-    async def asked(self: AsyncControl, /, *args: P.args, **kwargs: P.kwargs) -> R:
+    async def awaited(self: AsyncControl, /, *args: P.args, **kwargs: P.kwargs) -> R:
         answer: Any = command(self, *args, **kwargs)  # type: ignore[arg-type]
         return await answer  # type: ignore[no-any-return]
 
-    return asked
+    return awaited
 
 
 class AsyncControl:
-    """A client for asyncio: any number of requests may wait for their answers. Use it with `async with`."""
+    """Client for asyncio, used with `async with`; any number of requests may wait for their answers."""
 
     def __init__(
         self, endpoint: str | None = None, timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
-        self.endpoint, self.timeout_s = endpoint or default_commands(), timeout_s
+        self.endpoint, self.timeout_s, self._keys = endpoint or default_commands(), timeout_s, keys
+        self._connect()
+
+    def _connect(self) -> None:
+        self._process = os.getpid()
         self._socket: zmq.asyncio.Socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
-        connected(self._socket, self.endpoint, keys)
+        connect(self._socket, self.endpoint, self._keys)
         self._waiting: dict[str, asyncio.Future[dict[str, Any]]] = {}
         self._reader: asyncio.Task[None] | None = None
 
     async def ask(self, method: str, params: Any = Empty()) -> Any:  # noqa: B008 - frozen
-        """Any method by name; returns the result as it came."""
+        """Call a method by name; return the decoded result."""
         return await self._ask(method, params, METHODS[method].result if method in METHODS else dict)
 
     async def _ask(self, method: str, params: Any, kind: type[R]) -> R:
-        wait_s = time_for(method, self.timeout_s)
-        command_id, frames = asking(method, params, wait_s)
+        if self._process != os.getpid():  # as in Control
+            self._connect()
+            self._reader = asyncio.create_task(self._read())
+        wait_s = timeout_for(method, self.timeout_s)
+        if wait_s > TIMEOUT_S and self.timeout_s is None:
+            await self._check_answers(method)
+        command_id, frames = encode_request(method, params, wait_s)
         answer = self._waiting[command_id] = asyncio.get_running_loop().create_future()
         try:
             async with asyncio.timeout(milliseconds(wait_s) / 1000.0):
-                await self._socket.send_multipart(frames)  # which waits as long as there is nowhere to send to
+                await self._socket.send_multipart(frames)  # waits as long as sending is impossible
                 return result_of(await answer, kind)
         except TimeoutError:
             raise no_answer(method, self.endpoint, wait_s) from None
         finally:
             del self._waiting[command_id]
 
+    async def _check_answers(self, method: str) -> None:
+        """Raise NoAnswer as in Control."""
+        try:
+            await self._ask("get_state", Empty(), State)
+        except CommandRefused:
+            return
+        except NoAnswer as error:
+            raise no_answer(method, self.endpoint, TIMEOUT_S) from error
+
     async def _read(self) -> None:
         while True:
-            answer = answer_in(await self._socket.recv_multipart())
+            answer = decode_answer(await self._socket.recv_multipart())
             waiting = self._waiting.get(str(answer.get("command_id")))
             if waiting is not None and not waiting.done():
                 waiting.set_result(answer)
@@ -293,7 +354,7 @@ class AsyncControl:
     stop = _awaited(Control.stop)
 
     async def close(self) -> None:
-        """Disconnect. Any number of times."""
+        """Disconnect; may be called repeatedly."""
         if self._reader is not None:
             self._reader.cancel()
             with contextlib.suppress(asyncio.CancelledError):
@@ -302,6 +363,8 @@ class AsyncControl:
         self._socket.close()
 
     async def __aenter__(self) -> Self:
+        if self._process != os.getpid():
+            self._connect()
         self._reader = asyncio.create_task(self._read())
         return self
 

@@ -1,4 +1,4 @@
-"""Endpoints that this program binds: checked, bound, guarded against a second server, and freed."""
+"""Endpoints of this program: validated, bound, protected against a second server, and freed."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from softfinger.drivers.system.discovery import holder
 from softfinger.server.wire.listener import listener_on
 
 LISTEN_BACKLOG: Final = 128
-"""Connections that the system keeps until they are accepted."""
+"""Connections that the system queues until they are accepted."""
 
 
 class Bound(NamedTuple):
-    """A socket that listens, what closes it and frees the endpoint, and the endpoint with the port chosen for a `*`."""
+    """Listening socket, the stack that closes it and frees the endpoint, and the endpoint with its final port."""
 
     listener: socket.socket
     files: ExitStack
@@ -31,19 +31,21 @@ class Bound(NamedTuple):
 
     @property
     def fd(self) -> int:
-        """Of the socket."""
+        """File descriptor of the socket."""
         return self.listener.fileno()
 
 
 def check_endpoint(endpoint: str, key: str, public: bool = False) -> None:
-    """Raise ConfigError unless `endpoint`, the value of `key`, may be bound: an ipc path, or tcp, loopback unless
-    `public`."""
+    """Raise ConfigError unless an endpoint may be bound: an ipc path, or tcp, on loopback unless `public`.
+
+    key  name of the key with this value, for messages
+    """
     scheme, _, address = endpoint.partition("://")
     if scheme == "ipc" and address and address[0] not in "@*":
         return
     if scheme == "ipc" and address:
         raise ConfigError(
-            f"{key} = {endpoint!r} has no file, whose mode would say who may connect: use ipc:///path/to/socket"
+            f"{key} = {endpoint!r} has no file, so no file mode can limit who connects: use ipc:///path/to/socket"
         )
     host, _, port = address.rpartition(":")
     if scheme != "tcp" or not host or not (port == "*" or (port.isdecimal() and int(port) < 65536)):
@@ -69,44 +71,50 @@ def _is_loopback(host: str) -> bool:
 
 
 def make_runtime_folder() -> None:
-    """Make the folder, mode 700, unless it is there. Raises ConfigError as `check_runtime_folder`, and where it cannot
-    be made."""
+    """Create the folder, mode 700, if it is missing.
+
+    Raises ConfigError if it cannot be created, and as `check_runtime_folder` does.
+    """
     folder = runtime_folder()
     try:
         folder.mkdir(mode=0o700)
     except FileExistsError:
-        pass  # whose it is, and whether it is one, is looked at in either case
+        pass  # its owner and type are checked in both cases
     except OSError as error:
         raise ConfigError(
-            f"{folder}: cannot be made for the socket of commands: {error.strerror}; set XDG_RUNTIME_DIR to a folder "
-            "of your own, or give [commands] endpoint"
+            f"{folder}: cannot be created for the socket of commands: {error.strerror}; set XDG_RUNTIME_DIR "
+            "to a folder that belongs to you, or give [commands] endpoint"
         ) from error
     check_runtime_folder()
 
 
 def check_runtime_folder() -> None:
-    """Raise ConfigError where the folder is a link or no folder, or another user may have put a socket into it; one
-    that is not there has none."""
+    """Raise ConfigError if the folder is a link or no folder, or if another user may have put a socket into it.
+
+    A missing folder is valid.
+    """
     folder = runtime_folder()
     try:
         status = folder.lstat()
     except FileNotFoundError:
         return
     except OSError as error:
-        raise ConfigError(f"{folder}: {error.strerror}; set XDG_RUNTIME_DIR to a folder of your own") from error
+        raise ConfigError(f"{folder}: {error.strerror}; set XDG_RUNTIME_DIR to a folder that belongs to you") from error
     if not stat.S_ISDIR(status.st_mode):
-        raise ConfigError(f"{folder}: is no folder: move it away, or set XDG_RUNTIME_DIR to a folder of your own")
+        raise ConfigError(
+            f"{folder}: is no folder: move it away, or set XDG_RUNTIME_DIR to a folder that belongs to you"
+        )
     check_owner(folder, status, "could take commands in the place of the daemon")
 
 
 def listen(endpoint: str, key: str, public: bool = False, own: bool = False) -> Bound:
     """Bind an endpoint.
 
-    key     the key of the rig that the endpoint is the value of, for messages
-    public  it may be one that other machines reach: who listens there checks keys
-    own     an ipc socket is for this user alone; others are for the group, too
+    key     key of the rig with this value, for messages
+    public  whether other machines may reach it: then the server checks keys
+    own     whether an ipc socket is for this user only; otherwise the group may connect, too
 
-    Raises AddressInUse if another process holds the endpoint, ConfigError if it cannot or may not be bound.
+    Raises AddressInUse if another process uses the endpoint, ConfigError if it cannot or may not be bound.
     """
     check_endpoint(endpoint, key, public)
     scheme, _, address = endpoint.partition("://")
@@ -131,7 +139,7 @@ def _listen_tcp(address: str) -> socket.socket:
     host, _, port = address.rpartition(":")
     listener = socket.socket(socket.AF_INET6 if "[" in host else socket.AF_INET)
     try:
-        # A port whose last connections are still waiting for their end is free; one that is listened on is not.
+        # A port with connections in TIME_WAIT is free; one with a listener is not.
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         host = {"localhost": "127.0.0.1", "*": "0.0.0.0"}.get(host, host.strip("[]"))
         listener.bind((host, 0 if port == "*" else int(port)))
@@ -145,9 +153,10 @@ def _listen_ipc(path: Path, endpoint: str, key: str, files: ExitStack, own: bool
     if path.parent == runtime_folder():
         make_runtime_folder()
     files.callback(os.close, _claim(path, endpoint, key))
-    path.unlink(missing_ok=True)  # of a server that has gone: the lock is ours
+    path.unlink(missing_ok=True)  # left by a server that has exited: this process has the lock
     listener = socket.socket(socket.AF_UNIX)
-    # Group may connect unless it is one's own, others not. The mask belongs to the process, so it is put back at once.
+    # Only the user, and the group unless `own`, may connect. The mask belongs to the process, so it is restored at
+    # once.
     mask = os.umask(0o177 if own else 0o117)
     try:
         listener.bind(str(path))
@@ -161,14 +170,14 @@ def _listen_ipc(path: Path, endpoint: str, key: str, files: ExitStack, own: bool
 
 
 def _claim(path: Path, endpoint: str, key: str) -> int:
-    """Lock `path`.lock, for a socket file does not tell whether a server still listens on it.
+    """Lock `path`.lock, because a socket file does not show whether a server still listens on it.
 
-    The lock file stays behind: removing it would let two processes lock two files of one name.
+    The lock file is never removed: otherwise two processes could lock two files of one name.
     """
     try:
         if os.path.lexists(path) and not stat.S_ISSOCK(path.lstat().st_mode):
             raise ConfigError(f"{key} = {endpoint!r}: {path} exists and is no socket; choose another")
-        # A link in its place may have been planted, to have another file made.
+        # Another user may have planted a link in its place, to have another file created.
         lock_file = os.open(f"{path}.lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW, 0o660)
     except OSError as error:
         raise ConfigError(

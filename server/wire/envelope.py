@@ -1,7 +1,7 @@
-"""Requests and answers on the wire: hapticore's envelope, read with limits.
+"""Envelope of requests and answers, compatible with hapticore's; requests are decoded with limits.
 
-A request is `[empty, msgpack map]` with `command_id`, `method`, `params` and perhaps `expires`, the answer
-`[empty, msgpack map]` with `command_id`, `success`, `result` and `error`. The text of an error begins with its name.
+A request is `[empty, msgpack map]` with `command_id`, `method`, `params` and optionally `expires`; an answer is
+`[empty, msgpack map]` with `command_id`, `success`, `result` and `error`. The text of an error starts with its name.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from msgspec import Meta, Struct
 from softfinger.server.wire.commands import METHODS, ErrorName
 
 DEPTH_MAX: Final = 16
-"""Maps and lists within each other; a scene has 6."""
+"""Nesting depth of maps and lists; a scene has 6."""
 NODES_MAX: Final = 16384
-"""Values in a request: a scene of 256 objects has some 8000."""
+"""Number of values in a request: a scene of 256 objects has about 8000."""
 
 ERROR_MAX: Final = 4096
 """Longest text of an error: a scene may have a thousand faults."""
 
 
 class Declined(Exception):
-    """A request that is not done; nothing has changed."""
+    """Rejection of a request; nothing has changed."""
 
     def __init__(self, name: ErrorName, text: str, command_id: str = "") -> None:
         super().__init__(f"{name}: {text[:ERROR_MAX]}")
@@ -35,7 +35,7 @@ class Declined(Exception):
 
 
 class Request(NamedTuple):
-    """A request that is well-formed: `params` is what the table says."""
+    """Valid request; the type of `params` is the one in the table of methods."""
 
     command_id: str
     method: str
@@ -43,7 +43,7 @@ class Request(NamedTuple):
 
 
 class _Envelope(Struct, frozen=True):
-    """Keys besides are ignored, as hapticore's clients may send more."""
+    """Envelope of a request; other keys are ignored, because hapticore's clients may send more."""
 
     command_id: Annotated[str, Meta(max_length=128)]
     method: Annotated[str, Meta(max_length=64)]
@@ -52,9 +52,9 @@ class _Envelope(Struct, frozen=True):
 
 
 def expiry(wait_s: float) -> tuple[str, float] | None:
-    """Until when a request counts whose client waits so long: the boot of its machine, and s on CLOCK_MONOTONIC there.
+    """Return the expiry of a request: boot id of the client's machine, and time on its CLOCK_MONOTONIC, s.
 
-    None where nothing is known of the boot, or the wait has no end.
+    None if the boot id is unknown or the wait is infinite.
     """
     return (_BOOT, time.monotonic() + wait_s) if _BOOT and wait_s < math.inf else None
 
@@ -70,22 +70,25 @@ _BOOT: Final = _boot()
 
 
 def parse(body: bytes | None) -> Request:
-    """A request's body, of bounded size; None stands for a message of other frames. Raises Declined."""
+    """Decode and validate the body of a request, of bounded size; None is a message with other frames.
+
+    Raises Declined if it is invalid or has expired.
+    """
     if body is None:
         raise Declined("malformed", "a request has two frames: an empty one and a msgpack map")
     try:
-        # msgpack, not msgspec: it checks a claimed length before it allocates, and its stack has an end.
-        given = msgpack.unpackb(body)
-    except Exception as error:  # of a dozen classes
+        # msgpack, not msgspec: it checks a declared length before it allocates, and bounds its stack.
+        decoded = msgpack.unpackb(body)
+    except Exception as error:  # a dozen classes are possible
         raise Declined("malformed", f"no msgpack: {type(error).__name__} {error}"[:200]) from error
-    command_id = given.get("command_id") if isinstance(given, dict) else None
+    command_id = decoded.get("command_id") if isinstance(decoded, dict) else None
     command_id = command_id if isinstance(command_id, str) and len(command_id) <= 128 else ""
-    if not _is_plain(given):
+    if not _is_plain(decoded):
         raise Declined(
             "malformed", f"deeper than {DEPTH_MAX}, of more than {NODES_MAX} values, or not of plain ones", command_id
         )
     try:
-        envelope = msgspec.convert(given, _Envelope)
+        envelope = msgspec.convert(decoded, _Envelope)
     except msgspec.ValidationError as error:
         raise Declined("malformed", str(error), command_id) from error
     method = METHODS.get(envelope.method)
@@ -95,15 +98,18 @@ def parse(body: bytes | None) -> Request:
         params = msgspec.convert(envelope.params, method.params)
     except msgspec.ValidationError as error:
         raise Declined("bad_params", f"{envelope.method}: {error}", command_id) from error
-    # Of another machine's clock nothing is known.
+    # The clock of another machine is unknown.
     if envelope.expires is not None and envelope.expires[0] == _BOOT and envelope.expires[1] < time.monotonic():
         raise Declined("expired", "its client has given up waiting: nothing was done", command_id)
     return Request(command_id, envelope.method, params)
 
 
-def _is_plain(given: Any) -> bool:
-    """Whether a decoded value is of JSON's types with texts as keys, and bounded; without recursion."""
-    level, nodes = [given], 0
+def _is_plain(decoded: Any) -> bool:
+    """Return whether a decoded value has only JSON's types with string keys, and is within limits.
+
+    Does not recurse.
+    """
+    level, nodes = [decoded], 0
     for _ in range(DEPTH_MAX + 1):
         below: list[Any] = []
         for value in level:
@@ -127,12 +133,12 @@ def _is_plain(given: Any) -> bool:
 _ENCODER: Final = msgspec.msgpack.Encoder()
 
 
-def answered(command_id: str, result: Any) -> bytes:
-    """The answer to what was done."""
+def encode_answer(command_id: str, result: Any) -> bytes:
+    """Encode the answer to an executed request."""
     return _ENCODER.encode({"command_id": command_id, "success": True, "result": result, "error": None})
 
 
-def declined(reason: Declined, command_id: str = "") -> bytes:
-    """The answer to what was not done."""
-    said = {"command_id": reason.command_id or command_id, "success": False, "result": {}, "error": str(reason)}
-    return _ENCODER.encode(said)
+def encode_refusal(reason: Declined, command_id: str = "") -> bytes:
+    """Encode the answer to a rejected request."""
+    refusal = {"command_id": reason.command_id or command_id, "success": False, "result": {}, "error": str(reason)}
+    return _ENCODER.encode(refusal)

@@ -1,4 +1,4 @@
-"""Events that consecutive records tell: contact transitions, guard interventions, missed deadlines."""
+"""Derivation of events from consecutive records: contact transitions, guard interventions, missed deadlines."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT, CAUSE_NAMES, FREE, ROLLING, SLIDING
-from softfinger.server.faults import ADVICE
 from softfinger.server.wire.protocol import SCHEMA
 
 Map = dict[str, Any]
@@ -17,11 +16,26 @@ Map = dict[str, Any]
 MIN_INTERVAL_S: Final = 0.1
 """Shortest time between two guard events of one name, or two missed-deadline events.
 
-A force that hovers at its limit sets the guard in and out every few ticks; what is held back is
-counted into the next event.
+A force close to its limit makes the guard intervene every few ticks; delayed interventions are counted in the next
+event.
 """
 
-# Event name and the mode before, by cause; a release can come from rolling or sliding.
+ADVICE: Final = {
+    "not_finite": "the scene gave no finite force: softfinger check names values that do not go together",
+    "pose_refused": "the device gave no usable pose: see to its sensors and its cable",
+    "pose_jumped": "the pose jumped farther than a hand moves: check sensors and cable; if it was a hand, raise "
+    "guard.speed_max_m_per_s",
+    "pose_frozen": "the pose repeats bit for bit under a force: move the handle; if it rests, disarm",
+    "too_fast": "the handle was faster than guard.handle_speed_max_m_per_s: hold it, and arm if the rig asks for that; "
+    "if nobody moved it so, take a softer scene, or turn to the sign of the force",
+    "motor_hot": "the force is lowered until the motors have cooled: let go for a while, or take a softer scene",
+    "energy_spent": "the rendering gave the hand more than guard.energy_max_j, and its force fades: take a softer "
+    "scene or [passivity]; for an object that is meant to push, raise that limit",
+    "workspace_edge": "the handle is at the edge of guard.workspace: come back from it",
+}
+"""Remedy by name of a guard's event; other events need none."""
+
+# Event name and previous mode, by cause; a release can follow rolling or sliding.
 _TRANSITIONS: Final[dict[str, tuple[str, int | None]]] = {
     "touch": ("touch", FREE),
     "drag": ("slip", ROLLING),
@@ -35,11 +49,11 @@ _WATCHED: Final = [AT.contact_mode, AT.contact_cause, AT.servo_guard, AT.servo_m
 
 
 class RecordEvents:
-    """Derives event maps from the stream of records; feed it every record, in order.
+    """Converter from records to event maps; pass it every record, in order.
 
-    guard_names  of the bits of `servo.guard`, bit 0 first
-    finger       whose records these are, of several
-    of_servo     whether what the servo misses is told from these: all fingers' records say the same
+    guard_names  names of the bits of `servo.guard`, bit 0 first
+    finger       finger of the records, if there are several
+    of_servo     whether to report missed deadlines, which are equal in the records of all fingers
     """
 
     def __init__(self, guard_names: Sequence[str] = (), finger: str = "", of_servo: bool = True) -> None:
@@ -47,24 +61,24 @@ class RecordEvents:
         self._finger, self._of_servo = finger, of_servo
         self._watched: list[float] | None = None
         self._object = -1
-        self._held: dict[tuple[str, str], int] = {}
+        self._delayed: dict[tuple[str, str], int] = {}
         self._sent_s: dict[tuple[str, str], float] = {}
 
     def observe(self, records: NDArray[np.float64]) -> list[Map]:
-        """Events of a batch of records, shape (n, RECORD_SIZE), in tick order."""
+        """Return the events of a batch of records, shape (n, RECORD_SIZE), in tick order."""
         events: list[Map] = []
         for index, watched in enumerate(records[:, _WATCHED].tolist()):
             cause = watched[1]
-            if watched == self._watched and not cause and not self._held:
+            if watched == self._watched and not cause and not self._delayed:
                 continue  # nearly every tick ends here
-            self._changed(records[index], watched, events)
+            self._append_changes(records[index], watched, events)
         if len(records):
-            # The object of a release is the one touched before; touch events keep it current in between.
+            # The object of a release is the one touched before; touch events update it in between.
             touched = int(records[-1, AT.contact_object])
             self._object = touched if touched >= 0 else self._object
         return events
 
-    def _changed(self, record: NDArray[np.float64], watched: list[float], events: list[Map]) -> None:
+    def _append_changes(self, record: NDArray[np.float64], watched: list[float], events: list[Map]) -> None:
         mode, cause, guard, missed = (int(value) for value in watched)
         before = [int(value) for value in self._watched] if self._watched else [mode, 0, 0, missed]
         self._watched = watched
@@ -73,10 +87,10 @@ class RecordEvents:
         rising = guard & ~before[2]
         for bit in range(rising.bit_length()):
             if rising >> bit & 1:
-                self._hold("guard", self._guard_names[bit] if bit < len(self._guard_names) else f"bit {bit}", 1)
-        # A counter that went back is a servo that started again.
+                self._delay("guard", self._guard_names[bit] if bit < len(self._guard_names) else f"bit {bit}", 1)
+        # The counter restarts with the servo.
         if self._of_servo:
-            self._hold("servo", "missed", missed - before[3] if missed >= before[3] else missed)
+            self._delay("servo", "missed", missed - before[3] if missed >= before[3] else missed)
         events.extend(self._due(record, missed))
 
     def _contact(self, record: NDArray[np.float64], cause: str, mode_before: int, mode: int) -> Map:
@@ -87,7 +101,7 @@ class RecordEvents:
         return {
             **_head(record, "contact", name),
             "cause": cause,
-            # By cause where it tells: the record before may have been dropped.
+            # From the cause if possible: the previous record may have been dropped.
             "from": mode_before if usual is None else usual,
             "to": mode,
             "object": self._object,
@@ -98,19 +112,20 @@ class RecordEvents:
             "finger": self._finger,
         }
 
-    def _hold(self, kind: str, name: str, count: int) -> None:
+    def _delay(self, kind: str, name: str, count: int) -> None:
         if count > 0:
-            self._held[kind, name] = self._held.get((kind, name), 0) + count
+            self._delayed[kind, name] = self._delayed.get((kind, name), 0) + count
 
     def _due(self, record: NDArray[np.float64], missed: int) -> list[Map]:
-        """Held-back events whose interval has passed."""
+        """Return delayed events for which the interval has passed."""
         events: list[Map] = []
         now = float(record[AT.timestamp])
-        for key in list(self._held):
-            # abs: the epoch clock may be set back. A microsecond: it resolves no more, this far from the epoch.
+        for key in list(self._delayed):
+            # abs: the epoch clock may be set back. A microsecond: the resolution of the timestamp this far from the
+            # epoch.
             if abs(now - self._sent_s.get(key, -np.inf)) < MIN_INTERVAL_S - 1e-6:
                 continue
-            event = {**_head(record, *key), "count": self._held.pop(key)}
+            event = {**_head(record, *key), "count": self._delayed.pop(key)}
             if key[0] == "servo":
                 event["total"] = missed
             else:
@@ -121,7 +136,7 @@ class RecordEvents:
 
 
 def event_map(moment: tuple[int, float], kind: str, name: str, fields: Mapping[str, Any]) -> Map:
-    """The map of an event at a moment, the last tick that was done and s since the epoch; with further keys."""
+    """Return the map of an event at a moment, (last tick done, s since the epoch), with further keys."""
     tick, timestamp = moment
     return {**fields, "schema": SCHEMA, "timestamp": timestamp, "tick": tick, "kind": kind, "name": name}
 

@@ -1,4 +1,4 @@
-"""The once-a-second message: figures of the records of a second."""
+"""Computation of the `health` message from the records of each second."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from softfinger.server.wire.protocol import SCHEMA, nest
 Records = NDArray[np.float64]
 
 HEALTH_PERIOD_S: Final = 1.0
-_HEALTH_ROWS: Final = 16384  # a second at the highest rate, twice over
+_HEALTH_ROWS: Final = 16384  # twice the rows of a second at the highest rate
 _QUANTILES: Final = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
 class Health:
-    """Gathers records and sums up each second of them."""
+    """Accumulator of records that summarizes each second of one finger."""
 
     def __init__(self) -> None:
         self._rows = np.empty((_HEALTH_ROWS, RECORD_SIZE))
-        self._count = 0  # row 0 is the last one of the second before, for the work done between the two
+        self._count = 0  # row 0 is the last one of the previous second, for the work done between the two
         self._energy_total = 0.0
 
     def add(self, records: Records, drops: int) -> list[dict[str, Any]]:
-        """Take a batch, shape (n, RECORD_SIZE); returns the maps of the seconds that are complete with it."""
+        """Add a batch, shape (n, RECORD_SIZE); return the maps of the seconds that it completes."""
         messages: list[dict[str, Any]] = []
         while len(records):
             if self._count == 0:
@@ -36,18 +36,18 @@ class Health:
                 records = records[1:]
                 continue
             elapsed = records[:, AT.timestamp] - self._rows[0, AT.timestamp]
-            # A microsecond early: the epoch time of a tick is rounded. A clock set back ends the second too.
+            # A microsecond early: the epoch time of a tick is rounded. A clock set back also ends the second.
             complete = (elapsed >= HEALTH_PERIOD_S - 1e-6) | (elapsed < 0.0)
             room = len(self._rows) - self._count
             ends = int(complete.argmax()) + 1 if complete.any() else len(records)
-            taken = min(ends, room)
-            self._rows[self._count : self._count + taken] = records[:taken]
-            self._count += taken
-            if complete[taken - 1] or taken == room:
+            count = min(ends, room)
+            self._rows[self._count : self._count + count] = records[:count]
+            self._count += count
+            if complete[count - 1] or count == room:
                 messages.append(self._message(drops))
                 self._rows[0] = self._rows[self._count - 1]
                 self._count = 1
-            records = records[taken:]
+            records = records[count:]
         return messages
 
     def _message(self, drops: int) -> dict[str, Any]:
@@ -80,8 +80,8 @@ class Health:
         return nest(flat)
 
 
-def together(messages: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """One message of those of several fingers in the same second: ticks and work added up, the most that is owed."""
+def combine(messages: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Combine the messages of several fingers for one second: sums of ticks and work, maxima of other figures."""
     first, *others = messages
     for other in others:
         for key in ("guarded", "energy", "energy_total"):
@@ -96,10 +96,10 @@ def together(messages: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def work_of_hand(records: Records) -> float:
-    """Work (J) the hand did against the commanded wrench over consecutive records, shape (n, RECORD_SIZE).
+    """Return the work (J) of the hand against the commanded wrench over consecutive records, shape (n, RECORD_SIZE).
 
-    Each wrench acts until the next tick, so it multiplies the motion that follows it. Negative means
-    that the rendering moved the hand. Records that are not finite count nothing.
+    Each wrench acts until the next tick, so it is multiplied by the motion that follows it. Negative work means that
+    the rendering moved the hand. Records that are not finite contribute nothing.
     """
     force = records[:-1, AT.force : AT.force + 3]
     torque = records[:-1, AT.torque : AT.torque + 3]
@@ -111,7 +111,7 @@ def work_of_hand(records: Records) -> float:
 
 
 def _rotation_between(before: Records, after: Records) -> Records:
-    """Rotation vectors (n, 3), in world, rad, of the shorter turn from quaternions `before` to `after`, (n, 4)."""
+    """Return rotation vectors (n, 3), world, rad, of the shorter rotation between quaternions (n, 4)."""
     w0, v0 = before[:, :1], before[:, 1:]
     w1, v1 = after[:, :1], after[:, 1:]
     real = w1 * w0 + (v1 * v0).sum(axis=1, keepdims=True)

@@ -1,7 +1,7 @@
-"""The publisher's process as the daemon has it: started, told, heard, and started again when it has ended.
+"""The daemon's side of the publisher process: starts it, exchanges messages with it, and restarts it if it exits.
 
-One thread looks after it, and answers what its peers ask. Nobody waits for it: what is said to it while it is away, or
-while it does not read, is kept in a bounded queue or left out.
+A single thread monitors it and receives the requests of its clients. No other thread waits for it: messages to it are
+queued or dropped while it is restarted or does not read.
 """
 
 from __future__ import annotations
@@ -15,38 +15,39 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Final, NamedTuple
 
 import msgspec
 
-from softfinger.server.publishing.channel import Channel, Said
+from softfinger.server.publishing.channel import Channel, Message
 from softfinger.server.publishing.setup import Figures, Kind, Setup
 
 log: Final = logging.getLogger(__name__)
 
 PERIOD_S: Final = 0.02
-"""How often `each_period` is called where nobody asks anything."""
-REST_MAX_S: Final = 0.1
-"""Longest rest after requests were answered."""
-SOUND_S: Final = 10.0
-"""One that has run for so long is started again at once."""
+"""Interval of calls of `each_period` without requests."""
+REST_MAX_S: Final = 0.002
+"""Longest pause after requests were received; slow requests are queued for another thread."""
+STABLE_S: Final = 10.0
+"""A process that has run for this long is restarted without a pause."""
 PAUSE_S: Final = 0.1
 PAUSE_MAX_S: Final = 5.0
-"""How long to wait before the next start: doubled each time that one ends early, up to this."""
+"""Pause before a restart: doubled each time the process exits early, up to this."""
 LOG_PERIOD_S: Final = 10.0
-"""How seldom it is told what peers lose: a peer must not fill the log."""
-BACK_S: Final = 1.0
-"""How long after a start subscribers are there again, to be told of it."""
+"""Shortest interval of log messages about peers: a peer must not fill the log."""
+RECONNECT_S: Final = 1.0
+"""Time after a new process is ready until subscribers have reconnected, and can receive an event about it."""
 END_S: Final = 1.0
-"""How long after its end was asked for the process is ended by force."""
+"""Time after a request to end until the process is killed."""
 MODULE: Final = "softfinger.server.publishing"
 
 
-class Answering(NamedTuple):
-    """Who answers requests; both are called in the thread of the link, and raise nothing.
+class RequestHandlers(NamedTuple):
+    """Handlers of requests; both are called in the thread of the link, and must not raise.
 
-    answer       is given a client, its request (None: not two frames), and whether it asks too much; returns the
-                 answer, or None if that comes later, by `reply`
+    answer       is called with a client, its request (None: not two frames), and whether it sends too many; returns the
+                 answer, or None if `reply` sends it later; must not wait
     each_period  is called every PERIOD_S or sooner
     """
 
@@ -55,72 +56,78 @@ class Answering(NamedTuple):
 
 
 class Link:
-    """The process, from now on until `close`.
+    """Publisher process, from construction until `close`.
 
-    setup  what it is told at the start: a new one for each, for rows have gone on
-    last   says what has to be said to each new one, after that
-    files  that it needs, by number
-    event  called with what has happened to it, in words
+    setup          returns the setup of a new process: another one each time, as the row to start with changes
+    send_retained  sends the messages that each new process needs after its setup
+    files          file descriptors that the process inherits
+    event          is called with a description of each failure of the process
+    on_handled     is called with each request that was answered or queued
     """
 
     def __init__(
         self,
         setup: Callable[[], Setup],
-        last: Callable[[Callable[[Kind, bytes, bytes], object]], None],
+        send_retained: Callable[[Callable[[Kind, bytes, bytes], object]], None],
         files: list[int],
         event: Callable[[str], None],
+        on_handled: Callable[[bytes], None],
     ) -> None:
-        self._setup, self._last, self._files, self._event = setup, last, list(files), event
-        self._answering: Answering | None = None
-        self._before, self._now = Figures(), Figures()
+        self._setup, self._send_retained, self._files, self._event = setup, send_retained, list(files), event
+        self._on_handled = on_handled
+        self._handlers: RequestHandlers | None = None
+        self._earlier_figures, self._present_figures = Figures(), Figures()
         self._logged, self._logged_s = Figures(), -LOG_PERIOD_S
-        self._since_s = 0.0
+        self._started_s = 0.0
         self._pause_s = 0.0
-        self._ready = False
+        self._ready = self._restart_failed = False
+        """`_ready`: a process has been ready. `_restart_failed`: a restart failed, and was reported."""
         self.restarts = 0
-        """How often it was started again."""
-        self._news: list[tuple[float, str]] = []
-        """What has happened to it, and when to tell."""
+        """Number of restarts."""
+        self._restart_reports: list[str] = []
+        """Restarts whose process is not ready yet; it would drop an event about them."""
+        self._delayed_events: list[tuple[float, str]] = []
+        """Events about the process, with the time at which to send them."""
         self.failed = False
-        """It cannot be started, or the thread that looks after it has ended by an error of its own."""
+        """The process cannot be started, or the thread that monitors it has failed."""
         self._until_s: float | None = None
         self._replacing = threading.Lock()
-        """Held where one process takes the place of another: what is said meanwhile is said to the next."""
+        """Locked while one process replaces another, so that a message is sent to the new one."""
         self._process, self._channel = self._start()
         self._thread = threading.Thread(target=self._run, name="publisher", daemon=True)
         self._thread.start()
 
-    # --- what is said -----------------------------------------------------------------------------------
+    # --- messages to the process ------------------------------------------------------------------------
 
-    def say(self, kind: Kind, key: bytes = b"", body: bytes = b"") -> bool:
-        """Say something to the process, from any thread; False where it is left out."""
+    def send(self, kind: Kind, key: bytes = b"", body: bytes = b"") -> bool:
+        """Send a message to the process, from any thread; False if it is dropped."""
         with self._replacing:
-            return self._channel.say(kind, key, body)
+            return self._channel.send(kind, key, body)
 
     def reply(self, client: bytes, body: bytes) -> None:
-        """Answer a client later than at once; from any thread. One that has gone gets nothing."""
-        self.say(Kind.LATE, client, body)
+        """Send a deferred answer to a client; from any thread. It is dropped if the client has disconnected."""
+        self.send(Kind.DEFERRED_ANSWER, client, body)
 
-    def serve(self, answering: Answering | None) -> None:
-        """Answer requests from here on; None: nobody does any more."""
-        self._answering = answering
+    def serve(self, handlers: RequestHandlers | None) -> None:
+        """Set the handlers of requests; None: requests are no longer answered."""
+        self._handlers = handlers
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Process id of the publisher."""
         return self._process.pid
 
     @property
     def figures(self) -> Figures:
-        """What all of the processes have counted, and the subscribers of now."""
-        before, now = self._before, self._now
+        """Totals of all processes so far, and the present number of subscribers."""
+        before, now = self._earlier_figures, self._present_figures
         return Figures(
             now.subscribers, before.lost + now.lost, before.refused + now.refused, before.missed + now.missed
         )
 
     def close(self, linger_s: float) -> None:
-        """Have it send what is under way, for at most `linger_s`, and end. Once."""
-        self.say(Kind.END)
+        """End the process after it has sent its queued messages, for at most `linger_s`. Call it once."""
+        self.send(Kind.END)
         self._until_s = time.monotonic() + linger_s + END_S
         self._thread.join(linger_s + 2.0 * END_S)
 
@@ -130,37 +137,40 @@ class Link:
     # --- the thread -------------------------------------------------------------------------------------
 
     def _start(self) -> tuple[subprocess.Popen[bytes], Channel]:
-        ours, its = socket.socketpair()
-        # A session of its own: Ctrl-C and the end of a terminal are for the daemon, and this ends with the channel.
-        process = subprocess.Popen(
-            [sys.executable, "-m", MODULE, str(its.fileno())],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            start_new_session=True,
-            pass_fds=[its.fileno(), *self._files],
-        )
-        its.close()
-        self._since_s = time.monotonic()
-        channel = Channel(ours)
-        channel.say(Kind.SETUP, body=msgspec.msgpack.encode(self._setup()))
-        self._last(channel.say)
+        with ExitStack() as undo:
+            own_end, child_end = map(undo.enter_context, socket.socketpair())
+            # A separate session: Ctrl-C and the end of a terminal are handled by the daemon; this process ends with the
+            # channel.
+            process = subprocess.Popen(
+                [sys.executable, "-m", MODULE, str(child_end.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+                pass_fds=[child_end.fileno(), *self._files],
+            )
+            child_end.close()
+            undo.pop_all()
+        self._started_s = time.monotonic()
+        channel = Channel(own_end)
+        channel.send(Kind.SETUP, body=msgspec.msgpack.encode(self._setup()))
+        self._send_retained(channel.send)
         return process, channel
 
     def _run(self) -> None:
         try:
             while True:
-                begun, asked = time.monotonic(), self._listen()
-                if self._channel.ended and not self._follow():
+                start_s, request_wait_s = time.monotonic(), self._poll()
+                if self._channel.ended and not self._restart():
                     return
-                if self._until_s is not None and begun >= self._until_s:
+                if self._until_s is not None and start_s >= self._until_s:
                     self._process.kill()
-                if self._answering is not None:
-                    self._answering.each_period()
-                self._tell(begun)
-                while self._news and begun >= self._news[0][0]:
-                    self._event(self._news.pop(0)[1])
-                if asked:  # a flood has half of the time of one processor at most, and the servo's readers the rest
-                    time.sleep(min(time.monotonic() - begun - asked, REST_MAX_S))
+                if self._handlers is not None:
+                    self._handlers.each_period()
+                self._log_figures(start_s)
+                while self._delayed_events and start_s >= self._delayed_events[0][0]:
+                    self._event(self._delayed_events.pop(0)[1])
+                if request_wait_s:  # a flood uses at most half of a processor, and the servo's readers the rest
+                    time.sleep(min(time.monotonic() - start_s - request_wait_s, REST_MAX_S))
         except Exception:
             self.failed = True
             log.exception("telemetry: the thread that looks after the publisher failed")
@@ -169,40 +179,45 @@ class Link:
             self._process.wait()
             self._channel.close()
 
-    def _listen(self) -> float:
-        """Wait for the process, and do what it says; returns how long it waited, s, or 0.0 where nobody asked."""
+    def _poll(self) -> float:
+        """Wait for messages and handle them; return the time waited, s, or 0.0 if none was a request."""
         waiting = select.poll()
-        waiting.register(self._channel.fileno(), select.POLLIN | (select.POLLOUT if self._channel.waits else 0))
-        begun = time.monotonic()
+        waiting.register(self._channel.fileno(), select.POLLIN | (select.POLLOUT if self._channel.has_queued else 0))
+        start_s = time.monotonic()
         waiting.poll(PERIOD_S * 1000.0)
-        waited_s, asked = time.monotonic() - begun, False
+        waited_s, has_request = time.monotonic() - start_s, False
         self._channel.flush()
-        for said in self._channel.hear():
-            asked = self._take(said) or asked
-        return waited_s if asked else 0.0
+        for message in self._channel.receive():
+            has_request = self._take(message) or has_request
+        return waited_s if has_request else 0.0
 
-    def _take(self, said: Said) -> bool:
-        """Do what the process says; whether it was a request."""
-        match said.kind:
+    def _take(self, message: Message) -> bool:
+        """Handle a message; return whether it was a request."""
+        match message.kind:
             case Kind.READY:
                 self._ready = True
+                due_s = time.monotonic() + RECONNECT_S
+                self._delayed_events += [(due_s, text) for text in self._restart_reports]
+                self._restart_reports.clear()
             case Kind.FIGURES:
-                self._now = msgspec.msgpack.decode(said.body, type=Figures)
-            case Kind.SAID:
-                log.warning("%s", said.body.decode(errors="replace"))
+                self._present_figures = msgspec.msgpack.decode(message.body, type=Figures)
+            case Kind.LOG:
+                log.warning("%s", message.body.decode(errors="replace"))
             case Kind.REQUEST | Kind.TOO_MUCH | Kind.MALFORMED:
-                answering = self._answering
-                body = None if said.kind == Kind.MALFORMED else said.body
+                handlers = self._handlers
+                body = None if message.kind == Kind.MALFORMED else message.body
                 answer = None
-                if answering is not None:
-                    answer = answering.answer(said.key, body, said.kind == Kind.TOO_MUCH)
-                if answer is None or not self._channel.say(Kind.ANSWER, said.key, answer):
-                    self._channel.say(Kind.LATER, said.key)
+                if handlers is not None:
+                    answer = handlers.answer(message.key, body, message.kind == Kind.TOO_MUCH)
+                if answer is None or not self._channel.send(Kind.ANSWER, message.key, answer):
+                    self._channel.send(Kind.DEFERRED, message.key)
+                if message.kind == Kind.REQUEST:
+                    self._on_handled(message.body)
                 return True
         return False
 
-    def _follow(self) -> bool:
-        """Start another process in the place of one that has ended; False where none is to follow."""
+    def _restart(self) -> bool:
+        """Start another process after one has exited; return False if none is needed."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(END_S)
         self._process.kill()
@@ -213,26 +228,48 @@ class Link:
             log.error("telemetry: the publisher has ended with code %d before it was ready", code)
             self.failed = True
             return False
-        sound = time.monotonic() - self._since_s > SOUND_S
-        self._pause_s = 0.0 if sound else min(2.0 * self._pause_s or PAUSE_S, PAUSE_MAX_S)
-        due_s = time.monotonic() + self._pause_s
-        while time.monotonic() < due_s and not self._ending():
-            if self._answering is not None:
-                self._answering.each_period()
-            time.sleep(PERIOD_S)
+        self._channel.close()
+        self._earlier_figures, self._present_figures = msgspec.structs.replace(self.figures, subscribers=0), Figures()
+        if time.monotonic() - self._started_s > STABLE_S:
+            self._pause_s = 0.0
+        else:
+            self._lengthen_pause()
+        while not self._start_next():
+            self._lengthen_pause()
         if self._ending():
             return False
-        self._channel.close()
-        self._before, self._now = msgspec.structs.replace(self.figures, subscribers=0), Figures()
-        with self._replacing:
-            self._process, self._channel = self._start()
         self.restarts += 1
-        said = f"the publisher has ended with code {code} and was started again: subscribers and clients connect anew"
-        log.error("%s", said)
-        self._news.append((time.monotonic() + BACK_S, said))
+        text = f"the publisher has ended with code {code} and was started again: subscribers and clients connect again"
+        log.error("%s", text)
+        self._restart_reports.append(text)
         return True
 
-    def _tell(self, now_s: float) -> None:
+    def _lengthen_pause(self) -> None:
+        self._pause_s = min(2.0 * self._pause_s or PAUSE_S, PAUSE_MAX_S)
+
+    def _start_next(self) -> bool:
+        """Wait for the pause, then start a process unless the link is closing; return False if that fails."""
+        due_s = time.monotonic() + self._pause_s
+        while time.monotonic() < due_s and not self._ending():
+            if self._handlers is not None:
+                self._handlers.each_period()
+            time.sleep(PERIOD_S)
+        if self._ending():
+            return True
+        try:
+            with self._replacing:
+                self._process, self._channel = self._start()
+        except OSError as error:  # no file descriptor, process or memory is left
+            if not self._restart_failed:
+                self._restart_failed = True
+                text = f"the publisher cannot be started: {error}; it is tried again every {PAUSE_MAX_S:g} s or sooner"
+                log.error("%s", text)
+                self._event(text)
+            return False
+        self._restart_failed = False
+        return True
+
+    def _log_figures(self, now_s: float) -> None:
         figures = self.figures
         if now_s - self._logged_s < LOG_PERIOD_S or (figures.lost, figures.refused) == (
             self._logged.lost,

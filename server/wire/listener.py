@@ -1,4 +1,4 @@
-"""Which process listens on a TCP port of this machine, as /proc says it."""
+"""Search of /proc for the process that listens on a TCP port of this machine."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ LISTENING: Final = "0A"
 
 
 def listener_on(port: int) -> str:
-    """The process, as messages name it; empty where nobody can be seen to: others' open files are not this user's."""
+    """Return the process, in the wording of messages; empty if none is visible, as for the files of other users."""
     sockets = _sockets(port)
     for folder in Path("/proc").glob("[0-9]*/fd"):
         try:
             if any(os.readlink(entry) in sockets for entry in folder.iterdir()):
                 name = (folder.parent / "comm").read_text().strip()
                 return f"process {folder.parent.name} ({name})"
-        except OSError:  # it has ended, or is another user's
+        except OSError:  # it has exited, or belongs to another user
             continue
     return ""
 
 
 def _sockets(port: int) -> set[str]:
-    """Links, as open files have them, of the sockets that listen on a port."""
+    """Return the links in /proc/PID/fd of the sockets that listen on a port."""
     found = set()
     for table in ("tcp", "tcp6"):
         try:

@@ -1,8 +1,8 @@
-"""The wire: topics, the keys of every message, encoding and strict decoding.
+"""Telemetry protocol: topics, keys of all messages, encoding and strict decoding.
 
-A message is exactly two frames, `[topic, msgpack map]`. The keys of `contact`, and of the topic of each of several
-fingers, come from the record table in proxy/record.py; the keys of `event` and `health` are the tables below.
-docs/reference/telemetry.md is made of them, and docs/protocol.md explains them.
+A message consists of exactly two frames, `[topic, msgpack map]`. The keys of `contact`, and of the topics of several
+fingers, come from the record table in proxy/record.py; all other keys are in the tables below.
+docs/reference/telemetry.md is generated from them, and docs/protocol.md explains them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from softfinger.drivers import poses
 from softfinger.proxy.record import FIELDS, PATCHES, Field
 
 SCHEMA: Final = 1
-"""Raised when a key is removed or changes its meaning; a new key leaves it as it is."""
+"""Version of the protocol, incremented when a key is removed or changes its meaning; a new key does not change it."""
 
 CONTACT: Final = poses.TOPIC
 EVENT: Final = "event"
@@ -27,30 +27,30 @@ HEALTH: Final = "health"
 STATE: Final = "state"
 SCHEMA_TOPIC: Final = "schema"
 WORLD: Final = "world"
-"""Of a scene whose bodies move by themselves."""
+"""Topic of a scene with moving bodies."""
 TOPICS: Final = (CONTACT, EVENT, HEALTH, STATE, SCHEMA_TOPIC)
-"""Of a server with a single finger."""
-FINGERS: Final = poses.FINGERS
-"""Of several fingers each has a topic of its own in place of `contact`: this and its name."""
+"""Topics of a server with a single finger."""
+FINGERS: Final = poses.FINGER_TOPIC_PREFIX
+"""Prefix of the topics of several fingers, which replace `contact`: this and the finger's name."""
 
 WORLD_HZ: Final = 60.0
-"""How often `world` is sent: as often as a picture is drawn."""
+"""Rate of `world`: the rate at which pictures are drawn."""
 
 STATE_HZ: Final = 200.0
-"""How often `state` is sent: one tick in so many that it comes nearest to this."""
+"""Rate of `state`; the nearest rate is used that divides the tick rate."""
 
 MAX_BYTES: Final = 65536
-"""Longest message body a client decodes; the longest one of a tick is below 1.5 KiB."""
+"""Longest message body that a client decodes; the longest one of a tick is below 1.5 KiB."""
 
 
 class ProtocolError(HapticError):
-    """A message that does not follow docs/protocol.md."""
+    """Message that does not follow docs/protocol.md."""
 
     exit_code = 8
 
 
 class Key(NamedTuple):
-    """One key of a message: dotted name, type (`int`, `float`, `float[3]`, `str`, `map`), unit, frame, meaning."""
+    """Key of a message: dotted name, type (`int`, `float`, `float[3]`, `str`, `map`), unit, frame, meaning."""
 
     name: str
     type: str
@@ -63,7 +63,7 @@ SCHEMA_KEY: Final = Key("schema", "int", "1", "", "version of this protocol")
 _TICK_KEY: Final = Key("tick", "int", "1", "", "tick of the message, -1 before the first")
 
 _LISTS: Final = [f"contacts{i}" for i in range(PATCHES)]
-"""Fields of a record that a message has as maps in the list `contacts`, those of a patch that there is."""
+"""Fields of a record that become maps in the list `contacts` of a message, one for each existing patch."""
 
 
 def _key_of(field: Field) -> Key:
@@ -86,7 +86,7 @@ EVENT_KEYS: Final = (
     Key("kind", "str", "", "", "contact, guard, servo, device, command, mark, fault, state or lifecycle"),
     Key("name", "str", "", "", "what happened"),
 )
-"""Keys every event has."""
+"""Keys of every event."""
 
 _FINGER_KEY: Final = Key("finger", "str", "", "", "name of the finger, empty for a single one")
 
@@ -111,7 +111,7 @@ EVENT_EXTRA_KEYS: Final = {
     "guard": (
         Key("count", "int", "1", "", "interventions since the last event of this name"),
         _FINGER_KEY,
-        Key("message", "str", "", "", "what to do, empty where nothing is"),
+        Key("message", "str", "", "", "remedy; empty if there is none"),
     ),
     "servo": (
         Key("count", "int", "1", "", "deadlines missed since the last event of this name"),
@@ -127,7 +127,7 @@ EVENT_EXTRA_KEYS: Final = {
     ),
     "command": (
         Key("command_id", "str", "", "", "id of the request, empty if there was none"),
-        Key("what", "map", "", "", "what changed; for set_params `from` and `to` of each key"),
+        Key("what", "map", "", "", "changes; for set_params `from` and `to` of each key"),
     ),
     "mark": (
         Key("command_id", "str", "", "", "id of the request"),
@@ -136,10 +136,10 @@ EVENT_EXTRA_KEYS: Final = {
     ),
     "state": (
         Key("before", "str", "", "", "state before; the name of the event is the new one"),
-        Key("cause", "str", "", "", "what led to it"),
+        Key("cause", "str", "", "", "cause"),
     ),
 }
-"""Keys that events of a kind add; kinds not listed here add what the event needs."""
+"""Additional keys by kind of event; events of other kinds have the keys they need."""
 
 _QUANTILES: Final = (("p50", "median"), ("p99", "99th percentile"), ("p999", "99.9th percentile"), ("max", "largest"))
 
@@ -171,7 +171,7 @@ HEALTH_KEYS: Final = (
         "",
         "messages that subscribers were too slow to take, at least, since the server started",
     ),
-    Key("refused", "int", "1", "", "connections refused or cut off for what they did, since the server started"),
+    Key("refused", "int", "1", "", "connections refused or closed because of their messages, since the server started"),
     Key("restarts", "int", "1", "", "times the publisher ended and was started again, since the server started"),
     Key("state", "str", "", "", "state of the daemon: starting, ready, armed, faulted or stopping"),
 )
@@ -187,7 +187,7 @@ STATE_KEYS: Final = (
     Key("field_state.object", "int", "1", "", "index of the touched object in the scene, -1 none"),
     Key("field_state.penetration", "float", "m", "", "depth of the probe behind the proxy along the normal"),
 )
-"""Those of hapticore's state message, and no other: its client takes it into a record of exactly these."""
+"""Keys of hapticore's state message, without additions: its client decodes it into a record of exactly these."""
 
 WORLD_KEYS: Final = (
     SCHEMA_KEY,
@@ -212,13 +212,13 @@ _TYPES: Final[dict[str, Any]] = {"int": int, "float": float, "str": str}
 
 
 def _type(written: str) -> Any:
-    """The Python type of a key's; a `[3]` behind it makes a tuple of so many."""
+    """Return the Python type of a key's type; `[3]` makes it a tuple of that size."""
     kind, _, size = written.partition("[")
     return GenericAlias(tuple, (_TYPES[kind],) * int(size[:-1])) if size else _TYPES[kind]
 
 
 def _struct(name: str, keys: Sequence[Key]) -> type[msgspec.Struct]:
-    """Struct type that a message with these keys decodes to; dotted names become structs, `[]` tuples of them."""
+    """Return the struct type for messages with these keys; dotted names become structs, `[]` tuples of structs."""
     nested: dict[str, list[Key]] = {}
     fields: dict[str, Any] = {}
     for key in keys:
@@ -250,11 +250,11 @@ _DECODERS: Final[dict[str, msgspec.msgpack.Decoder[Any]]] = {
     SCHEMA_TOPIC: msgspec.msgpack.Decoder(_SchemaHead),
 }
 _OPEN: Final = (EVENT, SCHEMA_TOPIC)
-"""Topics whose messages have other keys than those in the table."""
+"""Topics with messages that may have further keys."""
 
 
 def nest(flat: dict[str, Any]) -> dict[str, Any]:
-    """Turn dotted names into nested maps."""
+    """Convert dotted names to nested maps."""
     top: dict[str, Any] = {}
     for name, value in flat.items():
         parent, _, child = name.rpartition(".")
@@ -263,27 +263,35 @@ def nest(flat: dict[str, Any]) -> dict[str, Any]:
 
 
 def contact_topic(finger: str) -> str:
-    """Topic of a finger's ticks; a single one, without a name, has `contact`."""
+    """Return the topic of a finger's ticks; a single finger, without a name, has `contact`."""
     return FINGERS + finger if finger else CONTACT
 
 
 def finger_of(topic: str) -> str | None:
-    """Name of the finger whose ticks a topic brings, empty for the single one; None for another topic."""
+    """Return the name of the finger of a topic, empty for a single finger; None if the topic has no ticks."""
     if topic == CONTACT:
         return ""
     return topic.removeprefix(FINGERS) if topic.startswith(FINGERS) else None
 
 
 def encode(message: dict[str, Any]) -> bytes:
-    """msgpack bytes of a message map."""
+    """Encode a message map with msgpack."""
     return _ENCODER.encode(message)
 
 
 def decode(topic: bytes, body: bytes) -> Any:
-    """Decode one message strictly.
+    """Decode one message strictly; unknown keys are ignored.
 
-    Returns a struct for `contact`, `finger/...`, `health`, `state` and `world`, a dict for `event`, whose keys depend
-    on its kind, and `schema`. Unknown keys are ignored. Raises ProtocolError for whatever is not in docs/protocol.md.
+    Returns
+    -------
+    Any
+        A struct for `contact`, `finger/...`, `health`, `state` and `world`; a dict for `schema` and for `event`, which
+        has further keys by kind.
+
+    Raises
+    ------
+    ProtocolError
+        If the message does not follow docs/protocol.md.
     """
     name = topic.decode("ascii", "replace")
     decoder = _DECODERS.get(CONTACT if name.startswith(FINGERS) else name)
@@ -296,8 +304,8 @@ def decode(topic: bytes, body: bytes) -> Any:
         raise ProtocolError(f"{name} message of {len(body)} bytes is longer than the limit {MAX_BYTES}")
     try:
         message: Any = decoder.decode(body)
-        if name == STATE or message.schema == SCHEMA:  # a peer's message has no schema
-            # msgpack, not msgspec, for the open map: it checks a claimed length before it allocates.
+        if name == STATE or message.schema == SCHEMA:  # a `state` message has no schema
+            # msgpack, not msgspec, for the open map: it checks a declared length before it allocates.
             return msgpack.unpackb(body) if name in _OPEN else message
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         if name == STATE or _schema_of(body) in (SCHEMA, None):
@@ -313,7 +321,7 @@ class _SchemaOnly(msgspec.Struct):
 
 
 def _schema_of(body: bytes) -> int | None:
-    """Schema a message claims, None if it claims none; to explain why the rest did not fit."""
+    """Return the schema number in a message, None without one; used to explain why decoding failed."""
     try:
         return msgspec.msgpack.decode(body, type=_SchemaOnly).schema
     except (msgspec.MsgspecError, ValueError, RecursionError):
@@ -321,7 +329,7 @@ def _schema_of(body: bytes) -> int | None:
 
 
 def wire_schema() -> dict[str, Any]:
-    """All messages and their keys as plain data, for `softfinger schema`."""
+    """Return all messages and their keys as plain data, for `softfinger schema`."""
     tables: dict[str, Sequence[Key]] = {CONTACT: CONTACT_KEYS, EVENT: EVENT_KEYS, HEALTH: HEALTH_KEYS}
     tables |= {STATE: STATE_KEYS, WORLD: WORLD_KEYS, SCHEMA_TOPIC: SCHEMA_KEYS}
     tables |= {f"{EVENT} of kind {kind}": keys for kind, keys in EVENT_EXTRA_KEYS.items()}

@@ -1,4 +1,4 @@
-"""The publisher as the daemon has it: records in, ZeroMQ messages out by a process beside it, never waiting."""
+"""The daemon's interface to its publisher: accepts records, from which a separate process sends ZeroMQ messages."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import commands_beside
 from softfinger.proxy.record import RECORD_SIZE, columns
-from softfinger.server.closing import Closing
-from softfinger.server.publishing.setup import Figures, Kind, Setup, Shown, Ticks
-from softfinger.server.wire.doors import Doors, door
+from softfinger.server.closing import Closeable
+from softfinger.server.publishing.setup import Figures, Kind, Setup, StateInfo, Ticks
 from softfinger.server.wire.events import RecordEvents, event_map
-from softfinger.server.wire.health import Health, together
-from softfinger.server.wire.link import Answering, Link
+from softfinger.server.wire.health import Health, combine
+from softfinger.server.wire.link import Link, RequestHandlers
 from softfinger.server.wire.native.memory import LAYOUT
 from softfinger.server.wire.native.relay import Relay, Source
+from softfinger.server.wire.native.switch import SharedSwitch
 from softfinger.server.wire.protocol import (
     EVENT,
     HEALTH,
@@ -36,6 +36,7 @@ from softfinger.server.wire.protocol import (
     encode,
     wire_schema,
 )
+from softfinger.server.wire.rig_endpoints import Endpoints, bind_telemetry
 from softfinger.server.wire.stamps import now_s
 
 log: Final = logging.getLogger(__name__)
@@ -43,145 +44,157 @@ log: Final = logging.getLogger(__name__)
 Records = NDArray[np.float64]
 
 BACKLOG: Final = 40960
-"""Messages kept for a subscriber that stalls: 5 s at 8 kHz, 41 s at 1 kHz, some 60 MB."""
+"""Messages queued for a subscriber that stalls: 5 s at 8 kHz, 41 s at 1 kHz, about 60 MB."""
 
 LINGER_S: Final = 0.2
-"""How long closing waits for the last messages (the event that says why) to leave."""
+"""Time for which closing waits for the last messages, such as the event with the reason of the end."""
 
 
-class Publisher(Closing):
-    """ZeroMQ publisher on `doors`, which it closes, or on an endpoint of its own; sends one tick in `every`, of several
-    `fingers` each under its name.
+class Publisher(Closeable):
+    """ZeroMQ publisher on `endpoints`, which it closes, or on a new endpoint.
 
-    Ticks come from a servo (`attach`), and a thread without Python hands them on to the process that sends them; what
-    follows from them is told by whoever feeds `observe` with the records of `tap`. `observe` and `publish` belong to
-    one thread; `event` may be called from any, but not from a signal handler. After `close` they do nothing. Raises
-    AddressInUse if another process holds the endpoint, ConfigError if the endpoint cannot or may not be bound.
+    It sends one tick in `every`, with a topic for each of several `fingers`. Ticks come from a servo (`attach`); a
+    thread without Python passes them to the process that sends them. Events and health follow from the records of
+    `tap`, which the caller passes to `observe`. `observe` and `publish` belong to one thread; `event` may be called
+    from any, but not from a signal handler. After `close` they do nothing. Raises AddressInUse if another process uses
+    the endpoint, ConfigError if the endpoint cannot or may not be bound.
 
-    backlog   messages kept for a subscriber that stalls
-    priority  of SCHED_FIFO that the process asks for; 0: for none
+    backlog   messages queued for a subscriber that stalls
+    priority  SCHED_FIFO priority that the process requests; 0 for none
     bodies    whether `world` may be called
+    switch    force switch shared with the process; it is closed with this object
     """
 
     def __init__(
         self,
-        doors: Doors | str,
+        endpoints: Endpoints | str,
         every: int = 1,
         *,
         guard_names: Sequence[str] = (),
         fingers: Sequence[str] = ("",),
-        commands: str | None = None,
         backlog: int = BACKLOG,
         priority: int = 0,
         bodies: bool = False,
+        switch: SharedSwitch | None = None,
     ) -> None:
         if every < 1:
             raise ConfigError(f"[telemetry] every = {every} is below 1: 1 publishes each tick, 10 one in ten")
         self._lock = threading.Lock()
-        self.tell: Callable[..., None] = self.event
-        """Called as `event` is with what has happened to the process; whoever also records events puts itself here."""
+        self.report_event: Callable[..., None] = self.event
+        """Called like `event` for events of the process; replaced by a function that also records them."""
         self._topics = [*map(contact_topic, fingers), STATE, EVENT, HEALTH, *([WORLD] if bodies else []), SCHEMA_TOPIC]
         self._ticks = Ticks(SCHEMA, every, self._topics[: len(fingers)], STATE, STATE_HZ)
-        self._backlog, self._priority, self._shown, self._health_body = backlog, priority, Shown(), b""
-        self._events = [RecordEvents(guard_names, finger, place == 0) for place, finger in enumerate(fingers)]
+        self._backlog, self._priority, self._state_info, self._health_body = backlog, priority, StateInfo(), b""
+        self._events = [RecordEvents(guard_names, finger, index == 0) for index, finger in enumerate(fingers)]
         self._health = [Health() for _ in fingers]
         self._closed, self._state = False, ""
-        self._doors: Final = door(doors) if isinstance(doors, str) else doors
-        self.endpoint: Final = self._doors.telemetry
-        alone = isinstance(doors, str)
+        is_standalone = isinstance(endpoints, str)
+        self._endpoints: Final = bind_telemetry(endpoints) if isinstance(endpoints, str) else endpoints
+        self.endpoint: Final = self._endpoints.telemetry
         content = {
             "schema": SCHEMA,
             "timestamp": now_s(),
             "topics": self._topics,
-            "commands": commands_beside(self.endpoint) if alone else self._doors.commands_told,
+            "commands": commands_beside(self.endpoint) if is_standalone else self._endpoints.announced_commands,
             "messages": wire_schema()["messages"],
         }
         self._greeting = encode(content)
         self._starts = 0
         with ExitStack() as undo:
-            undo.callback(self._doors.close)
+            undo.callback(self._endpoints.close)
+            self._switch: Final = SharedSwitch() if switch is None else switch
+            undo.callback(self._switch.close)
             self._relay: Final = Relay(len(fingers))
             undo.callback(self._relay.close)
-            files = [self._relay.file, self._relay.bell, *(entrance.fd for entrance in self._doors.entrances)]
-            self._link: Final = Link(self._setup, self._last, files, self._restarted)
+            files = [
+                self._relay.file,
+                self._relay.bell,
+                self._switch.file,
+                *(entrance.fd for entrance in self._endpoints.entrances),
+            ]
+            self._link: Final = Link(
+                self._setup, self._send_greetings, files, self._report_restart, self._switch.count_handled
+            )
             undo.pop_all()
         self.tap: Final = self._relay.tap
-        """The records that were handed on, for one thread of this process."""
+        """Records passed on by the relay, for one thread of this process."""
 
     def _setup(self) -> Setup:
-        # The first one misses none; who was connected to another that has ended has missed what came meanwhile.
+        # The first process misses no tick; peers of an earlier process have missed the ticks since its end.
         begin = self._relay.rows if self._starts else 0
         self._starts += 1
+        self._switch.restart()
         return Setup(
             self._relay.file,
             begin,
             self._relay.bell,
+            self._switch.file,
             self._backlog,
             self._priority,
             self._ticks,
-            self._shown,
-            self._doors.entrances,
+            self._state_info,
+            self._endpoints.entrances,
         )
 
-    def _last(self, say: Callable[[Kind, bytes, bytes], object]) -> None:
-        say(Kind.GREETING, SCHEMA_TOPIC.encode(), self._greeting)
+    def _send_greetings(self, send: Callable[[Kind, bytes, bytes], object]) -> None:
+        send(Kind.GREETING, SCHEMA_TOPIC.encode(), self._greeting)
         if self._health_body:
-            say(Kind.GREETING, HEALTH.encode(), self._health_body)
+            send(Kind.GREETING, HEALTH.encode(), self._health_body)
 
-    def _restarted(self, said: str) -> None:
-        self.tell("fault", "publisher", message=said)
+    def _report_restart(self, text: str) -> None:
+        self.report_event("fault", "publisher", message=text)
 
     def ring(self) -> dict[str, Any]:
-        """Where programs of this user find every tick as memory, for `describe`."""
+        """Return where programs of this user find every tick in memory, for `describe`."""
         fingers = len(self._events)
         return {"name": self._relay.memory, "layout": LAYOUT, "columns": columns(), "records_in_a_row": fingers}
 
     @property
     def native_id(self) -> int | None:
-        """Of the thread that hands ticks on."""
+        """Native id of the thread that passes ticks on."""
         return self._relay.native_id
 
     @property
     def pid(self) -> int:
-        """Of the process that sends."""
+        """Id of the process that sends."""
         return self._link.pid
 
     @property
     def figures(self) -> Figures:
-        """What is known of peers."""
+        """Counters of peers."""
         return self._link.figures
 
     @property
     def subscribers(self) -> int:
-        """Connections that subscribe to something."""
+        """Connections that subscribe to at least one topic."""
         return self._link.figures.subscribers
 
     @property
     def restarts(self) -> int:
-        """How often the process was started again."""
+        """Number of restarts of the process."""
         return self._link.restarts
 
     def attach(self, source: Source) -> None:
-        """Send what a servo does from here on, until it has ended. Once."""
+        """Send the ticks of a servo from now on, until it ends. Call it once."""
         self._relay.attach(source)
 
-    def serve(self, answering: Answering | None) -> None:
-        """Have commands answered by somebody from here on; None: by nobody."""
-        self._link.serve(answering)
+    def serve(self, handlers: RequestHandlers | None) -> None:
+        """Set the handlers of commands; None: commands are no longer answered."""
+        self._link.serve(handlers)
 
     def reply(self, client: bytes, body: bytes) -> None:
-        """Answer a command later than at once; from any thread."""
+        """Send a deferred answer to a command; from any thread."""
         self._link.reply(client, body)
 
-    def show(self, shown: Shown) -> None:
-        """What `state` is to say beside the tick."""
+    def set_state_info(self, state_info: StateInfo) -> None:
+        """Set the contents of `state` that do not come from the tick."""
         with self._lock:
-            self._shown = shown
+            self._state_info = state_info
             if not self._closed:
-                self._link.say(Kind.SHOWN, body=msgspec.msgpack.encode(shown))
+                self._link.send(Kind.STATE_INFO, body=msgspec.msgpack.encode(state_info))
 
     def publish(self, records: Records, drops: int = 0) -> None:
-        """Send records that come from no servo, shape (n, fingers x RECORD_SIZE), and what follows from them."""
+        """Send records without a servo, shape (n, fingers x RECORD_SIZE), and the messages that follow from them."""
         with self._lock:
             if not self._closed:
                 self._relay.send(records)
@@ -190,19 +203,23 @@ class Publisher(Closing):
     def observe(self, records: Records, drops: int = 0) -> None:
         """Send the events and the health that follow from a batch of records, shape (n, fingers x RECORD_SIZE).
 
-        `drops` is how many records did not get here since the servo started.
+        drops  number of records lost since the servo started
+
+        Raises RuntimeError if the process or the relay has failed.
         """
         with self._lock:
             if self._closed or not len(records):
                 return
             fingers = records.reshape(len(records), -1, RECORD_SIZE).swapaxes(0, 1)
-            events = [event for seen, each in zip(self._events, fingers, strict=True) for event in seen.observe(each)]
+            events = [
+                event for source, each in zip(self._events, fingers, strict=True) for event in source.observe(each)
+            ]
             for event in sorted(events, key=_tick_of):
                 self._send(EVENT, event)
             figures = self._link.figures
             drops += figures.missed
             healths = [sums.add(each, drops) for sums, each in zip(self._health, fingers, strict=True)]
-            for health in map(together, zip(*healths, strict=True)):
+            for health in map(combine, zip(*healths, strict=True)):
                 health["subscribers"] = figures.subscribers
                 health["lost"] = figures.lost
                 health["refused"] = figures.refused
@@ -210,14 +227,14 @@ class Publisher(Closing):
                 health["state"] = self._state
                 self._send(HEALTH, health)
             if self._link.failed or self.tap.failed:
-                raise RuntimeError("the process that sends, or the thread that hands on, has ended")
+                raise RuntimeError("the process that sends, or the thread that forwards, has ended")
 
     def event(self, kind: str, name: str, **fields: Any) -> None:
-        """Send an event of now at once; `fields` are further keys, of types msgpack knows."""
+        """Send an event with the present time; `fields` are further keys, of types that msgpack can encode."""
         self.send_event(event_map((self._relay.tick, now_s()), kind, name, fields))
 
     def send_event(self, event: dict[str, Any]) -> None:
-        """Send an event at once; of a new state of the daemon `health` tells from there on, too."""
+        """Send an event; if it is a new state of the daemon, `health` contains that state from now on."""
         if event["kind"] == "state":
             self._state = event["name"]
         with self._lock:
@@ -225,21 +242,22 @@ class Publisher(Closing):
                 self._send(EVENT, event)
 
     def world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
-        """Send where the bodies of a scene were in a tick: maps with the keys of WORLD_KEYS; from any thread."""
+        """Send the poses of a scene's bodies in a tick: maps with the keys of WORLD_KEYS; from any thread."""
         with self._lock:
             if not self._closed:
                 content = {"schema": SCHEMA, "timestamp": now_s(), "tick": tick, "bodies": bodies}
                 self._send(WORLD, content)
 
     def close(self) -> None:
-        """Send what is under way, for at most LINGER_S, and free the endpoint. Any number of times."""
+        """Send queued messages, for at most LINGER_S, and free the endpoint; may be called repeatedly."""
         with self._lock:
             if self._closed:
                 return
             self._closed = True
         self._link.close(LINGER_S)
         self._relay.close()
-        self._doors.close()
+        self._switch.close()
+        self._endpoints.close()
 
     def _send(self, topic: str, content: dict[str, Any]) -> None:
         body = encode(content)
@@ -248,7 +266,7 @@ class Publisher(Closing):
             return
         if topic == HEALTH:
             self._health_body = body
-        self._link.say(Kind.RETAINED if topic in (HEALTH, WORLD) else Kind.MESSAGE, topic.encode(), body)
+        self._link.send(Kind.RETAINED if topic in (HEALTH, WORLD) else Kind.MESSAGE, topic.encode(), body)
 
 
 def _tick_of(event: dict[str, Any]) -> int:

@@ -1,7 +1,7 @@
-"""The time that messages, events and recordings carry: the time of day at the start, and CLOCK_MONOTONIC since then.
+"""Timestamps of messages, events and recordings: the time of day at the start, plus CLOCK_MONOTONIC since then.
 
-Ticks go by the same, so a clock that is set while the daemon runs puts nothing out of order. The time that a machine
-sleeps is not in it.
+Ticks use the same clock, so a clock that is set while the daemon runs changes no order. Suspensions of the machine are
+not included.
 """
 
 from __future__ import annotations
@@ -13,5 +13,5 @@ _START_S: Final = time.time() - time.monotonic()
 
 
 def now_s() -> float:
-    """Seconds since the epoch."""
+    """Return seconds since the epoch."""
     return _START_S + time.monotonic()

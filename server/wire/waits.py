@@ -1,4 +1,4 @@
-"""How long a client waits: seconds, as its user says them, in what libzmq counts."""
+"""Conversion of a client's timeout from seconds to the milliseconds of libzmq."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Final
 from softfinger.config.errors import ConfigError
 
 LONGEST_MS: Final = (1 << 31) - 1
-"""25 days: what a socket's time-out holds."""
+"""25 days: the largest timeout of a socket."""
 
 
 def milliseconds(seconds: float | None) -> int:
-    """Whole ms, at most LONGEST_MS; -1, without end, for None. ConfigError for what is no time."""
+    """Return a timeout in ms, at most LONGEST_MS; -1, without limit, for None. Raises ConfigError for nan."""
     if seconds is None:
         return -1
     if math.isnan(seconds):

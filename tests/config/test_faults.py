@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_faults, shipped
 from softfinger.config.schema import Faults, Injection
-from softfinger.drivers.injected import BEHIND, EVERY, FIRST, table
+from softfinger.drivers.injected import END_TICK, FIRST_TICK, PERIOD_TICKS, table
 
 pytestmark = pytest.mark.plain
 
@@ -42,9 +42,9 @@ def test_the_page_lists_every_kind() -> None:
     ("given", "words"),
     [
         ({}, r"fault\[0\]\.at_tick: is missing, and at_s is too: give one of them"),
-        ({"at_tick": 5, "at_s": 1.0}, r"fault\[0\]\.at_s = 1\.0: at_tick says when already"),
-        ({"at_tick": 5, "ticks": 3, "for_s": 1.0}, r"fault\[0\]\.for_s = 1\.0: ticks says how long already"),
-        ({"at_tick": -1}, r"fault\[0\]\.at_tick = -1: must be a whole number from 0"),
+        ({"at_tick": 5, "at_s": 1.0}, r"fault\[0\]\.at_s = 1\.0: at_tick already sets the start"),
+        ({"at_tick": 5, "ticks": 3, "for_s": 1.0}, r"fault\[0\]\.for_s = 1\.0: ticks already sets the duration"),
+        ({"at_tick": -1}, r"fault\[0\]\.at_tick = -1: must be an integer from 0"),
         ({"at_s": 1.0, "kind": "stael"}, r"fault\[0\]\.kind = 'stael'.*did you mean 'stale'"),
         ({"at_s": 1.0, "offset_m": [0, 0, 1]}, r"fault\[0\]\.offset_m"),
         ({"at_s": 1.0, "kind": "teleport"}, r"fault\[0\]\.offset_m.* is missing"),
@@ -78,7 +78,7 @@ def test_an_unknown_name_is_told_with_a_near_one() -> None:
 def test_times_become_ticks_of_the_rate(given: dict[str, Any], window: tuple[int, int]) -> None:
     """By tick, or by the time that so many ticks take at 2 kHz."""
     (row,) = table(faults(**given, every_ticks=2).fault, 2000.0)
-    assert (row[FIRST], row[BEHIND], row[EVERY]) == (*window, 2)
+    assert (row[FIRST_TICK], row[END_TICK], row[PERIOD_TICKS]) == (*window, 2)
 
 
 VALUES = st.one_of(
@@ -100,5 +100,8 @@ def test_whatever_a_file_says_it_is_faults_or_a_message(tables: Any) -> None:
         assert "my-faults.toml: fault" in said
         return
     rows = table(made.fault, 1000.0)
-    assert np.isfinite(rows[:, [FIRST, BEHIND, EVERY]]).all() and (rows[:, FIRST] <= rows[:, BEHIND]).all()
-    assert (rows[:, EVERY] >= 1).all()
+    assert (
+        np.isfinite(rows[:, [FIRST_TICK, END_TICK, PERIOD_TICKS]]).all()
+        and (rows[:, FIRST_TICK] <= rows[:, END_TICK]).all()
+    )
+    assert (rows[:, PERIOD_TICKS] >= 1).all()

@@ -68,7 +68,7 @@ def test_every_format_gives_the_same_numbers(tmp_path: Path) -> None:
     [
         ("a.jpg", b"\xff\xd8", "is none of .npy, .npz, .csv, .pgm, .png: save a picture as grey .png, or any array by"),
         ("a.png", b"\x89PNG", "cannot identify image file"),
-        ("a.csv", b"7\n", "has one value alone: must have two at the least"),
+        ("a.csv", b"7\n", "has a single value: must have at least two"),
         ("a", b"", "is none of .npy"),
         ("a.csv", b"# nothing\n", "has no numbers: a row is a line"),
         ("a.csv", b"1,2\n3\n", "line 2 has 1 numbers, the first row 2"),
@@ -82,7 +82,7 @@ def test_every_format_gives_the_same_numbers(tmp_path: Path) -> None:
         ("a.pgm", b"P5 2 2 255\nabc", "has 3 bytes of picture: 2 x 2 need 4"),
         ("a.pgm", b"P5 2 2 255\nabcde", "has 5 bytes of picture: 2 x 2 need 4"),
         ("a.pgm", b"P5 9999999 9999999 255\nabc", "has 3 bytes of picture: 9999999 x 9999999 need"),
-        ("a.pgm", b"P5 1 1 0\na", "says that white is 0: must be 1 to 65535"),
+        ("a.pgm", b"P5 1 1 0\na", "gives 0: must be 1 to 65535"),
         ("a.npy", b"no array", "magic string is not correct"),
         ("a.npz", b"no archive", "is no archive of arrays"),
     ],
@@ -130,7 +130,7 @@ def test_grey_pictures_keep_their_levels(tmp_path: Path, kind: type) -> None:
     [
         (np.zeros((2, 3, 3), np.uint8), "has pixels of RGB, must be grey without transparency"),
         (np.zeros((2, 3, 4), np.uint8), "has pixels of RGBA, must be grey"),
-        (np.zeros((1, 1), np.uint8), "has one value alone"),
+        (np.zeros((1, 1), np.uint8), "has a single value"),
         (np.zeros((1025, 1024), np.uint8), "has 1024 x 1025 pixels, 1,048,576 are the most: 1024 by 1024, of 8 MB"),
     ],
 )
@@ -156,7 +156,7 @@ def test_a_damaged_picture_is_an_error_or_a_picture(
 
 
 def test_archive_of_several_arrays_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="has the arrays a, b: must have one; save it alone"):
+    with pytest.raises(ConfigError, match="has the arrays a, b: must have one; save only that one"):
         read(tmp_path, "a.npz", npz(tmp_path, a=GRID, b=GRID))
 
 

@@ -14,7 +14,7 @@ from softfinger.config.load import FaultyConfig, build, describe, load_scene
 from softfinger.proxy.meshes.thinning import PICTURE_TRIANGLES
 from softfinger.proxy.pictures import MAP_PIXELS, picture_of
 from softfinger.proxy.scene import build_scene
-from softfinger.server.recording.picture import drawn
+from softfinger.server.recording.picture import draw_object
 from softfinger.server.verbs.check import examine_file
 
 pytestmark = pytest.mark.plain
@@ -70,7 +70,7 @@ def test_check_says_size_and_heights(tmp_path: Path) -> None:
     [
         (np.zeros(()), "an array of shape (): must have rows and columns"),
         (np.zeros((4, 4, 3)), "an array of shape (4, 4, 3): must have rows and columns; of a colour picture take one"),
-        (np.zeros((1, 1)), "has one value alone: must have two at the least"),
+        (np.zeros((1, 1)), "has a single value: must have at least two"),
         (np.array([[0.0, 1.0], [np.nan, 0.0]]), "row 1, column 0: nan: numbers are finite"),
         (np.array([[0.0, np.inf]]), "row 0, column 1: inf: numbers are finite"),
         (np.zeros((1025, 1024), np.int8), "has 1,049,600 values, 1,048,576 are the most"),
@@ -132,14 +132,14 @@ def test_pictures_show_the_map(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.ptp(vertices, axis=0)[:2], [0.078, 0.058], atol=1e-12)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     assert (np.cross(b - a, c - a)[:, 2] > 0.0).all() and len(faces) == of == 2 * 29 * 39
-    (triangles,) = drawn(thing)["triangles"]
+    (triangles,) = draw_object(thing)["triangles"]
     assert len(triangles["points"]) == HEIGHTS.size and max(triangles["indices"]) == HEIGHTS.size - 1
     scene_file(tmp_path, np.zeros((900, 300)))
     (vertices, faces), of = picture_of(thing)
     assert len(vertices) == MAP_PIXELS**2 and len(faces) <= PICTURE_TRIANGLES and of == 2 * 899 * 299
     np.testing.assert_allclose(np.ptp(vertices, axis=0)[:2], [0.598, 1.798], atol=1e-12)
     (tmp_path / "hill.npy").unlink()
-    assert "texts" in drawn(thing)
+    assert "texts" in draw_object(thing)
     with pytest.raises(ConfigError, match=r"object 'hill': file: .*hill\.npy: cannot be read"):
         picture_of(thing)
 

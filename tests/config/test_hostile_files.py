@@ -28,9 +28,9 @@ from softfinger.drivers import poses
 from softfinger.drivers.falcon import firmware
 from softfinger.drivers.poses import load_poses
 from softfinger.proxy.record import RECORD_SIZE
-from softfinger.server.offline import results
-from softfinger.server.offline.results import McapResults, read_results, write_results
+from softfinger.server.recording import results
 from softfinger.server.recording.compare import FIELDS
+from softfinger.server.recording.results import McapResults, read_results, write_results
 from softfinger.server.recording.run import load_run
 from softfinger.server.recording.summary import summary
 from softfinger.server.wire.endpoint import check_endpoint
@@ -71,12 +71,12 @@ INPUTS: dict[str, tuple[Callable[[Path], object], str, type[HapticError]]] = {
     "scene": (load_scene, ".toml", ConfigError),
     "rig": (load_rig, ".toml", ConfigError),
     **{f"poses{end}": (load_poses, end, RecordingError) for end in poses.ENDINGS},
-    **{f"results{end}": (read_results, end, RecordingError) for end in results.ENDINGS},
+    **{f"results{end}": (read_results, end, RecordingError) for end in results.SUFFIXES},
     "recording": (summary, ".mcap", RecordingError),
     "run": (lambda path: load_run(path, FIELDS), ".mcap", RecordingError),
     **{f"grid{end}": (read_grid, end, ConfigError) for end in grids.READERS},
     "sweep": (open_sweep, ".mcap", RecordingError),
-    "firmware": (lambda path: firmware._file(str(path)), ".bin", DeviceError),
+    "firmware": (lambda path: firmware._read_firmware(str(path)), ".bin", DeviceError),
 }
 """Everything that reads a file that a user names: how, its ending, its error."""
 
@@ -179,7 +179,7 @@ import resource, sys
 from pathlib import Path
 from softfinger.config.errors import HapticError
 from softfinger.drivers.poses import load_poses
-from softfinger.server.offline.results import read_results
+from softfinger.server.recording.results import read_results
 def peak():
     return int(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1]) // 1024
 before = peak()
@@ -317,7 +317,7 @@ def test_a_lock_file_is_not_made_through_a_link(tmp_path: Path) -> None:
 
 def test_an_address_without_a_file_is_refused() -> None:
     """A socket without a file has no owner and no mode, so anybody on this machine could connect."""
-    with pytest.raises(ConfigError, match="has no file, whose mode would say who may connect"):
+    with pytest.raises(ConfigError, match="has no file, so no file mode can limit who connects"):
         check_endpoint("ipc://@softfinger", "endpoint")
 
 

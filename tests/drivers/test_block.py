@@ -7,8 +7,8 @@ from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 
-from softfinger.drivers.block import Block, address, counter, lay_out, numbers, octets, places, word
-from softfinger.drivers.conversation import TALK
+from softfinger.drivers.block import Block, address, counter, lay_out, numbers, raw_bytes, read_fields, word
+from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.hid import exchange as hid
 from softfinger.drivers.serial import exchange as serial
 from softfinger.proxy.kernels.jit.decorators import entry
@@ -17,17 +17,17 @@ from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
 
 
 class Front(NamedTuple):
-    """Words of several devices."""
+    """Fields of several devices."""
 
     ready: Annotated[int, word("whether it is")]
     sample: Annotated[int, numbers("the last one", 3)]
 
 
 class Own(NamedTuple):
-    """Words of one."""
+    """Fields of one."""
 
     came: Annotated[int, counter("what came")]
-    text: Annotated[int, octets("what it said", 9)]
+    text: Annotated[int, raw_bytes("what it said", 9)]
     lost: Annotated[int, counter("what did not")]
     table: Annotated[int, address("rows")]
 
@@ -61,30 +61,30 @@ def taken(layouts: tuple[Any, ...]) -> list[int]:
     return [
         at + k
         for layout in layouts
-        for at, place in zip(layout, places(type(layout)).values(), strict=True)
-        for k in range(place.words)
+        for at, place in zip(layout, read_fields(type(layout)).values(), strict=True)
+        for k in range(place.word_count)
     ]
 
 
 def test_each_word_has_one_name() -> None:
     """Layouts fill a block from its first word to its last, each word once, those of the drivers too."""
-    for layouts in ((FRONT, AT), (TALK, serial.AT), (TALK, hid.AT)):
+    for layouts in ((FRONT, AT), (BOARD, serial.AT), (BOARD, hid.AT)):
         assert taken(layouts) == list(range(len(Block(*layouts).word)))
 
 
 def test_every_word_is_said_what_it_is() -> None:
     """No field without a text."""
-    for layout in (TALK, serial.AT, hid.AT):
-        assert all(place.doc for place in places(type(layout)).values())
+    for layout in (BOARD, serial.AT, hid.AT):
+        assert all(place.doc for place in read_fields(type(layout)).values())
 
 
 def test_kernels_and_python_mean_the_same_places() -> None:
     """What a kernel writes by name is read by name, and counters are counted in the order of their declaration."""
     block = Block(FRONT, AT)
-    block.point(AT.table, np.array([0.5, 0.25]))
+    block.set_address(AT.table, np.array([0.5, 0.25]))
     gc.collect()  # the block alone keeps the table
     block.numbers(FRONT.sample, 3)[:] = flatten(Leaves((1.0, 2.0), 3.0))
     assert _fill(block.handle) == 0.25 + 1.0 + 20.0 + 300.0
     assert block.word[FRONT.ready] == 7
-    assert block.octets(AT.text, 9).tolist() == [0] * 8 + [65]
+    assert block.raw_bytes(AT.text, 9).tolist() == [0] * 8 + [65]
     assert list(block.counts().items()) == [("came", 2), ("lost", 5)]

@@ -22,8 +22,8 @@ from softfinger.config.schema import DeviceConfig
 from softfinger.drivers import registry
 from softfinger.drivers.forcedimension import library
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import Claim, claim_on
-from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, how_to_permit, needs
+from softfinger.drivers.system.claims import Claim, find_claim
+from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, diagnose_requirements, how_to_permit
 from softfinger.drivers.system.discovery import Attached
 from softfinger.server.verbs import devices
 
@@ -126,7 +126,7 @@ def test_tables_that_may_not_be_read_have_no_devices(root: Path) -> None:
         with pytest.raises(DeviceNotFound, match="there is no such file"):
             library.load(str(hidden / "libdrd.so"))
         options = {"firmware": str(hidden / "libdrd.so")}
-        assert needs(Claim("falcon", "usb", 0x0403, 0xCB48), options).state == "firmware"
+        assert diagnose_requirements(Claim("falcon", "usb", 0x0403, 0xCB48), options).state == "firmware"
     finally:
         if privileged:
             os.seteuid(0)
@@ -147,7 +147,7 @@ def test_tables_that_may_not_be_read_have_no_devices(root: Path) -> None:
 )
 def test_devices_are_claimed_by_their_ids(vendor: int, product: int, driver: str, rig: str) -> None:
     """Each device of the published tables has its driver, and a shipped rig that runs it."""
-    claim = claim_on(at("", vendor, product))
+    claim = find_claim(at("", vendor, product))
     assert claim is not None
     assert claim.driver == driver
     assert rig in claim.rigs
@@ -156,7 +156,7 @@ def test_devices_are_claimed_by_their_ids(vendor: int, product: int, driver: str
 def test_no_driver_claims_a_keyboard() -> None:
     """A device of nobody's is said to be that, with a way to describe it."""
     keyboard = at("/dev/null", 0x1234, 0x5678)
-    assert claim_on(keyboard) is None
+    assert find_claim(keyboard) is None
     assert diagnose(keyboard, None).state == "unclaimed"
     assert "docs/devices/hid.md" in diagnose(keyboard, None).remedy
 
@@ -165,20 +165,20 @@ def test_a_node_that_may_be_opened_is_usable(root: Path) -> None:
     """Nothing in the way of a puck: no reason and no remedy."""
     node = root / "hidraw0"
     node.write_bytes(b"")
-    assert diagnose(at(node), claim_on(at(node))) == Diagnosis("usable")
+    assert diagnose(at(node), find_claim(at(node))) == Diagnosis("usable")
 
 
 def test_a_node_that_is_not_there(root: Path) -> None:
     """A device whose node is missing, and a puck without any, are told apart and mended."""
     gone = at(root / "hidraw5")
-    assert diagnose(gone, claim_on(gone)).state == "node"
-    assert "--device" in diagnose(gone, claim_on(gone)).remedy
+    assert diagnose(gone, find_claim(gone)).state == "node"
+    assert "--device" in diagnose(gone, find_claim(gone)).remedy
     bare = at("/dev/bus/usb/001/002", bus="usb")
-    assert diagnose(bare, claim_on(bare)).state == "node"
-    assert "usbhid" in diagnose(bare, claim_on(bare)).remedy
+    assert diagnose(bare, find_claim(bare)).state == "node"
+    assert "usbhid" in diagnose(bare, find_claim(bare)).remedy
     bare = at("/dev/bus/usb/001/002", 0x16C0, 0x0483, bus="usb")
-    assert "no serial port" in diagnose(bare, claim_on(bare)).reason
-    assert "cdc_acm" in diagnose(bare, claim_on(bare)).remedy
+    assert "no serial port" in diagnose(bare, find_claim(bare)).reason
+    assert "cdc_acm" in diagnose(bare, find_claim(bare)).remedy
 
 
 def test_a_teensy_is_not_known_by_its_ids(root: Path) -> None:
@@ -187,14 +187,14 @@ def test_a_teensy_is_not_known_by_its_ids(root: Path) -> None:
     node = root / "ttyACM0"
     node.write_bytes(b"")
     board = at(node, 0x16C0, 0x0483, bus="serial")
-    found = diagnose(board, claim_on(board))
+    found = diagnose(board, find_claim(board))
     assert found.state == "product"
     assert "its product is 'thing', and 16c0:0483 is any Teensy" in found.reason
     assert f'path = "{node}"' in found.remedy
     rig = DeviceConfig(driver="serial", options={"path": str(node)})
-    assert diagnose(board, claim_on(board), rig).state == "usable"
+    assert diagnose(board, find_claim(board), rig).state == "usable"
     haply = board._replace(name="Haply inverse3")
-    claim = claim_on(haply)
+    claim = find_claim(haply)
     assert claim is not None
     assert (claim.driver, claim.rigs) == ("haply", ("haply-inverse3", "haply-minverse"))
     with Service() as service:
@@ -210,20 +210,20 @@ def test_boards_with_the_same_ids_are_told_apart_by_their_reports() -> None:
     all with its ids where the system does not tell its descriptor."""
     teensy, *_ = BOARDS.values()
     raw, debug = (at("", 0x16C0, 0x0486)._replace(descriptor=one.descriptor) for one in teensy.interfaces)
-    claim = claim_on(raw)
+    claim = find_claim(raw)
     assert claim is not None and "woodenhaptics-2019" in claim.rigs
-    assert claim_on(debug) is None
+    assert find_claim(debug) is None
     assert "another channel of a board" in diagnose(debug, None).reason
     rigs = {}
     for board in ("lpc1768-8", "lpc1768-14"):
         (one,) = BOARDS[board].interfaces
-        claim = claim_on(at("", 0x1234, 0x0006)._replace(descriptor=one.descriptor))
+        claim = find_claim(at("", 0x1234, 0x0006)._replace(descriptor=one.descriptor))
         assert claim is not None
         rigs[board] = set(claim.rigs)
     assert "woodenhaptics-2015" in rigs["lpc1768-8"]
     assert "woodenhaptics-polhem-v1-lpc1768" in rigs["lpc1768-14"]
     assert not rigs["lpc1768-8"] & rigs["lpc1768-14"]
-    unknown = claim_on(at("", 0x1234, 0x0006))
+    unknown = find_claim(at("", 0x1234, 0x0006))
     assert unknown is not None
     assert set(unknown.rigs) == rigs["lpc1768-8"] | rigs["lpc1768-14"]
 
@@ -232,16 +232,16 @@ def test_an_arm_without_a_hidraw_node(root: Path) -> None:
     """Threads carry its reports if its node on the bus may be opened; else it is that node which is to be mended."""
     node = root / "002"
     arm = at(node, 0x16C0, 0x0486, bus="usb")
-    assert diagnose(arm, claim_on(arm)).state == "node"
-    assert f"docker run --device {node}" in diagnose(arm, claim_on(arm)).remedy
+    assert diagnose(arm, find_claim(arm)).state == "node"
+    assert f"docker run --device {node}" in diagnose(arm, find_claim(arm)).remedy
     node.write_bytes(b"")
-    found = diagnose(arm, claim_on(arm))
+    found = diagnose(arm, find_claim(arm))
     assert found.state == "usable"
     assert "no hidraw node" in found.reason
     assert "install --system " in how_to_permit(at("", 0x16C0, 0x0486, bus="usb"))
     with node.open("rb") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        assert diagnose(arm, claim_on(arm)).state == "busy"
+        assert diagnose(arm, find_claim(arm)).state == "busy"
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_permission_is_diagnosed(
     registry.load("forcedimension")  # whose rule is asked for; another user has no cache to compile it into
     os.seteuid(65534)
     try:
-        found = diagnose(device, claim_on(device))
+        found = diagnose(device, find_claim(device))
     finally:
         os.seteuid(0)
     assert found.state == "permission"
@@ -285,7 +285,7 @@ def test_a_holder_is_named(root: Path) -> None:
     ) as other:
         assert other.stdout is not None and other.stdin is not None
         assert other.stdout.readline() == "open\n"
-        found = diagnose(at(node), claim_on(at(node)))
+        found = diagnose(at(node), find_claim(at(node)))
         assert found.state == "busy"
         assert f"process {other.pid} (python" in found.reason
         assert found.remedy == f"kill {other.pid}"
@@ -307,7 +307,7 @@ def test_a_missing_library_is_told(root: Path, monkeypatch: pytest.MonkeyPatch) 
     node = root / "node"
     node.write_bytes(b"")
     omega = at(node, 0x1451, 0x0402, bus="usb")
-    found = diagnose(omega, claim_on(omega))
+    found = diagnose(omega, find_claim(omega))
     assert found.state == "library"
     assert "libdrd is not on this machine" in found.reason
     assert "export FDSDK=" in found.remedy
@@ -319,21 +319,21 @@ def test_a_library_that_the_rig_names_counts(root: Path) -> None:
     node.write_bytes(b"")
     omega = at(node, 0x1451, 0x0402, bus="usb")
     named = DeviceConfig(driver="forcedimension", options={"library_file": str(root / "libdrd.so.9")})
-    assert "libdrd.so.9': there is no such file" in diagnose(omega, claim_on(omega), named).reason
+    assert "libdrd.so.9': there is no such file" in diagnose(omega, find_claim(omega), named).reason
     other = DeviceConfig(driver="hid", options={"library_file": str(root / "libdrd.so.9")})
-    assert "libdrd.so.9" not in diagnose(omega, claim_on(omega), other).reason
+    assert "libdrd.so.9" not in diagnose(omega, find_claim(omega), other).reason
 
 
 def test_a_falcon_needs_its_firmware(root: Path) -> None:
     """A Falcon is ready once a rig names a firmware file that is there."""
     claim = Claim("falcon", "usb", 0x0403, 0xCB48)
     file = root / "firmware.bin"
-    assert "no rig named one" in needs(claim, {}).reason
-    found = needs(claim, {"firmware": str(file)})
+    assert "no rig named one" in diagnose_requirements(claim, {}).reason
+    found = diagnose_requirements(claim, {"firmware": str(file)})
     assert found.state == "firmware"
     assert "firmware.bin' is no file" in found.reason
     file.write_bytes(b"\0")
-    assert needs(claim, {"firmware": str(file)}).state == "usable"
+    assert diagnose_requirements(claim, {"firmware": str(file)}).state == "usable"
 
 
 def test_a_driver_that_is_not_installed_is_told(root: Path) -> None:
@@ -348,7 +348,7 @@ def test_a_falcon_is_claimed(root: Path) -> None:
     node = root / "node"
     node.write_bytes(b"")
     falcon = at(node, 0x0403, 0xCB48, bus="usb")
-    found = diagnose(falcon, claim_on(falcon))
+    found = diagnose(falcon, find_claim(falcon))
     assert found.state == ("firmware" if "falcon" in registry.names() else "driver")
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from softfinger.config.errors import DeviceError, DeviceNotFound, HapticError, RecordingError
 from softfinger.config.load import load_rig
-from softfinger.drivers import opened, registry
+from softfinger.drivers import open_devices, registry
 from softfinger.drivers.base import OK, WITHHELD, Device
 from softfinger.server.driver_contract import RATE_HZ, REFUSALS, Bench, DriverContract, Servo
 
@@ -43,7 +43,7 @@ class Recorded(Bench):
         return self.device
 
     def displayed(self) -> tuple[float, ...]:
-        return tuple(self.device.written().wrench[-1].tolist())
+        return tuple(self.device.logged().wrench[-1].tolist())
 
     def make(self, case: str) -> None:
         self.recording = "no-such-recording"
@@ -108,7 +108,7 @@ def test_unusable_outside_drivers_are_refused_by_name(monkeypatch: pytest.Monkey
 def test_a_program_may_bring_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
     """A module that it adds is a driver by that name, in this process; what is none, or has a name that is taken, is
     refused."""
-    monkeypatch.setattr(registry, "_added", {})
+    monkeypatch.setattr(registry, "_registered", {})
     replay = registry.load("replay")
     registry.add("mine", replay)
     assert registry.load("mine") is replay and "mine" in registry.names()
@@ -126,10 +126,11 @@ def test_a_device_of_a_rig_is_stopped_with_all_that_are_open() -> None:
         servo = Servo(device)
         servo.read()
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-        assert opened.stop_all() == []
+        assert open_devices.stop_all() == []
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
 
 
+@pytest.mark.exhaustive
 def test_the_example_package_runs_once_it_is_installed(installed: Path, tmp_path: Path) -> None:
     """With the package installed, its rig passes `check` and the daemon runs on it; a wrong option is refused by name;
     without the package the same rig is not usable."""

@@ -57,9 +57,9 @@ def test_no_force_reaches_a_device_that_is_only_measured() -> None:
     with recording() as device, Exchange(device, RIG, disarmed(RIG)) as exchange:
         rows = exchange.record(0.3, Push((1.0, 1.0, 1.0), 10.0, 0.3))
     assert rows.shape == (300, ROW_SIZE)
-    written = device.written().wrench
-    assert len(written) > 300
-    assert not written.any()
+    logged = device.logged().wrench
+    assert len(logged) > 300
+    assert not logged.any()
     assert not rows[:, FORCE : FORCE + 3].any()
 
 
@@ -91,9 +91,9 @@ def test_a_push_is_a_faded_sine_along_its_axis() -> None:
     assert not rows[:, [FORCE, FORCE + 2]].any()
     assert np.abs(want).max() > 0.9 * newton
     assert not after[:, FORCE : FORCE + 3].any()
-    written = device.written().wrench
-    assert np.abs(written[:, 1]).max() == np.abs(rows[:, FORCE + 1]).max()
-    assert not written[-1].any()
+    logged = device.logged().wrench
+    assert np.abs(logged[:, 1]).max() == np.abs(rows[:, FORCE + 1]).max()
+    assert not logged[-1].any()
 
 
 def test_a_push_stays_below_the_guard() -> None:
@@ -114,9 +114,9 @@ def test_an_exception_in_the_middle_leaves_no_force() -> None:
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
-    written = device.written().wrench
-    assert written.any()
-    assert not written[-1].any()
+    logged = device.logged().wrench
+    assert logged.any()
+    assert not logged[-1].any()
 
 
 def test_a_burst_is_bounded() -> None:

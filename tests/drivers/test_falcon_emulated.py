@@ -149,7 +149,7 @@ def test_homing(tmp_path: Path) -> None:
     rig = rig_with(tmp_path, counts_per_nm=10000.0)
     done, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1.5")
     assert done.returncode == 0, done.stderr
-    assert "pull the knob out all the way, then push it in, until the light is green" in done.stderr
+    assert "pull the knob out completely, then push it in, until the light is green" in done.stderr
     assert saw["found"] == [True, True, True]
     assert saw["place"][1] > 0.005, "the wall did not hold the hand, so its place was wrong"
 
@@ -196,7 +196,7 @@ def test_firmware_that_cannot_be_sent(size: int | None, spoil: int, message: str
     done, saw = run({"firmware": size or FIRMWARE_BYTES, "spoil": spoil}, rig_with(tmp_path, **keys), "--duration", "1")
     assert done.returncode == 4, done.stderr
     assert re.search(message, done.stderr), done.stderr
-    assert saw["loads"] == (firmware.TRIES if spoil else 0)
+    assert saw["loads"] == (firmware.ATTEMPTS_MAX if spoil else 0)
 
 
 def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:

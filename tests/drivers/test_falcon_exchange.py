@@ -19,7 +19,7 @@ from softfinger.drivers.pause import RESUME_WAIT_NS
 
 pytestmark = BY_CALL
 
-CONTEXT, SUBMIT, EVENTS, CANCEL = 70, 71, 72, 73
+CONTEXT, SUBMIT, STOPS_MAX, CANCEL = 70, 71, 72, 73
 KICK, TIMEOUT_NS = 20 * MS, 200 * MS
 LOST_NS = 5 * MS
 """An answer that has not come for so long will not."""
@@ -71,7 +71,7 @@ class Usb:
         for at, done in ((AT.transfer_in, AT.in_done), (AT.transfer_out, AT.out_done)):
             word[at] = self.transfers[at].ctypes.data
             self.transfers[at][5] = self.block.handle + 8 * done  # user_data
-        word[AT.context], word[AT.submit], word[AT.handle_events], word[AT.cancel] = CONTEXT, SUBMIT, EVENTS, CANCEL
+        word[AT.context], word[AT.submit], word[AT.handle_events], word[AT.cancel] = CONTEXT, SUBMIT, STOPS_MAX, CANCEL
         word[AT.kick], word[AT.timeout_after], word[AT.lights] = KICK, TIMEOUT_NS, packets.GREEN
         word[AT.open] = word[AT.armed] = word[AT.in_done] = word[AT.out_done] = word[AT.homed] = 1
         word[AT.opened_at] = START_NS - 2000 * MS
@@ -85,16 +85,16 @@ class Usb:
         self.sent: list[bytes] = []
         self.cancelled: list[int] = []
         self.number = 0
-        assert self.block.call(exchange.begin) == OK
+        assert self.block.call(exchange.start_reading) == OK
 
     def _done(self, at: int, status: int, actual: int = 0) -> None:
         self.transfers[at].view(np.int32)[4] = status
         self.transfers[at].view(np.int32)[6] = actual
-        exchange.done(int(self.word[at]))
+        exchange.on_complete(int(self.word[at]))
 
     def _call(self, address: int, given: tuple[Any, ...]) -> int:
         assert self.word[AT.lock] == 1 or address == SUBMIT
-        if address == EVENTS:
+        if address == STOPS_MAX:
             return self._events(*given)
         (transfer,) = given
         at = AT.transfer_in if transfer == self.word[AT.transfer_in] else AT.transfer_out
@@ -107,7 +107,7 @@ class Usb:
         if self.error:
             return self.error
         if at == AT.transfer_out:
-            self.sent.append(self.block.octets(AT.buffer_out, packets.SIZE).tobytes())
+            self.sent.append(self.block.raw_bytes(AT.buffer_out, packets.SIZE).tobytes())
         return 0
 
     def _events(self, context: int, interval: Any, completed: Any) -> int:
@@ -134,7 +134,7 @@ class Usb:
             self._done(AT.transfer_in, self.ends)
         else:
             whole = STATUS + data
-            self.block.octets(AT.buffer_in, 64)[: len(whole)] = list(whole[:64])
+            self.block.raw_bytes(AT.buffer_in, 64)[: len(whole)] = list(whole[:64])
             self._done(AT.transfer_in, COMPLETED, len(whole))
         return 0
 
@@ -185,7 +185,7 @@ def usb(opened: Usb) -> Usb:
     opened.answers = False
     opened.sent.clear()
     opened.word[: AT.context] = 0
-    assert opened.word[AT.awaited] == 0
+    assert opened.word[AT.unanswered] == 0
     return opened
 
 
@@ -212,13 +212,13 @@ def test_a_device_that_never_answers_is_given_up(opened: Usb) -> None:
     begun = opened.clock.now
     assert opened.read()[0] == TIMEOUT
     assert 10 * MS < opened.clock.now - begun <= 12 * MS
-    assert opened.word[AT.sensed] == 0
+    assert opened.word[AT.has_sample] == 0
 
 
 def test_after_a_pause_replies_of_before_are_thrown_away(usb: Usb) -> None:
     """What has come, and what is still to come for the packets sent before; the read that sends a zero says so."""
     assert usb.write(*PULL) == OK
-    assert usb.word[AT.awaited] == 1
+    assert usb.word[AT.unanswered] == 1
     usb.clock.now += 31 * MS
     usb.answers = False
     taken = iter([[], [reply(100)], [reply(200)]])
@@ -234,7 +234,7 @@ def test_after_a_pause_replies_of_before_are_thrown_away(usb: Usb) -> None:
     assert usb.word[AT.counts] == 200
     assert np.isfinite(sample).all()
     assert counts_of(usb.got()[-1]) == (0, 0, 0)
-    assert usb.word[AT.older] == 0
+    assert usb.word[AT.stale_replies] == 0
     assert usb.read(reply(300))[0] == OK
 
 
@@ -262,7 +262,7 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device(usb: Usb) -> None:
     assert RESUME_WAIT_NS < usb.clock.now - begun <= RESUME_WAIT_NS + 2 * MS
     assert usb.got() == [NOTHING] * 6
     assert usb.write(*PULL) == WITHHELD
-    assert usb.word[AT.older] == 0
+    assert usb.word[AT.stale_replies] == 0
     usb.later(1 * MS)
     assert usb.read(reply(6))[0] == OK
 
@@ -282,7 +282,7 @@ def test_what_is_lost_after_a_pause_is_not_waited_for(usb: Usb) -> None:
     begun, given_one = usb.clock.now, list[bool]()
     usb._events = late  # type: ignore[method-assign]
     assert usb.read()[0] == WITHHELD
-    assert [usb.word[at] for at in (AT.counts, AT.awaited, AT.older)] == [9, 1, 0]
+    assert [usb.word[at] for at in (AT.counts, AT.unanswered, AT.stale_replies)] == [9, 1, 0]
     assert usb.clock.now - begun < 2 * KICK
 
 
@@ -335,7 +335,7 @@ def test_a_flood_does_not_hold_the_loop(usb: Usb) -> None:
 def test_a_length_past_the_buffer_is_not_believed(usb: Usb) -> None:
     """Behind the buffer stands our own packet."""
     usb.write(*ZERO)
-    usb.block.octets(AT.buffer_in, 64)[:] = 0
+    usb.block.raw_bytes(AT.buffer_in, 64)[:] = 0
     usb._done(AT.transfer_in, COMPLETED, 200)
     usb.blocked = True
     assert usb.read()[0] == STALE
@@ -380,7 +380,7 @@ def test_a_transfer_that_is_refused_is_not_under_way(usb: Usb) -> None:
         assert (usb.read(reply(1))[0] if knob == AT.in_done else usb.write(*PULL)) == LOST
         assert usb.word[knob] == 1 and usb.word[AT.error] == ERROR_IO
         exchange.call_int32 = usb._call
-        assert usb.block.call(exchange.begin) == OK
+        assert usb.block.call(exchange.start_reading) == OK
     assert usb.forces() == {}
 
 
@@ -408,7 +408,7 @@ def test_while_the_device_is_being_stopped_nobody_waits(usb: Usb) -> None:
     assert sample.tolist() == before
     assert usb.block.call(exchange.write, PULL) == WITHHELD
     assert usb.block.call(exchange.silence) == 0
-    assert usb.block.call(exchange.withdraw) == 0
+    assert usb.block.call(exchange.cancel_transfers) == 0
     assert usb.got() == [] and usb.word[AT.lock] == 1 and usb.word[AT.open] == 1
 
 
@@ -424,10 +424,10 @@ def test_a_force_is_sent_as_motor_counts(axis: int, usb: Usb) -> None:
     assert any(wanted) and not cut
     assert usb.write(*wrench) == OK
     assert usb.got() == [packet(wanted, 2)]
-    assert [usb.word[at] for at in (AT.awaited, AT.pushes, AT.sent_at)] == [1, 1, usb.clock.now]
+    assert [usb.word[at] for at in (AT.unanswered, AT.has_force, AT.sent_at)] == [1, 1, usb.clock.now]
     assert usb.write(0.0, 0.0, 0.0, 1.0, 1.0, 1.0) == OK
     assert usb.got() == [NOTHING]
-    assert [usb.word[at] for at in (AT.awaited, AT.pushes)] == [2, 0]
+    assert [usb.word[at] for at in (AT.unanswered, AT.has_force)] == [2, 0]
     assert usb.forces() == {"written": 2}
 
 
@@ -438,11 +438,11 @@ def test_a_force_of_one_motor_is_one_that_has_to_be_ended(leg: int, usb: Usb, mo
     counts[leg] = 1
     monkeypatch.setattr(exchange, "command", lambda handle, force: (tuple(counts), False))
     assert usb.write(*PULL) == OK
-    assert usb.word[AT.pushes] == 1
+    assert usb.word[AT.has_force] == 1
     usb.write(*PULL)
     assert usb.write(*PULL) == HELD
     assert usb.write(*ZERO) == OK
-    assert usb.word[AT.pushes] == 0
+    assert usb.word[AT.has_force] == 0
 
 
 def test_a_force_past_the_motors_is_cut(usb: Usb) -> None:
@@ -464,7 +464,7 @@ def test_two_packets_may_be_without_an_answer(usb: Usb) -> None:
     assert usb.read(reply(1))[0] == OK
     assert usb.write(*PULL) == HELD
     assert usb.read(reply(2))[0] == OK
-    assert usb.word[AT.awaited] == 1
+    assert usb.word[AT.unanswered] == 1
     assert usb.write(*PULL) == OK
 
 
@@ -473,14 +473,14 @@ def test_answers_that_do_not_come_are_lost_after_five_ms(usb: Usb) -> None:
     usb.write(*ZERO)
     usb.later(LOST_NS + 1)
     assert usb.read()[0] == STALE
-    assert usb.word[AT.awaited] == 1
+    assert usb.word[AT.unanswered] == 1
     usb.write(*ZERO)
     usb.later(LOST_NS)
     assert usb.read()[0] == STALE
-    assert usb.word[AT.awaited] == 2
+    assert usb.word[AT.unanswered] == 2
     usb.later(1)
     assert usb.read()[0] == STALE
-    assert usb.word[AT.awaited] == 0
+    assert usb.word[AT.unanswered] == 0
 
 
 def test_a_packet_that_is_not_through_holds_the_next(usb: Usb) -> None:
@@ -491,7 +491,7 @@ def test_a_packet_that_is_not_through_holds_the_next(usb: Usb) -> None:
     assert usb.waits == [0]
     assert usb.write(*ZERO) == HELD  # the motors keep their force
     assert usb.forces() == {"written": 1, "held": 2}
-    usb.word[AT.heard_at] = usb.clock.now = usb.clock.now + TIMEOUT_NS
+    usb.word[AT.sampled_at] = usb.clock.now = usb.clock.now + TIMEOUT_NS
     assert usb.write(*PULL) == HELD
     usb.clock.now += 1
     assert usb.write(*PULL) == TIMEOUT
@@ -540,7 +540,7 @@ def test_no_force_into_a_silence(usb: Usb) -> None:
     assert usb.write(*PULL) == WITHHELD
     assert usb.write(*ZERO) == WITHHELD
     assert [any(counts_of(each)) for each in usb.got()] == [True, False]
-    usb.word[AT.sensed], usb.word[AT.heard_at] = 0, usb.clock.now
+    usb.word[AT.has_sample], usb.word[AT.sampled_at] = 0, usb.clock.now
     assert usb.write(*PULL) == WITHHELD
 
 
@@ -548,11 +548,11 @@ def test_only_an_armed_device_takes_a_force(usb: Usb) -> None:
     """Before `arm`, and for good after `stop`; a zero is then no less displayed."""
     for armed, stopped in ((0, 0), (1, 1), (0, 1)):
         usb.word[AT.armed], usb.word[AT.stopped] = armed, stopped
-        usb.word[AT.awaited] = 0
+        usb.word[AT.unanswered] = 0
         assert usb.write(*PULL) == WITHHELD
         assert usb.write(*ZERO) == OK
         assert usb.got() == [NOTHING] * 2
-    usb.word[AT.awaited] = 2
+    usb.word[AT.unanswered] = 2
     assert usb.write(*ZERO) == STALE
     assert usb.write(*PULL) == WITHHELD
     assert usb.got() == []
@@ -565,12 +565,12 @@ def test_a_silence_is_kicked_and_then_given_up(usb: Usb) -> None:
     """A zero each `kick_s` from the packet before, told as WITHHELD; after `timeout_s` the run is over."""
     usb.read(reply(1))
     usb.write(*PULL)
-    usb.word[AT.older] = 1
+    usb.word[AT.stale_replies] = 1
     usb.later(KICK)
     assert usb.read()[0] == STALE
     usb.later(1)
     assert usb.read()[0] == WITHHELD
-    assert [usb.word[at] for at in (AT.awaited, AT.older, AT.zeroed)] == [1, 0, 0]
+    assert [usb.word[at] for at in (AT.unanswered, AT.stale_replies, AT.sent_own_zero)] == [1, 0, 0]
     assert usb.read()[0] == STALE
     usb.later(KICK)
     assert usb.read()[0] == STALE
@@ -578,7 +578,7 @@ def test_a_silence_is_kicked_and_then_given_up(usb: Usb) -> None:
     assert usb.read()[0] == WITHHELD
     assert [any(counts_of(each)) for each in usb.got()] == [True, False, False]
     assert usb.forces() == {"written": 3, "kicks": 2}
-    usb.word[AT.heard_at] = usb.clock.now - TIMEOUT_NS
+    usb.word[AT.sampled_at] = usb.clock.now - TIMEOUT_NS
     usb.word[AT.sent_at] = usb.clock.now
     assert usb.read()[0] == STALE
     usb.later(1)
@@ -639,7 +639,7 @@ def test_a_stop_sends_a_zero_and_waits_until_it_is_through(usb: Usb) -> None:
     assert [usb.word[at] for at in (AT.stopped, AT.armed, AT.lock)] == [1, 0, 0]
     assert stop(usb) == 1
     assert usb.got() == [] and usb.cancelled == []
-    usb.word[AT.open], usb.word[AT.pushes] = 0, 1
+    usb.word[AT.open], usb.word[AT.has_force] = 0, 1
     assert stop(usb) == 1
     assert usb.got() == []
 
@@ -671,11 +671,11 @@ def test_a_force_that_hangs_is_withdrawn(usb: Usb) -> None:
 
 def test_closing_withdraws_both_transfers(usb: Usb) -> None:
     """Those that are under way; it is done when libusb has given both back."""
-    assert usb.block.call(exchange.withdraw) == 1
+    assert usb.block.call(exchange.cancel_transfers) == 1
     assert usb.cancelled == [AT.transfer_in]
     assert [usb.word[at] for at in (AT.open, AT.in_done, AT.out_done, AT.lock)] == [0, 1, 1, 0]
     usb.cancelled.clear()
-    assert usb.block.call(exchange.withdraw) == 1
+    assert usb.block.call(exchange.cancel_transfers) == 1
     assert usb.cancelled == []
 
 
@@ -686,16 +686,16 @@ def test_a_transfer_that_libusb_keeps_is_not_given_back(hangs: int, usb: Usb) ->
     usb.write(*PULL)
     usb._done(AT.transfer_in if hangs == AT.transfer_out else AT.transfer_out, CANCELLED)
     usb.waits.clear()
-    assert usb.block.call(exchange.withdraw) == 0
+    assert usb.block.call(exchange.cancel_transfers) == 0
     assert usb.cancelled == [hangs]
     assert usb.waits == [2000]
     usb.stubborn = False
-    assert usb.block.call(exchange.withdraw) == 1
+    assert usb.block.call(exchange.cancel_transfers) == 1
 
 
 def test_the_call_back_raises_the_word_of_its_transfer() -> None:
     """Whose address is the transfer's user data, the sixth word of it."""
     word, transfer = ctypes.c_int64(), (ctypes.c_int64 * 8)()
     transfer[5] = ctypes.addressof(word)
-    exchange.done(ctypes.addressof(transfer))
+    exchange.on_complete(ctypes.addressof(transfer))
     assert word.value == 1

@@ -34,7 +34,7 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon.block import AT as WORDS
 from softfinger.drivers.falcon.device import Falcon, open_device
-from softfinger.drivers.system.claims import claim_on
+from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.diagnosis import Diagnosis
 from softfinger.drivers.system.discovery import Attached
 from softfinger.proxy.engine import Engine
@@ -65,7 +65,7 @@ class TestContract(DriverContract):
     """The contract, with a device that answers within the tick."""
 
 
-def run(device: Falcon, ticks: int) -> tuple[s.Ended, np.ndarray]:
+def run(device: Falcon, ticks: int) -> tuple[s.LoopEnd, np.ndarray]:
     """So many ticks of the servo; how it ended, and its records."""
     guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
     servo = s.Servo([device], make_tuning(load_scene("paper-plane"), guard, [device.info]), RATE_HZ, ticks)
@@ -91,7 +91,7 @@ def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: Falc
         stub["logged"] = 0
         ended, records = run(device, 1500)
         seen = stub.log()
-    assert ended == s.Ended(s.FINISHED, OK)
+    assert ended == s.LoopEnd(s.FINISHED, OK)
     assert not records[:, AT.servo_device].any(), "a tick without a fresh reply, or with a force that was cut"
     # the first read asks with a zero of its own, and one after a pause of the machine's; each packet of a tick finds
     # the knob where the tick has sensed it
@@ -127,7 +127,7 @@ def test_a_late_reply_costs_one_tick_and_not_the_loop(stub: UsbStub, bench: Falc
         stub.update(late=1, late_every=10, lates=0, logged=0)
         ended, records = run(device, 1000)
         asked_anew = np.count_nonzero(stub.log()[:, 6])
-    assert ended == s.Ended(s.FINISHED, OK)
+    assert ended == s.LoopEnd(s.FINISHED, OK)
     stale = records[:, AT.servo_device] == STALE
     # The last packets are answered to nobody; after a pause of the machine's the read waits, whatever is late.
     assert stub["lates"] - 2 - asked_anew <= np.count_nonzero(stale) <= stub["lates"] <= 102 + asked_anew
@@ -144,8 +144,8 @@ def test_replies_that_are_always_late(late: int, fresh: float, stub: UsbStub, be
     with bench.open() as device:
         stub.update(late=late)
         ended, records = run(device, 400)
-        assert word(device, WORDS.awaited) <= 2
-    assert ended == s.Ended(s.FINISHED, OK)
+        assert word(device, WORDS.unanswered) <= 2
+    assert ended == s.LoopEnd(s.FINISHED, OK)
     assert np.mean(records[:, AT.servo_device] == OK) > fresh
 
 
@@ -155,7 +155,7 @@ def test_lost_replies_are_not_waited_for_for_ever(stub: UsbStub, bench: FalconBe
     with bench.open() as device:
         stub.update(lose_every=50)
         ended, records = run(device, 1000)
-    assert ended == s.Ended(s.FINISHED, OK)
+    assert ended == s.LoopEnd(s.FINISHED, OK)
     stale = np.count_nonzero(records[:, AT.servo_device] == STALE)
     assert 18 <= stale <= 10 * 1 + 10 * 8  # 5 ms of a clock against ticks of 1 ms: 8 at the most
 
@@ -180,7 +180,7 @@ def test_a_signal_in_the_loop_is_no_fault(stub: UsbStub, bench: FalconBench) -> 
     with bench.open() as device:
         stub.update(interrupt_every=7)
         ended, records = run(device, 300)
-    assert ended == s.Ended(s.FINISHED, OK)
+    assert ended == s.LoopEnd(s.FINISHED, OK)
     assert np.mean(records[:, AT.servo_device] == OK) > 0.5
 
 
@@ -315,6 +315,7 @@ def test_a_device_that_takes_nothing_is_given_up(
     servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     device.close()
     assert "takes no packet" in caplog.text
+    assert device.zero_failure() == "it has taken no packet for 1 s"
     steps = stub["steps"]
     stub["block"] = 0
     assert (stub["flying"], stub["dropped"], stub["steps"]) == (0, 0, steps)
@@ -371,7 +372,7 @@ def test_closing_under_a_loop_that_hangs_in_libusb(
     while not stub.busy():
         time.sleep(0.001)
     device.close()
-    assert "the device stays open" in caplog.text
+    assert "the device remains open" in caplog.text
     assert stub["closes"] == stub["opens"] - 1
     loop.join()
     assert statuses[0] >= 0
@@ -453,7 +454,7 @@ def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None
             loop.join()
         for name, height in (("first", 0.03), ("second", 0.045)):
             ended, records = found[name]
-            assert ended == s.Ended(s.FINISHED, OK)
+            assert ended == s.LoopEnd(s.FINISHED, OK)
             assert np.mean(records[:, AT.servo_device] == OK) > 0.5
             np.testing.assert_allclose(columns(records, AT.probe_position)[:, 2], height, rtol=0, atol=COUNT_M)
         first.close()
@@ -492,16 +493,16 @@ FALCON = Attached("usb", 0x0403, 0xCB48, "FALCON HAPTIC", "SN1", "/dev/bus/usb/0
 
 def test_a_falcon_is_asked_for_its_firmware(stub: UsbStub) -> None:
     """Whether firmware runs, the device says itself; one that runs needs no file; the answer is in JSON and text."""
-    claim = claim_on(FALCON)
+    claim = find_claim(FALCON)
     assert claim is not None
-    diagnosis, said = devices.ask(FALCON, claim)
+    diagnosis, said = devices.identify_device(FALCON, claim)
     assert (diagnosis, said) == (Diagnosis("usable"), {"firmware": True})
     assert devices.as_map(FALCON, claim, diagnosis, said)["said"] == {"firmware": True}
     assert "    it says: firmware True" in devices.lines([(FALCON, claim, diagnosis, said)])
     stub.update(firmware=1000)
-    diagnosis, said = devices.ask(FALCON, claim)
+    diagnosis, said = devices.identify_device(FALCON, claim)
     assert (diagnosis.state, said) == ("firmware", {"firmware": False})
     assert stub["opens"] == stub["closes"] and stub["loads"] == 0
     stub["held"] = 1
-    diagnosis, said = devices.ask(FALCON, claim)
+    diagnosis, said = devices.identify_device(FALCON, claim)
     assert (diagnosis.state, said) == ("busy", None)

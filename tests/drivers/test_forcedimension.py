@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.drd_stub import Stub, StubBench, bench, plugged_in, stub, stub_library
+from helpers.forgotten import forget_user
 from helpers.programs import Program
 
 from softfinger.config.errors import (
@@ -157,7 +158,7 @@ def test_brakes_that_cannot_be_taken_off_are_said(
     bench.open().close()
     assert "brakes" not in caplog.text
     bench.open(brakes=False).close()
-    assert "brakes = false is not kept" in caplog.text
+    assert "brakes = false has no effect" in caplog.text
 
 
 # --- arming --------------------------------------------------------------------------------------
@@ -328,13 +329,13 @@ def test_a_device_is_asked_without_force(stub: Stub) -> None:
     rig = DeviceConfig(driver="forcedimension", options={"library_file": str(stub.path)})
     stub.update(type=34, wrist=1, initialized=0)
     omega = Attached("usb", 0x1451, 0x0402, "omega.x haptic device", "", "/dev/bus/usb/001/005")
-    diagnosis, said = devices.ask(omega, claim, rig)
+    diagnosis, said = devices.identify_device(omega, claim, rig)
     assert diagnosis == Diagnosis("usable")
     assert said == {"model": "omega.6 right", "serial": 1230, "system_type": 34, "calibrated": False}
     assert stub["opens"] == stub["closes"] == 1
     assert stub["moved"] == stub["force_on"] == stub["writes"] == 0
     stub["held"] = 1
-    diagnosis, said = devices.ask(omega, claim, rig)
+    diagnosis, said = devices.identify_device(omega, claim, rig)
     assert (diagnosis.state, said) == ("busy", None)
 
 
@@ -395,6 +396,14 @@ def test_library_is_found_where_the_sdk_puts_it(variable: str, stub_library: Pat
     assert found._name == str(folder / "libdrd.so.3.17.5")
 
 
+def test_a_user_without_a_home_is_told_the_other_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the library and of a file with ~: neither is there, and nothing else is wrong."""
+    forget_user(monkeypatch)
+    for named in (None, "~/libdrd.so"):
+        with pytest.raises(DeviceNotFound, match=r"looked for /usr/local/lib|'~/libdrd.so': there is no such file"):
+            library.load(named, {})
+
+
 def test_unusable_library_is_named(tmp_path: Path) -> None:
     """A file that is no library, and a library that lacks a function, are refused with the file and the function."""
     file = tmp_path / "libdrd.so"
@@ -440,7 +449,7 @@ def test_permission_is_diagnosed_over_usb(stub: Stub, bench: StubBench) -> None:
 def test_who_holds_the_device_is_named(stub: Stub, bench: StubBench) -> None:
     """A process that has the device's node open is named with its number; without one it is another process."""
     stub["held"] = 1
-    with pytest.raises(DeviceBusy, match="held by another process"):
+    with pytest.raises(DeviceBusy, match="used by another process"):
         bench.open()
     nodes = stub.path.parent
     with (
@@ -448,7 +457,7 @@ def test_who_holds_the_device_is_named(stub: Stub, bench: StubBench) -> None:
         (nodes / "001" / "005").open() as node,
         Program(["sleep", "60"], stdin=node) as holder,
     ):
-        with pytest.raises(DeviceBusy, match=rf"held by \w+ \({holder.pid}\)"):
+        with pytest.raises(DeviceBusy, match=rf"used by \w+ \({holder.pid}\)"):
             bench.open()
         holder.kill()
 

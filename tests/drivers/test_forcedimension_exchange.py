@@ -17,7 +17,7 @@ from softfinger.drivers.forcedimension.library import ERROR_TIMEOUT
 pytestmark = BY_CALL
 
 ID = 3
-CALLS = ("get_frame", "get_position", "get_buttons", "get_gripper", "get_status", "get_error", "set_wrench")
+LIBRARY_FUNCTIONS = ("get_frame", "get_position", "get_buttons", "get_gripper", "get_status", "get_error", "set_wrench")
 ZERO = (0.0,) * 6
 TO_WORLD = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From the library's frame (x towards the user, y right, z up) to the world's (x right, y away from the user, z up)."""
@@ -37,10 +37,10 @@ class Library:
         self.block = GuardedBlock(AT)
         self.word = self.block.word
         self.clock.room = {self.block.handle + 8 * AT.timespec}
-        for number, name in enumerate(CALLS, 100):
+        for number, name in enumerate(LIBRARY_FUNCTIONS, 100):
             self.word[getattr(AT, name)] = number
         self.word[AT.id], self.word[AT.open], self.word[AT.armed] = ID, 1, 1
-        self.word[AT.has_frame] = self.word[AT.has_gripper] = self.word[AT.turns] = 1
+        self.word[AT.has_frame] = self.word[AT.has_gripper] = self.word[AT.has_torque] = 1
         self.word[AT.status_every], self.word[AT.started_at], self.word[AT.cause] = 4, START_NS - 2000 * MS, -1
         self.word[AT.frame + 3 : AT.frame + 12].view(np.float64)[:] = np.eye(3).ravel()
         self.gives: dict[str, int] = {}
@@ -50,7 +50,7 @@ class Library:
         self.wrenches: list[tuple[float, ...]] = []
 
     def _call(self, address: int, given: tuple[Any, ...]) -> int:
-        name = CALLS[int(address) - 100]
+        name = LIBRARY_FUNCTIONS[int(address) - 100]
         self.asked.append(name)
         if name == "get_error":
             assert given == ()
@@ -251,7 +251,7 @@ def test_a_wrench_is_turned_into_the_librarys_frame(library: Library) -> None:
     assert library.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK
     assert library.wrenches == [(0.2, 0.1, 0.3, 0.02, 0.01, 0.03, 0.0)]
     assert library.asked == ["set_wrench"]
-    library.word[AT.turns] = 0
+    library.word[AT.has_torque] = 0
     assert library.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK
     assert library.wrenches == [(0.2, 0.1, 0.3, 0.0, 0.0, 0.0, 0.0)]
     assert library.counts() == {"writes": 2}

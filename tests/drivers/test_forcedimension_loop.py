@@ -79,7 +79,7 @@ def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub) -> None:
         ({"button_at": 700}, SafetyStop, "turned its force off.*button"),
         ({"threshold": 20}, SafetyStop, "turned its force off.*velocity threshold"),
         ({"delay_at": 700, "delay_s": 0.15}, SafetyStop, "turned its force off.*watchdog"),
-        ({"error_word": 3}, SafetyStop, "error word is 3"),
+        ({"error_word": 3}, SafetyStop, "error code is 3"),
         ({"unplug_at": 700}, DeviceLost, "omega.6 right, serial 1230 is gone.*error 2"),
         ({"fail_read": 700, "error": 7}, DeviceTimeout, "no answer to a read.*error 7"),
         ({"fail_write": 700, "error": 2}, DeviceLost, "on write.*error 2"),
@@ -195,7 +195,8 @@ def test_stop_while_a_transfer_hangs(
         time.sleep(0.05)
         device.stop()
         assert stub.busy() and servo.ticks == 100  # it hangs still
-        assert ("lets nothing past" in caplog.text) == bool(exclusive)
+        assert ("blocks all calls" in caplog.text) == bool(exclusive)
+        assert bool(device.zero_failure()) == bool(exclusive)
         assert exclusive or (stub.norm() == 0.0 and stub["force_on"] == 0)
         servo.stop()
         assert servo.join(10.0) is not None
@@ -219,7 +220,7 @@ def test_stop_waits_for_the_exchange_under_way(stub: Stub, bench: StubBench) -> 
                 pass
             device.stop()
             servo.stop()
-            assert servo.join(10.0) == s.Ended(s.STOPPED, OK)
+            assert servo.join(10.0) == s.LoopEnd(s.STOPPED, OK)
             servo.close()
     assert stub["threads"] == 0
 

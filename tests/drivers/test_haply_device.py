@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
+from itertools import groupby
 from typing import Any, ClassVar
 
 import numba
@@ -23,8 +24,9 @@ from helpers.haply_devices import ID, Service, fresh, opened, rig_options, settl
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound
 from softfinger.config.errors import DeviceTimeout as NoAnswer
-from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
-from softfinger.drivers.haply import exchange, turns
+from softfinger.drivers import switch_interval
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.device import HaplyDevice, identify, open_device
 from softfinger.drivers.system.discovery import Attached
 from softfinger.drivers.system.libc import IO_SIGNATURE
@@ -48,12 +50,12 @@ class Bench(driver_contract.Bench):
 
     patience_s: ClassVar[float] = 10.0
     cannot: ClassVar[Mapping[str, str]] = {
-        "busy": "any number of programs may be at the service; their forces add up",
         "permission": "the service opens the device, and every program of this machine may speak to the service",
     }
 
     def __init__(self, service: Service) -> None:
         self.service = service
+        self.rival: Device | None = None
 
     def open(self) -> Device:
         self.device = opened(self.service)
@@ -66,10 +68,14 @@ class Bench(driver_contract.Bench):
     def make(self, case: str) -> None:
         if case == "timeout":
             self.service.set(mute=True)
+        elif case == "busy":
+            self.rival = opened(self.service)
         else:
             self.service.do("vanish", id=ID)
 
     def mend(self) -> None:
+        if self.rival is not None:
+            self.rival.close()
         self.service.set(mute=False)
         self.service.do("return", id=ID)
 
@@ -177,22 +183,26 @@ def test_a_force_past_the_largest_is_limited(service: Service) -> None:
 
 
 def test_one_state_a_message(service: Service) -> None:
-    """The driver sends a message only once the last one is answered, however often the loop writes, and the newest
-    wrench is what it sends."""
+    """The driver sends a message only once the last one is answered, however often the loop writes. A force that the
+    loop writes meanwhile is not taken: those that the device receives are the taken ones, each once and in order."""
     service.set(late_s=0.02)
     with opened(service) as device:
         servo = Servo(device)
         fresh(servo)
-        before = device.counts()
-        for n in range(50):
-            servo.write(0.01 * n, 0.0, 0.0, 0.0, 0.0, 0.0)
+        before, statuses = device.counts(), []
+        for n in range(1, 51):
+            statuses.append(servo.write(0.01 * n, 0.0, 0.0, 0.0, 0.0, 0.0))
             time.sleep(0.001)
         settle(device)
         after = device.counts()
         assert after["messages"] - before["messages"] <= 10
         assert abs(after["messages"] - after["states"]) <= 2  # the first state, and one under way
-        assert service.force()[0] == pytest.approx(0.49)
         assert after["unasked"] == 0
+        assert set(statuses) == {OK, HELD}
+        taken = [0.01 * n for n, status in enumerate(statuses, 1) if status == OK]
+        given = [force[0] for force, _ in groupby(force for _, force in service.commands()) if any(force)]
+        assert given == pytest.approx(taken, abs=1e-12)  # rounding
+        assert after["held"] == statuses.count(HELD)
 
 
 @pytest.mark.parametrize(
@@ -214,7 +224,7 @@ def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None
     [
         ('{"project_version":"3.0.7.0"}', "version 3.0.7.0; this driver speaks 3.1 to 3.x"),
         ('{"project_version":"4.0.0.0"}', "version 4.0.0.0; this driver speaks 3.1 to 3.x"),
-        ('{"project_version":"new"}', "its version is 'new', which is no number"),
+        ('{"project_version":"new"}', "the version 'new', which is no number"),
         ("[1, 2]", "says no version"), ("{}", "says no version"),
         ('{"project_version":' + 9000 * "[", "says no version"),
     ],
@@ -268,7 +278,7 @@ def test_a_service_that_says_nothing_is_given_up(service: Service) -> None:
     """Without an inventory, opening ends after two seconds, and leaves no connection."""
     service.set(mute=True)
     begun = time.monotonic()
-    with pytest.raises(NoAnswer, match=r"says nothing within 2 s: restart it"):
+    with pytest.raises(NoAnswer, match=r"does not answer within 2 s: restart it"):
         opened(service)
     assert 1.0 < time.monotonic() - begun < 8.0
 
@@ -339,22 +349,19 @@ def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
         assert outside <= allowed
 
 
-def test_forces_of_two_programs_add_up(service: Service) -> None:
-    """A second program at the same device is not refused, for the service refuses none: both forces are given, and the
-    first goes on when the second ends."""
-    with opened(service) as one:
-        first = Servo(one)
-        with opened(service) as two:
-            second = Servo(two)
-            for servo, device in ((first, one), (second, two)):
-                fresh(servo)
-                servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
-                settle(device)
-            assert service.force() == (0.0, 0.0, 1.0)
-        fresh(first)
-        first.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
-        settle(one)
-        assert service.force() == (0.0, 0.0, 0.5)
+def test_two_devices_of_one_service_run_at_once() -> None:
+    """Each has its own force; the lock of one is not the other's."""
+    with (
+        Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both,
+        opened(both, device_id=ID) as one,
+        opened(both, device_id="0A11") as other,
+    ):
+        for device, force in ((one, 0.5), (other, 1.0)):
+            servo = Servo(device)
+            fresh(servo)
+            servo.write(0.0, 0.0, force, 0.0, 0.0, 0.0)
+            settle(device)
+        assert (both.force(ID)[2], both.force("0A11")[2]) == (0.5, 1.0)
 
 
 def test_an_old_wrench_becomes_zero(service: Service) -> None:
@@ -384,6 +391,8 @@ def test_silence_ends_the_force_then_gives_up(service: Service) -> None:
             time.sleep(0.001)
         assert (status, silent_write) == (TIMEOUT, WITHHELD)
         assert not any(service.force())
+        device.stop()
+        assert "has not answered" in device.zero_failure()
 
 
 def test_a_late_service_gives_old_poses_no_force(service: Service) -> None:
@@ -455,7 +464,7 @@ BAD: dict[str, tuple[Any, int, str]] = {
         f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":NaN,"y":0,"z":0}}}}}}]}}',
         PROTOCOL, "malformed",
     ),
-    "deep": ('{"a":' + 5000 * "[", PROTOCOL, "the service said"),
+    "deep": ('{"a":' + 5000 * "[", PROTOCOL, "the service answered"),
     "huge": ('{"a":"' + 300_000 * "x" + '"}', PROTOCOL, "over size limit|262144"),
     "a name that steers terminals": (
         '{"inverse3":[{"device_id":"\\u001b[2J","state":{}}]}', PROTOCOL, "matching regex",
@@ -491,7 +500,7 @@ def test_a_service_that_floods_is_given_up(service: Service) -> None:
         fresh(servo)
         service.set(copies=40)
         assert first_failure(servo) == PROTOCOL
-        assert "nobody asked for" in device.reason()
+        assert "unexpected states" in device.reason()
 
 
 def test_a_grip_that_goes_is_a_loss(service: Service) -> None:
@@ -524,8 +533,8 @@ def test_a_service_that_restarts_in_contact_is_a_loss() -> None:
 
 
 def test_a_service_that_is_stopped_hangs_nothing(service: Service) -> None:
-    """A service that neither reads nor writes (SIGSTOP): reads give it up, stop and close come back within their time,
-    and what it reads when it goes on ends in a zero."""
+    """A service that neither reads nor writes (SIGSTOP): reads give it up, stop and close return in time, nothing
+    confirms their zero, and what it reads when it goes on ends in a zero."""
     device = opened(service, timeout_s=0.3)
     servo = Servo(device)
     fresh(servo)
@@ -537,6 +546,7 @@ def test_a_service_that_is_stopped_hangs_nothing(service: Service) -> None:
         begun = time.monotonic()
         device.stop()
         device.close()
+        assert "has not answered" in device.zero_failure()
         assert time.monotonic() - begun < 5.0
     finally:
         os.kill(service.process.pid, signal.SIGCONT)
@@ -575,16 +585,19 @@ def test_the_service_is_asked_what_it_has(service: Service) -> None:
     assert said == {"service": "3.5.0.0", "devices": ["inverse3 049D"], "grips": ["wireless_verse_grip 7"]}
 
 
-def test_threads_take_short_turns_while_a_device_is_open(service: Service) -> None:
+def test_threads_take_short_turns_while_a_device_is_open() -> None:
     """Python's switch interval is short from the first device's opening to the last one's end, in whatever order they
     end, and then what it was."""
     before = sys.getswitchinterval()
-    first, second = opened(service), opened(service)
-    assert before > turns.SWITCH_S
-    assert sys.getswitchinterval() == pytest.approx(turns.SWITCH_S, rel=1e-2)  # it is kept in microseconds
-    first.close()
-    assert sys.getswitchinterval() < before
-    second.close()
+    with Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both:
+        first, second = opened(both, device_id=ID), opened(both, device_id="0A11")
+        assert before > switch_interval.SHORT_INTERVAL_S
+        assert sys.getswitchinterval() == pytest.approx(
+            switch_interval.SHORT_INTERVAL_S, rel=1e-2
+        )  # it is kept in microseconds
+        first.close()
+        assert sys.getswitchinterval() < before
+        second.close()
     assert sys.getswitchinterval() == before
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, check_pose
 
-from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.exchange import AT, Model
 from softfinger.proxy.kernels.jit.pack import flatten
@@ -35,11 +35,11 @@ class Device:
         self.block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(Model(*mounting, 5.0))
         self.word[AT.opened_at] = START_NS - 2000 * MS
         self.word[AT.quiet], self.word[AT.timeout_after] = QUIET, TIMEOUT_NS
-        self.word[AT.wake], self.word[AT.one], self.word[AT.armed] = FD, 1, 1
+        self.word[AT.wake], self.word[AT.increment], self.word[AT.armed] = FD, 1, 1
 
     def state(self, x: float, y: float, z: float, buttons: float = 0.0) -> None:
         """The thread has received one, now."""
-        pose = self.block.numbers(AT.pose, exchange.POSE)
+        pose = self.block.numbers(AT.pose, exchange.POSE_SIZE)
         pose[:] = (x, y, z, *Q, buttons, float(self.clock.now))
         self.word[AT.pose_sequence] += 2
 
@@ -47,13 +47,17 @@ class Device:
         sample = np.full(SAMPLE_SIZE, np.nan)
         return self.block.call(exchange.read, sample), sample
 
-    def write(self, *wrench: float) -> int:
-        return self.block.call(exchange.write, wrench)
+    def write(self, *wrench: float, sends: bool = True) -> int:
+        """The loop writes, and the thread sends what it was given before the next call, or not."""
+        status = self.block.call(exchange.write, wrench)
+        if sends:
+            self.word[AT.handled] = self.word[AT.written]
+        return status
 
     def given(self) -> list[float]:
         """The newest wrench in the lock: force (N), time (ns), number."""
         assert self.word[AT.wrench_sequence] == 2 * self.word[AT.written]
-        return self.block.numbers(AT.wrench, exchange.WRENCH).tolist()
+        return self.block.numbers(AT.wrench, exchange.WRENCH_SIZE).tolist()
 
     def counts(self) -> dict[str, int]:
         """The counters that are not 0."""
@@ -135,10 +139,10 @@ def test_a_pause_of_the_loop_is_no_silence(device: Device) -> None:
     device.state(0.0, 0.0, 0.0)
     device.clock.now += QUIET + 1
     assert device.read()[0] == STALE
-    heard = int(device.word[AT.heard_at])
+    heard = int(device.word[AT.sampled_at])
     device.clock.now += 30 * MS
     assert device.read()[0] == STALE
-    assert device.word[AT.heard_at] == heard  # 30 ms are no pause
+    assert device.word[AT.sampled_at] == heard  # 30 ms are no pause
 
 
 def test_before_the_first_read_there_is_no_pause(device: Device) -> None:
@@ -225,6 +229,24 @@ def test_a_force_is_withheld_where_none_may_go_out(device: Device) -> None:
     assert device.counts() == {"written": 3}
     device.word[AT.lock] = 0
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
+    assert device.word[AT.lock] == 0
+
+
+def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
+    """The next one is not taken, so that no force of a tick is skipped; a zero, or what becomes one, is."""
+    assert device.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0, sends=False) == OK
+    first = device.given()
+    assert [device.write(0.0, 2.0, 0.0, 0.0, 0.0, 0.0, sends=False) for _ in range(2)] == [HELD, HELD]
+    assert device.given() == first and len(device.woken.sent) == 1
+    assert device.counts() == {"written": 1, "held": 2}
+    assert device.write(*ZERO, sends=False) == OK
+    assert device.given()[:3] == [0.0, 0.0, 0.0]
+    assert device.write(0.0, 3.0, 0.0, 0.0, 0.0, 0.0, sends=False) == HELD
+    device.word[AT.armed] = 0
+    assert device.write(0.0, 3.0, 0.0, 0.0, 0.0, 0.0, sends=False) == WITHHELD
+    device.word[AT.armed], device.word[AT.handled] = 1, device.word[AT.written]
+    assert device.write(0.0, 4.0, 0.0, 0.0, 0.0, 0.0) == OK
+    assert device.given()[0] == pytest.approx(4.0)
     assert device.word[AT.lock] == 0
 
 

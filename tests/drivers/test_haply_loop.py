@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
-from helpers.haply_devices import ID, RIG, Service
+from helpers.haply_devices import ID, RIG, Service, opened
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError
 from softfinger.config.load import find, load_rig, load_scene
@@ -45,7 +47,7 @@ def rig(service: Service, **changes: Any) -> Rig:
 
 def pushes(service: Service) -> None:
     """Wait until the device pushes up."""
-    until = time.monotonic() + 60.0
+    until = time.monotonic() + 240.0  # a process may have to compile first
     while service.force()[2] < 0.5:
         assert time.monotonic() < until
         time.sleep(0.002)
@@ -87,7 +89,7 @@ def garble(service: Service) -> None:
         (vanish, DeviceLost, "inverse3 049D is no longer in the service's list"),
         (Service.kill, DeviceLost, "closed the connection|broke"),
         (mute, DeviceTimeout, "no answer to a read in time"),
-        (garble, DeviceLost, r"not in its protocol .*the service said '<html>'"),
+        (garble, DeviceLost, r"not in its protocol .*the service answered '<html>'"),
     ],
 )
 def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], words: str) -> None:
@@ -105,6 +107,33 @@ def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], wo
             assert not any(service.force())
 
 
+def command_line(service: Service, folder: Path, endpoint: str) -> list[str]:
+    """The daemon on the shipped rig at an emulated service."""
+    mine = folder / "rig.toml"
+    text = find(RIG, Rig).read_text()
+    for key, value in {"port": service.port, **PATIENT}.items():
+        text = re.sub(rf"^{key} = \S+", f"{key} = {value}", text, flags=re.MULTILINE)
+    mine.write_text(text)
+    command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
+    return [*command, "--scene", "paper-plane", "--endpoint", f"ipc://{folder}/{endpoint}"]
+
+
+@contextlib.contextmanager
+def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """Run the daemon as a process of its own, in contact."""
+    service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
+    running = subprocess.Popen(command_line(service, folder, "a"), stderr=subprocess.PIPE, text=True)
+    timer = threading.Timer(300.0, running.kill)
+    timer.start()
+    try:
+        pushes(service)
+        yield running
+    finally:
+        timer.cancel()
+        running.kill()
+        running.communicate()
+
+
 @pytest.mark.parametrize(
     ("sent", "code"),
     [
@@ -118,41 +147,50 @@ def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], wo
 )
 def test_signals(sent: signal.Signals, code: int | None, tmp_path: Path) -> None:
     """A signal in contact: where it can be caught a zero is the last that the device is given; after SIGKILL the
-    connection's end takes the force, and after SIGSTOP the service does, as it is assumed to."""
-    with Service(idle_s=0.1 if sent is signal.SIGSTOP else 60.0) as service:
-        service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
-        mine = tmp_path / "rig.toml"
-        text = find(RIG, Rig).read_text()
-        for key, value in {"port": service.port, **PATIENT}.items():
-            text = re.sub(rf"^{key} = \S+", f"{key} = {value}", text, flags=re.MULTILINE)
-        mine.write_text(text)
-        command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
-        command += ["--scene", "paper-plane", "--endpoint", f"ipc://{tmp_path}/a"]
-        running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-        timer = threading.Timer(120.0, running.kill)
-        timer.start()
-        try:
-            pushes(service)
-            running.send_signal(sent)
-            if code is not None:
-                said = running.communicate(timeout=60)[1]
-                assert running.returncode == code, said
-                assert code < 0 or "force is zero" in said
-            until = time.monotonic() + 10.0
-            while any(service.force()):
-                assert time.monotonic() < until
-                time.sleep(0.001)
-        finally:
-            timer.cancel()
-            running.kill()
-            running.communicate()
+    connection's end takes the force, and after SIGSTOP the service does, as it is assumed to. A process that has ended
+    leaves no lock behind."""
+    with (
+        Service(idle_s=0.1 if sent is signal.SIGSTOP else 60.0) as service,
+        pushing_daemon(service, tmp_path) as running,
+    ):
+        running.send_signal(sent)
+        if code is not None:
+            said = running.communicate(timeout=60)[1]
+            assert running.returncode == code, said
+            assert code < 0 or "force is zero" in said
+            assert code < 0 or not any(service.commands()[-1][1])
+            opened(service).close()
+        until = time.monotonic() + 10.0
+        while any(service.force()):
+            assert time.monotonic() < until
+            time.sleep(0.001)
+
+
+def test_a_second_daemon_and_a_zero_that_nobody_confirms(tmp_path: Path) -> None:
+    """A second daemon on the device ends, and names the first, which goes on. When the service then reads no more, an
+    end of the first by a signal does not claim that the force is zero."""
+    with Service() as service, pushing_daemon(service, tmp_path) as running:
+        second = subprocess.run(
+            command_line(service, tmp_path, "b"), capture_output=True, text=True, timeout=120, check=False
+        )
+        assert second.returncode == 4
+        assert re.search(rf"inverse3 {ID} .* in use by process {running.pid} \(.*end that one first", second.stderr)
+        service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.1591})  # a pose that stands still has no force
+        pushes(service)
+        service.set(deaf=True)
+        running.send_signal(signal.SIGTERM)
+        said = running.communicate(timeout=60)[1]
+        assert running.returncode == 4, said
+        assert "zero force is not confirmed" in said or "no zero is confirmed" in said
+        assert "force is zero" not in said
 
 
 def test_a_missing_library_is_one_error(tmp_path: Path) -> None:
     """Without websockets, `run` says in one line what to install."""
     (tmp_path / "websockets.py").write_text("raise ImportError('not installed')")
     environ = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
-    command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", RIG, "--endpoint", f"ipc://{tmp_path}/a"]
+    command = [sys.executable, "-m", "softfinger.server.cli", "run", "-q", "--rig", RIG]
+    command += ["--endpoint", f"ipc://{tmp_path}/a"]
     done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 4
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr

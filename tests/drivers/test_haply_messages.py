@@ -12,19 +12,19 @@ from hypothesis import strategies as st
 
 from softfinger.config.errors import DeviceError
 from softfinger.drivers.haply.messages import (
+    DeviceRef,
     Malformed,
     Missing,
-    Which,
     command,
     force_key,
-    number_of,
+    parse_version,
     read_inventory,
     read_state,
 )
 
 pytestmark = pytest.mark.plain
 
-DEVICE, GRIP = Which("inverse3", "049D"), Which("wireless_verse_grip", "7")
+DEVICE, GRIP = DeviceRef("inverse3", "049D"), DeviceRef("wireless_verse_grip", "7")
 JSON = st.recursive(
     st.none() | st.booleans() | st.floats() | st.text(max_size=8),
     lambda inner: (
@@ -95,9 +95,9 @@ def test_a_command_has_the_key_of_the_version() -> None:
 
 def test_versions() -> None:
     """3.1 to 3.x are spoken, with the key of each; anything else is refused."""
-    assert [force_key(number_of(text)) for text in ("3.1.0", "3.4.2.0", "3.5.0", "v3.10.1")] == [
+    assert [force_key(parse_version(text)) for text in ("3.1.0", "3.4.2.0", "3.5.0", "v3.10.1")] == [
         "values", "values", "vector", "vector",
     ]  # fmt: skip
     for text in ("3.0.7", "4.0", "2.9", "", "3", "x.y"):
         with pytest.raises(DeviceError, match="version"):
-            number_of(text)
+            parse_version(text)

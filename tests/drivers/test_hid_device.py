@@ -31,8 +31,8 @@ from softfinger.config.load import build
 from softfinger.drivers.base import LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.device import HidDevice, Options, open_device
-from softfinger.drivers.hid.link import find
-from softfinger.drivers.hid.pump import QUEUE_BYTES
+from softfinger.drivers.hid.link import find_device
+from softfinger.drivers.hid.report_threads import QUEUE_BYTES
 from softfinger.drivers.system.libc import IO_SIGNATURE, write_fd
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import entry
@@ -300,14 +300,16 @@ def test_a_report_of_another_length_is_a_fault(size: int) -> None:
 
 
 def test_unplugging_is_a_loss() -> None:
-    """Reads and writes of a device that is gone say so, and stop and close raise nothing."""
+    """Reads and writes of a device that is gone say so, stop and close raise nothing, and no zero is confirmed."""
     with woody() as (device, _, answering):
         servo = Servo(device)
         servo.read()
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         answering.unplug()
         assert servo.read()[0] == LOST
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == LOST
         device.stop()
+        assert device.zero_failure() == "its node takes no report"
         device.close()
         assert servo.read()[0] == LOST
 
@@ -326,6 +328,7 @@ def test_every_way_out_ends_with_zero() -> None:
                     raise ZeroDivisionError
             else:
                 getattr(device, way)()
+            assert device.zero_failure() == ""
             assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
             answering.settle(device)
             assert not any(arm.sent[-1]), way
@@ -512,7 +515,7 @@ def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:
         open_device(rig_options("woodenhaptics-2019", path="/dev/null"), 1000.0)
     with node.open("rb") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        with pytest.raises(DeviceBusy, match=rf"hidraw9 is held by process {os.getpid()} \("):
+        with pytest.raises(DeviceBusy, match=rf"hidraw9 is used by process {os.getpid()} \("):
             open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
 
 
@@ -541,7 +544,7 @@ def test_a_node_without_permission() -> None:
 def test_a_device_that_is_not_attached() -> None:
     """A device that nobody plugged in is named by its ids; here no vendor has the ids asked for."""
     with pytest.raises(DeviceNotFound, match="no HID device fffe:fffd is attached: plug it in"):
-        find(rig_options("woodenhaptics-2019", vendor_id=0xFFFE, product_id=0xFFFD))
+        find_device(rig_options("woodenhaptics-2019", vendor_id=0xFFFE, product_id=0xFFFD))
 
 
 def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:

@@ -136,8 +136,8 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
     ("way", "case", "code", "message"),
     [
         *((way, {"lost_after": 300}, 4, "is gone .status -1 on (read|write).*: plug it in again") for way in WAYS),
-        ("node", {"short_after": 300}, 4, "answered what is not in its protocol .status -3 on read."),
-        ("usb", {"short_after": 300}, 4, "answered what is not in its protocol .status -3 on read."),
+        ("node", {"short_after": 300}, 4, "sent an answer that is not in its protocol .status -3 on read."),
+        ("usb", {"short_after": 300}, 4, "sent an answer that is not in its protocol .status -3 on read."),
         ("node", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
         ("usb", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
         ("node", {"mute_after": 0}, 4, "sends no report: check its power, and its firmware"),
@@ -307,4 +307,4 @@ def test_a_second_program_finds_the_device_held(way: str, node: str, tmp_path: P
     case = {"bus": bus, "arm": "woody-2019", "generation": 2}
     done, _ = beside(case, sys.executable, "-c", HOLD, rig, "woodenhaptics-2019")
     assert done.stdout.splitlines()[:2] == ["4", "4"], done.stderr
-    assert len(re.findall(rf"{node} is held by process \d+ \(python", done.stderr)) == 2, done.stderr
+    assert len(re.findall(rf"{node} is used by process \d+ \(python", done.stderr)) == 2, done.stderr

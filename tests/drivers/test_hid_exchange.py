@@ -12,9 +12,9 @@ from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, 
 from helpers.hid_devices import described
 
 from softfinger.config.load import build
-from softfinger.drivers import conversation as talk
+from softfinger.drivers import board_exchange
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
-from softfinger.drivers.conversation import TALK
+from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.fields.table import POSITION, WRIST
 from softfinger.drivers.hid import device, exchange
 from softfinger.drivers.hid.device import HidDevice, Options
@@ -35,22 +35,24 @@ class Board:
     block: GuardedBlock
 
     def __init__(self, patch: pytest.MonkeyPatch, **changes: Any) -> None:
-        self.clock, self.node = by_call(patch, exchange, talk, device), File(FD, packets=True)
+        self.clock, self.node = by_call(patch, exchange, board_exchange, device), File(FD, packets=True)
         patch.setattr(exchange, "read_now", self._read)
         patch.setattr(exchange, "write_now", self.node.write)
-        patch.setattr(talk, "poll_fd", lambda *_: 0)
+        patch.setattr(board_exchange, "poll_fd", lambda *_: 0)
         given = {**described(mounting=MOUNTING, kick_s=0.01, timeout_s=0.1), **changes}
         self.block = HidDevice(build(Options, given, "rig"), FD)._block
         self.word = self.block.word
         self.block.fixed = [(AT.values + WRIST, AT.values + POSITION), (AT.model, len(self.word))]  # no wrist is sensed
-        self.clock.room = {self.block.handle + 8 * TALK.timespec}
-        self.word[TALK.sensed], self.word[TALK.heard_at] = 1, START_NS
-        self.word[TALK.opened_at] = START_NS - 2000 * MS
-        self.word[TALK.read_at] = self.word[TALK.kicked_at] = START_NS
+        self.clock.room = {self.block.handle + 8 * BOARD.timespec}
+        self.word[BOARD.has_sample], self.word[BOARD.sampled_at] = 1, START_NS
+        self.word[BOARD.opened_at] = START_NS - 2000 * MS
+        self.word[BOARD.read_at] = self.word[BOARD.kicked_at] = START_NS
 
     def _read(self, fd: int, address: int, size: int) -> int:
         """No report is read past its buffer."""
-        buffer = next(b for at in (AT.in_buffer, AT.newest) if (b := self.block._kept[at]).ctypes.data == address)
+        buffer = next(
+            b for at in (AT.in_buffer, AT.latest_report) if (b := self.block._arrays[at]).ctypes.data == address
+        )
         assert size == buffer.nbytes
         return self.node.read(fd, address, size)
 
@@ -72,11 +74,11 @@ class Board:
         """The counters that are not 0."""
         return {name: count for name, count in self.block.counts().items() if count}
 
-    def pumped(self) -> ctypes.c_int64:
+    def link_by_threads(self) -> ctypes.c_int64:
         """The reports go to a pump from now on, which has handed on so many."""
-        self.taken = ctypes.c_int64()
-        self.word[AT.taken] = ctypes.addressof(self.taken)
-        return self.taken
+        self.accepted_address = ctypes.c_int64()
+        self.word[AT.accepted_address] = ctypes.addressof(self.accepted_address)
+        return self.accepted_address
 
 
 @pytest.fixture
@@ -165,11 +167,11 @@ def test_reports_without_an_id_begin_with_their_data(monkeypatch: pytest.MonkeyP
 def test_a_force_reaches_the_device_in_its_own_frame(board: Board) -> None:
     """In mN; past the largest it is cut, and said so; a zero is a report of zeros."""
     assert board.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
-    assert board.word[TALK.loaded] == 1
+    assert board.word[BOARD.has_force] == 1
     assert board.write(0.0, 30.0, -40.0, 0.0, 0.0, 0.0) == STALE
-    assert board.word[TALK.loaded] == 1
+    assert board.word[BOARD.has_force] == 1
     assert board.write(*ZERO) == OK
-    assert board.word[TALK.loaded] == 0
+    assert board.word[BOARD.has_force] == 0
     assert board.sent() == [given(-1000, -500, 2000), given(2400, 0, -3200), given(0, 0, 0)]
     assert board.counts() == {"written": 3, "cut": 1}
     assert board.write(*ZERO) == OK
@@ -197,11 +199,11 @@ def test_what_a_node_says_to_a_report(board: Board) -> None:
     ):  # fmt: skip
         board.node.room, board.node.error = room, error
         assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == status
-        assert board.word[TALK.loaded] == 0
-        board.word[TALK.loaded], board.node.room = 1, room
+        assert board.word[BOARD.has_force] == 0
+        board.word[BOARD.has_force], board.node.room = 1, room
         assert board.write(*ZERO) == status
-        assert board.word[TALK.loaded] == 1  # the zero has not gone out
-        board.word[TALK.loaded] = 0
+        assert board.word[BOARD.has_force] == 1  # the zero has not gone out
+        board.word[BOARD.has_force] = 0
     assert "written" not in board.counts()
     board.node.room = board.node.error = 0
     assert board.write(0.0, 0.0, 30.0, 0.0, 0.0, 0.0) == HELD
@@ -211,7 +213,7 @@ def test_what_a_node_says_to_a_report(board: Board) -> None:
 def test_a_force_waits_for_the_pump(board: Board) -> None:
     """With two reports that the pump has not handed on no force and no second zero follow; the zero after a force
     does, and a kick is not sent where a zero waits already."""
-    taken = board.pumped()
+    taken = board.link_by_threads()
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == OK
     assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == HELD
@@ -222,7 +224,7 @@ def test_a_force_waits_for_the_pump(board: Board) -> None:
     assert board.sent() == [given(0, 0, 1000), given(0, 0, 2000), given(0, 0, 0)]
     assert board.counts() == {"written": 3, "held": 1, "kicks": 1}
     taken.value = 2
-    board.word[TALK.armed] = 1
+    board.word[BOARD.armed] = 1
     assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == OK
     assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == HELD
     taken.value = 3
@@ -232,7 +234,7 @@ def test_a_force_waits_for_the_pump(board: Board) -> None:
 
 def test_a_zero_does_not_wait_where_there_is_room(board: Board) -> None:
     """With one report under way a second zero goes out."""
-    board.pumped()
+    board.link_by_threads()
     assert board.write(*ZERO) == OK
     assert board.write(*ZERO) == OK
     assert board.write(*ZERO) == OK
@@ -244,13 +246,13 @@ def test_silence_is_kicked_by_the_read(board: Board) -> None:
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     for _ in range(2):
         board.clock.now += 11 * MS
-        board.word[TALK.read_at] = board.clock.now
+        board.word[BOARD.read_at] = board.clock.now
         assert board.read()[0] in (WITHHELD, STALE)
         assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
     assert board.sent() == [given(0, 0, 1000), *[given(0, 0, 0)] * 4]
     assert board.counts() == {"written": 5, "kicks": 2}
     board.clock.now += 100 * MS
-    board.word[TALK.read_at] = board.clock.now
+    board.word[BOARD.read_at] = board.clock.now
     assert board.read()[0] == TIMEOUT
 
 

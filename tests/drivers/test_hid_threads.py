@@ -19,8 +19,8 @@ from softfinger.config.load import build
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.device import STOP_WAIT_S, HidDevice, Options
-from softfinger.drivers.hid.link import pumped
-from softfinger.drivers.hid.pump import CLOSE_WAIT_S
+from softfinger.drivers.hid.link import link_by_threads
+from softfinger.drivers.hid.report_threads import CLOSE_WAIT_S
 from softfinger.server.driver_contract import Servo
 
 pytestmark = pytest.mark.real_time
@@ -53,8 +53,8 @@ class Linked:
         options = build(Options, described(**{"timeout_s": 0.2, **changes}), "rig")  # a busy machine answers late
         fd, end = ends()
         self.answering, self.api = Answering(end, note), Api(fd)
-        link = pumped(self.api, options)
-        self.device = HidDevice(options, link.fd, link.pump)
+        link = link_by_threads(self.api, options)
+        self.device = HidDevice(options, link.fd, link.threads)
         self.servo = Servo(self.device)
 
     def force(self, index: int = -1) -> tuple[int, ...]:
@@ -85,8 +85,8 @@ def test_reports_are_carried_byte_for_byte() -> None:
     """2 000 random reports of every length arrive in order as they were sent, longer ones longer by the spare byte."""
     fd, end = ends()
     options = build(Options, described(), "rig")
-    link = pumped(Api(fd), options)
-    assert link.pump is not None
+    link = link_by_threads(Api(fd), options)
+    assert link.threads is not None
     generator = np.random.default_rng(5)
     longest = options.reports.input.bytes + 1 + exchange.IN_SPARE
     for _ in range(2000):
@@ -101,7 +101,7 @@ def test_reports_are_carried_byte_for_byte() -> None:
                 assert time.monotonic() < until
         assert came == sent[:longest]
     os.close(link.fd)
-    link.pump.close()
+    link.threads.close()
     end.close()
 
 
@@ -113,8 +113,8 @@ def test_one_force_waits_behind_another() -> None:
         linked.answering.settle(linked.device)
         linked.api.held.clear()
         statuses = [linked.push(0.1 * (n + 1)) for n in range(21)]
-        assert statuses == [OK] * exchange.WAITING_MAX + [HELD] * (21 - exchange.WAITING_MAX)
-        assert linked.device.counts()["held"] == 21 - exchange.WAITING_MAX
+        assert statuses == [OK] * exchange.QUEUED_MAX + [HELD] * (21 - exchange.QUEUED_MAX)
+        assert linked.device.counts()["held"] == 21 - exchange.QUEUED_MAX
         assert [linked.push(0.0) for _ in range(5)] == [OK] * 5
         assert linked.push(0.1) == HELD
         known = len(linked.heard)
@@ -158,6 +158,7 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
         # the write has its time once; three machine stalls of a second on top
         assert time.monotonic() - begun < STOP_WAIT_S + CLOSE_WAIT_S + 3.0
         assert caplog.text.count("no zero has reached it: a write has been under way for") == 1
+        assert "a write has been under way for" in linked.device.zero_failure()
         assert "hid writer: a call of hidapi hangs" in caplog.text
         assert linked.api.closed == 0, "closed under a call"
         known = len(linked.heard)
@@ -228,8 +229,8 @@ def test_calibration_at_opening(rig: str) -> None:
 
     fd, end = ends()
     with Answering(end, answer):
-        link = pumped(Api(fd), options)
-        with HidDevice(options, link.fd, link.pump) as device:
+        link = link_by_threads(Api(fd), options)
+        with HidDevice(options, link.fd, link.threads) as device:
             sample = Servo(device).read()[1]
             np.testing.assert_allclose(sample[:3], resting, atol=3e-4)  # half a count at each motor
             assert all(not any(words[:3]) for words in arm.sent), "a force during calibration"
@@ -246,9 +247,9 @@ def test_a_calibration_that_fails_leaves_nothing_open() -> None:
         fd, end = ends()
         with Answering(end, lambda _, answer=answer: answer):
             api = Api(fd)
-            link = pumped(api, options)
+            link = link_by_threads(api, options)
             with pytest.raises(error, match=said):
-                HidDevice(options, link.fd, link.pump)
+                HidDevice(options, link.fd, link.threads)
             assert api.closed == 1
 
 
@@ -264,9 +265,9 @@ def test_a_preset_that_is_not_taken_is_refused() -> None:
         return arm.answer(data)
 
     with Answering(end, answer):
-        link = pumped(api, options)
+        link = link_by_threads(api, options)
         with pytest.raises(DeviceTimeout, match=r"takes no report \(a write has been under way"):
-            HidDevice(options, link.fd, link.pump)
+            HidDevice(options, link.fd, link.threads)
     api.held.set()  # when nothing answers any more, which would hold it again
 
 

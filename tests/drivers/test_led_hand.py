@@ -14,7 +14,7 @@ from softfinger.config.schema import Rig
 from softfinger.drivers import registry
 from softfinger.drivers.simulated.device import Options, Simulated, open_device
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
-from softfinger.drivers.simulated.lead import NoHand, Wanted, hold, lead
+from softfinger.drivers.simulated.lead import NoSimulatedHand, RequestedPose, hold, lead
 from softfinger.proxy.kernels.numerics.tool import make_tool
 from softfinger.server.driver_contract import Servo
 
@@ -90,13 +90,13 @@ def test_what_the_device_cannot_is_refused_with_the_reason() -> None:
     rig = load_rig("replay")
     with opened(position_m=AT) as device, opened(position_m=AT, preset="omega.3") as wristless:
         with pytest.raises(ConfigError, match=r"position_m = \[0.0, 0.0, 0.5\] is out of reach of simulated omega.6"):
-            lead(device, None, (0.0, 0.0, 0.0), Wanted((0.0, 0.0, 0.5), None, UPRIGHT))
+            lead(device, None, (0.0, 0.0, 0.0), RequestedPose((0.0, 0.0, 0.5), None, UPRIGHT))
         with pytest.raises(ConfigError, match=r"omega\.3 senses no rotation: leave orientation_wxyz out"):
-            lead(wristless, None, (0.0, 0.0, 0.0), Wanted(AT, UPRIGHT, UPRIGHT))
+            lead(wristless, None, (0.0, 0.0, 0.0), RequestedPose(AT, UPRIGHT, UPRIGHT))
         with pytest.raises(ConfigError, match="all zero is no orientation"):
-            lead(device, None, (0.0, 0.0, 0.0), Wanted(AT, (0.0, 0.0, 0.0, 0.0), UPRIGHT))
+            lead(device, None, (0.0, 0.0, 0.0), RequestedPose(AT, (0.0, 0.0, 0.0, 0.0), UPRIGHT))
     replay = registry.open_device(rig.device, rig.servo.rate_hz, "[device]")
-    with replay, pytest.raises(NoHand, match="no program leads the hand on replay"):
+    with replay, pytest.raises(NoSimulatedHand, match="no program leads the hand on replay"):
         lead(replay, None, (0.0, 0.0, 0.0), None)
 
 
@@ -105,7 +105,7 @@ def test_the_tip_of_a_tool_is_what_is_led() -> None:
     tool = make_tool((0.0, 0.0, -0.05), (0.0, 1.0, 0.0, 0.0))
     with opened(position_m=AT, **FIRM) as device:
         servo = Servo(device)
-        lead(device, tool, (0.01, 0.0, 0.0), Wanted((0.02, 0.0, -0.03), (0.0, 1.0, 0.0, 0.0), UPRIGHT))
+        lead(device, tool, (0.01, 0.0, 0.0), RequestedPose((0.02, 0.0, -0.03), (0.0, 1.0, 0.0, 0.0), UPRIGHT))
         sample = read(servo, 2000)[-1]
     # The tip is turned half about x on the handle, so an upright handle holds it so, 50 mm above it, 10 mm aside.
     np.testing.assert_allclose(sample, [0.01, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0], atol=1e-7)
@@ -134,5 +134,5 @@ def test_a_hand_that_is_held_keeps_what_it_wants_and_so_its_grip() -> None:
         assert device.hand().intends()[0] == goal
         assert rested[:3] == pytest.approx(np.add(goal, (0.0, 0.0, 2.0 / 1000.0)), abs=1e-9)  # 100 time constants
         assert tip.position == pytest.approx(np.add(goal, (0.01, 0.0, -0.05)))
-        lead(device, tool, (0.01, 0.0, 0.0), Wanted(tip.position, tip.orientation, UPRIGHT))
+        lead(device, tool, (0.01, 0.0, 0.0), RequestedPose(tip.position, tip.orientation, UPRIGHT))
         np.testing.assert_allclose(read(servo, 200)[:, :3], [rested[:3]] * 200, atol=1e-9)

@@ -15,14 +15,14 @@ from softfinger.drivers.fields import table
 from softfinger.drivers.hid.device import Options as HidOptions
 from softfinger.drivers.kinematics import delta, options, pantograph
 from softfinger.drivers.kinematics.mechanism import (
+    FULL,
     LIMITED,
-    NONE,
+    NO_MECHANISM,
     PADDLE,
     PANTOGRAPH,
     SINGULAR,
-    WHOLE,
-    drive,
-    end_of,
+    force_to_command,
+    forward_kinematics,
     kind_of,
     make_mechanism,
 )
@@ -68,8 +68,8 @@ class Ask:
 
     def end(self, joints: Any) -> np.ndarray:
         self.values[table.COUNTS : table.COUNTS + 3] = joints
-        position, orientation, how = end_of(self.kind, self.mechanism, self.values, self.last)
-        assert how == WHOLE
+        position, orientation, how = forward_kinematics(self.kind, self.mechanism, self.values, self.last)
+        assert how == FULL
         assert orientation == (1.0, 0.0, 0.0, 0.0)
         return np.array(position)
 
@@ -77,12 +77,12 @@ class Ask:
         """How the force was taken, and torques (N m), or currents (A) of a chain."""
         self.end(joints)
         given = np.zeros(table.COMMANDED_SIZE)
-        how = drive(self.kind, self.mechanism, self.values, self.last, tuple(force), given)
+        how = force_to_command(self.kind, self.mechanism, self.values, self.last, tuple(force), given)
         at = table.CURRENT if isinstance(self.mechanism_of(), options.Chain) else table.TORQUE
         return how, given[at : at + 3]
 
     def mechanism_of(self) -> Any:
-        return ARM if self.mechanism.chain != NONE.chain else None
+        return ARM if self.mechanism.chain != NO_MECHANISM.chain else None
 
 
 def along(of: Callable[[Any], np.ndarray], at: Any, way: Any, t: float) -> np.ndarray:
@@ -110,7 +110,7 @@ def test_power_out_is_power_in(name: str) -> None:
         force = rng.normal(size=3) * (0.3 if name == "chain" else 1.0)  # no current past the largest
         speed = derivative(partial(along, ask.end, joints, turning), step)
         how, torque = ask.torques(joints, force)
-        assert how == WHOLE
+        assert how == FULL
         np.testing.assert_allclose(np.dot(torque * per, turning), np.dot(force, speed), **EXACT)
 
 
@@ -124,7 +124,7 @@ def test_power_of_a_delta(name: str) -> None:
         speed, force = rng.normal(size=3), rng.normal(size=3)
         turning = derivative(partial(along, lambda at: np.array(delta.inverse(d, tuple(at))[0]), p, speed), 2e-4)
         how, torque = ask.torques(delta.inverse(d, tuple(p))[0], force)
-        assert how == WHOLE
+        assert how == FULL
         # eps / h of angles of 1 rad is 1e-12, and h^8 of what grows by 1 / 0.03 with each order
         np.testing.assert_allclose(np.dot(torque, turning), np.dot(force, speed), rtol=0, atol=1e-11)
 
@@ -164,7 +164,7 @@ def test_the_published_pantograph() -> None:
     height = 0.07 * np.sin(radians(12.0)) + sqrt(0.09**2 - half**2)
     np.testing.assert_allclose(ask.end(joints) + np.array((0.019, 0.1, 0.0)), (0.019, height, 0.0), **EXACT)
     how, torque = ask.torques(joints, (0.0, 1.0, 0.0))
-    assert how == WHOLE
+    assert how == FULL
     np.testing.assert_allclose(torque[0], -torque[1], **EXACT)
 
 
@@ -204,12 +204,12 @@ def test_links_in_line_give_no_force() -> None:
         elif sine < pantograph.SINE_FULL:
             assert how == SINGULAR
         else:
-            assert how == WHOLE
+            assert how == FULL
         assert np.abs(torque).max() <= 0.07 * np.hypot(0.3, 1.0) / pantograph.SINE_NONE
         if last is not None:  # no step, 0.0075 degrees further on: it grows to 0.7 N m and falls to 0 in between
             assert np.abs(torque - last).max() < 0.02
         last = torque
-    assert seen == {WHOLE, SINGULAR}
+    assert seen == {FULL, SINGULAR}
     np.testing.assert_allclose(ask.end((pi, 0.0, 0.0)), (0.1, 0.0, 0.0), **EXACT)
     both = Ask(options.Pantograph(base_m=0.0, inner_m=0.07, outer_m=0.09, torque_max_nm=1.0))
     assert np.isfinite(both.end((1.0, 1.0, 0.0))).all()  # elbows in one place
@@ -228,7 +228,7 @@ def test_a_delta_out_of_reach_has_no_pose() -> None:
     in_line = acos((given.end_m - given.base_m) / (given.arm_m + given.rod_m))
     for joints in ((0.0, 0.0, 3.0), (in_line,) * 3):
         ask.values[table.COUNTS : table.COUNTS + 3] = joints
-        position, _, how = end_of(ask.kind, ask.mechanism, ask.values, ask.last)
+        position, _, how = forward_kinematics(ask.kind, ask.mechanism, ask.values, ask.last)
         assert how == SINGULAR and np.isnan(position).all()
         np.testing.assert_allclose(ask.end(there), np.subtract(home, given.origin_m), **EXACT)
 
@@ -269,7 +269,7 @@ def test_serial_joints_have_no_pose_that_takes_more_torque(name: str) -> None:
     for joints in poses:
         force = rng.normal(size=3) * 0.1
         how, torque = ask.torques(joints, force)
-        assert how == WHOLE
+        assert how == FULL
         assert np.abs(torque).max() <= most * np.linalg.norm(force) * (1.0 + 1e-12)
 
 

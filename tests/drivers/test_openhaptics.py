@@ -19,18 +19,20 @@ from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, touch
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, HapticError
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.openhaptics import device as openhaptics
 from softfinger.drivers.openhaptics import exchange, library, usb
 from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN
-from softfinger.drivers.system.claims import claim_on
-from softfinger.drivers.system.diagnosis import needs
+from softfinger.drivers.system.claims import find_claim
+from softfinger.drivers.system.diagnosis import diagnose_requirements
 from softfinger.drivers.system.rules import udev_rules
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.foreign import call_int32
-from softfinger.server.driver_contract import DriverContract, Servo
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo, pulling, run_for
+from softfinger.server.loop.servo_thread import Servo as Loop
 
 __all__ = ["hd", "hd_library", "touch"]  # fixtures
 
@@ -296,10 +298,10 @@ def test_identify_asks_and_gives_no_force(hd: HdStub, bench: TouchBench) -> None
 def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
     """`devices` names driver and rig, says that the library is missing and where it comes from, and `install` writes a
     rule for the port, which ModemManager leaves alone."""
-    claim = claim_on(PORT)
+    claim = find_claim(PORT)
     assert claim is not None and (claim.driver, claim.rigs) == ("openhaptics", ("touch",))
     monkeypatch.setattr(library, "FOLDERS", ())
-    found = needs(claim, {})
+    found = diagnose_requirements(claim, {})
     assert found.state == "library" and "libHD" in found.reason and "library_file" in found.remedy
     (rule,) = [line for line in udev_rules().splitlines() if '"2988"' in line]
     assert 'SUBSYSTEM=="tty"' in rule and "ID_MM_DEVICE_IGNORE" in rule and "idProduct" not in rule
@@ -331,22 +333,42 @@ def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, benc
         held(servo, bench, (0.5, 0.0, 0.0))
 
 
+def test_frames_that_are_too_far_apart_are_told(hd: HdStub, bench: TouchBench) -> None:
+    """Frames 40 ms apart, where a force may be 20 ms old: the motors have zero, telemetry has the same and that it is
+    withheld, and a warning names the cause. Frames in time bring the force back."""
+    hd["rate_hz"] = 25
+    with bench.open(force_age_max_s=0.02) as device:
+        servo = Loop([device], pulling(), RATE_HZ)
+        servo.compile()
+        servo.start()
+        run_for(servo, 400)
+        assert "force_age_max_s = 0.02 s apart" in device.warning()
+        out = np.empty((4096, RECORD_SIZE))
+        records = out[: servo.records.take(out)]
+        assert not records[:, AT.force : AT.force + 3].any()
+        assert (records[:, AT.servo_device] == WITHHELD).mean() > 0.9  # the first tick of a ramp has no force
+        assert not hd.journal()["force"].any()
+        hd["rate_hz"] = 1000
+        until(lambda: any(hd.wrench()))
+        servo.stop()
+        assert servo.join(30.0) is not None
+        servo.close()
+
+
 def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
-    """While the stylus is docked the force is limited to nothing, which ends no run; undocked, the guard is told once,
-    so that the force fades in. A rig may say that the switch is not asked."""
+    """While the stylus is docked every force is withheld, which ends no run; undocked, it fades in. A rig may say that
+    the switch is not asked."""
     hd["style"] = library.INKWELL
     with bench.open() as device:
         servo = Servo(device)
         held(servo, bench, (1.0, 0.0, 0.0))
         hd["docked"] = 1
         assert not any(bench.displayed())
-        statuses = [servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(5)]
-        assert statuses == [WITHHELD, *[STALE] * 4]
+        assert [servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(5)] == [WITHHELD] * 5
         assert not any(bench.displayed())
         assert "inkwell" in device.warning()
         hd["docked"] = 0
         hd.after(2)
-        assert servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
         assert not any(bench.displayed()) and device.warning() == ""
         held(servo, bench, (1.0, 0.0, 0.0))
     hd["docked"] = 1
@@ -451,7 +473,7 @@ def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:
         begun = time.monotonic()
         device.stop()
         assert time.monotonic() - begun < 1.0
-        assert not any(hd.wrench())
+        assert not any(hd.wrench()) and device.zero_failure() == ""  # given from another thread
         hd.after(3)
         assert not any(hd.wrench())
 
@@ -522,7 +544,7 @@ def test_two_devices_at_once(hd: HdStub, bench: TouchBench) -> None:
     both = [bench.open_unarmed(), bench.open_unarmed(name="Left Device")]
     for device in both:
         device.arm()
-    assert opened.at_once(lambda device: device.close(), both) == []  # as an end of the process closes them
+    assert open_devices.call_all(lambda device: device.close(), both) == []  # as an end of the process closes them
     assert not hd["running"] and not any(hd.wrench(0) + hd.wrench(1))
 
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from helpers.by_call import BY_CALL, MS, START_NS, GuardedBlock, by_call, matrix, turned
 
-from softfinger.drivers.base import FORCE_OFF, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import FORCE_OFF, HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.openhaptics import exchange
 from softfinger.drivers.openhaptics.block import AT, WRENCH_SIZE
 
 pytestmark = BY_CALL
 
 DEVICE, OTHER, NOBODY = 17, 42, 0xFFFFFFFF
-CALLS = (
+LIBRARY_FUNCTIONS = (
     "begin_frame", "end_frame", "get_doubles", "get_integers", "get_booleans", "set_doubles", "get_error", "enable",
     "disable", "is_enabled",
 )  # fmt: skip
@@ -49,9 +49,9 @@ class Library:
         patch.setattr(exchange, "call_two_int64", self._call)
         self.block = GuardedBlock(AT)
         self.word = word = self.block.word
-        for number, name in enumerate(CALLS, 100):
+        for number, name in enumerate(LIBRARY_FUNCTIONS, 100):
             word[getattr(AT, name)] = number
-        word[AT.device], word[AT.turns], word[AT.age_max] = DEVICE, 1, AGE_MAX
+        word[AT.device], word[AT.has_torque], word[AT.age_max] = DEVICE, 1, AGE_MAX
         word[AT.started_at] = START_NS - 2000 * MS
         word[AT.open] = word[AT.armed] = word[AT.has_inkwell] = word[AT.has_temperature] = word[AT.switch] = 1
         word[AT.output], word[AT.read_at], word[AT.framed_at] = -1, START_NS, START_NS
@@ -63,7 +63,7 @@ class Library:
         self.asked: list[Any] = []
 
     def _call(self, address: int, given: tuple[Any, ...]) -> Any:
-        name = CALLS[int(address) - 100]
+        name = LIBRARY_FUNCTIONS[int(address) - 100]
         what = int(given[0]) if given else 0
         assert all(isinstance(one, np.int32) for one in given[:1])
         self.asked.append((name, what) if given else name)
@@ -93,20 +93,20 @@ class Library:
         self.clock.now += after
         self.clock.room = {self.block.handle + 8 * AT.frame_timespec}
         self.block.fixed = [
-            (AT.reads, AT.frame_timespec), (AT.servo_timespec, AT.position), (AT.pose_taken, AT.wrench_taken)
+            (AT.reads, AT.frame_timespec), (AT.servo_timespec, AT.position), (AT.read_pose, AT.read_wrench)
         ]  # fmt: skip
         self.asked.clear()
         return self.block.call(exchange.callback)
 
     def read(self) -> tuple[int, np.ndarray]:
         self.clock.room = {self.block.handle + 8 * AT.servo_timespec}
-        self.block.fixed = [(0, AT.reads), (AT.position, AT.pose_taken), (AT.wrench_sequence, len(self.word))]
+        self.block.fixed = [(0, AT.reads), (AT.position, AT.read_pose), (AT.wrench_sequence, len(self.word))]
         sample = np.full(SAMPLE_SIZE, 7.0)
         return self.block.call(exchange.read, sample), sample
 
     def write(self, *wrench: float) -> int:
         self.clock.room = {self.block.handle + 8 * AT.servo_timespec}
-        self.block.fixed = [(0, AT.reads), (AT.position, AT.wrench_sequence), (AT.wrench_taken, len(self.word))]
+        self.block.fixed = [(0, AT.reads), (AT.position, AT.wrench_sequence), (AT.read_wrench, len(self.word))]
         return self.block.call(exchange.write, wrench)
 
     def given(self, what: int = FORCE) -> list[float]:
@@ -151,7 +151,7 @@ def test_the_order_of_a_frame(library: Library) -> None:
         ("begin_frame", DEVICE), ("get_doubles", POSITION), ("get_doubles", TRANSFORM), ("get_integers", BUTTONS),
         ("get_booleans", INKWELL), ("set_doubles", FORCE), ("set_doubles", TORQUE), ("end_frame", DEVICE), "get_error",
     ]  # fmt: skip
-    library.word[AT.turns] = library.word[AT.has_inkwell] = 0
+    library.word[AT.has_torque] = library.word[AT.has_inkwell] = 0
     library.frame()
     assert [one if isinstance(one, str) else one[:2] for one in library.asked] == [
         ("begin_frame", DEVICE), ("get_doubles", POSITION), ("get_doubles", TRANSFORM), ("get_integers", BUTTONS),
@@ -259,7 +259,7 @@ def test_a_wrench_is_given_in_the_librarys_frame(library: Library) -> None:
     assert library.displays(*PULL)
     assert library.write(*ZERO) == OK
     assert library.displays(*ZERO)
-    assert [library.word[at] for at in (AT.loaded, AT.lapses, AT.writes)] == [0, 0, 2]
+    assert [library.word[at] for at in (AT.has_force, AT.lapses, AT.writes)] == [0, 0, 2]
 
 
 def test_a_wrench_under_way_is_the_next_frames(library: Library) -> None:
@@ -316,6 +316,53 @@ def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None
     assert library.displays(*PULL)
 
 
+def test_frames_that_are_too_far_apart_give_no_force(library: Library) -> None:
+    """Frames 6 ms apart at a limit of 5 ms: the motors have zero, each force of the servo is withheld for as long as
+    that lasts, and the first frame in time is the end of it."""
+    statuses = []
+    for _ in range(5):
+        for _ in range(6):
+            library.clock.now += MS
+            statuses.append(library.write(*PULL))
+        library.frame(0)
+        assert library.given() == [0.0, 0.0, 0.0] and library.given(TORQUE) == [0.0, 0.0, 0.0]
+        assert library.word[AT.late] == 1
+    assert statuses == [OK] * 5 + [WITHHELD] * 25  # in the first 5 ms nothing was wrong yet
+    library.frame()
+    assert library.word[AT.late] == 0
+    assert library.write(*PULL) == OK
+    assert library.displays(*PULL)
+
+
+def test_a_force_that_never_comes_to_the_motors_is_a_lapse(library: Library) -> None:
+    """Also the first one, which ended none: it is counted once, and the servo withholds."""
+    assert library.write(*PULL) == OK
+    for _ in range(3):
+        library.frame(AGE_MAX + 1)
+        assert library.given() == [0.0, 0.0, 0.0]
+    assert library.counts()["lapses"] == 1
+    library.frame()
+    assert library.write(*PULL) == WITHHELD
+    assert library.displays(*ZERO)
+    assert library.write(*PULL) == OK
+    assert library.displays(*PULL)
+
+
+def test_while_frames_have_stopped_the_motors_keep_their_force(library: Library) -> None:
+    """A force of the servo is not taken, nor is a zero, until a frame comes, which gives zero; without a force in the
+    motors it is withheld."""
+    library.write(*PULL)
+    library.frame()
+    library.clock.now += AGE_MAX
+    assert library.write(*PULL) == OK
+    library.clock.now += 1
+    assert [library.write(*PULL), library.write(*ZERO)] == [HELD, HELD]
+    library.frame(0)
+    assert library.given() == [0.0, 0.0, 0.0]
+    library.clock.now += AGE_MAX + 1
+    assert [library.write(*PULL), library.write(*ZERO)] == [WITHHELD, OK]
+
+
 @pytest.mark.parametrize("place", range(6))
 def test_a_wrench_in_one_place_is_a_force_that_can_lapse(place: int, library: Library) -> None:
     """Also a torque alone."""
@@ -323,23 +370,23 @@ def test_a_wrench_in_one_place_is_a_force_that_can_lapse(place: int, library: Li
     wrench[place] = 1.0
     library.write(*wrench)
     assert library.displays(*wrench)
-    assert library.word[AT.loaded] == 1
+    assert library.word[AT.has_force] == 1
     library.word[AT.armed] = 0
     assert library.displays(*ZERO)
-    assert library.word[AT.loaded] == 0 and library.counts()["lapses"] == 1
+    assert library.word[AT.has_force] == 0 and library.counts()["lapses"] == 1
 
 
-@pytest.mark.parametrize(("name", "value"), [("armed", 0), ("stopped", 1), ("leave", 1), ("status", LOST)])
+@pytest.mark.parametrize(("name", "value"), [("armed", 0), ("stopped", 1), ("is_leaving", 1), ("status", LOST)])
 def test_no_force_where_none_may_go_out(name: str, value: int, library: Library) -> None:
     """And the motors are switched off; the frame that has seen a stop or the end says so."""
     library.write(*PULL)
     library.frame()
     library.word[getattr(AT, name)] = value
-    assert library.frame() == (OVER if name == "leave" else AGAIN)
+    assert library.frame() == (OVER if name == "is_leaving" else AGAIN)
     assert library.given() == [0.0, 0.0, 0.0] and library.given(TORQUE) == [0.0, 0.0, 0.0]
     assert library.output == 0
-    assert library.word[AT.silent] == (name == "stopped")
-    assert library.word[AT.left] == (name == "leave")
+    assert library.word[AT.has_sent_zero] == (name == "stopped")
+    assert library.word[AT.has_left] == (name == "is_leaving")
 
 
 def test_a_stop_during_a_frame_is_told_by_the_next(library: Library) -> None:
@@ -347,16 +394,16 @@ def test_a_stop_during_a_frame_is_told_by_the_next(library: Library) -> None:
     call = library._call
 
     def meanwhile(address: int, given: tuple[Any, ...]) -> Any:
-        if CALLS[address - 100] == "end_frame":
-            library.word[AT.stopped] = library.word[AT.leave] = 1
+        if LIBRARY_FUNCTIONS[address - 100] == "end_frame":
+            library.word[AT.stopped] = library.word[AT.is_leaving] = 1
         return call(address, given)
 
     exchange.call_void = meanwhile
     assert library.frame() == AGAIN
-    assert [library.word[at] for at in (AT.silent, AT.left)] == [0, 0]
+    assert [library.word[at] for at in (AT.has_sent_zero, AT.has_left)] == [0, 0]
     exchange.call_void = call
     assert library.frame() == OVER
-    assert [library.word[at] for at in (AT.silent, AT.left)] == [1, 1]
+    assert [library.word[at] for at in (AT.has_sent_zero, AT.has_left)] == [1, 1]
 
 
 def test_a_device_that_is_closed_is_not_called_for(library: Library) -> None:
@@ -368,39 +415,28 @@ def test_a_device_that_is_closed_is_not_called_for(library: Library) -> None:
 
 
 def test_no_force_in_the_inkwell(library: Library) -> None:
-    """The servo is told that it was ended, then that it is limited to nothing, and undocked once that it starts again.
-    A device without an inkwell is never docked."""
+    """Every force is withheld for as long as it is docked. A device without an inkwell is never docked."""
     library.write(*PULL)
     library.frame()
     library.switch = 0
     assert library.displays(*ZERO)
     assert library.word[AT.docked] == 1 and library.output == 1
-    assert [library.write(*PULL) for _ in range(3)] == [WITHHELD, STALE, STALE]
+    assert [library.write(*PULL) for _ in range(3)] == [WITHHELD] * 3
     assert library.write(*ZERO) == OK
     assert library.write(nan, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert library.displays(*ZERO)
     library.switch = 1
     library.frame()
     assert library.word[AT.docked] == 0
-    assert library.write(nan, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-    assert [library.write(*PULL) for _ in range(2)] == [WITHHELD, OK]
-    assert library.displays(*PULL)
-    library.switch = 0
-    library.frame()
-    assert [library.write(*PULL) for _ in range(2)] == [WITHHELD, STALE]
-    library.switch = 1
-    assert library.displays(*ZERO)  # what was written while it was docked comes to no hand
-    assert library.write(*PULL) == WITHHELD
-    assert library.displays(*ZERO)
     assert library.write(*PULL) == OK
     assert library.displays(*PULL)
     library.switch = 0
     library.frame()
-    library.write(*ZERO)
-    library.write(*ZERO)
+    assert [library.write(*PULL) for _ in range(2)] == [WITHHELD] * 2
     library.switch = 1
-    library.frame()
-    assert [library.write(*ZERO), library.write(*PULL)] == [OK, OK]  # a zero has started it again already
+    assert library.displays(*ZERO)  # what was written while it was docked comes to no hand
+    assert library.write(*PULL) == OK
+    assert library.displays(*PULL)
     library.switch = library.word[AT.has_inkwell] = 0
     library.word[AT.switch] = 0
     library.frame()

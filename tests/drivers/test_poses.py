@@ -15,10 +15,10 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation, Slerp
 
 from softfinger.config.errors import RecordingError
-from softfinger.drivers.poses import ENDINGS, RESULT_COLUMNS, Poses, checked, load_poses, shipped_names
+from softfinger.drivers.poses import ENDINGS, RESULT_COLUMNS, Poses, check_poses, load_poses, shipped_names
 from softfinger.drivers.resample import close_loop, resample
 from softfinger.proxy.record import AT, RECORD_SIZE, columns
-from softfinger.server.offline.results import write_results
+from softfinger.server.recording.results import write_results
 
 pytestmark = pytest.mark.plain
 
@@ -32,7 +32,7 @@ def some_poses(count: int = 40, seed: int = 7) -> Poses:
     t = np.cumsum(rng.uniform(0.004, 0.02, count))
     quaternion = np.cumsum(rng.normal(0, 0.1, (count, 4)), axis=0) + np.array([2.0, 0, 0, 0])
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    return checked(t, np.cumsum(rng.normal(0, 0.002, (count, 3)), axis=0), quaternion, str)
+    return check_poses(t, np.cumsum(rng.normal(0, 0.002, (count, 3)), axis=0), quaternion, str)
 
 
 def records_of(poses: Poses) -> np.ndarray:
@@ -107,7 +107,7 @@ def test_orientation_is_normalised_and_continuous_in_sign() -> None:
     """q and -q are one orientation: neighbours end up on one half of the sphere, at norm 1."""
     poses = some_poses()
     flipped = poses.orientation * np.random.default_rng(3).choice([-1.6, 1.4], (len(poses.t), 1))
-    again = checked(poses.t, poses.position, flipped, str)
+    again = check_poses(poses.t, poses.position, flipped, str)
     sign = np.sign(flipped[0] @ poses.orientation[0])
     np.testing.assert_allclose(again.orientation, sign * poses.orientation, atol=4e-16)  # two roundings
     assert np.all(np.sum(again.orientation[1:] * again.orientation[:-1], axis=1) > 0)

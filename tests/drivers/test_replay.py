@@ -69,7 +69,7 @@ def test_every_wrench_is_kept_with_its_read() -> None:
             servo.read()
             assert servo.write(n, 1.0, 2.0, 3.0, 4.0, 5.0) == OK
         device.stop()
-        read, wrench = device.written()
+        read, wrench = device.logged()
     assert read.tolist() == [-1, *range(50), 49]
     assert wrench[0].tolist() == [9.0, 0, 0, 0, 0, 0]
     assert wrench[1:-1].tolist() == [[n, 1.0, 2.0, 3.0, 4.0, 5.0] for n in range(50)]
@@ -99,7 +99,7 @@ def test_log_of_a_long_loop_keeps_the_newest() -> None:
         device.stop()
         forces = device.forces()
         assert len(forces) >= 10_000
-        assert device.lost == 15_001 - len(forces)
+        assert device.overwritten_count == 15_001 - len(forces)
     assert forces[-1, 0] == 0.0
     assert forces[:-1, 0].tolist() == list(range(15_001 - len(forces), 15_000))
 
@@ -136,7 +136,7 @@ def test_two_replays_are_equal() -> None:
             for _ in range(3000):
                 sample = servo.read()[1]
                 servo.write(*(1000.0 * x for x in sample[:3]), *sample[4:7])
-        logs.append(device.written())
+        logs.append(device.logged())
     assert logs[0].wrench.tobytes() == logs[1].wrench.tobytes()
     assert logs[0].read.tobytes() == logs[1].read.tobytes()
     assert len(logs[0].wrench) == 3001
@@ -151,7 +151,7 @@ def test_forces_are_saved_on_close(tmp_path: Path, ending: str) -> None:
         for n in range(20):
             servo.read()
             servo.write(n / 3.0, 0.1, 0.2, 0.3, 0.4, 0.5)
-    read, wrench = device.written()
+    read, wrench = device.logged()
     if ending == ".csv":
         lines = path.read_text().splitlines()
         assert lines[0] == ",".join(FORCE_COLUMNS)

@@ -299,7 +299,7 @@ def rig_kinematics(rig: str) -> dict[str, Any]:
 def test_a_described_rig_without_a_port_writes_to_none() -> None:
     """With neither ids nor a path no port is opened: the error names what is attached."""
     for rig in ("haply-2diy", "hapkit"):
-        with pytest.raises(DeviceNotFound, match="does not say which port: name it with path under"):
+        with pytest.raises(DeviceNotFound, match="does not set a port: set path under"):
             open_device(rig_options(rig), 1000.0)
 
 

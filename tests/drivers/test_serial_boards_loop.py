@@ -15,8 +15,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from emulators.bounded import LIMIT_S
 from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
 from emulators.haply2diy import Firmware, Port
+from emulators.slowline import SlowLine
+from helpers.c_stub import compile_stub
 from helpers.described_boards import force_of, settled
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
@@ -28,6 +31,8 @@ pytestmark = pytest.mark.real_time
 
 FLOOR = (168.0, 12.0)
 """Angles of the 2DIY's links where its rig has the handle 64 mm above the floor; the fingertip has a radius of 10."""
+ZEROS = bytes.fromhex("5a0000a3") * 2
+"""Two frames to a Hapkit, without torque."""
 DEEP = (142.0, 38.0)
 """And where the fingertip is some 4 mm in it."""
 
@@ -118,7 +123,9 @@ def test_a_late_board_goes_on() -> None:
 
 
 @contextmanager
-def command(name: str, path: str, folder: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
+def command(
+    name: str, path: str, folder: Path, *more: str, environment: dict[str, str] | None = None
+) -> Iterator[subprocess.Popen[str]]:
     """`softfinger run` in a process of its own, on a copy of a shipped rig that names the port."""
     mine = folder / "rig.toml"
     named = f'driver = "serial"\npath = "{path}"\ntimeout_s = 2.0\n'
@@ -128,7 +135,7 @@ def command(name: str, path: str, folder: Path, *more: str) -> Iterator[subproce
     mine.write_text(text)
     words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
     words += ["--scene", "paper-plane", "--endpoint", f"ipc://{folder}/a", *more]
-    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, env=environment)
     try:
         yield process
     finally:
@@ -161,7 +168,9 @@ def test_a_signal_in_contact_leaves_no_force(number: signal.Signals, code: int, 
             with command("haply-2diy", port.path, elsewhere) as second:
                 said = second.communicate(timeout=120)[1]
             assert second.returncode == 4
-            assert re.search(rf"{port.path} is held by process {process.pid} \(python.*\): end that one", said), said
+            assert re.search(rf"{port.path} is used by process {process.pid} \(python.*\): end that process", said), (
+                said
+            )
             assert any(board.torques)
         sent = time.monotonic()
         process.send_signal(number)
@@ -199,6 +208,53 @@ def test_a_killed_program_leaves_a_2diy_its_force_unless_it_is_watched(watched: 
         else:
             time.sleep(0.5)
             assert any(board.torques)
+
+
+UART = Path(__file__).parents[1] / "stubs" / "uart.c"
+
+
+@pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
+def test_a_line_that_stalls_gives_no_old_force_and_one_that_is_dead_no_word_of_zero(tmp_path: Path) -> None:
+    """A Hapkit that streams but does not read for 0.3 s receives no old force, and then its force ramps up again. If
+    the run ends while the board does not read, the exit code is 4, the log does not claim zero force, and only zeros
+    wait for the board."""
+    stub = compile_stub(UART, tmp_path / "uart.so", "-ldl")
+    with Hapkit(compile_sketch(tmp_path / "hapkit.so")) as board, SlowLine(board.path, 1_000_000, tmp_path) as line:
+        board.turn(0.3)
+        with command("hapkit", line.path, tmp_path, environment=line.environment(stub)) as process:
+            until, down = time.monotonic() + LIMIT_S, 0.3
+
+            def pushed() -> None:
+                nonlocal down
+                while board.torque() < 0.02:
+                    assert process.poll() is None and time.monotonic() < until
+                    down = max(down - 0.004, -0.2)
+                    board.turn(down)
+                    time.sleep(0.01)
+
+            def stall() -> None:
+                line.stalled.set()
+                assert settled(line.queued, lambda waiting: waiting == ZEROS) == ZEROS
+
+            pushed()
+            stall()
+            time.sleep(0.3)
+            begun = len(board.changes())
+            line.stalled.clear()
+            pushed()
+            back = [torque for _, torque in board.changes()[begun:]]
+            assert abs(back[0]) < 0.005 and max(map(abs, np.diff(back))) < 0.01  # N m at the motor: it fades in
+            stall()
+            process.send_signal(signal.SIGTERM)
+            said = process.communicate(timeout=60)[1]
+        ended = len(board.changes())
+        line.stalled.clear()
+        settled(lambda: line.waiting, lambda waiting: waiting == 0)
+        assert not any(torque for _, torque in board.changes()[ended:])
+        assert board.torque() == 0.0
+    assert process.returncode == 4, said
+    assert "zero force is not confirmed" in said and "force is zero" not in said
+    assert "too many frames wait in the port" in said
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)

@@ -20,11 +20,12 @@ from emulators.serialboard import FRAME_BYTES, Board, Cable
 from helpers.compiled_code import called_in, functions
 from helpers.hid_devices import RefusedNode
 from helpers.serial_devices import PLACE, board, fresh, opened, rig_options, settle
+from numba import types
 
 from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
-from softfinger.drivers.conversation import TALK
+from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.serial import exchange
 from softfinger.drivers.serial.device import SerialDevice, open_device
 from softfinger.drivers.system.libc import IO_SIGNATURE
@@ -290,7 +291,7 @@ def test_damaged_frames_are_no_pose_and_no_force(spoil: Callable[[bytes], bytes]
         assert fresh(servo)[:3] != known[:3]
         assert device.reason() == ""
         cable.spoil = spoil
-        device._block.word[TALK.timeout_after] = 50_000_000  # ns: only from here on is a time-out waited for
+        device._block.word[BOARD.timeout_after] = 50_000_000  # ns: only from here on is a time-out waited for
         while (status := servo.read()[0]) >= 0:
             cable.say(spoil(itself.frame()))
             time.sleep(0.001)
@@ -317,7 +318,7 @@ def fill(device: SerialDevice) -> int:
     took = full = 0
     while full < 10:
         try:
-            took += os.write(int(device._block.word[TALK.fd]), b"\n" * 7)
+            took += os.write(int(device._block.word[BOARD.fd]), b"\n" * 7)
             full = 0
         except BlockingIOError:
             full += 1
@@ -352,7 +353,7 @@ def test_a_port_is_read_only_where_something_is_there() -> None:
         servo = Servo(device)
         fresh(servo)
         out, into = os.pipe()
-        fd = int(device._block.word[TALK.fd])
+        fd = int(device._block.word[BOARD.fd])
         terminal = os.dup(fd)
         os.dup2(out, fd)
         try:
@@ -377,8 +378,8 @@ def test_a_frame_that_went_out_in_part_is_finished_first() -> None:
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         settle(device, cable)
         # The state after such a write, which no terminal can be made to do at will.
-        os.write(int(device._block.word[TALK.fd]), ctypes.string_at(int(device._block.word[exchange.AT.outgoing]), 20))
-        device._block.word[TALK.left] = FRAME_BYTES - 20
+        os.write(int(device._block.word[BOARD.fd]), ctypes.string_at(int(device._block.word[exchange.AT.outgoing]), 20))
+        device._block.word[BOARD.unsent_bytes] = FRAME_BYTES - 20
         assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
         until = time.monotonic() + 10.0
         while len(itself.sent) < 3:
@@ -417,6 +418,10 @@ def test_stop_while_the_loop_writes() -> None:
             thread = threading.Thread(target=loop)
             thread.start()
             assert running.wait(10.0)
+            until = time.monotonic() + 10.0
+            while not any(any(words[:3]) for words in itself.sent):  # a stop drops what the board has not read
+                assert time.monotonic() < until
+                time.sleep(0.0005)
             device.stop()
             time.sleep(0.005)
             over.set()
@@ -466,7 +471,7 @@ def test_a_sleeping_board_is_woken_at_opening() -> None:
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("product_id", 70000, "product_id = 70000: must be a whole number from 0 to 65535"),
+        ("product_id", 70000, "product_id = 70000: must be an integer from 0 to 65535"),
         ("force_max_n", 33.0, "force_max_n = 33.0: must be a number from 0 to 32"),
         ("kick_s", 1.0, "kick_s = 1.0: must be a number from 0.005 to 0.2"),
         ("timeout_s", 0.01, "timeout_s = 0.01: must be at least quiet_s = 0.02"),
@@ -496,11 +501,21 @@ def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
         "atan",
     }
     allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
-    for function in (exchange.read, exchange.write):
-        ir = numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm()
+    functions_of = {
+        exchange.read: IO_SIGNATURE,
+        exchange.write: IO_SIGNATURE,
+        exchange._send: types.int64(types.int64, types.UniTuple(types.float64, 3)),
+        exchange._read_packets: types.UniTuple(types.int64, 2)(types.int64, types.int64),
+    }
+    found = set[str]()
+    for function, signature in functions_of.items():
+        ir = numba.cfunc(signature, error_model="numpy")(function.__wrapped__).inspect_llvm()
         # without the wrapper that would report an exception, which `error_model="numpy"` leaves no cause for
         bodies = functions(ir)
         called = {name for body in bodies.values() for name in called_in(body)}
         outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
-        assert "clock_gettime" in outside
-        assert outside <= allowed
+        units = {name for name in outside if name.startswith("softfinger_unit_")}
+        assert outside - units <= allowed
+        assert all(re.match("softfinger_unit_(_send|_read_packets)_", name) for name in units)
+        found |= outside
+    assert "clock_gettime" in found and "write" in found

@@ -11,10 +11,10 @@ from helpers.by_call import ABOUT_Z, BY_CALL, MS, START_NS, File, GuardedBlock, 
 from helpers.serial_devices import rig_options
 
 from softfinger.config.load import build
-from softfinger.drivers import conversation as talk
+from softfinger.drivers import board_exchange
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, WITHHELD
-from softfinger.drivers.conversation import TALK
-from softfinger.drivers.kinematics.mechanism import NONE, make_mechanism
+from softfinger.drivers.board_exchange import BOARD
+from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, make_mechanism
 from softfinger.drivers.serial import device, exchange
 from softfinger.drivers.serial.device import Options, SerialDevice
 from softfinger.drivers.serial.exchange import AT, CHUNK, Model
@@ -45,31 +45,31 @@ class Board:
     block: GuardedBlock
 
     def __init__(self, options: Options, patch: pytest.MonkeyPatch) -> None:
-        self.clock, self.port = by_call(patch, exchange, talk, device), File(FD)
+        self.clock, self.port = by_call(patch, exchange, board_exchange, device), File(FD)
         patch.setattr(exchange, "read_waiting", self._read)
         patch.setattr(exchange, "write_now", self.port.write)
-        patch.setattr(talk, "poll_fd", lambda *_: 0)
+        patch.setattr(board_exchange, "poll_fd", lambda *_: 0)
         given = options.kinematics
-        mechanism = NONE if given is None else make_mechanism(given, options.force_max_n)
+        mechanism = NO_MECHANISM if given is None else make_mechanism(given, options.force_max_n)
         opened = SerialDevice.__new__(SerialDevice)  # without the board's answer to its opening
         opened._options = options
         self.block = opened._make_block(FD, Model(*options.mounting.frame(), options.force_max_n, mechanism))
         self.word = self.block.word
-        self.block.fixed = [(AT.model, AT.place)]
+        self.block.fixed = [(AT.model, AT.last_position)]
         if given is not None:  # no text comes
             self.block.fixed.append((AT.incoming, len(self.word)))
-        self.clock.room = {self.block.handle + 8 * TALK.timespec}
-        self.word[TALK.sensed], self.word[TALK.heard_at] = 1, START_NS
-        self.word[TALK.opened_at] = START_NS - 2000 * MS
-        self.word[TALK.read_at] = self.word[TALK.kicked_at] = START_NS
+        self.clock.room = {self.block.handle + 8 * BOARD.timespec}
+        self.word[BOARD.has_sample], self.word[BOARD.sampled_at] = 1, START_NS
+        self.word[BOARD.opened_at] = START_NS - 2000 * MS
+        self.word[BOARD.read_at] = self.word[BOARD.kicked_at] = START_NS
 
     def _read(self, fd: int, address: int, size: int, word: int) -> int:
         """Nothing is read past what there is room for."""
-        assert word == self.block.handle + 8 * AT.waiting
+        assert word == self.block.handle + 8 * AT.ioctl_scratch
         if self.word[AT.kind] == exchange.TEXT:
             assert address + size <= self.block.handle + self.word.nbytes
         else:
-            assert address + size <= self.word[AT.stream] + self.block._kept[AT.stream].nbytes
+            assert address + size <= self.word[AT.stream] + self.block._arrays[AT.stream].nbytes
         return self.port.read_waiting(fd, address, size, word)
 
     def read(self, *comes: bytes) -> tuple[int, np.ndarray]:
@@ -128,11 +128,11 @@ def test_frames_of_one_tick_are_counted_and_the_newest_is_taken(board: Board) ->
     assert (status, sample[1]) == (OK, pytest.approx(0.203))
     assert board.counts() == {"bytes": 192, "frames": 3, "drained": 2}
     assert board.read(b"Marlin\n")[0] == STALE
-    assert board.word[TALK.misread] == 7
+    assert board.word[BOARD.misread_bytes] == 7
     assert board.read(frame(4.0, 0.0, 0.0)[:40])[0] == STALE
-    assert board.word[TALK.misread] == 47
+    assert board.word[BOARD.misread_bytes] == 47
     assert board.read(frame(4.0, 0.0, 0.0)[40:])[0] == OK
-    assert board.word[TALK.misread] == 0
+    assert board.word[BOARD.misread_bytes] == 0
     assert board.counts() == {"bytes": 192 + 7 + 64, "frames": 4, "drained": 2}
 
 
@@ -157,11 +157,11 @@ def test_a_port_that_fails_is_lost(board: Board) -> None:
     assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == LOST
     board.port.error = 0
     assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
-    board.word[TALK.left] = 10
+    board.word[BOARD.unsent_bytes] = 10
     board.port.error = 5
     assert board.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == LOST
     assert board.wake() == LOST
-    board.word[TALK.left] = board.word[TALK.loaded] = 0
+    board.word[BOARD.unsent_bytes] = board.word[BOARD.has_force] = 0
     assert board.wake() == LOST
 
 
@@ -208,11 +208,11 @@ def test_a_force_along_any_axis_has_to_be_ended(axis: int, monkeypatch: pytest.M
     wrench = [0.0] * 6
     wrench[axis] = 1.0
     assert board.write(*wrench) == OK
-    assert board.word[TALK.loaded] == 1
+    assert board.word[BOARD.has_force] == 1
     board.sent()
     assert board.write(*ZERO) == OK
     assert board.sent() == text(0, 0, 0)
-    assert board.word[TALK.loaded] == 0
+    assert board.word[BOARD.has_force] == 0
 
 
 def test_a_zero_into_a_silence_is_for_a_board_with_a_force(board: Board) -> None:
@@ -221,7 +221,7 @@ def test_a_zero_into_a_silence_is_for_a_board_with_a_force(board: Board) -> None
     assert board.write(*ZERO) == OK
     assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert board.sent() == b""
-    board.word[TALK.loaded] = 1
+    board.word[BOARD.has_force] = 1
     assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert board.sent() == text(0, 0, 0)
 
@@ -231,15 +231,15 @@ def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
     taken is not sent."""
     board.port.room = 20
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert (board.word[TALK.left], board.word[TALK.loaded]) == (44, 1)
+    assert (board.word[BOARD.unsent_bytes], board.word[BOARD.has_force]) == (44, 1)
     assert board.write(*ZERO) == HELD
     board.port.room = 10
     assert board.write(*ZERO) == HELD
-    assert board.word[TALK.left] == 34
+    assert board.word[BOARD.unsent_bytes] == 34
     assert not board.block.call(exchange.silence)  # as long as a force is on its way, it is not done
     board.port.room = 34
     assert board.write(*ZERO) == HELD  # finished; of the zero nothing was taken
-    assert (board.word[TALK.left], board.word[TALK.loaded]) == (0, 1)
+    assert (board.word[BOARD.unsent_bytes], board.word[BOARD.has_force]) == (0, 1)
     assert board.sent() == text(0, 0, 1000)
     assert board.counts() == {"written": 1}
     board.port.room = None
@@ -259,7 +259,7 @@ def test_what_is_left_of_a_frame_goes_out_behind_it(board: Board) -> None:
 
     exchange.write_now = in_parts
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert board.word[TALK.left] == 0
+    assert board.word[BOARD.unsent_bytes] == 0
     assert board.sent() == text(0, 0, 1000)
     board.read(frame(0.0, 0.0, 0.0))
     broken = iter([False, True])
@@ -276,14 +276,14 @@ def test_a_silent_board_is_woken_by_a_newline(board: Board) -> None:
     """One with a force gets its zero in front; a port that takes nothing has not been kicked."""
     assert board.wake() == OK
     assert board.sent() == b"\n"
-    board.word[TALK.loaded] = 1
+    board.word[BOARD.has_force] = 1
     assert board.wake() == OK
     assert board.sent() == text(0, 0, 0) + b"\n"
     assert board.counts() == {"kicks": 2, "written": 1}
     board.port.room = 0
     assert board.wake() == OK
     assert board.sent() == b"" and board.counts() == {"kicks": 2, "written": 1}
-    board.word[TALK.loaded] = 1
+    board.word[BOARD.has_force] = 1
     assert board.wake() == HELD  # nor has its force been ended
     board.port.room = 20
     assert board.wake() == OK
@@ -297,7 +297,7 @@ def test_a_single_byte_counts(room: int, board: Board) -> None:
     """One byte that was taken, and one that was not: the frame is not sent again."""
     board.port.room = room
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert board.word[TALK.left] == 64 - room
+    assert board.word[BOARD.unsent_bytes] == 64 - room
     board.port.room = -1  # a port that says 0
     assert board.write(*ZERO) == HELD
     board.port.room = None
@@ -322,12 +322,12 @@ def test_silence_is_kicked_by_the_read(board: Board) -> None:
     """After `quiet_s` each `kick_s`, and once it is longer than `timeout_s` the board is given up: what came and made
     no frame says whether it speaks at all."""
     board.clock.now += 21 * MS
-    board.word[TALK.read_at] = board.clock.now
-    board.word[TALK.kicked_at] = START_NS - 100 * MS
+    board.word[BOARD.read_at] = board.clock.now
+    board.word[BOARD.kicked_at] = START_NS - 100 * MS
     assert board.read()[0] == STALE
     assert board.sent() == b"\n"
     board.clock.now += 180 * MS
-    board.word[TALK.read_at] = board.clock.now
+    board.word[BOARD.read_at] = board.clock.now
     assert board.read(b"x" * 64)[0] == PROTOCOL
 
 
@@ -421,7 +421,7 @@ def test_a_force_along_one_axis_is_driven(axis: int, monkeypatch: pytest.MonkeyP
     numbers = [0.0, 0.0, 0.0]
     numbers[axis] = 1.0
     assert other.write(*numbers, 0.0, 0.0, 0.0) == OK
-    assert other.word[TALK.loaded] == 1
+    assert other.word[BOARD.has_force] == 1
     assert other.sent() == given(*(round(1e4 * n) for n in numbers))
     other.read(answer(0.0, 0.0, 0.0))
     other.write(*ZERO)

@@ -44,7 +44,7 @@ def feed(stream: Any, sizes: Any, buffer: Any, scratch: Any, found: Any) -> int:
         for k in range(size):
             buffer[LOOKBACK + k] = stream[at + k]
         at += size
-        if frames.take(buffer.ctypes.data, size, scratch[0], newest) > 0:
+        if frames.decode_stream(buffer.ctypes.data, size, scratch[0], newest) > 0:
             for k in range(NUMBERS):
                 found[came, k] = newest[k]
             came += 1

@@ -132,7 +132,9 @@ def test_the_command_line_on_a_port(tmp_path: Path) -> None:
                 [*command, f"ipc://{tmp_path}/b"], stderr=subprocess.PIPE, text=True, timeout=120, check=False
             )
             assert second.returncode == 4
-            assert re.search(rf"{cable.path} is held by process {first.pid} \(python.*\): end that one", second.stderr)
+            assert re.search(
+                rf"{cable.path} is used by process {first.pid} \(python.*\): end that process", second.stderr
+            )
             first.send_signal(signal.SIGINT)
             said = first.communicate(timeout=60)[1]
         finally:

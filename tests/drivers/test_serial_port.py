@@ -28,11 +28,11 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
         with pytest.raises(DeviceError, match=f"{path} is no serial port: name a /dev/ttyACMN"):
             open_device(rig_options(path=path), 1000.0)
     with board() as (_, _, cable):
-        with pytest.raises(DeviceBusy, match=rf"{cable.path} is held by process {os.getpid()} \("):
+        with pytest.raises(DeviceBusy, match=rf"{cable.path} is used by process {os.getpid()} \("):
             opened(cable)
         command = [sys.executable, "-c", OPEN, cable.path]
         other = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-        assert other.stdout == f"DeviceBusy {cable.path} is held by process {os.getpid()}\n"
+        assert other.stdout == f"DeviceBusy {cable.path} is used by process {os.getpid()}\n"
         # A program that asks for no lock is kept out by the port itself, unless it runs as root.
         user, mine = os.geteuid(), rig_options(path=cable.path)
         if user == 0:
@@ -41,7 +41,7 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
         try:
             with pytest.raises(OSError, match="Device or resource busy"):
                 os.open(cable.path, os.O_RDWR | os.O_NOCTTY)
-            with pytest.raises(DeviceBusy, match=rf"{cable.path} is held by process {os.getpid()} \("):
+            with pytest.raises(DeviceBusy, match=rf"{cable.path} is used by process {os.getpid()} \("):
                 port.open_port(mine)
         finally:
             os.seteuid(user)
@@ -91,21 +91,21 @@ def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
     monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))
     with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is attached: .*; no serial port on USB is"):
-        port.find(rig_options())
+        port.find_port(rig_options())
     plug_serial(tmp_path, "ttyUSB0", "0403", "6001")
     (tmp_path / discovery.TTY / "ttyS0").mkdir()
     with pytest.raises(DeviceNotFound, match=r"; attached are Teensy \(0403:6001\) at /dev/ttyUSB0$"):
-        port.find(rig_options())
+        port.find_port(rig_options())
     plug_serial(tmp_path, "ttyACM1", "16c0", "0483", "SN42")
-    assert port.find(rig_options(serial="SN42")) == "/dev/ttyACM1"
+    assert port.find_port(rig_options(serial="SN42")) == "/dev/ttyACM1"
     with pytest.raises(DeviceNotFound, match=r"has the serial number 'SN43': attached are 'SN42'"):
-        port.find(rig_options(serial="SN43"))
+        port.find_port(rig_options(serial="SN43"))
     plug_serial(tmp_path, "ttyACM0", "16c0", "0483", "SN43")
-    assert port.find(rig_options(serial="SN43")) == "/dev/ttyACM0"
+    assert port.find_port(rig_options(serial="SN43")) == "/dev/ttyACM0"
     with pytest.raises(
         DeviceNotFound, match=r"2 serial ports are 16c0:0483: name one with serial or path: /dev/ttyACM0"
     ):
-        port.find(rig_options())
+        port.find_port(rig_options())
     with pytest.raises(
         DeviceError, match=r"/dev/ttyUSB0 is the device 0403:6001 \(Teensy\), and the rig is for 16c0:0483"
     ):
@@ -120,15 +120,15 @@ def test_a_board_is_not_known_by_its_ids_alone(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))
     plug_serial(tmp_path, "ttyACM0", "16c0", "0483", "SN1", product="Haply inverse3")
     with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is .*; attached are a Haply Inverse3 "):
-        port.find(rig_options())
+        port.find_port(rig_options())
     with pytest.raises(DeviceNotFound):
-        port.find(rig_options(serial="SN1"))
+        port.find_port(rig_options(serial="SN1"))
     with pytest.raises(DeviceError, match=r"/dev/ttyACM0 is a Haply Inverse3 \('Haply inverse3'\), which"):
         port.open_port(rig_options(path="/dev/ttyACM0"))
     plug_serial(tmp_path, "ttyACM1", "16c0", "0483", "SN2", product="USB Serial")
     said = r"/dev/ttyACM1 may be the device or not: its product is 'USB Serial', .*path = \"/dev/ttyACM1\" under"
     with pytest.raises(DeviceNotFound, match=said):
-        port.find(rig_options())
-    assert port.find(rig_options(serial="SN2")) == "/dev/ttyACM1"
+        port.find_port(rig_options())
+    assert port.find_port(rig_options(serial="SN2")) == "/dev/ttyACM1"
     plug_serial(tmp_path, "ttyUSB0", "0403", "6001")
-    assert port.find(rig_options(vendor_id=0x0403, product_id=0x6001)) == "/dev/ttyUSB0"
+    assert port.find_port(rig_options(vendor_id=0x0403, product_id=0x6001)) == "/dev/ttyUSB0"

@@ -47,7 +47,7 @@ def test_force_moves_the_handle_and_stop_lets_it_go_on() -> None:
         flown = np.diff([servo.read()[1][0] for _ in range(50)])
     # The stop falls before the tick of the last write: the speed is that of 99 ticks.
     np.testing.assert_allclose(flown, 0.099 * 2.0 * 0.001, rtol=1e-9)  # a way of 2e-4 m as a difference of 2e-2 m
-    assert device.written().wrench[-1].tolist() == [0.0] * 6
+    assert device.logged().wrench[-1].tolist() == [0.0] * 6
 
 
 def test_force_is_held_until_the_next_is_written() -> None:
@@ -106,7 +106,7 @@ def test_two_runs_are_equal_to_the_bit() -> None:
                 sample = servo.read()[1]
                 samples.append(sample)
                 servo.write(*(40.0 * (0.015 - x) for x in sample[:3]), 0.0, 0.0, 0.0)
-            runs.append((np.array(samples).tobytes(), device.written().wrench.tobytes()))
+            runs.append((np.array(samples).tobytes(), device.logged().wrench.tobytes()))
     assert runs[0] == runs[1]
 
 

@@ -10,18 +10,18 @@ from references import handle
 from scipy.linalg import expm as scipy_expm
 
 from softfinger.drivers.simulated.plant import (
+    DELAY_LINE_SIZE,
     DELAY_MAX,
-    LINE_SIZE,
+    FLUSH_MAX,
     NO_HAND,
-    SETTLED,
     Handle,
     Impedance,
     Plant,
     PlantState,
     advance,
-    at_rest,
     expm,
     make_plant,
+    make_rest_state,
     sense,
 )
 from softfinger.proxy.kernels.jit.decorators import entry
@@ -58,8 +58,8 @@ class Journey:
         goals = np.zeros((n + 1, 3)) if goals is None else np.ascontiguousarray(goals, dtype=float)
         turns = np.tile(STILL, (n + 1, 1)) if turns is None else np.ascontiguousarray(turns, dtype=float)
         places, self.felt = np.zeros((n, 13)), np.zeros((n, 3))
-        state = at_rest(tuple(goals[0]), tuple(turns[0])) if start is None else start
-        travel(plant, state, commands, goals, turns, np.zeros(LINE_SIZE), places, self.felt)
+        state = make_rest_state(tuple(goals[0]), tuple(turns[0])) if start is None else start
+        travel(plant, state, commands, goals, turns, np.zeros(DELAY_LINE_SIZE), places, self.felt)
         self.x, self.v, self.force, self.q = np.split(places, [3, 6, 9], axis=1)
 
 
@@ -68,7 +68,7 @@ def along_z(values) -> np.ndarray:
 
 
 def moving(v: float) -> PlantState:
-    return at_rest((0.0, 0.0, 0.0))._replace(velocity=(0.0, 0.0, v))
+    return make_rest_state((0.0, 0.0, 0.0))._replace(velocity=(0.0, 0.0, v))
 
 
 @pytest.mark.parametrize("period", [0.01, 0.001, 0.000125])
@@ -86,7 +86,7 @@ def test_damped_mass_runs_down():
     for b in (0.5, 5.0, 8000.0):
         trip = Journey(make_plant(T, Handle((0.2,) * 3, (b,) * 3)), np.zeros((200, 3)), start=moving(0.3))
         t = T * np.arange(1, 201)
-        np.testing.assert_allclose(trip.v[:, 2], 0.3 * np.exp(-b * t / 0.2), rtol=1e-11, atol=SETTLED)
+        np.testing.assert_allclose(trip.v[:, 2], 0.3 * np.exp(-b * t / 0.2), rtol=1e-11, atol=FLUSH_MAX)
         np.testing.assert_allclose(trip.x[:, 2], -0.3 * 0.2 / b * np.expm1(-b * t / 0.2), rtol=1e-12)
 
 
@@ -94,7 +94,7 @@ def test_hand_spring_swings_at_its_frequency():
     """Let go 10 mm from the goal: x = x0 exp(-c t / 2 m) (cos w t + ...), with handle and hand one mass."""
     m, c, k, x0 = 0.2 + 0.1, 1.5, 300.0, 0.01
     plant = make_plant(T, Handle((0.2,) * 3), Impedance(mass=0.1, damping=c, stiffness=k))
-    start = at_rest((0.0, 0.0, 0.0))._replace(position=(0.0, 0.0, x0))
+    start = make_rest_state((0.0, 0.0, 0.0))._replace(position=(0.0, 0.0, x0))
     trip = Journey(plant, np.zeros((2000, 3)), start=start)
     decay = c / (2.0 * m)
     w = sqrt(k / m - decay**2)
@@ -174,6 +174,7 @@ def assert_close(got, want):
     np.testing.assert_allclose(got, want, atol=1e-9 * np.abs(want).max(axis=0).min(), rtol=1e-9)
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("name", list(CASES))
 @pytest.mark.parametrize("period", [0.001, 0.01])
 def test_stick_and_slip_agree_with_a_high_order_integration(name, period):
@@ -184,6 +185,7 @@ def test_stick_and_slip_agree_with_a_high_order_integration(name, period):
     assert_close(got, want)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(12))
 def test_random_handles_agree_with_a_high_order_integration(seed):
     """Masses, frictions, lags and hands over their usual ranges, 8 kHz to 100 Hz: equal to 1e-9 of the motion."""
@@ -203,7 +205,7 @@ def test_nothing_gains_energy_without_a_command():
         friction, lag = rng.choice([0.0, 0.2]), rng.choice([0.0, 0.002])
         alone = Handle((m,) * 3, (rng.uniform(0.0, 2.0),) * 3, (friction,) * 3, lag)
         plant = make_plant(T, alone, Impedance(damping=c, stiffness=k))
-        start = at_rest((0.0, 0.0, 0.0))._replace(position=(0.001, -0.01, 0.02), velocity=(0.3, 0.0, -0.1))
+        start = make_rest_state((0.0, 0.0, 0.0))._replace(position=(0.001, -0.01, 0.02), velocity=(0.3, 0.0, -0.1))
         trip = Journey(plant, np.zeros((800, 3)), start=start)
         energy = 0.5 * m * trip.v**2 + 0.5 * k * trip.x**2
         # Where nothing is lost, rounding alone moves it: some ulps of each tick.
@@ -254,6 +256,7 @@ def test_matrix_exponential_agrees_with_scipy():
     assert np.array_equal(expm(np.zeros((3, 3))), np.eye(3))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("lag", [0.0, 0.02])
 def test_what_decays_comes_to_rest(lag):
     """Pushed for 20 ms and let go, it ends at 0 and not among denormal numbers; before that it decays as it should."""
@@ -261,7 +264,7 @@ def test_what_decays_comes_to_rest(lag):
     commands[:20] = 0.3, -0.2, 0.1
     moved = Journey(make_plant(T, GOOD._replace(damping=(3.0, 8.0, 20.0), lag=lag)), commands)
     for told in (moved.v, moved.force):
-        assert np.all((told == 0.0) | (np.abs(told) >= SETTLED))
+        assert np.all((told == 0.0) | (np.abs(told) >= FLUSH_MAX))
     assert np.all(moved.v[-1] == 0.0) and np.all(moved.force[-1] == 0.0)
     # Half a second after the push nothing but the handle's own damping is left: v falls by exp(-B T / M) a tick.
     assert moved.v[3000, 0] / moved.v[2999, 0] == pytest.approx(np.exp(-3.0 / 0.2 * T), rel=1e-12)

@@ -34,7 +34,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.simulate import with_devices
+from softfinger.server.offline.simulate import simulate_devices
 
 PAST = 350 - 15
 """Counts past the usual deadband at full deflection."""
@@ -63,7 +63,7 @@ class PuckBench(Bench):
         return self.device
 
     def displayed(self) -> tuple[float, ...]:
-        return tuple(self.device.written().wrench[-1].tolist())
+        return tuple(self.device.logged().wrench[-1].tolist())
 
     def make(self, case: str) -> None:
         if case == "lost":
@@ -313,7 +313,7 @@ def test_reports_leave_a_pose_in_the_box(cases: Callable[[int, int], int]) -> No
     assert total.min() > number * 1_000
 
 
-@pytest.mark.parametrize("function", [spacemouse.read, simulated._read_led], ids=["spacemouse", "simulated"])
+@pytest.mark.parametrize("function", [spacemouse.read, simulated._read_led_by_puck], ids=["spacemouse", "simulated"])
 def test_read_calls_libc_alone(function: Any) -> None:
     """Compiled afresh, a read names nothing outside itself but system calls, clock and libm: no allocator, no
     interpreter."""
@@ -354,7 +354,7 @@ def test_a_puck_feels_its_way_through_a_scene() -> None:
         records = np.empty((900, RECORD_SIZE))
         assert servo.records.take(records) == 900
         servo.close()
-        assert not device.written().wrench[-1].any()
+        assert not device.logged().wrench[-1].any()
     engine, compared = Engine(scene), 0
     for row in records:
         position, orientation = row[AT.probe_position :], row[AT.probe_orientation :]
@@ -433,7 +433,7 @@ def test_a_puck_is_the_only_intention() -> None:
             build(SimulatedOptions, {"puck": {}, key: value}, "rig")
     rig = load_rig("simulated-spacemouse")
     with pytest.raises(ConfigError, match="cannot be run without a clock"):
-        whole(with_devices(load_scene("paper-plane"), rig, 0.1))
+        whole(simulate_devices(load_scene("paper-plane"), rig, 0.1))
 
 
 def test_pucks_are_found_and_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ from helpers.serial_devices import PLACE, opened
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.drivers.base import Device
 from softfinger.drivers.hid.device import HidDevice, Options
-from softfinger.drivers.hid.link import pumped
+from softfinger.drivers.hid.link import link_by_threads
 from softfinger.server.driver_contract import PULL, RATE_HZ
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning
@@ -39,7 +39,7 @@ STALL_S = 0.06
 Sent = Callable[[], np.ndarray]
 
 
-class Line:
+class SerialChip:
     """A device, what its board was given ((n, 3) N, in order), and how to make the board stall or answer late."""
 
     def __init__(
@@ -49,7 +49,7 @@ class Line:
 
 
 @contextmanager
-def serial() -> Iterator[Line]:
+def serial() -> Iterator[SerialChip]:
     with Cable(Board(lambda _: PLACE)) as cable, opened(cable, quiet_s=QUIET_S, timeout_s=2.0) as device:
 
         def stall(now: bool) -> None:
@@ -62,11 +62,11 @@ def serial() -> Iterator[Line]:
 
             cable.spoil = slowly
 
-        yield Line(device, lambda: np.array(cable.board.sent).reshape(-1, 7)[:, :3] * 1e-3, stall, late)
+        yield SerialChip(device, lambda: np.array(cable.board.sent).reshape(-1, 7)[:, :3] * 1e-3, stall, late)
 
 
 @contextmanager
-def hid(through: str) -> Iterator[Line]:
+def hid(through: str) -> Iterator[SerialChip]:
     given: list[tuple[int, ...]] = []
     wait = [0.0]
 
@@ -85,8 +85,8 @@ def hid(through: str) -> Iterator[Line]:
     options = build(Options, described(force_max_n=PULL_N, kick_s=QUIET_S, timeout_s=2.0), "rig")
     fd, end = ends()
     with Answering(end, answer) as answering:
-        link = None if through == "node" else pumped(Slow(fd), options)
-        with HidDevice(options, fd) if link is None else HidDevice(options, link.fd, link.pump) as device:
+        link = None if through == "node" else link_by_threads(Slow(fd), options)
+        with HidDevice(options, fd) if link is None else HidDevice(options, link.fd, link.threads) as device:
 
             def stall(now: bool) -> None:
                 answering.deaf.set() if now else answering.deaf.clear()
@@ -94,7 +94,7 @@ def hid(through: str) -> Iterator[Line]:
             def late(by_s: float) -> None:
                 wait[0] = by_s
 
-            yield Line(device, lambda: np.array(given).reshape(-1, 3) * 1e-3, stall, late)
+            yield SerialChip(device, lambda: np.array(given).reshape(-1, 3) * 1e-3, stall, late)
 
 
 WAYS = {"serial": serial, "hid node": lambda: hid("node"), "hid thread": lambda: hid("thread")}
@@ -108,7 +108,7 @@ def pulling(ramp_s: float) -> Tuning:
 
 
 @contextmanager
-def running(line: Line, ramp_s: float) -> Iterator[Servo]:
+def running(line: SerialChip, ramp_s: float) -> Iterator[Servo]:
     """The servo's loop on a line. A tick counts as one, however late a busy machine makes it: changes are per tick."""
     line.device.info = replace(line.device.info, own_clock=True)
     servo = Servo([line.device], pulling(ramp_s), RATE_HZ)
@@ -130,7 +130,7 @@ def until(true: Callable[[], bool]) -> None:
         time.sleep(0.001)
 
 
-def pulls(line: Line) -> bool:
+def pulls(line: SerialChip) -> bool:
     """Whether the board has the whole force now."""
     forces = line.forces()
     return len(forces) > 0 and bool(forces[-1, 2] > 0.99 * PULL_N)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import socket
+import struct
 import sys
 import threading
 import time
@@ -137,6 +138,16 @@ class Service:
         """Text in place of a state."""
         self.copies = 1
         """States for each message."""
+        self.raw: str | None = None
+        """Bytes in hexadecimal digits, sent once to each session in place of a state; the session then goes on."""
+        self.end: str | None = None
+        """How each session ends behind `raw`: "fin" closes the service's half of the connection, "rst" resets it."""
+        self.broken: set[int] = set()
+        """Sessions that were sent `raw`."""
+        self.deaf = False
+        """Reads no further message from any session."""
+        self.streams = False
+        """Sends states unasked, one a millisecond, while it is deaf."""
         self.pages: dict[str, str] = {}
         """Bodies in place of those of HTTP, by path."""
         self.asked: list[str] = []
@@ -145,6 +156,9 @@ class Service:
         """Messages of clients."""
         self.said: list[str] = []
         """The first message of each session."""
+        self.commands: dict[str, list[tuple[float, tuple[float, float, float]]]] = {}
+        """Received forces (N) with their times (s, monotonic clock), in their order, by device. The end of a session is
+        not in here."""
 
     @property
     def force_key(self) -> str:
@@ -172,11 +186,13 @@ class Service:
             for group, devices in self.devices.items():
                 for entry in message.get(group, []):
                     device = devices.get(entry.get("device_id"))
-                    if device is None or device.name in self.gone:
-                        continue
                     force = entry.get("commands", {}).get("set_cursor_force", {}).get(self.force_key)
-                    if force is not None:
-                        device.take(session, (force["x"], force["y"], force["z"]), now, self.idle_s)
+                    if device is None or force is None:
+                        continue
+                    given = (force["x"], force["y"], force["z"])
+                    self.commands.setdefault(device.name, []).append((now, given))
+                    if device.name not in self.gone:
+                        device.take(session, given, now, self.idle_s)
 
     def view(self, session: int, whole: bool) -> str:
         """The inventory, or a state."""
@@ -322,7 +338,11 @@ class Connection:
                         service.hear(session, text)
                         if service.late_s:
                             time.sleep(service.late_s)
-                        if not service.mute:
+                        if service.raw is not None and session not in service.broken:
+                            service.broken.add(session)
+                            if self._break():
+                                return
+                        elif not service.mute:
                             for _ in range(service.copies):
                                 self._say(service.view(session, whole=False))
                 for data in protocol.data_to_send():
@@ -330,11 +350,26 @@ class Connection:
                         return
                     self.end.sendall(data)
                 data = self.end.recv(65536)
+                while service.deaf:
+                    time.sleep(1e-3)
+                    if service.streams:
+                        self._say(service.view(session, whole=False))
+                        self.end.sendall(b"".join(protocol.data_to_send()))
                 if not data:
                     return
                 protocol.receive_data(data)
         finally:
             service.leave(session)
+
+    def _break(self) -> bool:
+        """Send `raw`, and end the connection as `end` says; True if nothing more can be read from it."""
+        self.end.sendall(bytes.fromhex(self.service.raw or ""))
+        if self.service.end == "fin":
+            self.end.shutdown(socket.SHUT_WR)
+        if self.service.end == "rst":
+            self.end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            self.end.close()
+        return self.service.end == "rst"
 
     def _say(self, text: str) -> None:
         self.protocol.send_text((text if self.service.spoil is None else self.service.spoil).encode())
@@ -376,6 +411,8 @@ class Desk:
                 case "log":
                     self._device(line["id"]).force(time.monotonic())
                     return self._device(line["id"]).log
+                case "commands":
+                    return service.commands.get(line["id"], [])
                 case "settings":
                     return self._device(line["id"]).settings
                 case "seen":
@@ -391,15 +428,18 @@ def main() -> None:
     parser.add_argument("--version", default="3.5.0")
     parser.add_argument("--idle", type=float, default=IDLE_S, metavar="S")
     parser.add_argument("--port", type=int, default=0)
+    parser.add_argument("--room", type=int, metavar="BYTES", help="receive buffer; the system's default without it")
     parser.add_argument("--device", action="append", default=[], metavar="GROUP:ID")
     parser.add_argument("--grip", action="append", default=[], metavar="GROUP:ID")
     args = parser.parse_args()
     service = Service(args.version, args.device, args.grip, args.idle)
     listener = socket.create_server(("127.0.0.1", args.port))
+    if args.room is not None:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, args.room)
 
     def listen() -> None:
         while True:
-            end, _ = listener.accept()
+            end, _ = listener.accept()  # with the buffer sizes of its listener
             end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             threading.Thread(target=Connection(service, end).run, daemon=True).start()
 

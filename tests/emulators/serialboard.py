@@ -7,10 +7,13 @@ handle by one millisecond, so that a slow connection changes no physics.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import select
+import termios
 import threading
 import time
+from array import array
 from collections.abc import Callable
 from contextlib import suppress
 from math import atan2, hypot
@@ -83,6 +86,8 @@ class Cable:
         self._deaf, self._reading, self._saying = False, threading.Lock(), threading.Lock()
         self.spoil: Callable[[bytes], bytes] = bytes
         """What the line does to an answer."""
+        self.came = 0
+        """Bytes read from the line."""
         self.heard = 0
         """Bytes heard and answered."""
         self._pulled = threading.Event()
@@ -98,7 +103,9 @@ class Cable:
                 continue
             with self._reading:
                 if not self._deaf:
-                    rest += os.read(self._far, 4096)
+                    data = os.read(self._far, 4096)
+                    self.came += len(data)
+                    rest += data
             while b"\n" in rest:
                 line, rest = rest[: rest.index(b"\n") + 1], rest[rest.index(b"\n") + 1 :]
                 answer = self.board.answer(line)
@@ -106,6 +113,12 @@ class Cable:
                     if not self.mute.is_set():
                         self.say(self.spoil(answer))
                 self.heard += len(line)
+
+    def sent_to(self) -> int:
+        """Return the number of bytes that the host has written so far, read by the board or not."""
+        waiting = array("i", [0])
+        fcntl.ioctl(self._far, termios.FIONREAD, waiting)
+        return waiting[0] + self.came
 
     def hear(self, now: bool) -> None:
         """Whether the board reads; it reads nothing more once this has returned."""

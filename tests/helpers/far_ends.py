@@ -29,7 +29,7 @@ from helpers.drd_stub import Stub, StubBench
 from helpers.hd_stub import SOURCE as HD
 from helpers.hd_stub import HdStub, TouchBench
 from helpers.hid_devices import woody
-from helpers.serial_devices import board, settle
+from helpers.serial_devices import at_rest, board, settle
 from softfinger.config.load import build
 from softfinger.drivers.base import Device
 from softfinger.drivers.replay import device as replay
@@ -49,6 +49,7 @@ class FarEnd(NamedTuple):
     handover  ticks that a force may be on its way to the motors
     most      what the guard lets through, as `received` has it
     withholds whether the driver gives zero by itself while nobody reads its answers
+    hush      makes the device hear on and answer no more; None where it has no such fault
     """
 
     device: Device
@@ -56,6 +57,7 @@ class FarEnd(NamedTuple):
     handover: int = 1
     most: float = 12.0
     withholds: bool = False
+    hush: Callable[[], object] | None = None
 
 
 class Timed(list[Any]):
@@ -105,7 +107,7 @@ TIMELESS = ("replay", "simulated")
 
 def logged(device: Any) -> NDArray[np.float64]:
     """The log of a device without a far end of its own."""
-    forces = device.written().wrench[:, :3]
+    forces = device.logged().wrench[:, :3]
     return rows(np.full(len(forces), np.nan), forces)
 
 
@@ -115,33 +117,33 @@ def swaying(t: float) -> tuple[float, float, float]:
 
 
 @contextmanager
-def serial_board(tmp_path: Path) -> Iterator[FarEnd]:
+def serial_board(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
     """WoodenHaptics' third generation behind a pseudo terminal."""
-    with board(swaying, timeout_s=2.0) as (device, far, cable):
+    with board(swaying, **{"timeout_s": 2.0, **keys}) as (device, far, cable):
         far.sent = Timed()
 
         def received() -> NDArray[np.float64]:
             settle(device, cable)
             return rows(far.sent.times, np.array(far.sent, float).reshape(-1, 7)[:, :3] * 1e-3)
 
-        yield FarEnd(device, received)
+        yield FarEnd(device, received, hush=cable.hush)
 
 
 @contextmanager
-def hid_arm(tmp_path: Path) -> Iterator[FarEnd]:
+def hid_arm(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
     """An arm behind a packet socket; its motors are given A."""
-    with woody(intention=swaying, timeout_s=2.0) as (device, arm, answering):
+    with woody(intention=swaying, **{"timeout_s": 2.0, **keys}) as (device, arm, answering):
         arm.sent = Timed()
 
         def received() -> NDArray[np.float64]:
             answering.settle(device)
             return rows(arm.sent.times, np.array(arm.sent, float)[:, :3] * 1e-3)
 
-        yield FarEnd(device, received, withholds=True)
+        yield FarEnd(device, received, withholds=True, hush=answering.mute.set)
 
 
 @contextmanager
-def falcon(tmp_path: Path) -> Iterator[FarEnd]:
+def falcon(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
     """A Falcon behind libusb."""
     needs(COMPILER, NO_COMPILER)
     library = compiled(usb_stub.SOURCE, usb_stub.SONAME)
@@ -149,9 +151,9 @@ def falcon(tmp_path: Path) -> Iterator[FarEnd]:
     stub.reset()
     stub.update(z=0.008, press=0.003, drag=0.01)
     bench = usb_stub.FalconBench(stub)
-    with usb_stub.in_place_of_libusb(library), bench.open(kick_s=0.15, timeout_s=2.0) as device:
+    with usb_stub.in_place_of_libusb(library), bench.open(**{"kick_s": 0.15, "timeout_s": 2.0, **keys}) as device:
         stub["logged"] = 0
-        yield FarEnd(device, lambda: rows(stub.times(), stub.log()[:, :3]))
+        yield FarEnd(device, lambda: rows(stub.times(), stub.log()[:, :3]), hush=lambda: bench.make("timeout"))
 
 
 @contextmanager
@@ -182,16 +184,16 @@ def open_haptics(tmp_path: Path) -> Iterator[FarEnd]:
 
 
 @contextmanager
-def haply(tmp_path: Path) -> Iterator[FarEnd]:
+def haply(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
     """An Inverse3 behind the emulated service, a process of its own."""
-    with haply_devices.Service() as service, haply_devices.opened(service) as device:
+    with haply_devices.Service() as service, haply_devices.opened(service, **keys) as device:
         service.do("hand", id=haply_devices.ID, at=[0.0, 0.0, 0.008], press=0.003, drag=0.01)
 
         def received() -> NDArray[np.float64]:
             haply_devices.settle(device)
             return np.array(service.log())
 
-        yield FarEnd(device, received, handover=2)
+        yield FarEnd(device, received, handover=2, hush=lambda: service.set(mute=True))
 
 
 class Given(Firmware):
@@ -207,27 +209,35 @@ class Given(Firmware):
 
 
 @contextmanager
-def two_diy(tmp_path: Path) -> Iterator[FarEnd]:
+def two_diy(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
     """A Haply 2DIY behind a pseudo terminal, its fingertip in the floor; its motors are given N m."""
     firmware = Given()
-    with Port(firmware) as port, described_boards.opened("haply-2diy", port.path, timeout_s=2.0) as device:
+    with (
+        Port(firmware) as port,
+        described_boards.opened("haply-2diy", port.path, **{"timeout_s": 2.0, **keys}) as device,
+    ):
         firmware.angles = [142.0, 38.0]
 
         def received() -> NDArray[np.float64]:
             written = device.counts()["written"]
-            described_boards.settled(lambda: firmware.taken, lambda taken: taken >= written)
+            described_boards.settled(
+                lambda: firmware.taken, lambda taken: taken >= written or at_rest(lambda: firmware.taken)
+            )
             return rows(firmware.given.times, firmware.given)
 
-        yield FarEnd(device, received, most=2.0 * TORQUE_MAX)
+        yield FarEnd(device, received, most=2.0 * TORQUE_MAX, hush=port.mute.set)
 
 
 @contextmanager
-def hapkit(tmp_path: Path) -> Iterator[FarEnd]:
+def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
     """A Hapkit with its sketch behind a pseudo terminal, in the floor, with a hand that trembles; its motor is given
     N m. Its log has changes alone."""
     needs(CXX, NO_CXX)
     done = threading.Event()
-    with Hapkit(sketch_library()) as sketch, described_boards.opened("hapkit", sketch.path, timeout_s=2.0) as device:
+    with (
+        Hapkit(sketch_library()) as sketch,
+        described_boards.opened("hapkit", sketch.path, **{"timeout_s": 2.0, **keys}) as device,
+    ):
         sketch.turn(0.094)
 
         def tremble() -> None:
@@ -242,7 +252,7 @@ def hapkit(tmp_path: Path) -> Iterator[FarEnd]:
             return rows(*zip(*sketch.changes(), strict=True))
 
         try:
-            yield FarEnd(device, received, most=0.03)
+            yield FarEnd(device, received, most=0.03, hush=sketch.mute)
         finally:
             done.set()
             hand.join()

@@ -59,6 +59,21 @@ PLY: Final = [
     + b"".join(struct.pack("<3f", *corner) for corner in _CORNERS)
     + b"".join(struct.pack("<B3i", 3, *face) for face in _FACES),
 ]
+_GLB_POINTS: Final = b"".join(struct.pack("<3f", *corner) for corner in _CORNERS)
+_GLB_JSON: Final = (
+    b'{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0,"scale":[1,1,2],"children":[1]},{"mesh":0}],'
+    b'"meshes":[{"primitives":[{"attributes":{"POSITION":0},"indices":1,"mode":4}]}],"buffers":[{"byteLength":60}],'
+    b'"accessors":[{"bufferView":0,"componentType":5126,"count":4,"type":"VEC3"},'
+    b'{"bufferView":1,"componentType":5121,"count":12,"type":"SCALAR"}],'
+    b'"bufferViews":[{"buffer":0,"byteLength":48},{"buffer":0,"byteOffset":48,"byteLength":12}]}   '
+)
+GLB: Final = (
+    struct.pack("<4sIIII", b"glTF", 2, 28 + len(_GLB_JSON) + 60, len(_GLB_JSON), 0x4E4F534A)
+    + _GLB_JSON
+    + struct.pack("<II", 60, 0x4E4942)
+    + _GLB_POINTS
+    + bytes(corner for face in _FACES for corner in face)
+)
 
 
 def pictures() -> list[bytes]:
@@ -134,9 +149,9 @@ def _hid(_: Path, data: bytes) -> None:
 
 
 def _descriptor(_: Path, data: bytes) -> None:
-    from softfinger.drivers.system.descriptor import announced
+    from softfinger.drivers.system.descriptor import parse_descriptor
 
-    assert len(str(announced(data))) < 100_000
+    assert len(str(parse_descriptor(data))) < 100_000
 
 
 def _serial_text(_: Path, data: bytes) -> None:
@@ -147,7 +162,7 @@ def _serial_text(_: Path, data: bytes) -> None:
         piece = data[start : start + 200]
         buffer = np.zeros(frames.LOOKBACK + 256, np.uint8)
         buffer[frames.LOOKBACK : frames.LOOKBACK + len(piece)] = np.frombuffer(piece, np.uint8)
-        taken = frames.take(buffer.ctypes.data, len(piece), scratch, newest)
+        taken = frames.decode_stream(buffer.ctypes.data, len(piece), scratch, newest)
         _finite_or_refused(taken > 0, newest.tolist())
 
 
@@ -161,14 +176,14 @@ def _serial_described(_: Path, data: bytes) -> None:
         options = build(Options, load_rig(rig).device.options, rig)
         assert options.frames is not None
         frame = options.frames.input
-        shape, fields = packets.shape_of(frame, False), table.input_table(frame.field)
+        shape, fields = packets.make_shape(frame, False), table.input_table(frame.field)
         numbers = np.zeros(table.SENSED_SIZE), np.zeros(table.SENSED_SIZE)
         buffer = np.zeros(len(data) + frame.bytes, np.uint8)
         buffer[: len(data)] = np.frombuffer(data, np.uint8)
         where = (fields.ctypes.data, len(fields), np.zeros(1, np.int64).ctypes.data)
         for aligned in (False, True):
             filled = np.array([len(data)])
-            taken = packets.take(buffer.ctypes.data, filled, aligned, shape.ctypes.data, where, numbers)
+            taken = packets.decode_stream(buffer.ctypes.data, filled, aligned, shape.ctypes.data, where, numbers)
             assert 0 <= filled[0] <= len(data)
             _finite_or_refused(taken > 0, numbers[1].tolist())
 
@@ -182,7 +197,7 @@ def _falcon(_: Path, data: bytes) -> None:
     real = block.word.view(np.float64)
     real[AT.position : AT.position + 3] = real[AT.centre : AT.centre + 3] = delta.HOME
     for byte in data:
-        if reply.feed(block.handle, byte):
+        if reply.process_byte(block.handle, byte):
             reply.pose(block.handle)
             place = real[AT.sample : AT.sample + 3].tolist()
             assert all(map(isnan, place)) or hypot(*place) < 1.0, place
@@ -209,7 +224,7 @@ def _frames(_: Path, data: bytes) -> None:
     theirs = Block(dhd.AT)
     theirs.numbers(dhd.AT.frame, 12)[:] = given[:12]
     sample = np.zeros(9)
-    forcedimension._take_frame(theirs.handle, sample)
+    forcedimension._convert_pose(theirs.handle, sample)
     _turned_or_nothing(sample[3:7].tolist())
     theirs = Block(hd.AT)
     theirs.numbers(hd.AT.position, 3)[:] = given[:3]
@@ -233,9 +248,9 @@ def _haply_seeds() -> list[bytes]:
 
 
 def _haply(_: Path, data: bytes) -> None:
-    from softfinger.drivers.haply.messages import Malformed, Which, read_inventory, read_state
+    from softfinger.drivers.haply.messages import DeviceRef, Malformed, read_inventory, read_state
 
     with suppress(Malformed):
         read_inventory(data)
-    seen = read_state(data, Which("inverse3", "049D"), Which("wireless_verse_grip", "7"))
+    seen = read_state(data, DeviceRef("inverse3", "049D"), DeviceRef("wireless_verse_grip", "7"))
     assert hypot(*seen.position) <= 10.0 or all(map(isnan, seen.position)), seen

@@ -117,7 +117,7 @@ def _records() -> Any:
 
 
 def _results(path: Path) -> None:
-    from softfinger.server.offline.results import write_results
+    from softfinger.server.recording.results import write_results
 
     write_results(path, _records())
 
@@ -142,12 +142,12 @@ def targets() -> dict[str, Target]:
     from softfinger.config.arrays.grids import read_grid
     from softfinger.config.errors import ConfigError, RecordingError
     from softfinger.config.load import load_faults, load_rig, load_scene
-    from softfinger.config.mjcf import read_model
+    from softfinger.config.mjcf import compiled
     from softfinger.drivers.poses import load_poses
     from softfinger.proxy.meshes.reading import arrays_of
-    from softfinger.server.offline.results import read_results
     from softfinger.server.recording.compare import FIELDS
-    from softfinger.server.recording.reader import contents
+    from softfinger.server.recording.reader import read_contents
+    from softfinger.server.recording.results import read_results
     from softfinger.server.recording.run import load_run
     from softfinger.server.recording.summary import summary
     from softfinger.server.wire.envelope import Declined, parse
@@ -155,7 +155,7 @@ def targets() -> dict[str, Target]:
     config, recording = (ConfigError,), (RecordingError,)
 
     def every(path: Path, _: bytes) -> None:
-        for read in (lambda: list(contents(path)), lambda: summary(path), lambda: load_run(path, FIELDS)):
+        for read in (lambda: list(read_contents(path)), lambda: summary(path), lambda: load_run(path, FIELDS)):
             try:
                 read()
             except RecordingError as error:
@@ -172,10 +172,11 @@ def targets() -> dict[str, Target]:
         "results-csv": Target(_written(_results, ".csv"), lambda path, _: read_results(path), recording, ".csv"),
         "results-mcap": Target(_written(_results, ".mcap"), lambda path, _: read_results(path), recording, ".mcap"),
         "recording": Target(_written(_run, ".mcap"), every, recording, ".mcap"),
-        "mjcf": Target(lambda: packets.MODELS, lambda path, _: read_model(str(path)), config, ".xml"),
+        "mjcf": Target(lambda: packets.MODELS, lambda path, _: compiled(str(path)), config, ".xml"),
         "mesh-stl": Target(lambda: packets.STL, arrays_of, config, ".stl"),
         "mesh-obj": Target(lambda: packets.OBJ, arrays_of, config, ".obj"),
         "mesh-ply": Target(lambda: packets.PLY, arrays_of, config, ".ply"),
+        "mesh-glb": Target(lambda: [packets.GLB], arrays_of, config, ".glb"),
         "grid-png": Target(packets.pictures, lambda path, _: read_grid(path), config, ".png"),
         "grid-npy": Target(packets.arrays, lambda path, _: read_grid(path), config, ".npy"),
         "command": Target(packets.commands, lambda _, data: parse(data), (Declined,), named=False),

@@ -24,11 +24,12 @@ class Service:
 
     def __init__(
         self, version: str = "3.5.0", devices: tuple[str, ...] = (f"inverse3:{ID}",), grips: tuple[str, ...] = (),
-        port: int = 0, idle_s: float = 60.0,
+        port: int = 0, idle_s: float = 60.0, room: int | None = None,
     ) -> None:  # fmt: skip
-        """`idle_s`: so long that a zero in the log is the driver's, or the end of its session."""
+        """`idle_s`: so long that a zero in the log is the driver's, or the end of its session; `room`: bytes of its
+        receive buffer."""
         command = [sys.executable, "-m", "emulators.haply_service", "--version", version, "--port", str(port)]
-        command += ["--idle", str(idle_s)]
+        command += ["--idle", str(idle_s), *([] if room is None else ["--room", str(room)])]
         for option, names in (("--device", devices), ("--grip", grips)):
             command += [word for name in names for word in (option, name)]
         path = os.pathsep.join(filter(None, (str(TESTS), os.environ.get("PYTHONPATH"))))
@@ -54,6 +55,10 @@ class Service:
     def log(self, name: str = ID) -> list[list[float]]:
         """Times (s, monotonic clock) and forces (N) of a device so far."""
         return self.do("log", id=name)  # type: ignore[no-any-return]
+
+    def commands(self, name: str = ID) -> list[tuple[float, list[float]]]:
+        """Return times (s, monotonic clock) and forces (N) that the service received for a device."""
+        return self.do("commands", id=name)  # type: ignore[no-any-return]
 
     def kill(self) -> None:
         self.process.kill()
@@ -90,7 +95,7 @@ def opened(service: Service, **changes: Any) -> HaplyDevice:
 def settle(device: HaplyDevice) -> None:
     """Wait until the service has answered the newest wrench of the loop, or never will."""
     until = time.monotonic() + 5.0
-    while not device.settled() and time.monotonic() < until:
+    while not device.is_settled() and time.monotonic() < until:
         time.sleep(0.0005)
 
 

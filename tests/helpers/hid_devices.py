@@ -23,7 +23,7 @@ from emulators.woodenhaptics import Woody
 
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.hid.device import HidDevice, Options
-from softfinger.drivers.hid.link import pumped
+from softfinger.drivers.hid.link import link_by_threads
 
 RIGS = {
     "woodenhaptics-2019": "woody-2019",
@@ -105,8 +105,8 @@ class Answering:
         """Wait until every report of the driver has been taken, and answered."""
         until = time.monotonic() + 10.0
         sent = device.counts()["written"]
-        if device.pump is not None:
-            assert device.pump.flush(sent, until), "hidapi does not take the driver's reports"
+        if device.threads is not None:
+            assert device.threads.flush(sent, until), "hidapi does not take the driver's reports"
         while self.answered < sent:
             assert time.monotonic() < until, "the emulated device does not take its reports"
             time.sleep(0.0002)
@@ -169,8 +169,8 @@ def opened(options: Options, fd: int, through: str = "node") -> HidDevice:
     """The driver on an end of a packet socket: as a node, or through threads at hidapi's calls."""
     if through == "node":
         return HidDevice(options, fd)
-    link = pumped(Api(fd), options)
-    return HidDevice(options, link.fd, link.pump)
+    link = link_by_threads(Api(fd), options)
+    return HidDevice(options, link.fd, link.threads)
 
 
 def ends() -> tuple[int, socket.socket]:

@@ -13,13 +13,13 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Faults
 from softfinger.drivers.base import Device
-from softfinger.drivers.injected import Injected
+from softfinger.drivers.injected import FaultInjector
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.recording.reader import End, Event, Ticks, contents
+from softfinger.server.recording.reader import End, Event, Ticks, read_contents
 from softfinger.server.recording.recorder import Recorder
 from softfinger.server.services.supervisor import Supervisor
 
@@ -40,12 +40,21 @@ class Seen(NamedTuple):
     times: np.ndarray
 
 
-def run(device: Device, faults: list[dict[str, Any]], ticks: int, rate_hz: float, folder: Path) -> Seen:
+def run(
+    device: Device,
+    faults: list[dict[str, Any]],
+    ticks: int,
+    rate_hz: float,
+    folder: Path,
+    each: Callable[[int], object] = lambda _: None,
+) -> Seen:
     """Run so many ticks on the paper's plane, with everything that watches over them; the device is closed in the end.
 
     folder  for the recording
+    each    called with the ticks done so far, whenever some are
     """
-    injected = Injected(device, build(Faults, {"fault": faults}, "faults"), rate_hz)
+    never = [{"kind": "stale", "at_tick": ticks + 1}]
+    injected = FaultInjector(device, build(Faults, {"fault": faults or never}, "faults"), rate_hz)
     guard = load_rig("replay", {"guard.ramp_s": RAMP_S, "guard.frozen_s": FROZEN_S}).guard
     servo = s.Servo([injected], make_tuning(load_scene("paper-plane"), guard, [injected.info]), rate_hz, ticks)
     servo.compile()
@@ -59,7 +68,7 @@ def run(device: Device, faults: list[dict[str, Any]], ticks: int, rate_hz: float
     path = folder / "run.mcap"
     recorder = Recorder(path.open("wb", buffering=0), [""], {}, lambda *_: None, GUARD_NAMES)
     supervisor = Supervisor(servo, fail, lambda kind, name, **_: told.append(name))
-    reader = threading.Thread(target=_hand_on, args=(servo, recorder.take))
+    reader = threading.Thread(target=_hand_on, args=(servo, recorder.take, each))
     try:
         servo.start()
         supervisor.start()
@@ -81,19 +90,20 @@ def run(device: Device, faults: list[dict[str, Any]], ticks: int, rate_hz: float
     return Seen(error, events + told, done, recorded, recorded[:, AT.timestamp] - epoch_s)
 
 
-def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None]) -> None:
+def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None], each: Callable[[int], object]) -> None:
     out = np.empty((1024, RECORD_SIZE))
     running = True
     while running:
         servo.records.wait()
         running = servo.running
+        each(servo.ticks)
         while (count := servo.records.take(out)) > 0:
             take(out[:count])
 
 
 def read(path: Path) -> tuple[list[str], np.ndarray]:
     """Names of a whole recording's events, and its ticks."""
-    parts = list(contents(path))
+    parts = list(read_contents(path))
     (end,) = [part for part in parts if isinstance(part, End)]
     assert end.cut == ""
     ticks = [part.records() for part in parts if isinstance(part, Ticks)]

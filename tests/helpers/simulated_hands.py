@@ -9,15 +9,15 @@ import numpy as np
 
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema.pairing import pair
-from softfinger.drivers.simulated.options import Options, simulation
-from softfinger.drivers.simulated.plant import LINE_SIZE, Drive
+from softfinger.drivers.simulated.options import Options, make_simulation
+from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, PlantInputs
 from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.closed_loop import Held, record_ticks
+from softfinger.server.offline.closed_loop import DrivenPlant, record_ticks
 
 DT = 1e-3
 
@@ -36,10 +36,11 @@ class SimulatedHands:
         owner = tuning.scene.bodies.block.owner
         self.model, self.data = owner.model, owner.data
         pairs = pair(scene, rig)
-        devices = [simulation(build(Options, each.device.options, each.table), 1.0 / DT) for each in pairs]
+        devices = [make_simulation(build(Options, each.device.options, each.table), 1.0 / DT) for each in pairs]
         self._names = [each.finger for each in pairs]
         self._hands = tuple(
-            Held(each.plant, Drive(each.intention, each.poses, np.zeros(LINE_SIZE))) for each in devices
+            DrivenPlant(each.plant, PlantInputs(each.intention, each.poses, np.zeros(DELAY_LINE_SIZE)))
+            for each in devices
         )
         self._tuning, self._memory = packed(tuning), packed(begin(tuning.scene))
         self._states = packed(tuple(each.state for each in devices))

@@ -1,9 +1,9 @@
 """Real-time tests on a machine that may stand still: one that failed meanwhile is run again, once it has come to rest.
 
-Programs that only sleep tell, one on each processor, since a host may stop them one by one: each wakes every
-millisecond, and the longest that it overslept is the machine's doing. A test that fails on a machine that kept time has
-failed, and so has one that failed three times while the machine stood still. The end of the run names every test that
-was run again, and what it said.
+Programs that only sleep measure that, one on each processor, since a host may stop them one by one: each wakes every
+4 ms, and the longest time from one wake-up to the next includes every stall. A test that fails on a machine that kept
+time has failed, and so has one that failed three times while the machine stood still. The end of the run names every
+test that was run again, and what it said.
 
 Two more ways out, both of them told as skipped. `--put-off FILE` is for a run beside which others compute: a test that
 would fail is named in FILE, for a run beside which nothing does, and which alone decides. And where the host of a
@@ -27,8 +27,9 @@ from _pytest.runner import runtestprotocol
 
 TURNS = 3
 STALL_S = 0.01
-"""Ten ticks, a third of the shortest pause at which a driver withholds the force (drivers/pause.py). A scheduler's turn
-among the four programs of such a test takes some 5 ms."""
+"""From one wake-up to the next: ten ticks, a third of the shortest pause at which a driver withholds the force
+(drivers/pause.py). A sleeper sleeps for 4 ms of it, and a scheduler's turn among the four programs of a test takes some
+5 ms. A stall of 10 ms is in one such time, whenever it begins."""
 
 REST_S = 0.5
 """How long a machine is to keep time before a test is run again."""
@@ -46,9 +47,9 @@ import os, select, sys, time
 os.sched_setaffinity(0, {int(sys.argv[1])})
 longest, before = 0.0, time.monotonic()
 while True:
-    asked = bool(select.select([sys.stdin], [], [], 0.001)[0])
+    asked = bool(select.select([sys.stdin], [], [], 0.004)[0])
     now = time.monotonic()
-    longest, before = max(longest, now - before - 0.001), now
+    longest, before = max(longest, now - before), now
     if asked:
         if not sys.stdin.readline():
             break
@@ -58,17 +59,17 @@ while True:
 
 
 class Sleepers:
-    """The programs that oversleep; they end with the process that started them."""
+    """The programs that sleep; they end with the process that started them."""
 
     def __init__(self) -> None:
         pipe = subprocess.PIPE
         self._programs = [
-            subprocess.Popen([sys.executable, "-c", _SLEEPER, str(processor)], stdin=pipe, stdout=pipe)
+            subprocess.Popen([sys.executable, "-S", "-c", _SLEEPER, str(processor)], stdin=pipe, stdout=pipe)
             for processor in sorted(os.sched_getaffinity(0))
         ]
 
     def longest_s(self) -> float:
-        """The longest that one overslept since they were last asked, s."""
+        """Return the longest time between two wake-ups of a sleeper since the last call, s."""
         for program in self._programs:
             assert program.stdin is not None
             program.stdin.write(b"\n")

@@ -19,7 +19,7 @@ from scipy.special import ellipk
 
 from softfinger.config.errors import ConfigError, SafetyStop
 from softfinger.config.load import load_scene
-from softfinger.config.mjcf import taken
+from softfinger.config.mjcf_geoms import taken
 from softfinger.proxy.bodies import RigidBodies, bodies_of
 from softfinger.proxy.engine import Engine, PoseError
 from softfinger.proxy.kernels.fingers import poses_in
@@ -142,7 +142,9 @@ def test_without_torsion_it_swings_as_a_pendulum_does(tmp_path: Path) -> None:
     assert abs(tilt(engine)) > 0.5 or len(turns) > 1  # it swings on
 
 
-@pytest.mark.parametrize("model_of_torsion", ["independent", "limit_surface"])
+@pytest.mark.parametrize(
+    "model_of_torsion", [pytest.param("independent", marks=pytest.mark.exhaustive), "limit_surface"]
+)
 def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path) -> None:
     """Pulled with 60 % of the friction cone and twisted more and more: at the torsional limit, or at what the limit
     surface leaves of it; and pulled alone, at the cone. To 1 %."""
@@ -195,7 +197,10 @@ def test_what_a_finger_feels_its_body_is_given(tmp_path: Path) -> None:
 
 
 REST = pytest.mark.exhaustive
-BODIES = [(0.01, 1), (0.001, 4), *(pytest.param(mass, 1, marks=REST) for mass in (0.03, 0.1, 0.3, 1.0))]
+BODIES = [
+    (0.01, 1),
+    *(pytest.param(*case, marks=REST) for case in ((0.001, 4), (0.03, 1), (0.1, 1), (0.3, 1), (1.0, 1))),
+]
 """Masses, kg, and substeps."""
 
 
@@ -221,6 +226,7 @@ def test_a_held_body_comes_to_rest(mass: float, substeps: int, stiffness: float,
     assert max(fastest[-windows // 4 :]) < 0.8 * max(fastest[: windows // 4]) < 0.8
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("mass", "stiffness"),
     [(1.0, 3000.0), *(pytest.param(*case, marks=REST) for case in ((1.0, 1000.0), (0.3, 3000.0)))],
@@ -377,18 +383,69 @@ HOSTILE = {
         '<mujoco><include file="inner.xml"/></mujoco>',
         "outside of its folder",
     ),
-    "a folder outside": ('<mujoco><compiler meshdir="/etc"/></mujoco>', "outside of its folder"),
-    "another time step": (f"<mujoco><worldbody>{BALL}</worldbody></mujoco>", "0.002 s"),
-    "too many bodies": (f"<mujoco>{OPTION}<worldbody>{BALL * 10000}</worldbody></mujoco>", "10000 bodies"),
+    "a folder outside": (
+        '<mujoco><compiler meshdir="/etc"/><asset><mesh name="m" file="hosts.stl"/></asset></mujoco>',
+        "outside of its folder",
+    ),
+    "too many bodies": (f"<mujoco>{OPTION}<worldbody>{BALL * 6000}</worldbody></mujoco>", "1,001 bodies"),
     "too many bodies in a few words": (
         f'<mujoco>{OPTION}<worldbody><replicate count="1100" offset="1 0 0">{BALL}</replicate></worldbody></mujoco>',
-        "1100 bodies",
+        "1,100 bodies",
+    ),
+    "too many bodies by copies of copies": (
+        f'<mujoco>{OPTION}<worldbody><replicate count="100"><replicate count="100">{BALL}</replicate></replicate>'
+        "</worldbody></mujoco>",
+        "10,000 bodies",
+    ),
+    "too many bodies by an included file": (
+        f'<mujoco>{OPTION}<worldbody><replicate count="2000"><include file="ball.xml"/></replicate></worldbody>'
+        "</mujoco>",
+        "bodies or more; at most 1,000",
+    ),
+    "a file that includes itself": ('<mujoco><include file="hostile.xml"/></mujoco>', "with all that it includes"),
+    "too many bodies by an attached model": (
+        f'<mujoco>{OPTION}<asset><model name="m" file="model.xml"/></asset><worldbody><replicate count="400">'
+        '<attach model="m" prefix="p"/></replicate></worldbody></mujoco>',
+        "bodies or more; at most 1,000",
+    ),
+    "a file outside of an attached model": (
+        '<mujoco><asset><model name="m" file="outer.xml"/></asset>'
+        '<worldbody><frame><attach model="m" body="b" prefix="p"/></frame></worldbody></mujoco>',
+        "outside of its folder",
+    ),
+    "too many bodies of a flexible one": (
+        f'<mujoco>{OPTION}<worldbody><flexcomp name="f" type="grid" count="20 20 20" spacing=".1 .1 .1" dim="3"/>'
+        "</worldbody></mujoco>",
+        "8,000 bodies",
+    ),
+    "too fine a flexible body": (
+        f'<mujoco>{OPTION}<worldbody><flexcomp name="f" type="grid" count="60 60 60" spacing=".1 .1 .1" dim="3" '
+        'dof="trilinear"/></worldbody></mujoco>',
+        "count = 216,000; at most 16,000",
+    ),
+    "too many sites by copies": (
+        '<mujoco><worldbody><replicate count="10000"><site size="0.1"/></replicate></worldbody></mujoco>',
+        "10,000 copies of elements or more; at most 5,000",
+    ),
+    "too many elements": (f"<mujoco>{'<site/>' * 500_000}</mujoco>", "more than 20,000 elements"),
+    "a height field of 14 GB": (
+        '<mujoco><asset><hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/></asset></mujoco>',
+        "nrow x ncol = 3,600,000,000; at most 1,048,576",
+    ),
+    "a texture of 10 GB": (
+        '<mujoco><asset><texture name="t" type="2d" builtin="flat" width="60000" height="60000"/></asset></mujoco>',
+        "width x height = 3,600,000,000; at most 16,777,216",
+    ),
+    "numbers of the user for each body": ('<mujoco><size nuser_body="100000"/></mujoco>', "at most 1,000"),
+    "vertices in the model": (
+        f'<mujoco><asset><mesh name="m" vertex="{"0 1 2 " * 200_000}"/></asset></mujoco>',
+        "put it in a file",
     ),
     "bodies that overlap at the start, in too little memory": (
         f'<mujoco><size memory="30K"/>{OPTION}<worldbody>'
         + '<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>' * 4
         + "</worldbody></mujoco>",
-        "cannot be simulated as it begins: {'constraints full'",
+        "cannot be simulated from its initial state: {'constraints full'",
     ),
     "an inertia of which a part is none": (
         f'<mujoco>{OPTION}<worldbody><body><freejoint/><inertial pos="0 0 0" mass="1" diaginertia="nan 1 1"/>'
@@ -405,6 +462,12 @@ def test_a_model_that_cannot_be_used_is_one_clear_error(name: str, tmp_path: Pat
     path = tmp_path / "hostile.xml"
     path.write_text(text)
     (tmp_path / "inner.xml").write_text('<mujocoinclude><include file="../secret.xml"/></mujocoinclude>')
+    (tmp_path / "ball.xml").write_text(f"<mujocoinclude>{BALL}</mujocoinclude>")
+    (tmp_path / "model.xml").write_text(f"<mujoco><worldbody>{BALL * 3}</worldbody></mujoco>")
+    (tmp_path / "outer.xml").write_text(
+        '<mujoco><asset><mesh name="s" file="../secret.stl"/></asset><worldbody><body name="b">'
+        '<geom type="mesh" mesh="s"/></body></worldbody></mujoco>'
+    )
     with pytest.raises(ConfigError) as error:
         Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
     assert said in str(error.value) and "hostile.xml" in str(error.value)
@@ -508,7 +571,7 @@ def test_an_engine_says_that_its_bodies_failed(substeps: int, tmp_path: Path) ->
         for _ in range(2):
             with pytest.raises(SafetyStop, match=r"huge value in Q|solver") as failed:
                 engine.run(way)
-        assert "let go and stand still" in str(failed.value) and "damping_ns_per_m" in str(failed.value)
+        assert "released and no longer move" in str(failed.value) and "damping_ns_per_m" in str(failed.value)
         engine.model.opt.solver = solver
         engine.reset()
         np.testing.assert_array_equal(engine.run(way)["thumb"], good)

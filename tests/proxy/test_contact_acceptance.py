@@ -117,6 +117,7 @@ def test_drag_then_reverse(plane_scene: SceneFactory) -> None:
     assert work[turn:].min() >= work[turn - 1] - stored
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("angle", "torque"), [(0.05, -0.0025), (0.5, -0.004), (-0.05, 0.0025), (-0.5, 0.004)])
 def test_spin(plane_scene: SceneFactory, angle: float, torque: float) -> None:
     """Spin about the normal winds a torsional spring, which yields at mu_t f_N."""

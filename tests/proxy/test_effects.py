@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import SceneFactory
 from helpers.examples import examples
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from references.hand import Array
 
@@ -105,7 +105,7 @@ def test_viscosity_opposes_the_velocity_inside_its_region_only() -> None:
         assert not force_of(model.Viscosity(2.0, BOX), moment(outside, v)).any()
 
 
-@settings(max_examples=500, deadline=None, derandomize=True)
+@examples(100, 500)
 @given(places, anywhere, st.sampled_from([None, BOX, BALL, model.Touching(1.0)]), st.sampled_from([0.0, 1.0]))
 def test_viscosity_never_gives_energy(x: model.Vec3, v: model.Vec3, region: Any, touched: float) -> None:
     """The power of a viscous force is never positive, at any speed, anywhere in and about its region."""
@@ -161,7 +161,7 @@ def test_box_boundary_is_a_spring_and_damper(x: model.Vec3, v: model.Vec3, expec
 
 
 @boundaries
-@settings(max_examples=300, deadline=None, derandomize=True)
+@examples(100, 300)
 @given(x=places, v=places)
 def test_boundary_pushes_inward(effect: Any, x: model.Vec3, v: model.Vec3) -> None:
     """Whatever the velocity, the force points at the inside, is at most its largest, and is zero inside."""
@@ -348,7 +348,7 @@ def test_forces_add_up_and_states_stay_apart() -> None:
     assert apply_effects((), (), at) == (ZERO, ())
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@examples(60, 200)
 @given(
     st.lists(st.tuples(places, places, st.sampled_from([0.0, 1.0]), st.floats(-0.01, 0.05), normals()), max_size=4),
     st.sampled_from([None, CARRIER]),
@@ -369,7 +369,7 @@ def test_compiled_equals_plain_python(compiled: Any, ticks: list[Any], carrier: 
 
 
 @pytest.mark.scaled
-@examples(300, 1000)
+@examples(100, 1000)
 @given(
     st.lists(st.tuples(anywhere, anywhere, finite.map(abs), st.booleans(), finite, normals()), min_size=1, max_size=3),
     st.sampled_from([None, CARRIER]),

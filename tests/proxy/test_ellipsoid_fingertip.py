@@ -109,6 +109,7 @@ def test_the_gap_is_the_nearest_approach_of_the_two_bodies(name: str) -> None:
             assert min(closest(shape, tuple(p))[0] for p in skin) >= gap - 1e-15
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("names", [("cylinder",), ("plane", "sphere")])
 def test_equal_radii_are_the_ball(names: tuple[str, ...]) -> None:
     """Pressed, rolled, spun and dragged until it slips, on one body and on two: every number of the record to 1e-12."""

@@ -110,6 +110,7 @@ def test_the_pressures_lever_is_its_integral(k: float, published: float) -> None
 # --- torsion ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", list(PATCHES))
 @pytest.mark.parametrize("depth", [1e-4, 1e-3, 6e-3])
 def test_moment_is_that_of_a_stuck_disc_up_to_the_friction_of_the_patch(name: str, depth: float) -> None:
@@ -212,7 +213,7 @@ def test_the_contact_in_the_fingertips_frame_is_the_worlds_turned() -> None:
     """Normal and stretch are the world's in the frame of the measured orientation, and the centre is -r normal."""
     engine = soft(HERTZ, table={"shape": "sphere", "radius_m": 0.05, "position_m": [0.0, 0.0, -0.05]})
 
-    @examples(15, 300)
+    @examples(8, 300)
     @given(handling())
     def check(hand: Handling) -> None:
         engine.reset()
@@ -247,6 +248,7 @@ MODELS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", list(PATCHES))
 @pytest.mark.parametrize("kind", list(MODELS))
@@ -258,7 +260,7 @@ def test_it_gives_no_energy_however_it_is_loaded(name: str, kind: str) -> None:
     patch = PATCHES[name] | {"rolling_loss": 0.4}
     engine = soft(patch, material={"torsion": FOLLOWS | MODELS[kind]})
 
-    @examples(15, 300)
+    @examples(8, 300)
     @given(handling())
     def check(hand: Handling) -> None:
         engine.reset()
@@ -284,7 +286,7 @@ def test_rolling_alone_gives_no_energy_while_the_load_changes() -> None:
     alpha = 0.4
     engine = soft(HERTZ | {"rolling_loss": alpha}, rolling=None, material={"friction": None, "torsion": None})
 
-    @examples(15, 300)
+    @examples(8, 300)
     @given(handling())
     def check(hand: Handling) -> None:
         engine.reset()

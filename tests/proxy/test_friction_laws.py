@@ -82,6 +82,7 @@ def test_no_length_biases_the_force(plane_scene: SceneFactory, stiffness: float,
     assert trace.force[-1, 0] == pytest.approx(-0.5 * stiffness * depth, abs=rounding)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("law", list(LAWS))
 def test_sliding_at_constant_speed_has_no_ripple(plane_scene: SceneFactory, law: str) -> None:
     """Between ticks, and at half the tick rate, the tangential force of a steady slide does not change."""
@@ -96,6 +97,7 @@ def test_sliding_at_constant_speed_has_no_ripple(plane_scene: SceneFactory, law:
 # --- with the speed --------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("speed", [0.005, 0.05, 0.15, 0.4])
 @pytest.mark.parametrize(
     ("friction", "coefficient"),
@@ -143,6 +145,7 @@ def test_a_fast_slip_sticks_when_the_static_cone_can_hold_it(plane_scene: SceneF
 # --- anisotropic -----------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("heading", np.linspace(0, 2 * np.pi, 9)[:-1] + 0.1)
 def test_anisotropic_slide_dissipates_the_most(plane_scene: SceneFactory, heading: float) -> None:
     """A steady slip along (x, y) has the force (a^2 x, b^2 y) / |(a x, b y)|: where it is normal to the ellipse."""
@@ -241,6 +244,7 @@ def test_equal_scales_are_no_anisotropy(plane_scene: SceneFactory) -> None:
 # --- under any law ---------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.scaled
 @pytest.mark.parametrize("law", list(LAWS))
 def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
@@ -250,7 +254,7 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
     kinetic = np.array([0.9, 0.4]) if "anisotropic" in law else np.ones(2)
 
     # 90 hands of some 130 ticks are 10^4 cases.
-    @examples(15, 90)
+    @examples(8, 90)
     @given(handling())
     def check(hand: Handling) -> None:
         engine.reset()
@@ -273,13 +277,14 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
     check()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.scaled
 @pytest.mark.parametrize("law", list(LAWS))
 def test_no_energy_comes_out_of_the_contact(plane_scene: SceneFactory, law: str) -> None:
     """The hand has always put in at least what the springs store, so no closed cycle gives anything."""
     engine = Engine(plane_scene(material=LAWS[law], rolling=rolling(law)))
 
-    @examples(15, 90)
+    @examples(8, 90)
     @given(handling())
     def check(hand: Handling) -> None:
         engine.reset()

@@ -11,22 +11,22 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
-from softfinger.config.mjcf import taken
+from softfinger.config.mjcf_geoms import taken
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.heightmaps import read_heights
+from softfinger.proxy.heightmaps import overshoot, read_heights
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.query.objects import closest_to_within
 from softfinger.proxy.kernels.query.world import advance, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.scene import start_state
-from softfinger.server import cli
-from softfinger.server.viewer.nodes import meshes
-from softfinger.server.viewer.nodes.bodies import Began, Bodies
+from softfinger.server import cli, surface_meshes
+from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
 
 pytestmark = pytest.mark.plain
 
@@ -151,6 +151,24 @@ def elevations_m() -> Array:
     return np.asarray(TOP * (found - found.min()) / np.ptp(found))
 
 
+def test_a_step_that_is_felt_higher_than_it_is_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By as much as a natural spline through the step leaves it; of smooth hills nothing is said."""
+    step = np.repeat([0.0, TOP], [6, COLUMNS - 6])
+    assert overshoot(np.tile(step, (ROWS, 1))) == pytest.approx(
+        CubicSpline(range(COLUMNS), step, bc_type="natural")(np.linspace(0, COLUMNS - 1, 5000)).max() - TOP,
+        rel=0.02,  # its top is sought at fifths of a cell
+    )
+    assert overshoot(hills()) < 0.02 * np.ptp(hills()) and overshoot(np.zeros((1, 1))) == 0.0
+    np.save(tmp_path / "step.npy", np.tile(step, (ROWS, 1)))
+    (tmp_path / "step.toml").write_text(
+        '[fingertip]\nradius_m = 0.008\n[[object]]\nname = "step"\nshape = "heightmap"\nfile = "step.npy"\n'
+        'pitch_m = 0.004\nlevel_m = 1.0\nmaterial = "wood"\n'
+    )
+    assert cli.main(["check", str(tmp_path / "step.toml")]) == 0
+    said = capsys.readouterr().out
+    assert "the smooth surface is up to 0.000646 m higher or lower than the neighbouring pixels" in said
+
+
 def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> None:
     """A vertex for each height, in the geom's place; on the page its surface is where the body has brought it."""
     viser = pytest.importorskip("viser")
@@ -165,15 +183,15 @@ def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> No
     np.testing.assert_allclose(vertices, expected, atol=1e-8)  # 32 bits
     server = viser.ViserServer(port=0, verbose=False)
     try:
-        bodies = Bodies(server.scene, scene, Began(0, 0, 1e-3, True))
-        bodies.draw(0, meshes.sent(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
+        bodies = Bodies(server.scene, scene, SceneStart(0, 0, 1e-3, True))
+        bodies.draw(0, surface_meshes.decode_mesh(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
         half = math.sqrt(0.5)  # the body turned so that the geom lies in the world as it does in its own frame
         turn, back = np.empty(4), np.empty(4)
         mujoco.mju_negQuat(back, np.array(thing.orientation_wxyz))
         mujoco.mju_mulQuat(turn, np.array([half, 0.0, 0.0, half]), back)
         offset = np.empty(3)
         mujoco.mju_rotVecQuat(offset, np.array(thing.position_m), turn)
-        bodies.ride({thing.motion.body: (tuple(np.array([0.3, 0.2, 0.1]) - offset), tuple(turn))})
+        bodies.move_bodies({thing.motion.body: (tuple(np.array([0.3, 0.2, 0.1]) - offset), tuple(turn))})
         for row, column in ((2, 3), (6, 9)):  # a quarter turn: x of the map is y of the world
             foot = bodies.below(np.array([0.3 - y[row], 0.2 + x[column], 1.0]))
             assert foot is not None and foot.point[2] == pytest.approx(0.1 + elevations_m()[row, column], abs=1e-7)

@@ -15,7 +15,7 @@ FINGERS = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": 1000.
 
 def test_two_fingers_on_one_mesh_are_each_alone(tmp_path, cases):
     """A mesh that stands still tells one finger nothing of the other: to the bit what each feels by itself."""
-    bumpy, ticks = meshes.bumpy_sphere(cases(8, 24), 0.05, height=0.06), cases(400, 1500)
+    bumpy, ticks = meshes.bumpy_sphere(cases(8, 24), 0.05, height=0.06), cases(200, 1500)
     part = thing("part", "mesh", file=saved(tmp_path, *bumpy))
     poses = {name: hand(bumpy, ticks, R, np.random.default_rng(seed)) for seed, name in ((5, "thumb"), (26, "index"))}
     together = engine(part, fingertip=None, coupling=None, finger=FINGERS).run(poses)

@@ -4,13 +4,18 @@ What is compiled is one type of scene, that of `test_mesh_hostile.py` and the ot
 rolling takes half a minute. Whatever else is in a scene is tested as plain Python.
 """
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from helpers import meshes
 from helpers.touching import SLIPPERY, R, engine, field, go, saved, spun, thing, wander
 from references.triangles import distances
 
+from softfinger.config.schema.contact import RollingMethod
 from softfinger.proxy.record import AT
+
+METHODS = get_args(RollingMethod)
 
 
 def box(x, y, z):
@@ -53,21 +58,35 @@ def groove(width=0.1):
     return vertices, np.array([t for a, b, c, d in cells for t in ((a, b, c), (a, c, d))], np.int32)
 
 
+@pytest.mark.plain
+@pytest.mark.parametrize("method", METHODS)
+def test_every_rolling_method_on_a_face_is_that_on_a_plane(tmp_path, method):
+    """Pressed and rolled by 0.3 rad over the edges between triangles of one plane."""
+    points, turned = np.tile([0.05, 0.05, 0.009], (60, 1)), spun((1.0, 0.0, 0.0), np.linspace(0.0, 0.3, 60))
+    rolling = {"rolling": {"method": method}}
+    mesh = engine(thing("a", "mesh", file=saved(tmp_path, *meshes.sheet(0.1, 0.1, 5, 5))), **rolling)
+    on_mesh, on_plane = (go(each, points, turned) for each in (mesh, engine(thing("a", "plane"), **rolling)))
+    assert on_plane[-1, AT.contact_rolled] > 0.05
+    np.testing.assert_allclose(on_mesh[:, AT.force : AT.force + 3], on_plane[:, AT.force : AT.force + 3], atol=1e-9)
+    np.testing.assert_allclose(on_mesh[:, AT.contact_rolled], on_plane[:, AT.contact_rolled], atol=1e-9)
+
+
+@pytest.mark.plain
 def test_a_crease_holds_by_both_its_sides(tmp_path):
     """Pressed 1 mm down into a right angle each side bears 1/sqrt(2) N; dragged along it each rubs with mu of that,
     over the edges between triangles too. Turned about the groove, both resist as a V-block resists a shaft: r mu
     (f1 + f2), with f1 + f2 = 2 F / (1 + mu^2)."""
     running = engine(thing("groove", "mesh", file=saved(tmp_path, *groove())))
     top = R * np.sqrt(2.0)
-    press = np.linspace((0.0, -0.05, top + 1e-3), (0.0, -0.05, top - 1e-3), 200)
-    drag = np.linspace((0.0, -0.05, top - 1e-3), (0.0, 0.05, top - 1e-3), 1500)
+    press = np.linspace((0.0, -0.05, top + 1e-3), (0.0, -0.05, top - 1e-3), 50)
+    drag = np.linspace((0.0, -0.05, top - 1e-3), (0.0, 0.05, top - 1e-3), 300)
     records = go(running, np.concatenate([press, drag]))
     each = 1.0 / np.sqrt(2.0)
-    assert records[199, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
-    late = np.asarray(records)[700:]
+    assert records[49, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
+    late = np.asarray(records)[150:]
     assert late[:, AT.force + 1] == pytest.approx(-0.5 * 2.0 * each, abs=1e-6)
     assert late[:, AT.force + 2] == pytest.approx(1.0, abs=1e-6)
-    held = go(running, np.tile(drag[-1], (900, 1)), spun((0.0, 1.0, 0.0), np.linspace(0.0, 1.0, 900)))
+    held = go(running, np.tile(drag[-1], (200, 1)), spun((0.0, 1.0, 0.0), np.linspace(0.0, 1.0, 200)))
     assert abs(held[-1, AT.torque + 1]) == pytest.approx(R * 0.5 * 2.0 * each / 1.25, rel=1e-6)
 
 

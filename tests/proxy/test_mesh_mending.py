@@ -22,7 +22,7 @@ TURNED = Mesh(BALL.vertices, BALL.triangles[:, ::-1])
 def mended(mesh: Mesh, loose: bool = False) -> tuple[Arrays, Report]:
     """The mesh as it is rendered, and what is said of it."""
     result = mend(Arrays(np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.triangles)), loose)
-    return result.arrays, report_of(result, loose)
+    return result.arrays, report_of(result, loose, None)
 
 
 def soup(mesh: Mesh) -> Mesh:

@@ -111,7 +111,7 @@ SLIDES = ("tube", "needles")
 
 
 @pytest.mark.plain
-@pytest.mark.parametrize("moves", [True, False])
+@pytest.mark.parametrize("moves", [True, pytest.param(False, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize(
     "kind", [k if k == "lattice" else pytest.param(k, marks=pytest.mark.exhaustive) for k in KINDS]
 )
@@ -192,6 +192,7 @@ def test_a_first_touch_is_felt_or_said_to_be_unknown(crumpled: meshes.Mesh, tmp_
         assert (clearance[~(free & unknown)] >= -np.where(free, GRAZE, 1e-9)[~(free & unknown)]).all()
 
 
+@pytest.mark.exhaustive
 def test_a_magnet_that_does_not_know_its_gap_says_so(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
     """In free space the force is that of the distance from all triangles, or `contact.budget` is 1. Compiled: the tree
     of so many triangles takes plain Python a quarter of a minute."""
@@ -285,7 +286,7 @@ def test_contacts_make_up_the_force_or_the_proxy_is_said_to_be_on_its_way(
     file = meshes.write_ply(tmp_path / "part.ply", mesh)
     running = engine(thing("part", "mesh", file=str(file)), fingertip={"radius_m": radius})
     late = 0
-    for way in strokes(mesh, radius, np.random.default_rng(7), cases(2, 50)):
+    for way in strokes(mesh, radius, np.random.default_rng(7), cases(14, 50)):
         running.reset()
         records = running.run(posed(way[::4]))
         contacts = records["contacts0.force"] + records["contacts1.force"] + records["contacts2.force"]

@@ -19,7 +19,7 @@ from test_invariants import GRIP, HALF, SLICK, R, numbers, product, visits
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
-from softfinger.drivers.simulated.options import Options, simulation
+from softfinger.drivers.simulated.options import Options, make_simulation
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, CAUSE_NAMES
 from softfinger.proxy.scene import build_scene
@@ -91,6 +91,7 @@ HEIGHT = -0.01 * np.cos(2.0 * np.pi * np.arange(1, TICKS + 1) / TICKS)
 """Of an object that rises by 20 mm in an eighth of a second and goes down again."""
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("retreat", [0.0, 0.004], ids=["still", "retreating"])
 @pytest.mark.parametrize("name", SHAPES)
 def test_an_object_that_rises_presses_on_the_finger(name: str, retreat: float) -> None:
@@ -182,6 +183,7 @@ def test_an_object_that_comes_back_touches_again() -> None:
 # --- several objects -----------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("thickness", [0.1, 0.001])
 @pytest.mark.parametrize("jump", [0.0001, 0.002, 0.04], ids=lambda way: f"{1000 * way:g} mm")
 def test_a_second_object_that_comes_is_met_while_the_first_is_touched(jump: float, thickness: float) -> None:
@@ -230,6 +232,7 @@ def conjugate(q: Array) -> Array:
     return q * [1.0, -1.0, -1.0, -1.0]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", ["ball", "block", "hollow"])
 def test_an_object_moved_against_the_finger_is_a_finger_moved_against_the_object(name: str) -> None:
@@ -240,7 +243,7 @@ def test_an_object_moved_against_the_finger_is_a_finger_moved_against_the_object
     """
     still, driver = pair(name)
 
-    @examples(60, 300)
+    @examples(25, 300)
     @given(numbers(6, 6), st.integers(2, 6))
     def check(found: Array, count: int) -> None:
         poses = visits((0.0, 0.0, 0.055 if name != "hollow" else 0.0), found[:count])
@@ -270,7 +273,7 @@ def test_in_closed_loop_a_rising_table_lifts_the_hand() -> None:
     rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2.0, "phase_rad": -np.pi / 2}
     tuning = Tuning(build_scene(scene({"shape": "plane", "motion": rise})), (Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0),))
     options = Options(preset="omega.6", position_m=(0.0, 0.0, R + 0.002))
-    records = whole(run_closed_loop(tuning, [simulation(options, 1000.0)], 1000.0, 500))
+    records = whole(run_closed_loop(tuning, [make_simulation(options, 1000.0)], 1000.0, 500))
     z = column(records, "probe.position", 3)[:, 2]
     height = -0.01 * np.cos(4.0 * np.pi * np.cumsum(column(records, "dt")))
     expected = K * np.maximum(height + R - z, 0.0)

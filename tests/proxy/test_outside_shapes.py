@@ -348,7 +348,7 @@ def test_a_servo_keeps_an_array_until_its_loop_reads_another(beads: ModuleType, 
     for ticks in (0, 1, 2, 3, 5):  # done by the loop, before each change
         servo.shared.progress[0] = ticks
         servo.tune(make_tuning(config, rig.guard))
-        array.append(servo._tuned[-1].scene.objects.body.shape.balls.array)
+        array.append(servo._recent_tunings[-1].scene.objects.body.shape.balls.array)
         kept.append(weakref.ref(array.pop(0)))
         gc.collect()
         # Of those replaced, the first is the loop's own argument.

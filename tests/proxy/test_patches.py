@@ -120,6 +120,7 @@ def in_groove(running, points, vectors=None):
     return running.run(poses(points, vectors))
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(
     ("laws", "expected"),
@@ -133,6 +134,7 @@ def test_dragged_along_a_groove_each_wall_rubs_by_its_own_law(order, laws, expec
     np.testing.assert_allclose(force[-1], [0.0, -expected, 1.0], atol=1e-9)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("shifted", [-1e-5, 1e-5])
 def test_which_wall_was_touched_first_is_forgotten(order, shifted):
@@ -178,6 +180,7 @@ def test_equal_walls_give_no_moment_about_the_bisector():
     np.testing.assert_allclose(part(records, "torque")[-1], [-R * F / SQRT2, 0.0, 0.0], atol=1e-12)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_spun_about_the_bisector_there_is_no_force_along(order):
     """By symmetry: the patches rub to either side, and both resist the spin."""
@@ -190,6 +193,7 @@ def test_spun_about_the_bisector_there_is_no_force_along(order):
     np.testing.assert_allclose(part(records, "torque")[-1], [0.0, 0.0, -2.0 * 0.5 * F * R / SQRT2], atol=1e-9)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_turned_about_the_axis_both_walls_rub(order):
     """A shaft in a V-block: friction of each wall presses on the other, and they bear F (1 + mu) / (1 + mu^2) and
@@ -206,6 +210,7 @@ SEAM = [tile("left", -0.05), tile("right", 0.05)]
 ON_SEAM = np.array([0.0, 0.0, R - 0.001])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("speed", [0.0123, 0.05, 1.0])
 def test_dragged_across_a_seam_friction_stays(order, speed):
@@ -268,18 +273,21 @@ WAYS = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.scaled
 @pytest.mark.parametrize(("way", "tip"), [*((way, {}) for way in WAYS), ("all over", SOFT)])
 def test_a_tiled_surface_is_the_plane_it_stands_for(cases, way, tip):
     """A hundred flush boxes of 6 mm: nothing tells them from a plane."""
     stuff = material(GRIP, LIMP)
     whole = WAYS[way]()
-    way = whole[:: len(whole) // cases(400, len(whole))]
+    way = whole[:: len(whole) // cases(200, len(whole))]
     plane, boxes = engine(wall("plane", (0, 0, 1), stuff), **tip).run(way), engine(*tiled(0.006, stuff), **tip).run(way)
     assert len(set(boxes[:, AT.contact_object])) > 5  # many of them, and free space
-    for name in ("force", "torque", "proxy_position", "contact_point"):
+    # A roll by u over a seam lowers the proxy by u^2 / 2 r: below the rounding of r, u < 0.2 nm, the next box is not
+    # nearer. The contact point stays at the edge, and the normal is off by u / r: 4e-9 N m at 20 mm, 20 N.
+    for name, tolerance in (("force", 1e-11), ("proxy_position", 1e-11), ("contact_point", 2e-10), ("torque", 4e-9)):
         # Rounding of 20 mm times 1000 N/m, and a sum of thousands of ticks.
-        np.testing.assert_allclose(part(boxes, name), part(plane, name), rtol=0, atol=1e-11)
+        np.testing.assert_allclose(part(boxes, name), part(plane, name), rtol=0, atol=tolerance)
     for name in ("contact_mode", "contact_rolled", "contact_spin", "contact_torsion", "contact_patch_radius"):
         np.testing.assert_allclose(boxes[:, getattr(AT, name)], plane[:, getattr(AT, name)], rtol=0, atol=1e-12)
 
@@ -423,6 +431,7 @@ def test_a_drag_over_a_curve_is_wound_by_the_way_of_the_probe():
     assert records["contact.tangential_force"] == pytest.approx(wound, abs=1e-6)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("along", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
 def test_a_wall_that_slides_past_rubs_by_its_own_force(order, along):
@@ -443,6 +452,7 @@ def test_a_wall_that_slides_past_rubs_by_its_own_force(order, along):
     np.testing.assert_allclose(borne[float(order.index(1))], on_wall, atol=1e-12)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_wall_that_moves_in_has_its_damping(order):
     """The finger stands on the floor; the wall comes at 10 mm/s with 20 N s/m."""
@@ -478,6 +488,7 @@ def test_a_shallow_valley_is_the_plane_it_nearly_is():
     assert np.abs(np.diff(force[140:], axis=0)).max() < 2.0 * 0.5 * np.sin(2.0 * half) * 1.05
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_pinched_the_forces_add(order):
     """Floor 1 mm deep, ceiling 3 mm: 1 N up, 3 N down, and friction in each."""
@@ -563,6 +574,7 @@ def test_three_jaws_resist_a_twist_and_a_tilt():
 # --- a soft fingertip ------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_each_wall_has_the_contact_patch_of_its_own_load(order):
     """Spun by phi about the bisector, each patch winds by phi / sqrt 2 against f R, up to mu_s 3 pi / 16 a f."""
@@ -580,6 +592,7 @@ def test_each_wall_has_the_contact_patch_of_its_own_load(order):
     np.testing.assert_allclose(records[:, AT.contact_torsion], -F * R * wound, rtol=1e-9)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_each_wall_resists_rolling_by_its_own_load(order):
     """Turned about the groove's axis without friction: 3/16 alpha a f of each wall, once it has slipped."""

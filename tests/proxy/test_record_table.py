@@ -91,12 +91,12 @@ def run_in(tree: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 EVERYWHERE = """
 import json, sys
 import numpy as np
-from softfinger.drivers.poses import decoded_messages
+from softfinger.drivers.poses import decode_messages
 from softfinger.proxy.record import AT, FIELDS, NAMED, RECORD_SIZE, columns
 from softfinger.server.cli import main
-from softfinger.server.offline.results import read_results, write_results
+from softfinger.server.recording.results import read_results, write_results
 from softfinger.server.publishing.messages import Messages
-from softfinger.server.publishing.setup import Shown, Ticks
+from softfinger.server.publishing.setup import StateInfo, Ticks
 from softfinger.server.wire.client import record_of
 from softfinger.server.wire.protocol import CONTACT, decode
 
@@ -104,7 +104,7 @@ assert FIELDS[-1] is NAMED["fault.level"] and AT.fault_level == RECORD_SIZE - 2
 records = np.zeros((3, RECORD_SIZE))
 records[:, AT.fault_level :] = (0.25, -0.5)
 
-_, body = next(Messages(Ticks(1, 1, [CONTACT], "state", 200.0), Shown()).of(tuple(records[0].tolist())))
+_, body = next(Messages(Ticks(1, 1, [CONTACT], "state", 200.0), StateInfo()).encode_row(tuple(records[0].tolist())))
 assert decode(CONTACT.encode(), body).fault.level == (0.25, -0.5)
 
 for ending in ("csv", "npz", "mcap"):
@@ -112,7 +112,7 @@ for ending in ("csv", "npz", "mcap"):
     assert read_results(f"out.{ending}").tobytes() == records.tobytes(), ending
 assert open("out.csv").readline().rstrip().endswith(",fault.level[0],fault.level[1]")
 assert np.load("out.npz")["fault.level"].tolist() == [[0.25, -0.5]] * 3
-assert [list(m.fault.level) for m in decoded_messages("out.mcap")] == [[0.25, -0.5]] * 3
+assert [list(m.fault.level) for m in decode_messages("out.mcap")] == [[0.25, -0.5]] * 3
 
 sys.exit(main(["schema", "telemetry"]))
 """
@@ -127,9 +127,9 @@ def test_new_field_is_everywhere(tree):
 
 
 def test_new_field_is_asked_of_the_page(tree):
-    """The pages that list the keys no longer agree, and the failure says what makes them again."""
-    page = "tests/tools/test_reference.py::test_a_page_is_what_the_program_makes"
+    """The page that lists the fields no longer agrees, and the failure names the command that updates it."""
+    page = "tests/tools/test_reference.py::test_a_page_is_what_the_program_makes[record.md]"
     done = run_in(tree, "-m", "pytest", "-q", "-p", "no:cacheprovider", page)
     assert done.returncode == 1, done.stdout + done.stderr
     assert "run `make reference`" in done.stdout
-    assert "1 failed" in done.stdout and "[record.md]" in done.stdout  # telemetry links there
+    assert "1 failed" in done.stdout

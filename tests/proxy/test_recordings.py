@@ -163,6 +163,7 @@ def test_rolling_is_detected_under_a_tangential_force(engine: Engine) -> None:
     assert roll.rolled[-1] == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("aside", [0.0, 0.4e-3])
 def test_letter_never_detects_rolling_again(letter: Engine, aside: float) -> None:
     """Second failure present: of 1 rad the letter sees 0.06 as rolling, and never again, not at rest either."""

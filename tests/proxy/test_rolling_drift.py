@@ -23,6 +23,7 @@ SHORT = 1000
 """Steps in `make test`: a roll leaves a smooth object by more than 1e-15 m a step, or not at all."""
 
 
+@pytest.mark.sampled(37)
 @pytest.mark.scaled
 @pytest.mark.parametrize(("method", "name"), pairs())
 def test_the_contact_does_not_drift_off_the_object(cases: Cases, method: str, name: str) -> None:

@@ -34,6 +34,7 @@ pytestmark = pytest.mark.plain
 CLOSED = [name for name, shape in SHAPES.items() if has_closed_form(shape)]
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", CLOSED)
 def test_rotation_vector_is_exact(name: str) -> None:
     """A constant rate of up to half a turn a tick ends within 1e-10 m of the integrated path; so does the spin."""

@@ -122,6 +122,7 @@ TABLE = [
 ]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("motion", "method", "heading", "largest_mm"), TABLE)
 def test_both_motions_and_both_readings(
     motion: str, method: str, heading: str, largest_mm: tuple[float, float]
@@ -155,6 +156,7 @@ def test_both_motions_and_both_readings(
     assert out.spin == pytest.approx(spin, abs=1e-15)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "rate", [(3.0, 2.0, 0.0), (3.0, 2.0, 5.0), (-1.0, 4.0, -2.0), (0.0, 0.0, 5.0), (0.2, -0.1, 0.01)]
 )

@@ -30,6 +30,7 @@ def rendered(package: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("room", ["heightmap", "mesh"])
 def test_the_plane_is_rendered_without_the_room(tmp_path: Path, room: str) -> None:
     """Its folder and its name in `shapes/__init__.py` are all that has to go."""

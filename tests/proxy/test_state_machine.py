@@ -104,10 +104,10 @@ def test_stop_sticks_again_and_keeps_the_force(plane_scene: SceneFactory) -> Non
 
 def test_a_slow_slide_is_not_a_stop(plane_scene: SceneFactory) -> None:
     """Sliding at 0.1 mm/s, well under the speed at which a stop is seen, goes on sliding."""
-    hand = pressed().go(100, move=[0.002, 0, 0]).go(3000, move=[0.0003, 0, 0])
+    hand = pressed().go(100, move=[0.002, 0, 0]).go(1000, move=[0.0001, 0, 0])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.causes == ["touch", "drag"]
-    assert trace.tangential[-2900:] == pytest.approx(0.5, rel=EXACT)
+    assert trace.tangential[-900:] == pytest.approx(0.5, rel=EXACT)
 
 
 @pytest.mark.parametrize(("resolution", "way"), [(0.0, 0.05e-3), (1e-5, 0.05e-3), (1e-4, 0.3e-3)])
@@ -172,6 +172,7 @@ def test_zero_normal_force_inside_is_not_a_release(plane_scene: SceneFactory) ->
 # --- the sign rule ---------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("axis", [[1, 0, 0], [0, -1, 0], [0.6, 0.8, 0]])
 def test_an_honest_roll_never_slides(plane_scene: SceneFactory, axis: list[float]) -> None:
     """Three radians rolled to and fro with the hand on the contact: touch is the only event."""
@@ -312,6 +313,7 @@ def test_any_tangential_force_is_not_enough_to_slide(plane_scene: SceneFactory) 
 # --- chatter and bounds ----------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("depth", [1e-4, 1e-3, 5e-3])
 def test_a_quantised_slide_does_not_chatter(plane_scene: SceneFactory, depth: float) -> None:
     """A drag seen through encoders of 10 um and tremor of one step slips once and sticks once."""
@@ -324,6 +326,7 @@ def test_a_quantised_slide_does_not_chatter(plane_scene: SceneFactory, depth: fl
     assert trace.causes == ["touch", "drag", "stop"]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.scaled
 @pytest.mark.parametrize("kinetic", [0.5, 0.6])
 @pytest.mark.parametrize("resolution", [0.0, 1e-5])
@@ -470,7 +473,7 @@ def test_random_motion_keeps_the_bounds(plane_scene: SceneFactory, cases: Cases)
         "reverse": (SLIDING, ROLLING),
     }
     seen: set[str] = set()
-    for _ in range(cases(4, 12)):
+    for _ in range(cases(2, 12)):
         hand = pressed(0.001)
         for _ in range(30):
             goal = [*(hand.x[:2] + rng.normal(0, 2e-3, 2)), R - rng.uniform(-0.0004, 0.003)]

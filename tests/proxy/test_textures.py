@@ -106,6 +106,7 @@ def test_force_on_a_wave_is_that_of_the_potential_in_closed_form(scene: Make, wa
     assert np.abs(got[:, :2]).max() > 1e3 * (samples * steepest + ROUNDING)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("speed", [0.5, 0.75, 1.0, 1.5])
 def test_ripple_above_the_cutoff_is_gone(scene: Make, speed: float) -> None:
     """A wave of 2 mm: as strokes get faster it fades as the filter says, to a hundredth at the cutoff, and on."""
@@ -120,7 +121,7 @@ def test_ripple_above_the_cutoff_is_gone(scene: Make, speed: float) -> None:
     assert ripple < REST or cutoff < 2e-3
 
 
-@examples(200, 200)
+@examples(70, 200)
 @given(pitch=st.floats(0.02, 3.0), turns=st.floats(0.0, 1.0), image=st.integers(-3, 3))
 def test_nothing_above_the_cutoff_keeps_more_than_a_hundredth(pitch: float, turns: float, image: int) -> None:
     """However coarse the array: of a wave of `turns` / 2 of a turn a sample, and of its images in the spline.
@@ -223,6 +224,7 @@ SHAPES: dict[str, dict[str, Any]] = {
 AROUND = 2.0 * np.pi * 0.03 / 8.0
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", list(SHAPES))
 def test_force_is_the_gradient_of_its_potential_on_every_shape(scene: Make, cases: Cases, name: str) -> None:
@@ -458,7 +460,7 @@ def test_friction_and_heights_from_one_texture(scene: Make) -> None:
 # --- the array ------------------------------------------------------------------------------------
 
 
-@examples(100, 100)
+@examples(40, 100)
 @given(
     grid=arrays.arrays(np.float64, st.tuples(st.integers(1, 7), st.integers(2, 7)), elements=st.floats(-1e3, 1e3)),
     u=st.floats(-1e200, 1e200),
@@ -504,7 +506,7 @@ def test_array_is_reached_by_its_address_and_may_be_exchanged(scene: Make) -> No
         ({"texture": {"height_m": 1.0}}, "object[0].texture.height_m = 1.0: must be a number from 1e-07 to 0.01 m"),
         ({"texture": {"border": "mirror"}}, "object[0].texture.border = 'mirror': must be"),
         ({"shape": "sphere", "radius_m": 0.05}, "object[0].texture is not a key here"),
-        ({"shape": "cylinder", "radius_m": 0.05}, "goes 15.708 times round the cylinder, must be a whole number"),
+        ({"shape": "cylinder", "radius_m": 0.05}, "goes 15.708 times round the cylinder, must be an integer"),
         ({"shape": "cylinder", "radius_m": 0.05}, "make it 0.0196350 m wide".replace("0.0196350", "0.019635")),
         ({"texture": {"file": "/no/such.npy"}}, "object 'table': texture.file: /no/such.npy: cannot be read: No such"),
     ],

@@ -39,6 +39,7 @@ def pressed(depth: float = 0.001) -> Hand:
 # --- limits ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("depth", [2e-4, 1e-3, 3e-3])
 @pytest.mark.parametrize("exponent", [None, 0.0, 0.2, 1.0 / 3.0])
 def test_moment_saturates_at_the_torsional_limit(
@@ -146,7 +147,7 @@ def test_a_proxy_without_a_drop_is_the_independent_model(plane_scene: SceneFacto
     independent = Engine(plane_scene())
     proxy = Engine(plane_scene(material={"torsion": {"model": "soft_finger_proxy"}}))
 
-    @examples(20, 50)
+    @examples(10, 50)
     @given(handling())
     def check(hand: Handling) -> None:
         independent.reset()

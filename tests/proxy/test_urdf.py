@@ -10,8 +10,9 @@ import trimesh
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.mjcf import taken
+from softfinger.config.mjcf_geoms import taken
 from softfinger.proxy.engine import Engine
+from softfinger.proxy.meshes.prepared import about
 
 pytestmark = pytest.mark.plain
 
@@ -62,7 +63,9 @@ def test_geoms_are_called_as_their_links_and_meshes_are_found_in_the_folder(besi
     assert list(found) == ["bottom", "lid", "lid 2"]
     assert all(thing is not None for thing in found.values())
     bottom, lid, ball = (thing for thing in found.values() if thing is not None)
-    assert isinstance(lid, schema.Mesh) and lid.file == str(tmp_path / beside) and lid.scale == 0.001
+    assert isinstance(lid, schema.Mesh) and lid.mesh == "lid"
+    # In its axes of inertia, and in 32 bits.
+    assert sorted(about(lid).report.size_m) == pytest.approx([0.01, 0.06, 0.08], rel=1e-6)
     assert isinstance(bottom, schema.Box) and isinstance(ball, schema.Sphere)
     assert [thing.material.stiffness_n_per_m for thing in (bottom, lid, ball)] == [1.0, 2.0, 1.0]
     assert bottom.motion is None and lid.motion == schema.Body(body="lid")

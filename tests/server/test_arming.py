@@ -18,7 +18,7 @@ from softfinger.config.schema import Faults
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.limits import SLOW_S
-from softfinger.server.recording.reader import Event, contents
+from softfinger.server.recording.reader import Event, read_contents
 from softfinger.server.services.records import Sink
 from softfinger.server.states import FAST, UNARMED
 from softfinger.server.wire.control import Control
@@ -74,8 +74,8 @@ class Run:
                 while not daemon.wait(0.02):
                     during(control, ticks[-1])
                 self.state = control.ask("describe")["state"]
-            self.forces = np.linalg.norm(daemon.devices[0]._device.written().wrench[:, :3], axis=1)
-        events = [part.event for part in contents(path) if isinstance(part, Event)]
+            self.forces = np.linalg.norm(daemon.devices[0]._device.logged().wrench[:, :3], axis=1)
+        events = [part.event for part in read_contents(path) if isinstance(part, Event)]
         self.states = [(event["name"], event["cause"]) for event in events if event["kind"] == "state"]
         self.guard = [event["name"] for event in events if event["kind"] == "guard"]
 

@@ -12,7 +12,7 @@ import pytest
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import DISARMED, RAMPING, TOO_FAST
 from softfinger.server.services.arming import Arming
-from softfinger.server.states import FAST, UNARMED, State, States
+from softfinger.server.states import FAST, UNARMED, DaemonState, States
 
 pytestmark = pytest.mark.plain
 
@@ -25,9 +25,9 @@ class Asked:
         self.servo = SimpleNamespace(devices=[None] * fingers)
         self.acts: list[Any] = []
         self.force = SimpleNamespace(
-            given_at=armed_at,
+            switched_on_tick=armed_at,
             note_guard=lambda reason, there: self.acts.append((reason, there)),
-            tell=lambda: self.acts.append("tell"),
+            update_state=lambda: self.acts.append("update_state"),
         )
 
     def disarm(self, reason: str) -> None:
@@ -35,9 +35,6 @@ class Asked:
 
     def arm(self, *reasons: str) -> None:
         self.acts.append(("arm", *reasons))
-
-    def advance(self) -> None:
-        self.acts.append("advance")
 
 
 def batch(*ticks: tuple[int, list[tuple[float, float]]]) -> np.ndarray:
@@ -55,16 +52,16 @@ def taken(asked: Asked, *batches: np.ndarray) -> list[Any]:
     arming = Arming(cast(Any, asked), States())
     for records in batches:
         arming.take(records, 0)
-    return [act for act in asked.acts if act not in ("advance", "tell")]
+    return [act for act in asked.acts if act != "update_state"]
 
 
 def test_each_batch_is_followed_and_the_first_makes_ready() -> None:
-    """The rendering goes on and tells, in this order; the state leaves `starting`."""
+    """The state leaves `starting`, and goes by what keeps the force off."""
     asked, states = Asked("command"), States()
     arming = Arming(cast(Any, asked), states)
     assert arming.sink.name == "arming"
     arming.take(batch((0, [(0, 0)])), 0)
-    assert asked.acts == ["advance", "tell"] and states.now is State.READY
+    assert asked.acts == ["update_state"] and states.now is DaemonState.READY
 
 
 @pytest.mark.parametrize("fingers", [1, 2])

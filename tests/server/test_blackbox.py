@@ -23,8 +23,8 @@ from softfinger.config.schema import Faults
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon
 from softfinger.server.recording import blackbox
-from softfinger.server.recording.blackbox import BYTES_MAX, FILES_MAX, KEPT_S, BlackBox, files, make_room
-from softfinger.server.recording.reader import Event, Ticks, contents
+from softfinger.server.recording.blackbox import BYTES_MAX, FILES_MAX, HISTORY_S, BlackBox, files, prepare_folder
+from softfinger.server.recording.reader import Event, Ticks, read_contents
 from softfinger.server.wire.client import subscribe
 
 WAIT_S = 60.0
@@ -39,7 +39,7 @@ def records(first: int, count: int) -> np.ndarray:
 
 
 def ticks_in(path: Path) -> list[int]:
-    parts = [part.records() for part in contents(path) if isinstance(part, Ticks)]
+    parts = [part.records() for part in read_contents(path) if isinstance(part, Ticks)]
     return [int(tick) for part in parts for tick in part[:, AT.tick]]
 
 
@@ -52,13 +52,13 @@ def test_the_newest_ticks_are_kept_in_their_order(batches: tuple[int, ...], tmp_
         box.take(records(first, count))
         first += count
     box.write(tmp_path / "box.mcap", {})
-    assert ticks_in(tmp_path / "box.mcap") == list(range(max(0, first - round(100.0 * KEPT_S)), first))
+    assert ticks_in(tmp_path / "box.mcap") == list(range(max(0, first - round(100.0 * HISTORY_S)), first))
 
 
 @pytest.mark.plain
 def test_old_events_take_no_memory() -> None:
     """Of a thousand events, each older than what is kept when the next one comes, one is left."""
-    box, old = BlackBox([""], [], 100.0), time.time() - KEPT_S - 60.0
+    box, old = BlackBox([""], [], 100.0), time.time() - HISTORY_S - 60.0
     tracemalloc.start()
     try:
         for number in range(1000):
@@ -74,7 +74,7 @@ def test_old_events_and_lines_are_left_out(tmp_path: Path) -> None:
     """What is older than ten seconds is not in the file; a foreign reader finds the rest by topic and time."""
     box, now = BlackBox([""], [], 100.0), time.time()
     box.take(records(0, 3))
-    for age in (KEPT_S + 5.0, 1.0):
+    for age in (HISTORY_S + 5.0, 1.0):
         about = {"schema": 1, "timestamp": now - age, "tick": 1, "kind": "fault", "name": f"{age:g} s ago"}
         box.event(about | {"message": "x"})
         record = logging.LogRecord("softfinger.test", logging.ERROR, "file", 1, f"{age:g} s ago", None, None)
@@ -109,23 +109,23 @@ def test_the_folder_is_bounded(tmp_path: Path) -> None:
     """The oldest files make room, by number and by size; others' files stay; a folder that others may write to is
     refused."""
     place = tmp_path / "boxes"
-    make_room(place)
+    prepare_folder(place)
     assert place.stat().st_mode & 0o777 == 0o700
     for number in range(FILES_MAX + 3):
         (place / f"{number:02d}.mcap").write_bytes(b"x")
         os.utime(place / f"{number:02d}.mcap", (number, number))
     (place / "notes.txt").write_text("mine")
-    make_room(place)
+    prepare_folder(place)
     assert [path.name for path in files(place)] == [f"{n:02d}.mcap" for n in range(4, FILES_MAX + 3)]
     with (place / "20.mcap").open("wb") as file:
         file.truncate(BYTES_MAX)
     os.utime(place / "20.mcap", (20, 20))
-    make_room(place)
+    prepare_folder(place)
     assert [path.name for path in files(place)] == ["21.mcap", "22.mcap"]
     assert (place / "notes.txt").read_text() == "mine"
     place.chmod(0o777)
-    with pytest.raises(ConfigError, match="others may write to it"):
-        make_room(place)
+    with pytest.raises(ConfigError, match="other users may write to it"):
+        prepare_folder(place)
 
 
 @contextmanager
@@ -139,7 +139,7 @@ def running(faults: list[dict[str, Any]] | None = None) -> Iterator[Daemon]:
 
 def named_in(path: Path) -> dict[str, dict[str, Any]]:
     """Faults among the events of a file, by name."""
-    events = [part.event for part in contents(path) if isinstance(part, Event)]
+    events = [part.event for part in read_contents(path) if isinstance(part, Event)]
     return {event["name"]: event for event in events if event["kind"] == "fault"}
 
 

@@ -22,7 +22,7 @@ from softfinger.proxy.records import Records
 from softfinger.server.bridges import foxglove, rerun
 from softfinger.server.cli import main
 from softfinger.server.recording import picture
-from softfinger.server.recording.reader import World, contents
+from softfinger.server.recording.reader import World, read_contents
 from softfinger.server.recording.schemas import FRAME, SCENE, TICK, message_class
 from softfinger.server.recording.writer import RecordingFile
 
@@ -111,7 +111,7 @@ def test_rerun_has_a_recording_whole(tmp_path: Path, capsys: pytest.CaptureFixtu
     np.testing.assert_array_equal(force, records["force"])
     ticks = values(found["/plots/force"], "tick")
     np.testing.assert_array_equal(ticks, records["tick"])
-    shown, _ = picture.displayed(run(), np.nan)
+    shown, _ = picture.select_displayed(run(), np.nan)
     arrows = values(found["/world/force"], "Arrows3D:vectors")[:, 0]
     # Rerun keeps what is drawn in single precision.
     np.testing.assert_allclose(arrows, 0.02 * records[shown]["force"], rtol=1e-6, atol=1e-9)
@@ -147,7 +147,7 @@ def test_foxglove_has_the_topics_of_a_recording() -> None:
     pytest.importorskip("foxglove", reason=WHY)
     records, server = run(), foxglove.Server(0)
     try:
-        shown = foxglove.Shown(server, [""], load_scene("paper-plane"))
+        shown = foxglove.FoxgloveSink(server, [""], load_scene("paper-plane"))
         with Viewer(int(server.url.rpartition(":")[2])) as viewer:
             shown.event(event("lifecycle", "started", 0))
             came: dict[str, tuple[int, bytes]] = {}
@@ -167,7 +167,7 @@ def test_foxglove_has_the_topics_of_a_recording() -> None:
 
 
 @contextmanager
-def sent_again_and_again(shown: foxglove.Shown, records: np.ndarray) -> Iterator[None]:
+def sent_again_and_again(shown: foxglove.FoxgloveSink, records: np.ndarray) -> Iterator[None]:
     """From another thread: a subscription takes effect a while after it was asked for."""
     over = threading.Event()
 
@@ -202,7 +202,7 @@ def test_fingers_are_told_apart(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason=WHY)
     stream = rerun.stream(tmp_path / "two.rrd")
     scene = load_scene("pinch")
-    shown = rerun.Shown(stream, [finger.name for finger in scene.fingers], scene)
+    shown = rerun.RerunSink(stream, [finger.name for finger in scene.fingers], scene)
     for place in range(2):
         shown.take(run()[:100], place)
     stream.flush()
@@ -233,7 +233,7 @@ def lifted(path: Path) -> tuple[Path, dict[str, Any]]:
 def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: Path) -> None:
     """The message comes back as it was; the frame is where the body is; the box is drawn in it, the floor is not."""
     path, world = lifted(tmp_path / "lift.mcap")
-    assert [part.world for part in contents(path) if isinstance(part, World)] == [world]
+    assert [part.world for part in read_contents(path) if isinstance(part, World)] == [world]
     frames, entities = {}, {}
     with path.open("rb") as file:
         for schema, _, message in make_reader(file).iter_messages():

@@ -72,7 +72,7 @@ def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
         "driver.toml: device.driver = 'replya'",
         "both.toml: both scene (fingertip) and rig (device)",
         "neither.toml: neither scene nor rig",
-        "no scene, rig or experiment is called 'repaly' (did you mean 'replay'?)",
+        "no scene, rig or experiment is named 'repaly' (did you mean 'replay'?)",
     ]:
         assert part in err
 
@@ -118,7 +118,7 @@ def test_check_as_json() -> None:
     assert good["kind"] == "scene"
     assert good["errors"] == []
     assert good["content"]["object"][0]["position_m"] == [0.0, 0.0, 0.06]
-    assert bad["errors"][0].startswith("no scene, rig or experiment is called 'nothing-like-it'")
+    assert bad["errors"][0].startswith("no scene, rig or experiment is named 'nothing-like-it'")
 
 
 def test_a_scene_is_explained_by_measured_costs() -> None:
@@ -146,3 +146,17 @@ def test_check_tells_how_geoms_are_taken(tmp_path: Path) -> None:
     assert every.returncode == 0, every.stderr
     assert re.search(r"11 of 11 geoms touched", every.stdout)
     assert re.search(r"map +3 x 2 pixels, .* heights 0 to 0\.05 m", every.stdout)
+
+
+@pytest.mark.plain
+def test_check_names_every_file_that_cannot_be_used(tmp_path: Path) -> None:
+    """Not the first one alone."""
+    objects = [
+        f'[[object]]\nname = "{name}"\nshape = "mesh"\nfile = "{name}.stl"\nmaterial = "wood"\n'
+        for name in ("one", "two")
+    ]
+    (tmp_path / "two.stl").write_bytes(b"solid")
+    (tmp_path / "scene.toml").write_text("[fingertip]\nradius_m = 0.01\n" + "".join(objects))
+    done = called("check", str(tmp_path / "scene.toml"))
+    assert done.returncode == 2
+    assert re.search("object 'one': file: .*No such file.*\n.*object 'two': file: .*it was cut off", done.stderr)

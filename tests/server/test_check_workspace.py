@@ -12,7 +12,7 @@ from helpers.called import called
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Scene, Workspace
-from softfinger.drivers.kinematics.freedom import Freedom
+from softfinger.drivers.kinematics.subspace import MotionSubspace
 from softfinger.server.offline import workspace
 
 pytestmark = pytest.mark.plain
@@ -39,9 +39,9 @@ def scene(**ball: object) -> Scene:
 )
 def test_what_the_wall_keeps_away_is_said(place: tuple[float, float, float], said: str) -> None:
     """Of a sphere in a sphere, whose distances are sums."""
-    objects = workspace.drawn(SPHERE, scene(position_m=list(place)))
+    objects = workspace.place_objects(SPHERE, scene(position_m=list(place)))
     assert workspace.rows(SPHERE, objects) == [("1 'ball'", said)]
-    away = workspace.beyond(SPHERE, objects[0].points)
+    away = workspace.signed_distance(SPHERE, objects[0].points)
     apart = float(np.linalg.norm(np.array(place) - np.array(SPHERE.center_m)))
     assert away.max() == pytest.approx(apart + 0.01 - 0.04, abs=STEP_M)
     assert away.min() == pytest.approx(abs(apart - 0.01) - 0.04, abs=STEP_M) or apart < 0.01
@@ -50,13 +50,13 @@ def test_what_the_wall_keeps_away_is_said(place: tuple[float, float, float], sai
 def test_beyond_a_box() -> None:
     """Inside the nearest face counts, outside the nearest point of the box: at a corner by Pythagoras."""
     points = np.array([[0.0, 0.0, 0.0], [0.06, 0.0, 0.0], [0.08, 0.07, 0.0], [0.045, 0.0, 0.0]])
-    assert workspace.beyond(BOX, points) == pytest.approx([-0.03, 0.01, 0.05, -0.005])
+    assert workspace.signed_distance(BOX, points) == pytest.approx([-0.03, 0.01, 0.05, -0.005])
 
 
 def test_text_has_the_wall_and_the_objects_to_scale() -> None:
     """The middle line of a sphere is as wide as the sphere, and a ball at its edge stands there, in both views."""
     turned = scene(position_m=[0.01, 0.03, 0.02], orientation_wxyz=[0.0, 1.0, 0.0, 0.0])
-    lines = workspace.text(SPHERE, workspace.drawn(SPHERE, turned))
+    lines = workspace.text(SPHERE, workspace.place_objects(SPHERE, turned))
     assert lines[0].startswith("from the front: x to the right, z up; 100 mm wide")
     middle = lines[1 + workspace.ROWS // 2].ljust(2 * workspace.COLUMNS + 3)
     front, right = middle[: workspace.COLUMNS], middle[-workspace.COLUMNS :]
@@ -87,7 +87,7 @@ def test_the_way_of_a_handle_is_where_its_arc_or_plane_meets_the_inside() -> Non
     normal, up = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     for away, radius in ((0.0, 0.04), (0.024, 0.032), (0.05, None)):
         point = np.array([0.3, away, -0.2])  # anywhere in the plane
-        points = workspace.way(SPHERE, Freedom(2, normal, point, point))
+        points = workspace.reachable_curve(SPHERE, MotionSubspace(2, normal, point, point))
         if radius is None:
             assert len(points) == 0
             continue
@@ -95,7 +95,7 @@ def test_the_way_of_a_handle_is_where_its_arc_or_plane_meets_the_inside() -> Non
         sizes = np.linalg.norm(points - (0.01, away, 0.02), axis=1)
         np.testing.assert_allclose(sizes, radius, atol=0.08 / (workspace.DIRECTIONS - 1))  # steps of the search
     middle = np.array([0.01, 0.0, 0.02])
-    points = workspace.way(SPHERE, Freedom(1, normal, middle - 0.09 * up, middle))
+    points = workspace.reachable_curve(SPHERE, MotionSubspace(1, normal, middle - 0.09 * up, middle))
     np.testing.assert_allclose(np.linalg.norm(points - middle + 0.09 * up, axis=1), 0.09, atol=1e-15)
     # the end of a chord of 40 mm from the middle: 2 asin(20 / 90)
     assert points[:, 0].max() - 0.01 == pytest.approx(0.09 * np.sin(2.0 * np.arcsin(0.02 / 0.09)), abs=STEP_M)
@@ -107,10 +107,12 @@ def test_the_plane_of_a_device_is_drawn() -> None:
     assert "edge of the plane in which the handle moves; other forces are shown, not displayed" in done.stdout
     begins = 2 + workspace.COLUMNS + 3
     drawn = done.stdout.partition("the soft wall of")[2].splitlines()
-    views = [line for line in drawn if workspace.WAY in line and "handle" not in line]
+    views = [line for line in drawn if workspace.CURVE_MARK in line and "handle" not in line]
     assert views
-    assert {k for line in views for k, c in enumerate(line[begins:]) if c == workspace.WAY} == {workspace.COLUMNS // 2}
-    assert all(line[:begins].count(workspace.WAY) >= 2 for line in views)
+    assert {k for line in views for k, c in enumerate(line[begins:]) if c == workspace.CURVE_MARK} == {
+        workspace.COLUMNS // 2
+    }
+    assert all(line[:begins].count(workspace.CURVE_MARK) >= 2 for line in views)
 
 
 def test_a_plot_of_nothing_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -18,7 +18,7 @@ from helpers.called import called
 
 from softfinger.proxy.record import columns
 from softfinger.server.cli import VERBS, make_parser
-from softfinger.server.offline.results import read_results
+from softfinger.server.recording.results import read_results
 
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 FREE = ["--endpoint", "tcp://127.0.0.1:*"]
@@ -265,7 +265,7 @@ LONG = "x" * 300
         ("schema telemetry >/dev/full", 11, "No space left on device"),
         ("run --duration 0.2 --realtime off --endpoint tcp://127.0.0.1:* <&- >&- 2>&-", 0, ""),
         ("run --duration 0.2 --realtime off --endpoint tcp://127.0.0.1:* 2>&1 | head -1", 0, "--view"),
-        (f"check {LONG}", 2, "no scene, rig or experiment is called"),
+        (f"check {LONG}", 2, "no scene, rig or experiment is named"),
         (f"check {LONG}.toml", 2, "File name too long"),
         (f"run --endpoint tcp://127.0.0.1:* --recording {LONG}.csv", 3, "File name too long"),
         (f"record --poses {LONG}.csv --timeout 0.1 --endpoint ipc:///nowhere/x", 9, "no telemetry"),

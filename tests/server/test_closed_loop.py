@@ -17,8 +17,16 @@ from softfinger.config.schema import Scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.drivers.simulated.device import open_device
-from softfinger.drivers.simulated.options import Options, Simulation, simulation
-from softfinger.drivers.simulated.plant import LINE_SIZE, Drive, Handle, Impedance, Intention, at_rest, make_plant
+from softfinger.drivers.simulated.options import Options, Simulation, make_simulation
+from softfinger.drivers.simulated.plant import (
+    DELAY_LINE_SIZE,
+    Handle,
+    Impedance,
+    Intention,
+    PlantInputs,
+    make_plant,
+    make_rest_state,
+)
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import Packed, flatten
 from softfinger.proxy.record import AT
@@ -59,8 +67,8 @@ def test_servo_and_closed_loop_are_bit_identical() -> None:
         servo.start()
         assert servo.join(60.0).ending == FINISHED
         servo.close()
-        written = device.written()
-    records = whole(run_closed_loop(tuning, [simulation(options, 1000.0)], 1000.0, ticks))
+        written = device.logged()
+    records = whole(run_closed_loop(tuning, [make_simulation(options, 1000.0)], 1000.0, ticks))
     assert np.abs(records[:, FORCE]).max() > 0.1
     assert written.read[:ticks].tolist() == list(range(ticks))
     assert written.wrench[:ticks, :3].tobytes() == records[:, FORCE].tobytes()
@@ -118,7 +126,7 @@ def test_pressed_wall_is_the_linear_sampled_system(delay: int, damping: float) -
     m, b, k, period, count = 0.2, 1.0, 1000.0, 0.001, 18
     tuning = ice(k, damping)
     plant = make_plant(period, Handle((m,) * 3, (b,) * 3, delay=delay))
-    device = Simulation(plant, at_rest((0.0, 0.0, 0.008)), ALOFT, resting_at(0.008))
+    device = Simulation(plant, make_rest_state((0.0, 0.0, 0.008)), ALOFT, resting_at(0.008))
     records = whole(run_closed_loop(tuning, [device], 1.0 / period, count))
 
     a, g, *_ = cont2discrete(
@@ -144,14 +152,14 @@ def test_figures_are_those_of_the_records() -> None:
     tuning, ticks = ice(2000.0, 1.0, 0.002), 2000
     plant = make_plant(0.001, Handle((0.2,) * 3, (1.0,) * 3), Impedance(mass=0.1, damping=2.0, stiffness=300.0))
     poses = resting_at(0.008)
-    device = Simulation(plant, at_rest((0.0, 0.0, 0.02))._replace(goal=(0.0, 0.0, 0.008)), ALOFT, poses)
+    device = Simulation(plant, make_rest_state((0.0, 0.0, 0.02))._replace(goal=(0.0, 0.0, 0.008)), ALOFT, poses)
     records = whole(run_closed_loop(tuning, [device], 1000.0, ticks + 1))
-    drive = Drive(ALOFT, poses, np.zeros(LINE_SIZE))
+    drive = PlantInputs(ALOFT, poses, np.zeros(DELAY_LINE_SIZE))
     end = go_on(tuning, begin(tuning.scene), plant, device.state, drive, Run(0, ticks, 0.001), inf)
     x, force = records[:, POSITION], records[:-1, FORCE]
     assert end.state.position == tuple(x[ticks])
-    assert end.memory.fingers[0].guarded.force == tuple(force[-1])
-    assert (end.ticks, end.left) == (ticks, -1.0)
+    assert end.memory.fingers[0].guard_state.force == tuple(force[-1])
+    assert (end.ticks, end.exit_tick) == (ticks, -1.0)
     assert end.excursion == pytest.approx(np.linalg.norm(x[1:] - x[0], axis=1).max(), rel=1e-15)
     assert end.force == pytest.approx(np.linalg.norm(force, axis=1).max(), rel=1e-15) and end.force > 1.0
     assert end.energy == pytest.approx(np.sum(force * np.diff(x, axis=0)), rel=1e-12)
@@ -162,21 +170,21 @@ def test_many_cases_are_each_on_its_own() -> None:
     stiffness = np.array([500.0, 40000.0, 1000.0, 40000.0, 500.0])
     tuning = ice()
     plant = make_plant(0.001, Handle((0.1,) * 3, (1.0,) * 3), Impedance(damping=1.0, stiffness=100.0))
-    state = at_rest((0.0, 0.0, 0.009))
+    state = make_rest_state((0.0, 0.0, 0.009))
     figures = np.zeros((5, len(FIGURES)))
     close_many(
         Packed(tuning, np.array([flatten(ice(k)) for k in stiffness])),
         begin(tuning.scene),
         Packed(plant, flatten(plant)[None]),
         Packed(state, flatten(state)[None]),
-        Drive(ALOFT, resting_at(0.009), np.zeros(LINE_SIZE)),
+        PlantInputs(ALOFT, resting_at(0.009), np.zeros(DELAY_LINE_SIZE)),
         5000,
         0.005,
         figures,
     )
-    left = figures[:, FIGURES.index("left")]
+    left = figures[:, FIGURES.index("exit_tick")]
     assert (left[[0, 2, 4]] == -1.0).all() and (left[[1, 3]] > 0.0).all()
     assert figures[0].tolist() == figures[4].tolist() and figures[1].tolist() == figures[3].tolist()
     assert (figures[[0, 2], FIGURES.index("ticks")] == 5000.0).all()
-    assert figures[1, FIGURES.index("ticks")] == figures[1, FIGURES.index("left")]
+    assert figures[1, FIGURES.index("ticks")] == figures[1, FIGURES.index("exit_tick")]
     assert figures[1, FIGURES.index("excursion")] > 0.005

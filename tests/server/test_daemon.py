@@ -28,12 +28,13 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
-from softfinger.server.loop.realtime import lift
+from softfinger.server.loop.realtime import raise_priority
 from softfinger.server.loop.shared.rings import Rings
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.services import base
 from softfinger.server.services.records import Sink
+from softfinger.tools.pages.hazards import starved_s
 
 pytestmark = pytest.mark.real_time
 
@@ -88,7 +89,7 @@ def test_two_replays_and_simulate_are_bit_identical(tmp_path):
     assert not runs[0][len(offline) :].any() and len(runs[0]) > len(offline)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.exhaustive)])
 def test_signal_stops_in_order_with_zero_force(number, tmp_path):
     """Either signal ends the daemon with exit code 0, and the last wrench written is zero."""
     forces = tmp_path / "forces.npz"
@@ -388,13 +389,17 @@ def test_a_pose_that_stays_unusable_ends_the_run_as_a_fault_of_the_device(faulty
 
 
 def test_repeated_stalls_end_the_run(faulty):
-    """Reads that hang for 0.24 s, each too short for the supervisor: a safety stop that says where the time went."""
-    rig = faulty_rig(fault="stall", at=200, count=20, stall_us=240_000)
+    """Reads that hang for 0.24 s, each too short for the supervisor: a safety stop that says where the time went, by
+    the read that the fault model says."""
+    hang_s = 0.24
+    rig = faulty_rig(fault="stall", at=200, count=20, stall_us=round(1e6 * hang_s))
     with Daemon(rig, load_scene("paper-plane"), 5000) as running:
         running.start()
         with pytest.raises(SafetyStop, match=r"lost more than 50% .* in the device's exchange|no tick for"):
             running.wait(60.0)
     assert not faulty.device.wrenches[-1].any()
+    reads = round(starved_s(hang_s) / (hang_s + 1e-3))
+    assert not faulty.device.wrenches[200 + reads :].any()
 
 
 HOG = """
@@ -411,7 +416,7 @@ while time.monotonic() < until:
 def granted_fifo() -> bool:
     """Whether this process may use SCHED_FIFO, asked in a thread that ends with the answer."""
     asked = []
-    thread = threading.Thread(target=lambda: asked.append(lift("any", threading.get_native_id(), 80).ok))
+    thread = threading.Thread(target=lambda: asked.append(raise_priority("any", threading.get_native_id(), 80).ok))
     thread.start()
     thread.join()
     return asked[0]
@@ -479,7 +484,6 @@ LEFT_BEHIND = """
 import os, threading
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
-from softfinger.server.loop.realtime import lift
 from softfinger.server.loop.servo_thread import Servo
 rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
 scene = load_scene("paper-plane")

@@ -23,7 +23,7 @@ def test_each_warning_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
     watch = DeviceWarnings(lambda: [device], event)
     for words in ("", "hot", "hot", "hotter", "", "", "hot"):
         said[0] = words
-        watch.look()
+        watch.check()
     assert told == [("fault", NAME, f"arm: {words}") for words in ("hot", "hotter", "hot")]
     assert caplog.text.count("arm: hot") == 3
 
@@ -32,4 +32,4 @@ def test_a_failing_look_ends_no_run() -> None:
     """What fails in it is an event; nobody is asked any more."""
     told = []
     DeviceWarnings(list, lambda *_, message: told.append(message)).failed(ValueError("broken"))
-    assert told == ["warnings of devices are not told any more: broken"]
+    assert told == ["warnings of devices are no longer published: broken"]

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.engine import Engine
+from softfinger.proxy.engine import Engine, PoseError
 from softfinger.proxy.records import Records
 from softfinger.server.bridges import environment
 from softfinger.server.bridges.environment import Touch
@@ -32,6 +33,7 @@ def played(env: Touch, actions: np.ndarray) -> Records:
     return Records(np.concatenate(parts))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("scene", ["paper-plane", "sphere"])
 def test_gymnasium_takes_it(scene: str) -> None:
     """The checker finds nothing to warn of, as warnings are errors here: spaces, seeds, types of what is returned."""
@@ -76,6 +78,16 @@ def test_the_goal_stays_within_reach() -> None:
     for _ in range(30):
         seen = env.step(np.array([9.0, -9.0, 9.0, 0.0, 0.0, 0.0]))[0]
     np.testing.assert_allclose(seen["goal.position"], [0.01, -0.01, HOME[2] + 0.01], atol=1e-12)  # rounding of a sum
+
+
+@pytest.mark.parametrize("action", [[np.nan] * 6, [0.0] * 5, [[0.0] * 6], "up", [np.inf] * 6])
+def test_an_action_that_is_none_is_refused(action: Any) -> None:
+    """In one line, and the episode goes on as if it had not been given."""
+    env = Touch("paper-plane", home_m=HOME)
+    env.reset()
+    with pytest.raises(PoseError, match=r"action .*must be 6 finite numbers"):
+        env.step(action)
+    assert np.isfinite(env.step(np.zeros(6))[0]["probe.position"]).all()
 
 
 def test_the_goal_turns_about_the_worlds_axes() -> None:

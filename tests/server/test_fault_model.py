@@ -3,14 +3,23 @@
 import ast
 import importlib
 import json
+import re
 from pathlib import Path
 
 import pytest
+from helpers.injected_run import FROZEN_S
 
-from softfinger.server.faults import ADVICE, FAILED, HAZARDS, SEEN_IN
+from softfinger.config.errors import DeviceError, HapticError, SafetyStop
+from softfinger.drivers.openhaptics import exchange as openhaptics
+from softfinger.server.loop import health, limits
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.loop.health import STALL_MAX_S, STALL_POLL_S, STALL_POLLS
-from softfinger.server.states import State
+from softfinger.server.services import device_warnings, swapping
+from softfinger.server.states import DaemonState
+from softfinger.server.viewer.door import process
+from softfinger.server.wire import link
+from softfinger.server.wire.events import ADVICE
+from softfinger.tools.pages import hazards
+from softfinger.tools.pages.hazards import FAILED, HAZARDS, SEEN_IN
 
 pytestmark = pytest.mark.plain
 
@@ -61,7 +70,7 @@ def test_each_fault_that_is_told_has_a_row():
     assert rows - faults - {f"guard {name}" for name in GUARD_NAMES} == {
         "servo missed", "command heartbeat_missed", FAILED,
     }  # fmt: skip
-    assert f"state {State.FAULTED}" == FAILED
+    assert f"state {DaemonState.FAULTED}" == FAILED
 
 
 def test_each_row_was_seen_to_fit_what_it_says():
@@ -74,7 +83,7 @@ def test_each_row_was_seen_to_fit_what_it_says():
     for each in (each for each in seen if "driver" in each):
         hazard = by_name[each["hazard"]]
         assert each["event"] == "none" or each["event"] in hazard.events, each
-        assert each["state"] in set(State), each
+        assert each["state"] in set(DaemonState), each
         if each["ticks"] is None:
             assert hazard.within is None, each
         else:
@@ -83,11 +92,73 @@ def test_each_row_was_seen_to_fit_what_it_says():
     assert len(timed) >= 7
 
 
-def test_the_row_of_a_stall_says_what_the_supervisor_does():
-    """From its number of looks to the most that it may take, in words and in ticks at 1 kHz."""
-    (stall,) = [hazard for hazard in HAZARDS if hazard.name == "a loop that stalls"]
-    assert stall.reaction == f"{STALL_POLLS * STALL_POLL_S:.2f} to {STALL_MAX_S:.2f} s"
-    assert stall.within == round(1000 * STALL_MAX_S)
+SET_BY = {
+    "a wall that is unstable": [(limits, "FORGET_S")],
+    "a force that is not finite": [(health, "NO_FORCE_MAX_S")],
+    "a pose that is not finite, out of range or short": [(health, "NO_FORCE_MAX_S")],
+    "a pose that jumps": [(health, "NO_FORCE_MAX_S"), (health, "JUMP_S")],
+    "a handle that runs away": [(limits, "SPEED_S"), (limits, "SLOW_S")],
+    "a device that warns": [(device_warnings, "PERIOD_S")],
+    "a device that is lost or breaks its protocol": [(DeviceError, "exit_code")],
+    "a device that is silent, or sends invalid data": [(openhaptics, "TIMEOUT_NS"), (DeviceError, "exit_code")],
+    "a device that takes no force": [(health, "IGNORED_WRENCH_MAX_S")],
+    "a device that removes its force": [(SafetyStop, "exit_code")],
+    "a loop that stalls": [(health, name) for name in ("STALL_POLLS", "STALL_POLL_S", "STALL_MAX_S")],
+    "a machine that starves the loop": [
+        (health, name) for name in ("LOST_MAX_S", "LOST_SHARE", "GAP_MIN_S", "GAP_MAX_S")
+    ],
+    "an exception in the servo's thread": [(HapticError, "exit_code")],
+    "a publisher that ends, also while no memory or file descriptor is left": [(link, "PAUSE_MAX_S")],
+    "a page that ends, also while no memory or file descriptor is left": [(process, "RESTARTS")],
+    "memory of the daemon in swap": [(swapping, "PERIOD_S")],
+    "commands that cannot be taken": [(SafetyStop, "exit_code")],
+}
+"""The constants that set the numbers of a row; keys of rigs have their defaults in the reference of rigs."""
+
+
+@pytest.mark.parametrize(("name", "owner", "constant"), [
+    (name, owner, constant) for name, constants in SET_BY.items() for owner, constant in constants
+])  # fmt: skip
+def test_a_number_of_a_row_is_that_of_its_constant(name, owner, constant, monkeypatch):
+    """Another value of the constant makes another row."""
+    row = {hazard.name: tuple(hazard) for hazard in HAZARDS}[name]
+    value = getattr(owner, constant)
+    monkeypatch.setattr(owner, constant, 1.5 * value if isinstance(value, float) else 2 * value)
+    try:
+        other = {hazard.name: tuple(hazard) for hazard in importlib.reload(hazards).HAZARDS}[name]
+    finally:
+        monkeypatch.undo()
+        importlib.reload(hazards)
+    assert other != row
+
+
+BY_HAND = {"0 ticks", "0 ticks, 1 of a write"}
+"""Reactions that no constant sets: the same tick, which tests see at every driver."""
+
+
+def test_no_number_of_a_row_is_written_by_hand():
+    """Of the texts from which rows are made none has a figure but those that no constant sets."""
+    (rows,) = [
+        node.value
+        for node in ast.parse((ROOT / "tools/pages/hazards.py").read_text("utf-8")).body
+        if isinstance(node, ast.AnnAssign) and node.target.id == "HAZARDS"
+    ]
+    texts = [
+        each.value
+        for row in rows.elts
+        for field in row.args[:5]
+        for each in ast.walk(field)
+        if isinstance(each, ast.Constant) and isinstance(each.value, str)
+    ]
+    assert len(texts) > 5 * len(HAZARDS) // 2
+    by_hand = {text for text in texts if re.search(r"\d|\b(twice|three|five|half)\b", text)}
+    assert by_hand - {".0%", ".1f", ".2f"} == BY_HAND
+
+
+def test_what_tests_may_take_is_what_their_rig_says():
+    """The rig of the injected faults waits FROZEN_S for a pose that stands still; a fifth more is the tests'."""
+    (frozen,) = [hazard for hazard in HAZARDS if hazard.name == "a pose that does not change under a force"]
+    assert frozen.within == round(1.2 * FROZEN_S / hazards.TICK_S)
 
 
 def test_rows_are_told_apart():

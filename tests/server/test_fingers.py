@@ -19,7 +19,7 @@ from helpers.two_fingers import NAMES, SCENE, two_fingers
 from softfinger.config.errors import DeviceError, RecordingError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Scene
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.drivers.base import HELD, WITHHELD
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.replay.device import Options as ReplayOptions
@@ -34,15 +34,15 @@ from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, POSE_REFUSED
 from softfinger.server.loop.health import JUMPING, NO_POSE
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.results import read_results
 from softfinger.server.offline.simulate import simulate, tick_many
+from softfinger.server.recording.results import read_results
 
 GUARD = load_rig("replay", {"guard.ramp_s": 0.01}).guard
 CLOCKED = [AT.timestamp, AT.servo_late, AT.servo_exec, AT.servo_missed, AT.servo_busy]
 """Columns that tell of the machine."""
 
 
-def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.Ended, np.ndarray]:
+def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.LoopEnd, np.ndarray]:
     """A servo over two devices to its end, with limits of both guards, and its records (n, fingers, RECORD_SIZE)."""
     tuning = make_tuning(two_fingers(), GUARD)
     tuning = tuning._replace(guards=tuple(guard._replace(**limits) for guard in tuning.guards))
@@ -136,8 +136,8 @@ def test_a_stop_that_fails_keeps_no_other_device_from_its_zero(place: int) -> No
 def test_a_signal_stops_every_open_device(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a signal does to devices that nobody runs: each is stopped though the one before fails, which is told."""
     devices = [FaultyDevice(Options(stop_fails=True)), FaultyDevice(Options(stop_fails=True)), FaultyDevice(Options())]
-    monkeypatch.setattr(opened, "devices", devices)
-    assert [str(error) for error in opened.stop_all()] == ["the port has gone"] * 2
+    monkeypatch.setattr(open_devices, "devices", devices)
+    assert [str(error) for error in open_devices.stop_all()] == ["the port has gone"] * 2
     assert [[act for act, *_ in device.acts] for device in devices] == [["stop"]] * 3
 
 
@@ -147,7 +147,7 @@ def test_a_device_that_hangs_keeps_no_other_from_its_zero(
     place: int, act: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is given up after a while, by name; the other one has stopped."""
-    monkeypatch.setattr(opened, "END_S", 0.5)
+    monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", 0.5)
     go_on = threading.Event()
 
     class Hanging(FaultyDevice):

@@ -235,7 +235,7 @@ def test_clients_tell_fingers_apart() -> None:
             lost, guards, seen = dict.fromkeys(NAMES, 0), [], 0
             while seen < 2 * 1011 or not guards or board.health is None:  # which come behind their ticks
                 sample = next(samples)
-                board.take(sample)
+                board.update(sample)
                 if sample.topic.startswith("finger/"):
                     seen += 1
                     lost[sample.topic.removeprefix("finger/")] += sample.lost

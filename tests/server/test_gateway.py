@@ -94,7 +94,7 @@ class Listener:
         if not asks:
             self.socket.subscribe(b"")
         if keys is not None:
-            keys.put_on(self.socket)
+            keys.apply_to(self.socket)
         self.socket.connect(endpoint.replace("0.0.0.0", "127.0.0.1"))
         self.messages = self.away = self.let_in = 0
         self.events: list[dict[str, Any]] = []
@@ -265,10 +265,10 @@ def test_what_is_forwarded_is_what_was_published() -> None:
     ("words", "said"),
     [
         ([], "give --to, --commands-to or --lsl"),
-        (["--to", "tcp://0.0.0.0:*"], "is open to the network: say who may come in"),
+        (["--to", "tcp://0.0.0.0:*"], "is open to the network: set the allowed clients"),
         (["--commands-to", "tcp://0.0.0.0:*", "--keys", "keys/server.key_secret"], "--commanders DIR"),
         (["--to", "tcp://127.0.0.1:*", "--readers", "readers"], "add --keys FILE"),
-        (["--to", "tcp://127.0.0.1:*", "--server-key", "keys/server.key"], "goes with --keys FILE"),
+        (["--to", "tcp://127.0.0.1:*", "--server-key", "keys/server.key"], "requires --keys FILE"),
         (["--to", "nowhere"], "is not an endpoint"),
         (["--to", "tcp://127.0.0.1:*", "--from", "nowhere"], "cannot connect to endpoint 'nowhere'"),
     ],

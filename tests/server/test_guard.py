@@ -13,7 +13,7 @@ from softfinger.server.loop import guard as g
 
 DT = 0.001
 LIMITS = g.Guard(12.0, 0.3, 2000.0, 50.0, 0.5, 1.0)
-ENGAGED = g.Guarded((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)
+ENGAGED = g.GuardState((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)
 OPEN = g.Guard(12.0, 0.3, 1e9, 1e9, 0.0, 1.0)
 
 any_vector = st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 3)
@@ -34,7 +34,7 @@ def norm(v):
 @examples(300, 3000)
 def test_output_is_always_finite_bounded_and_slow(wrenches):
     """For any sequence of wrenches, NaN and infinities among them, the output keeps every limit."""
-    before = g.DISENGAGED
+    before = g.INITIAL_GUARD_STATE
     for force, torque in wrenches:
         after, bits = compiled(LIMITS, before, force, torque, DT)
         assert all(map(math.isfinite, (*after.force, *after.torque)))
@@ -54,7 +54,7 @@ def test_what_is_not_finite_becomes_zero_and_ramps_anew(bad, axis):
     wrench = [1.0] * 6
     wrench[axis] = bad
     after, bits = compiled(LIMITS, ENGAGED, tuple(wrench[:3]), tuple(wrench[3:]), DT)
-    assert (after, bits) == (g.DISENGAGED, g.NOT_FINITE)
+    assert (after, bits) == (g.INITIAL_GUARD_STATE, g.NOT_FINITE)
 
 
 def test_clamp_keeps_the_direction():
@@ -105,9 +105,9 @@ def test_the_torque_alone_may_be_slew_limited():
 
 def test_without_a_ramp_the_force_is_there_at_once_and_no_larger():
     """ramp_s = 0 means the whole force, once, from the first tick on."""
-    after, bits = compiled(OPEN, g.DISENGAGED, (11.0, 0.0, 0.0), (0.0, 0.0, 0.25), DT)
-    assert (after, bits) == (g.Guarded((11.0, 0.0, 0.0), (0.0, 0.0, 0.25), 1.0), 0)
-    after, bits = compiled(OPEN, g.DISENGAGED, (13.0, 0.0, 0.0), (0.0, 0.0, 0.0), DT)
+    after, bits = compiled(OPEN, g.INITIAL_GUARD_STATE, (11.0, 0.0, 0.0), (0.0, 0.0, 0.25), DT)
+    assert (after, bits) == (g.GuardState((11.0, 0.0, 0.0), (0.0, 0.0, 0.25), 1.0), 0)
+    after, bits = compiled(OPEN, g.INITIAL_GUARD_STATE, (13.0, 0.0, 0.0), (0.0, 0.0, 0.0), DT)
     assert bits == g.FORCE_CLAMPED and after.force[0] == pytest.approx(12.0, rel=1e-14)
 
 
@@ -134,16 +134,16 @@ def test_a_pause_widens_neither_slew_nor_ramp(pause):
     """After ticks that were missed the force changes, and the ramp goes on, by what one tick allows."""
     force, torque = (10.0, 0.0, 0.0), (0.0, 0.2, 0.0)
     assert compiled(LIMITS, ENGAGED, force, torque, pause) == compiled(LIMITS, ENGAGED, force, torque, DT)
-    ramping = g.Guarded((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.2)
+    ramping = g.GuardState((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.2)
     assert compiled(LIMITS, ramping, force, torque, pause)[0].gain == pytest.approx(0.2 + DT / LIMITS.ramp)
 
 
 @pytest.mark.parametrize("pause", [0.1001, 1.0, math.inf, math.nan])
 def test_a_long_pause_means_fading_in_anew(pause):
     """After a pause in which the hand has moved on, the force begins from zero, as after engaging."""
-    held = g.Guarded((5.0, 0.0, 0.0), (0.0, 0.1, 0.0), 1.0)
+    held = g.GuardState((5.0, 0.0, 0.0), (0.0, 0.1, 0.0), 1.0)
     force, torque = (5.0, 0.0, 0.0), (0.0, 0.1, 0.0)
-    assert compiled(LIMITS, held, force, torque, pause) == compiled(LIMITS, g.DISENGAGED, force, torque, DT)
+    assert compiled(LIMITS, held, force, torque, pause) == compiled(LIMITS, g.INITIAL_GUARD_STATE, force, torque, DT)
     assert norm(compiled(LIMITS, held, force, torque, pause)[0].force) <= 5.0 * DT / LIMITS.ramp
 
 
@@ -156,7 +156,7 @@ def test_force_within_all_limits_passes_unchanged():
 
 def test_ramp_grows_linearly_from_engaging():
     """After ramp_s the full force is there, half way half of it."""
-    before, forces = g.DISENGAGED, []
+    before, forces = g.INITIAL_GUARD_STATE, []
     for _ in range(600):
         before, _ = compiled(LIMITS, before, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), DT)
         forces.append(before.force[0])
@@ -176,7 +176,7 @@ def test_the_limits_do_not_grow_once_the_ramp_is_over():
 
 def test_the_moment_ramps_with_the_force():
     """At each tick of the ramp force and moment have the same share of what they are to be."""
-    before = g.DISENGAGED
+    before = g.INITIAL_GUARD_STATE
     for n in range(1, 500):
         before, bits = compiled(LIMITS, before, (1.0, 0.0, 0.0), (0.0, 0.0, 0.1), DT)
         assert bits == g.RAMPING
@@ -188,7 +188,7 @@ def test_the_moment_ramps_with_the_force():
 def test_the_ramp_is_as_long_on_a_stiff_wall(asked):
     """A hand 20 mm inside of 5 kN/m is asked for 100 N, of 1 MN/m for 20 kN: what it is given rises as slowly as to
     12 N, and force and torque that are both past their limits rise together."""
-    before, free = g.DISENGAGED, LIMITS._replace(force_slew=1e9, torque_slew=1e9)
+    before, free = g.INITIAL_GUARD_STATE, LIMITS._replace(force_slew=1e9, torque_slew=1e9)
     whole = min(asked / free.force_max, 1.0)
     for n in range(1, 501):
         before, bits = compiled(free, before, (0.6 * asked, 0.0, 0.8 * asked), (0.0, asked, 0.0), DT)
@@ -202,7 +202,7 @@ def test_disarmed_commands_zero():
     """Nothing passes while disarmed, and arming begins with the ramp."""
     off = LIMITS._replace(armed=0.0)
     after, bits = compiled(off, ENGAGED, (1.0, 0.0, 0.0), (0.0, 0.0, 0.1), DT)
-    assert (after, bits) == (g.DISENGAGED, g.DISARMED)
+    assert (after, bits) == (g.INITIAL_GUARD_STATE, g.DISARMED)
 
 
 def test_every_bit_has_a_name():
@@ -228,7 +228,7 @@ def test_every_bit_has_a_name():
 def test_plain_python_agrees_with_the_compiled_guard():
     """The same kernel interpreted gives the same bits, so coverage and debuggers see what runs."""
     rng = np.random.default_rng(3)
-    before = g.DISENGAGED
+    before = g.INITIAL_GUARD_STATE
     for _ in range(200):
         force, torque = tuple(rng.normal(0, 10, 3).tolist()), tuple(rng.normal(0, 0.3, 3).tolist())
         after, bits = compiled(LIMITS, before, force, torque, DT)

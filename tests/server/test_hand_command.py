@@ -99,8 +99,8 @@ def test_it_is_told_when_it_begins_and_ends_and_not_between(daemon: Daemon, clie
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ({}, "bad_params: say either position_m"),
-        ({"position_m": [0, 0, 0.01], "release": True}, "bad_params: say either position_m"),
+        ({}, "bad_params: give either position_m"),
+        ({"position_m": [0, 0, 0.01], "release": True}, "bad_params: give either position_m"),
         ({"position_m": [0, 0, 3]}, "bad_params: hand: position_m = .* is out of reach"),
         ({"position_m": [0, 0, float("nan")]}, "bad_params: hand"),
         ({"position_m": [0, 0, 0.02], "finger": "toe"}, "bad_params: no finger is 'toe'"),

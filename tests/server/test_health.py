@@ -5,6 +5,7 @@ import pytest
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop import health as h
 from softfinger.server.loop.guard import NOT_FINITE, POSE_JUMPED, POSE_REFUSED, RAMPING
+from softfinger.tools.pages.hazards import starved, starved_s
 
 T = 0.001
 
@@ -30,9 +31,9 @@ GOOD, NO_POSE, NO_FORCE = (RAMPING, 0.0, T), (POSE_REFUSED | RAMPING, 0.0, T), (
 
 @pytest.mark.parametrize(("tick", "fault"), [(NO_POSE, h.NO_POSE), (NO_FORCE, h.NO_FORCE)])
 def test_half_a_second_without_a_force_is_a_fault(tick, fault):
-    """Poses or forces that cannot be used, one after the other, end the run after SILENCE_MAX_S, and not before."""
+    """Poses or forces that cannot be used, one after the other, end the run after NO_FORCE_MAX_S, and not before."""
     _, found, count, _ = after([tick] * 2000)
-    assert (found, abs(count - h.SILENCE_MAX_S / T) <= 2) == (fault, True)  # 500 additions, and above, not at
+    assert (found, abs(count - h.NO_FORCE_MAX_S / T) <= 2) == (fault, True)  # 500 additions, and above, not at
 
 
 def test_what_flickers_without_end_is_a_fault_and_what_happens_at_times_is_none():
@@ -49,6 +50,19 @@ def test_jumps_that_leave_nothing_to_render_are_a_fault():
     assert after(([jump] * 4 + [GOOD] * 1000) * 5)[1] == 0
     for a_second, fault in ((10, h.JUMPING), (9, 0)):
         assert after(([jump] + [GOOD] * (1000 // a_second - 1)) * 60 * a_second)[1] == fault
+
+
+def test_gaps_of_every_length_end_the_run_when_the_fault_model_says():
+    """Gaps, one after the other with a tick between: never within half a second, as was promised once, but in the time
+    that the table has; longer gaps than count are no sooner."""
+    shortest, longest = starved()
+    assert 1.0 < shortest < longest < 1.3
+    for gap in (h.GAP_MIN_S, 0.0337, 0.0611, 0.0977, 0.1533, 0.1999, 0.24, h.GAP_MAX_S):
+        _, fault, _, gone = after([(0, 0.0, gap + T)] * 100)
+        assert fault == h.STARVED
+        assert gone == pytest.approx(starved_s(gap), rel=1e-9)  # sums of so many periods
+        assert shortest - T <= gone <= longest + T  # between the lengths that `starved` looks at
+    assert after([(0, 0.0, h.GAP_MIN_S - 1e-6 + T)] * 1000)[1] == 0  # shorter ones are missed ticks
 
 
 def test_repeated_stalls_are_a_fault():

@@ -26,7 +26,7 @@ import pytest
 from helpers.programs import Program
 
 from softfinger.proxy.record import AT
-from softfinger.server.publishing.front import FILES_MAX, MEMORY_MAX
+from softfinger.server.publishing.peer_socket import FILES_MAX, MEMORY_MAX
 from softfinger.server.wire.client import Subscription
 from softfinger.server.wire.native.memory import Local
 from softfinger.server.wire.publisher import Publisher

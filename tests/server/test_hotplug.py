@@ -47,8 +47,8 @@ def test_changes_are_told_once(root: Path) -> None:  # noqa: F811
     assert seen.changes() == []
     plug_serial(root, "ttyACM5", "16c0", "0483", "SN42", product="Haply inverse3")
     ((what, haply),) = seen.changes()
-    assert (what, hotplug.described(haply)["driver"]) == ("attached", "haply")
-    assert hotplug.described(TEENSY)["driver"] == "serial"
+    assert (what, hotplug.event_fields(haply)["driver"]) == ("attached", "haply")
+    assert hotplug.event_fields(TEENSY)["driver"] == "serial"
 
 
 def test_a_device_is_told_when_its_ids_can_be_read(root: Path) -> None:  # noqa: F811

@@ -18,7 +18,7 @@ from helpers.injected_run import FROZEN_S, RAMP_S, Seen, run
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, SafetyStop
 from softfinger.proxy.record import AT
-from softfinger.server.loop.health import HELD_MAX_S, SILENCE_MAX_S, STALL_MAX_S
+from softfinger.server.loop.health import IGNORED_WRENCH_MAX_S, NO_FORCE_MAX_S, STALL_MAX_S
 
 pytestmark = pytest.mark.real_time
 
@@ -56,8 +56,8 @@ class Case(NamedTuple):
 
 
 STALLED = round(RATE_HZ * STALL_MAX_S)
-SILENT = round(RATE_HZ * SILENCE_MAX_S) + 2
-HELD = round(RATE_HZ * HELD_MAX_S) + 2
+SILENT = round(RATE_HZ * NO_FORCE_MAX_S) + 2
+HELD = round(RATE_HZ * IGNORED_WRENCH_MAX_S) + 2
 FROZEN = round(RATE_HZ * FROZEN_S)
 
 CASES = {
@@ -164,11 +164,20 @@ def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: st
         assert len(norms) <= seen.ticks + 2  # a tick that failed may have been written, and the zero of the stop
 
 
+def test_wrenches_that_are_not_taken_count_from_the_last_one_that_was(tmp_path: Path) -> None:
+    """Twice for longer than half of IGNORED_WRENCH_MAX_S, one wrench that is taken in between: the run goes on."""
+    held = HELD * 3 // 4
+    faults = [{"kind": "held", "at_tick": at, "ticks": held} for at in (50, 50 + held + 1)]
+    with FAR_ENDS["replay"](tmp_path) as far:
+        seen = run(far.device, faults, 100 + 2 * held, RATE_HZ, tmp_path)
+    assert seen.error is None and seen.ticks == 100 + 2 * held
+
+
 EVERYWHERE = {
     "nan": "a pose that is not finite, out of range or short",
     "infinite": "a pose that is not finite, out of range or short",
     "teleport": "a pose that jumps",
-    "stale for long": "a pose that stands still under a force",
+    "stale for long": "a pose that does not change under a force",
     "slow read": "ticks that are missed",
     "hang": "a loop that stalls",
     "held for long": "a device that takes no force",

@@ -16,8 +16,8 @@ import zmq.auth
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Rig
-from softfinger.server.gateway.allowed import Allowed
 from softfinger.server.keys import make_pair, read_pair, read_public
+from softfinger.server.publishing.allowed import Allowed
 
 OTHER = 65534
 """User `nobody`."""
@@ -68,7 +68,10 @@ def test_the_verb_makes_pairs(tmp_path: Path) -> None:
     assert set(made) == {"rig", "anna"} and all(read_pair(files["secret"]) for files in made.values())
     assert subprocess.run(words, capture_output=True, check=False).returncode == 2
     told = subprocess.run([*words[:-3], "ben"], capture_output=True, text=True, check=True).stdout
-    assert f"{tmp_path}/new/keys/ben.key: give it to others" in told and "ben.key_secret: keep it to yourself" in told
+    assert (
+        f"{tmp_path}/new/keys/ben.key: public: give it to the other side" in told
+        and "ben.key_secret: secret: share it with no one" in told
+    )
 
 
 def test_a_file_that_is_no_good_key_is_refused_in_one_sentence(tmp_path: Path) -> None:
@@ -93,7 +96,7 @@ def test_a_file_that_is_no_good_key_is_refused_in_one_sentence(tmp_path: Path) -
         read_public(tmp_path / "pipe")
     for bits in (0o640, 0o604, 0o601):
         secret.chmod(bits)
-        with pytest.raises(ConfigError, match=r"others may read .*chmod 600"):
+        with pytest.raises(ConfigError, match=r"other users may read .*chmod 600"):
             read_pair(secret)
 
 
@@ -103,12 +106,14 @@ def test_what_others_may_put_in_the_place_of_a_key_is_refused(tmp_path: Path) ->
     for path, read, right in ((public, read_public, 0o644), (secret, read_pair, 0o600)):
         for bits in (right | 0o020, right | 0o002, 0o666):
             path.chmod(bits)
-            with pytest.raises(ConfigError, match=rf"{path.name}: others may write to it .*another key.*chmod go-w"):
+            with pytest.raises(
+                ConfigError, match=rf"{path.name}: other users may write to it .*another key.*chmod go-w"
+            ):
                 read(path)
         path.chmod(right)
         for bits in (0o775, 0o757):
             tmp_path.chmod(bits)
-            with pytest.raises(ConfigError, match="others may write to it"):
+            with pytest.raises(ConfigError, match="other users may write to it"):
                 read(path)
         tmp_path.chmod(0o1777)
         read(path)
@@ -138,7 +143,7 @@ def test_the_folder_of_those_who_may_is_looked_at_again(tmp_path: Path) -> None:
     public.unlink()
     assert allowed.refresh() and not allowed.callback("", key)
     other, _ = make_pair(tmp_path, "eve")
-    allowed.bar(read_public(other))
+    allowed.revoke(read_public(other))
     assert not allowed.refresh() and not allowed.callback("", read_public(other))
     make_pair(tmp_path, "bob")
     assert not allowed.refresh() and allowed.callback("", read_public(tmp_path / "bob.key"))
@@ -146,7 +151,7 @@ def test_the_folder_of_those_who_may_is_looked_at_again(tmp_path: Path) -> None:
     for bits in (0o775, 0o757):  # its group alone, and all others but its group
         tmp_path.chmod(bits)
         assert allowed.refresh() and not allowed.callback("", bob)
-        with pytest.raises(ConfigError, match="others may write to it"):
+        with pytest.raises(ConfigError, match="other users may write to it"):
             Allowed(tmp_path)
         tmp_path.chmod(0o755)
         assert not allowed.refresh() and allowed.callback("", bob)
@@ -159,7 +164,7 @@ def test_a_key_that_was_not_whole_when_the_folder_was_read_is_let_in(
 ) -> None:
     """A client that is turned away does not come again: whose file has just come is looked for however lately the
     folder was read. Where nothing has changed, strangers do not have it read each time."""
-    monkeypatch.setattr("softfinger.server.gateway.allowed.AGAIN_S", 60.0)
+    monkeypatch.setattr("softfinger.server.publishing.allowed.REREAD_MIN_S", 60.0)
     folder = tmp_path / "readers"
     folder.mkdir()
     public, _ = make_pair(tmp_path, "anna")

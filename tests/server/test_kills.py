@@ -25,7 +25,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.load import find
 from softfinger.config.schema import Rig
 from softfinger.proxy.record import AT
-from softfinger.server.recording.reader import Ticks, contents
+from softfinger.server.recording.reader import Ticks, read_contents
 
 pytestmark = pytest.mark.real_time
 
@@ -76,7 +76,7 @@ def gone(pid: int) -> bool:
 def readable(path: Path) -> int:
     """Ticks in a recording, which are one behind the other; none in a file that was cut before its first."""
     try:
-        parts = [part.records() for part in contents(path) if isinstance(part, Ticks)]
+        parts = [part.records() for part in read_contents(path) if isinstance(part, Ticks)]
     except RecordingError:
         assert path.stat().st_size < 4096, "a recording with something in it cannot be read"
         return 0
@@ -112,7 +112,8 @@ def kill(process: subprocess.Popen[bytes], kind: str, told: Path) -> list[int]:
     return begun + children(process.pid)
 
 
-@pytest.mark.parametrize("kills", [len(VICTIMS), pytest.param(KILLS, marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("kills", [len(VICTIMS), KILLS])
 def test_a_kill_at_any_moment_leaves_nothing_behind(kills: int, tmp_path: Path) -> None:
     """Daemon, publisher and page by turns, at random moments: that a page or a publisher has ended is told. Then the
     daemon, too: no process of it is left, the recording has whole ticks in a row, and the next one gets the same port,

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import functools
+import pickle
+from collections.abc import Callable
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -32,6 +38,7 @@ def test_a_scene_without_a_grasp_is_refused(scene: str, why: str) -> None:
         lift_environment.Lift(scene)
 
 
+@pytest.mark.exhaustive
 def test_a_script_lifts_the_box() -> None:
     """Squeeze and go up: the box is at its goal, level, pressed from both sides; the same again gives the same bits."""
     env = gymnasium.make(lift_environment.NAME).unwrapped
@@ -50,3 +57,36 @@ def test_a_script_lifts_the_box() -> None:
     assert len(info["records"]["thumb"]) == 20
     for name, value in ends[0].items():
         np.testing.assert_array_equal(value, ends[1][name])
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_in_the_middle_of_a_lift_continues(duplicate: Callable[[Any], Any]) -> None:
+    """Copied as planners do, pickled as savers do, with the box in the grasp: the same bits, of memory of its own."""
+    env = lift_environment.Lift(step_ticks=10)
+    env.reset(seed=0)
+    for _ in range(16):
+        env.step(led((1, 0, 0), (-1, 0, 0)))
+    other = duplicate(env)
+    assert other.world is not env.world
+    ahead = [env.step(led((0, 0, 1), (0, 0, 1))) for _ in range(3)]
+    for seen, reward, *_ in ahead:
+        seen_there, reward_there, *_ = other.step(led((0, 0, 1), (0, 0, 1)))
+        assert reward_there == reward
+        for name, value in seen.items():
+            np.testing.assert_array_equal(seen_there[name], value)
+    start, there = env.reset(seed=0)[0], other.reset(seed=0)[0]
+    np.testing.assert_array_equal(start["body.position"], there["body.position"])
+
+
+def test_copies_run_side_by_side() -> None:
+    """Gymnasium's own vectors, in this process and in others: each environment has its own box."""
+    make = functools.partial(gymnasium.make, lift_environment.NAME, step_ticks=5)
+    actions = np.stack([led((1, 0, 0), (-1, 0, 0)), led((0, 0, 0), (0, 0, 0))])
+    seen = []
+    for vector in (gymnasium.vector.SyncVectorEnv([make, make]), gymnasium.vector.AsyncVectorEnv([make, make])):
+        vector.reset(seed=1)
+        seen.append([vector.step(actions)[0] for _ in range(20)][-1])
+        vector.close()
+    assert seen[0]["thumb.position"][0, 0] > seen[0]["thumb.position"][1, 0] + 0.005
+    for name, value in seen[0].items():
+        np.testing.assert_array_equal(seen[1][name], value)

@@ -17,14 +17,14 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.drivers.simulated.options import Simulation
 from softfinger.drivers.simulated.plant import Handle, Impedance, Intention, make_plant
-from softfinger.drivers.simulated.plant import at_rest as resting
+from softfinger.drivers.simulated.plant import make_rest_state as resting
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING
 from softfinger.server.loop import guard as g
 from softfinger.server.loop import limits as lim
-from softfinger.server.loop.output import BEGUN, Instant, at_rest, output_wrench
+from softfinger.server.loop.output import INITIAL_OUTPUT, Instant, cool_limits, output_wrench
 from softfinger.server.loop.passivity import Motion
-from softfinger.server.loop.tick import begin, carried_over
+from softfinger.server.loop.tick import begin, continued_memory
 from softfinger.server.loop.tuning import guard_limits, make_tuning, with_offsets
 from softfinger.server.offline.closed_loop import run_closed_loop
 from softfinger.server.offline.simulate import simulate
@@ -54,11 +54,11 @@ def tick(guard, passed, force=NONE, moved=NONE, mode=FREE, at=NONE, torque=NONE)
 def test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says(speed):
     """A constant speed v shows as v (1 - r^n) after n ticks, r = tau / (tau + T): the force is zero from the first n
     with that above the limit, and there before."""
-    guard, passed, forces = limited(speed=2.0, slow_s=0.5), BEGUN, []
+    guard, passed, forces = limited(speed=2.0, slow_s=0.5), INITIAL_OUTPUT, []
     for _ in range(100):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (0.0, speed * T, 0.0))
-        forces.append(passed.guarded.force[0])
-        assert bool(bits & g.TOO_FAST) == (passed.guarded == g.DISENGAGED)
+        forces.append(passed.guard_state.force[0])
+        assert bool(bits & g.TOO_FAST) == (passed.guard_state == g.INITIAL_GUARD_STATE)
     ratio = lim.SPEED_S / (lim.SPEED_S + T)
     first = math.floor(math.log(1.0 - 2.0 / speed) / math.log(ratio)) + 1
     assert forces == [5.0] * (first - 1) + [0.0] * (100 - first + 1)
@@ -66,35 +66,35 @@ def test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says(speed):
 
 def test_one_displaced_pose_is_no_fast_hand():
     """The largest step that is no jump, once or there and back, counts as d / (tau + T): 0.91 m/s, and no more."""
-    guard, passed = limited(speed=2.0, slow_s=0.5), BEGUN
+    guard, passed = limited(speed=2.0, slow_s=0.5), INITIAL_OUTPUT
     step = 10.0 * T
     for moved in (step, 0.0, -step, step, 0.0):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (moved, 0.0, 0.0))
-        assert bits == 0 and passed.guarded.force[0] == 5.0
-        assert math.hypot(*passed.limited.velocity) <= step / (lim.SPEED_S + T) * (1 + 1e-12)
+        assert bits == 0 and passed.guard_state.force[0] == 5.0
+        assert math.hypot(*passed.limit_state.velocity) <= step / (lim.SPEED_S + T) * (1 + 1e-12)
 
 
 def test_the_force_comes_back_once_the_handle_is_slow_for_a_time():
     """Armed automatically: after SLOW_S below half of the limit, from zero along the ramp; motion begins it anew."""
-    guard, passed = limited(speed=2.0, slow_s=lim.SLOW_S, ramp=0.5), BEGUN
+    guard, passed = limited(speed=2.0, slow_s=lim.SLOW_S, ramp=0.5), INITIAL_OUTPUT
     for _ in range(100):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
     assert bits & g.TOO_FAST
     still = 0
     for n in range(2000):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (1.5 * T if n == 300 else 0.0, 0.0, 0.0))
-        slow = math.hypot(*passed.limited.velocity) <= 1.0
+        slow = math.hypot(*passed.limit_state.velocity) <= 1.0
         still = still + 1 if slow else 0
         if not bits & g.TOO_FAST:
             break
     # 500 subtractions of 1 ms may leave a rounding for one more tick.
     assert still in (500, 501)
-    assert passed.guarded.force[0] == pytest.approx(5.0 * T / 0.5)
+    assert passed.guard_state.force[0] == pytest.approx(5.0 * T / 0.5)
 
 
 def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
     """However long the handle is slow there is no force, until it was disarmed; while it is fast, disarming is none."""
-    guard, passed = limited(speed=2.0, slow_s=inf), BEGUN
+    guard, passed = limited(speed=2.0, slow_s=inf), INITIAL_OUTPUT
     off = guard._replace(armed=0.0)
     for _ in range(100):
         passed, _ = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
@@ -102,48 +102,48 @@ def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
     assert bits == g.TOO_FAST | g.DISARMED
     for _ in range(2000):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0))
-        assert bits == g.TOO_FAST and passed.guarded == g.DISENGAGED
+        assert bits == g.TOO_FAST and passed.guard_state == g.INITIAL_GUARD_STATE
     passed, bits = tick(off, passed, (5.0, 0.0, 0.0))
     assert bits == g.DISARMED
     passed, bits = tick(guard, passed, (5.0, 0.0, 0.0))
-    assert bits == 0 and passed.guarded.force[0] == 5.0
+    assert bits == 0 and passed.guard_state.force[0] == 5.0
 
 
 @pytest.mark.parametrize("slow_s", [lim.SLOW_S, inf])
 def test_a_tick_without_a_pose_ends_no_wait(slow_s):
     """A handle that was too fast and gives no pose waits on: as long as before where it is to be slow for a time."""
-    guard, passed = limited(speed=2.0, slow_s=slow_s), BEGUN
+    guard, passed = limited(speed=2.0, slow_s=slow_s), INITIAL_OUTPUT
     for _ in range(100):
         passed, _ = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
-    blind = at_rest(guard, passed.limited, T)
-    assert blind.wait == passed.limited.wait == slow_s and blind.velocity == NONE
-    _, bits = tick(guard, passed._replace(limited=blind), (5.0, 0.0, 0.0))
+    blind = cool_limits(guard, passed.limit_state, T)
+    assert blind.wait == passed.limit_state.wait == slow_s and blind.velocity == NONE
+    _, bits = tick(guard, passed._replace(limit_state=blind), (5.0, 0.0, 0.0))
     assert bits == g.TOO_FAST
 
 
 def test_heat_is_that_of_a_body_that_warms_and_cools():
     """Under F the heat is (F / F_c)^2 (1 - r^n), r = tau / (tau + T); without force and without pose it falls by r."""
-    guard, passed = limited(continuous=4.0, heat_s=2.0), BEGUN
+    guard, passed = limited(continuous=4.0, heat_s=2.0), INITIAL_OUTPUT
     ratio = 2.0 / (2.0 + T)
     for n in range(1, 1001):
         passed, bits = tick(guard, passed, (3.0, 0.0, 0.0))
         # A thousand steps, each rounded.
-        assert bits == 0 and passed.limited.heat == pytest.approx(0.5625 * (1.0 - ratio**n), rel=1e-11)
-    hot = passed.limited.heat
-    cooled = at_rest(guard, passed.limited, T).heat
+        assert bits == 0 and passed.limit_state.heat == pytest.approx(0.5625 * (1.0 - ratio**n), rel=1e-11)
+    hot = passed.limit_state.heat
+    cooled = cool_limits(guard, passed.limit_state, T).heat
     passed, _ = tick(guard, passed)
-    assert cooled == passed.limited.heat == pytest.approx(hot * ratio, rel=1e-15)
+    assert cooled == passed.limit_state.heat == pytest.approx(hot * ratio, rel=1e-15)
 
 
 def test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears():
     """Twice the continuous force for long: whole until the heat is WARM, after -tau ln(1 - WARM / 4); then its square
     follows dh/dt = (F^2 / F_c^2 - h) / tau with F^2 falling by 3 / (1 - WARM) a unit of heat, so that 1 - h falls with
     a rate of (1 + 3 / (1 - WARM)) / tau; never by more than the rate of that."""
-    guard, passed, heats, forces = limited(force_max=8.0, continuous=4.0, heat_s=2.0), BEGUN, [], []
+    guard, passed, heats, forces = limited(force_max=8.0, continuous=4.0, heat_s=2.0), INITIAL_OUTPUT, [], []
     for _ in range(4000):
         passed, bits = tick(guard, passed, (0.0, 8.0, 0.0))
-        heats.append(passed.limited.heat)
-        forces.append(passed.guarded.force[1])
+        heats.append(passed.limit_state.heat)
+        forces.append(passed.guard_state.force[1])
     first = next(n for n, force in enumerate(forces) if force < 8.0)
     whole_s = -2.0 * math.log(1.0 - lim.WARM / 4.0)
     assert first * T == pytest.approx(whole_s, abs=2 * T)  # a tick of delay, and steps in place of a curve
@@ -158,41 +158,43 @@ def test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears():
 
 def test_a_motor_that_bears_the_largest_force_is_never_hot():
     """Where the continuous force is no less than the guard's, nothing is taken away, however hot it shows."""
-    assert lim.coolest(lim.UNLIMITED._replace(continuous=8.0), 1.5, 8.0) == 8.0
-    assert lim.coolest(lim.UNLIMITED, 1.5, 8.0) == 8.0
+    assert lim.heat_limited_force(lim.UNLIMITED._replace(continuous=8.0), 1.5, 8.0) == 8.0
+    assert lim.heat_limited_force(lim.UNLIMITED, 1.5, 8.0) == 8.0
 
 
 def test_at_its_limit_a_handle_is_not_too_fast_and_at_half_of_it_slow():
     """Both ends belong to what is allowed."""
     limits = lim.UNLIMITED._replace(speed=2.0, slow_s=0.5)
-    assert lim.waiting(limits, 0.0, 2.0, True, T) == 0.0
-    assert lim.waiting(limits, 0.25, 1.0, True, T) == 0.25 - T
+    assert lim.remaining_wait(limits, 0.0, 2.0, True, T) == 0.0
+    assert lim.remaining_wait(limits, 0.25, 1.0, True, T) == 0.25 - T
 
 
 def test_a_tick_of_no_length_changes_no_velocity():
     """A clock that stood still tells nothing of how fast the handle is."""
-    assert lim.smoothed((0.1, 0.2, 0.3), (0.001, 0.0, 0.0), 0.0) == (0.1, 0.2, 0.3)
+    assert lim.smooth_velocity((0.1, 0.2, 0.3), (0.001, 0.0, 0.0), 0.0) == (0.1, 0.2, 0.3)
 
 
 def test_a_torque_fades_with_the_force():
     """Where half of the energy beyond the limit was given, both have half of their largest values."""
     guard = limited(energy=0.2)
-    passed = BEGUN._replace(limited=lim.COLD._replace(given=0.3 * (lim.FORGET_S + T) / lim.FORGET_S))
+    passed = INITIAL_OUTPUT._replace(
+        limit_state=lim.INITIAL_LIMITS._replace(energy_given=0.3 * (lim.FORGET_S + T) / lim.FORGET_S)
+    )
     passed, bits = tick(guard, passed, (50.0, 0.0, 0.0), mode=ROLLING, torque=(0.0, 0.0, 5.0))
     assert bits & g.ENERGY_SPENT
-    assert passed.guarded.force == pytest.approx((6.0, 0.0, 0.0), rel=1e-12)
-    assert passed.guarded.torque == pytest.approx((0.0, 0.0, 0.15), rel=1e-12)
+    assert passed.guard_state.force == pytest.approx((6.0, 0.0, 0.0), rel=1e-12)
+    assert passed.guard_state.torque == pytest.approx((0.0, 0.0, 0.15), rel=1e-12)
 
 
 def test_energy_given_in_a_contact_fades_the_force():
     """A hand pushed along with constant power P: after n ticks it was given P tau (1 - r^n), r = tau / (tau + T), and
     from the limit E on the force has the share 2 - given / E: in the end E (1 + s) = s P tau."""
-    guard, passed = limited(energy=0.1), BEGUN
+    guard, passed = limited(energy=0.1), INITIAL_OUTPUT
     shares, ratio = [], lim.FORGET_S / (lim.FORGET_S + T)
     for n in range(8000):
         passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.1 * T, 0.0, 0.0), ROLLING)
-        shares.append(passed.guarded.force[0] / 4.0)
-        given = passed.limited.given
+        shares.append(passed.guard_state.force[0] / 4.0)
+        given = passed.limit_state.energy_given
         if not bits & g.ENERGY_SPENT:  # the first tick has no force before it
             expected = 0.4 * T * ratio * (1.0 - ratio**n) / (1.0 - ratio)
             assert given == pytest.approx(expected, rel=1e-9) and given <= 0.1  # a thousand rounded steps
@@ -208,29 +210,29 @@ def test_energy_given_in_a_contact_fades_the_force():
 def test_the_force_fades_between_once_and_twice_the_energy(spent, share):
     """All of it up to the energy that may be given, none from twice that on, straight between."""
     limits = lim.UNLIMITED._replace(energy=0.2)
-    assert lim.share_of(limits, 0.2 * spent) == pytest.approx(share, abs=1e-15)  # rounding
+    assert lim.energy_scale(limits, 0.2 * spent) == pytest.approx(share, abs=1e-15)  # rounding
 
 
 def test_what_the_hand_puts_in_pays_within_a_contact_and_not_after_it():
     """Pressed in and let out again nothing was given; a surplus of friction does not pay for the next contact."""
-    guard, passed = limited(energy=0.1), BEGUN
+    guard, passed = limited(energy=0.1), INITIAL_OUTPUT
     for moved in [-0.001] * 100 + [0.001] * 100:
         passed, bits = tick(guard, passed, (0.0, 0.0, 4.0), (0.0, 0.0, moved), ROLLING)
         assert bits == 0
-    assert abs(passed.limited.work) <= 4.0 * 0.001 * (1 + 1e-9)  # the first tick had no force yet
+    assert abs(passed.limit_state.work) <= 4.0 * 0.001 * (1 + 1e-9)  # the first tick had no force yet
     for _ in range(200):
         passed, _ = tick(guard, passed, (0.0, 0.0, 4.0), (0.0, 0.0, -0.001), ROLLING)
-    assert passed.limited.work > 0.7
+    assert passed.limit_state.work > 0.7
     passed, _ = tick(guard, passed)
-    assert passed.limited.work == 0.0
+    assert passed.limit_state.work == 0.0
 
 
 def test_free_motion_under_an_effect_gives_nothing():
     """What a pull in free space does counts in no contact."""
-    guard, passed = limited(energy=0.01), BEGUN
+    guard, passed = limited(energy=0.01), INITIAL_OUTPUT
     for _ in range(1000):
         passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.001, 0.0, 0.0))
-        assert bits == 0 and passed.limited.work == 0.0
+        assert bits == 0 and passed.limit_state.work == 0.0
 
 
 BOX = lim.Workspace((0.01, 0.0, 0.0), (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
@@ -255,16 +257,16 @@ def test_the_soft_wall_pushes_back_by_the_depth_behind_it(wall, at, force):
     found, out = lim.wall_force(wall, at)
     np.testing.assert_allclose(found, force, atol=1e-13)  # roundings of centimetres, times 500 N/m
     assert out == any(force)
-    passed, bits = tick(limited(workspace=wall), BEGUN, at=at)
-    np.testing.assert_allclose(passed.guarded.force, force, atol=1e-13)
+    passed, bits = tick(limited(workspace=wall), INITIAL_OUTPUT, at=at)
+    np.testing.assert_allclose(passed.guard_state.force, force, atol=1e-13)
     assert bits == (g.WORKSPACE_EDGE if out else 0)
 
 
 def test_the_wall_cannot_push_past_the_guard():
     """A wall that may push with 40 N, on top of a scene that does: together the guard's limit, along its slew limit."""
     wall = BALL._replace(stiffness=2000.0, force_max=40.0)
-    passed, bits = tick(limited(workspace=wall, slew=2000.0), BEGUN, (0.0, -40.0, 0.0), at=(0.01, 0.2, 0.0))
-    assert passed.guarded.force == pytest.approx((0.0, -2.0, 0.0))
+    passed, bits = tick(limited(workspace=wall, slew=2000.0), INITIAL_OUTPUT, (0.0, -40.0, 0.0), at=(0.01, 0.2, 0.0))
+    assert passed.guard_state.force == pytest.approx((0.0, -2.0, 0.0))
     assert bits == g.WORKSPACE_EDGE | g.FORCE_CLAMPED | g.SLEW_LIMITED
 
 
@@ -317,14 +319,16 @@ def test_what_a_wall_makes_in_a_cycle_and_the_limit_counts(hz, late):
     continuous = np.pi * stiffness * amplitude**2 * math.sin(2.0 * np.pi * hz * (late + 0.5) * T)
     assert in_a_cycle(late) == pytest.approx(continuous, rel=1.0 / count)
     energy = 4.5 * in_a_cycle(0)
-    guard, passed, bits, spent = limited(force_max=40.0, energy=energy), BEGUN, 0, -1
+    guard, passed, bits, spent = limited(force_max=40.0, energy=energy), INITIAL_OUTPUT, 0, -1
     while not bits & g.ENERGY_SPENT:  # there are more ticks than it takes, or the path ends with an IndexError
         spent += 1
         passed, bits = tick(guard, passed, (0.0, 0.0, forces[spent]), (0.0, 0.0, moved[spent]), ROLLING)
     assert spent > 4 * count  # and then some, for a part is forgotten
     stored = 0.5 * stiffness * depths[spent] ** 2
     made = forgetful(works)[spent] + stored
-    assert made <= (2 * late + 1) * (passed.limited.given + stored) * (1.0 + 1e-9)  # rounding, where none is late
+    assert made <= (2 * late + 1) * (passed.limit_state.energy_given + stored) * (
+        1.0 + 1e-9
+    )  # rounding, where none is late
 
 
 @pytest.mark.parametrize("late", [1, 2, 4])
@@ -367,22 +371,22 @@ def test_no_limit_is_ever_passed(steps):
     handle has been too fast; heat stays below 1; given is no more than twice the energy and the work of one tick."""
     wall = BALL._replace(force_max=40.0)
     guard = limited(speed=2.0, slow_s=0.01, continuous=3.0, heat_s=0.02, energy=0.01, workspace=wall, slew=2000.0)
-    passed, at = BEGUN, NONE
+    passed, at = INITIAL_OUTPUT, NONE
     for force, torque, moved, mode in steps:
         before, at = passed, tuple(a + m for a, m in zip(at, moved, strict=True))
         passed, bits = tick(guard, passed, force, moved, mode, at, torque)
-        size = math.hypot(*passed.guarded.force)
-        assert all(map(math.isfinite, (*passed.guarded.force, *passed.guarded.torque)))
-        allowed = lim.coolest(guard.limits, before.limited.heat, 12.0)
-        assert size <= min(12.0, max(allowed, slewed(math.hypot(*before.guarded.force), allowed))) * (1 + 1e-9)
+        size = math.hypot(*passed.guard_state.force)
+        assert all(map(math.isfinite, (*passed.guard_state.force, *passed.guard_state.torque)))
+        allowed = lim.heat_limited_force(guard.limits, before.limit_state.heat, 12.0)
+        assert size <= min(12.0, max(allowed, slewed(math.hypot(*before.guard_state.force), allowed))) * (1 + 1e-9)
         assert (size == 0.0) or not bits & g.TOO_FAST
-        assert bool(bits & g.TOO_FAST) == (passed.limited.wait > 0.0)
-        if before.limited.wait == 0.0 and math.hypot(*passed.limited.velocity) <= 2.0:
+        assert bool(bits & g.TOO_FAST) == (passed.limit_state.wait > 0.0)
+        if before.limit_state.wait == 0.0 and math.hypot(*passed.limit_state.velocity) <= 2.0:
             assert not bits & g.TOO_FAST
         # Those ticks of the slew limit heat as well: at most six, from 12 N, each (12 / 3)^2 of 1 in 21.
-        assert passed.limited.heat <= 1.0 + 6 * 16.0 / 21.0
+        assert passed.limit_state.heat <= 1.0 + 6 * 16.0 / 21.0
         # As for the heat: six ticks of 12 N along what this test moves a handle in one.
-        assert passed.limited.given <= 0.02 + 7 * 12.0 * 0.01 * math.sqrt(3.0)
+        assert passed.limit_state.energy_given <= 0.02 + 7 * 12.0 * 0.01 * math.sqrt(3.0)
 
 
 def test_only_a_device_that_holds_a_force_is_limited():
@@ -419,15 +423,15 @@ def test_a_scene_that_is_replaced_does_not_cool_the_motors():
     row = np.zeros(2 * RECORD_SIZE)
     second = row[RECORD_SIZE:]
     second[AT.limits_heat], second[AT.limits_energy], second[AT.servo_guard] = 0.9, 0.2, g.TOO_FAST | g.RAMPING
-    first, other = carried_over(begin(tuning.scene), tuning.guards, row).fingers
-    assert first.limited == lim.COLD
-    assert other.limited == lim.Limited(NONE, lim.SLOW_S, 0.9, 0.0, 0.2, 0.0)
+    first, other = continued_memory(begin(tuning.scene), tuning.guards, row).fingers
+    assert first.limit_state == lim.INITIAL_LIMITS
+    assert other.limit_state == lim.LimitState(NONE, lim.SLOW_S, 0.9, 0.0, 0.2, 0.0)
 
 
 def test_a_recorded_hand_comes_to_no_limit():
     """The shipped recording on the shipped plane, on a device with all limits of an omega.6: no bit of theirs."""
     tuning = make_tuning(load_scene("paper-plane"), load_rig("omega-6").guard, [ARM])
-    records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 1000.0), 1000.0)
+    records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 250.0), 250.0)
     assert not (records[:, AT.servo_guard].astype(int) & (g.TOO_FAST | g.ENERGY_SPENT | g.WORKSPACE_EDGE)).any()
     assert 0.0 < records[:, AT.limits_speed].max() < 0.5 * 2.0
     assert records[:, AT.limits_energy].max() < 0.1 * 0.2

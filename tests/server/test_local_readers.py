@@ -22,7 +22,7 @@ from softfinger.server.app import Daemon
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.native import memory
 from softfinger.server.wire.native.memory import Local, make_memory, remove
-from softfinger.server.wire.native.relay import HANDED_ON
+from softfinger.server.wire.native.relay import CAPACITY_TICKS
 from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time
@@ -87,7 +87,7 @@ def opened(program, name, *more):
 def test_readers_in_c_get_every_tick_and_count_gaps(program):
     """One that reads on gets all; one that slept through twice the ring goes on from half of it and knows what it
     missed; one that is killed and one that is stopped change nothing for the others."""
-    count = 2 * HANDED_ON
+    count = 2 * CAPACITY_TICKS
     with Publisher("tcp://127.0.0.1:*") as publisher:
         name = publisher.ring()["name"]
         assert (memory.FOLDER / name).stat().st_mode & 0o777 == 0o600
@@ -109,7 +109,7 @@ def test_readers_in_c_get_every_tick_and_count_gaps(program):
     rows, lost, wrong, last = map(int, said.split())
     assert (rows + lost, wrong, last) == (count, 0, count - 1)
     said, _ = slow.communicate(timeout=WAIT_S)
-    assert list(map(int, said.split())) == [HANDED_ON // 2, count - HANDED_ON // 2, 0, count - 1]
+    assert list(map(int, said.split())) == [CAPACITY_TICKS // 2, count - CAPACITY_TICKS // 2, 0, count - 1]
     killed.communicate()
     stopped.kill()
     stopped.communicate()
@@ -168,7 +168,7 @@ def test_a_reader_that_sleeps_is_woken_by_the_end_and_by_a_tick():
         assert process.stdout.readline() == "open\n"
         made.broadcast.slots[0] = 7.0
         made.broadcast.head[0] = 1
-        memory.ring_readers(made.broadcast)
+        memory.wake_readers_from_python(made.broadcast)
         assert process.stdout.readline() == "[[7.0, 7.0, 7.0, 7.0]]\n"
         remove(made)
         assert process.wait(WAIT_S) == 0
@@ -209,7 +209,7 @@ def test_what_another_user_left_is_not_cleared_away():
         for path in (theirs, own):
             path.touch(0o600)
         os.chown(theirs, 65534, 65534)
-        memory.clear_away()
+        memory.remove_stale_files()
         assert theirs.exists() and not own.exists()
     finally:
         theirs.unlink()

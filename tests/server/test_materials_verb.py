@@ -13,7 +13,7 @@ from softfinger.config.materials import fingertips, materials, papers
 from softfinger.proxy.engine import Engine
 from softfinger.server.cli import main
 from softfinger.server.offline import feel_figure
-from softfinger.server.offline.feels import whole
+from softfinger.server.offline.library_texts import library_table
 
 pytestmark = pytest.mark.plain
 
@@ -72,6 +72,7 @@ def test_an_unknown_name_is_refused_with_the_nearest(capsys: pytest.CaptureFixtu
     assert "softfinger materials NAME --plot FILE" in capsys.readouterr().err
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["aluminium", "finger-pad", "human-index-plateau"])
 def test_one_is_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An SVG whose legend names every published point."""
@@ -90,7 +91,7 @@ def test_the_drawn_patch_is_the_one_rendered() -> None:
         scene = {"fingertip": name, "object": [{"name": "table", "shape": "plane", "material": "steel"}]}
         record = Engine(scene).run(np.array([[0.0, 0.0, 0.009, 1.0, 0.0, 0.0, 0.0]]))[0]
         load = np.array([record["contact.normal_force"]])
-        drawn = feel_figure.patch_radius(whole("fingertip", name), load)
+        drawn = feel_figure.patch_radius(library_table("fingertip", name), load)
         assert load[0] == pytest.approx(2.5)  # 1 mm into 2500 N/m
         assert record["contact.patch_radius"] == pytest.approx(drawn[0], rel=1e-12)  # a few roundings
 

@@ -23,8 +23,8 @@ from softfinger.server.app import Daemon
 from softfinger.server.services.commands import Commands
 from softfinger.server.wire.commands import Triangles
 from softfinger.server.wire.control import AsyncControl, Control
-from softfinger.server.wire.doors import doors_of
 from softfinger.server.wire.publisher import Publisher
+from softfinger.server.wire.rig_endpoints import bind_rig
 
 ENDS = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 WAIT_S = 120.0
@@ -58,8 +58,8 @@ def commands(folder: Path) -> Iterator[str]:
         {"name": "large", "shape": "heightmap", "file": str(folder / "large.npy"), "pitch_m": 0.001, "level_m": 1.0},
         {"name": "table", "shape": "plane"},
     )
-    rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", ENDS), scene=scene, advance=lambda: None))
-    doors = doors_of(rendering.rig)
+    rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", ENDS), scene=scene))
+    doors = bind_rig(rendering.rig)
     with Publisher(doors) as publisher:
         doing = cast(Any, SimpleNamespace(replace=None, serve=publisher.serve, reply=publisher.reply))
         service = Commands(str(doors.commands), rendering, doing, "meshes")
@@ -135,7 +135,7 @@ def test_a_large_one_is_sent_in_part(control: Control) -> None:
         (4, "bad_params: no object is 4: there are ball, hills, large, table"),
         ("cube", "bad_params: no object is 'cube': there are ball, hills, large, table"),
         (-1, "bad_params: mesh: Expected `int` >= 0 - at `$.object`"),
-        ("table", "refused: object table is a plane and no mesh: its table says all"),
+        ("table", "refused: object table is a plane and no mesh: its table describes it completely"),
     ],
 )
 def test_what_has_no_triangles_is_refused_by_a_line(control: Control, asked: int | str, said: str) -> None:

@@ -21,15 +21,23 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT, MODE_NAMES
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.metrics.counts import FORCE_N, LATENESS_S, ROWS, STATUSES, Counts, Histogram, Wire
+from softfinger.server.metrics.counts import (
+    FORCE_N,
+    LATENESS_S,
+    ROWS,
+    STATUSES,
+    Histogram,
+    MetricsCollector,
+    PublisherCounts,
+)
 from softfinger.server.metrics.service import DASHBOARD
 from softfinger.server.recording.summary import summary
-from softfinger.server.services.recordings import Written
-from softfinger.server.states import State
+from softfinger.server.services.recordings import RecordingTotals
+from softfinger.server.states import DaemonState
 
 pytestmark = pytest.mark.real_time
 
-NOTHING = Written(0, 0, 0, 0, 0.0)
+NOTHING = RecordingTotals(0, 0, 0, 0, 0.0)
 UNITS = ("seconds", "newtons", "info", "total")
 COUNTED = re.compile(r"softfinger_[a-z_]+")
 
@@ -49,7 +57,7 @@ def test_a_histogram_counts_as_prometheus_does() -> None:
     for part in np.array_split(values, 7):
         histogram.add(part)
     family = HistogramMetricFamily("h", "h")
-    histogram.put_into(family)
+    histogram.write_to(family)
     found = samples([family])
     for end in (0.5, 1.0, 2.0):
         assert found["h_bucket", (("le", f"{end:g}"),)] == np.count_nonzero(values <= end)
@@ -70,12 +78,15 @@ def test_figures_are_those_of_the_records(batch: int) -> None:
     late = random.exponential(1e-4, count)
     put(fingers[0], "servo.late", late)
     put(fingers[0], "servo.missed", np.arange(count))
-    counts = Counts(
-        ["thumb", "index"], lambda: Wire(3, 4, 5, 6), lambda: Written(6, 7, 8, 9, 0.25), lambda: State.ARMED
+    counts = MetricsCollector(
+        ["thumb", "index"],
+        lambda: PublisherCounts(3, 4, 5, 6),
+        lambda: RecordingTotals(6, 7, 8, 9, 0.25),
+        lambda: DaemonState.ARMED,
     )
     together = np.concatenate(fingers, axis=1)
     for start in range(0, count, batch):
-        counts.take(together[start : start + batch], 9)
+        counts.add_records(together[start : start + batch], 9)
     found = samples(counts.collect())
     assert found["softfinger_ticks_total", ()] == count
     assert found["softfinger_deadlines_missed_total", ()] == count - 1
@@ -186,7 +197,9 @@ def test_the_dashboard_shows_what_there_is(daemon: Daemon) -> None:
 
 def test_names_are_prometheus_own_way() -> None:
     """A unit or `_total` at the end, but for what is neither measured nor counted up."""
-    for family in Counts([""], lambda: Wire(0, 0, 0, 0), lambda: NOTHING, lambda: State.READY).collect():
+    for family in MetricsCollector(
+        [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: NOTHING, lambda: DaemonState.READY
+    ).collect():
         for sample in family.samples:
             name = re.sub("_(bucket|sum|count)$", "", sample.name)
             assert name.endswith(UNITS) or name in ("softfinger_subscribers", "softfinger_state"), name
@@ -197,7 +210,9 @@ def test_the_page_lists_every_name() -> None:
     page = (Path(__file__).parents[2] / "docs" / "operate" / "metrics.md").read_text("utf-8")
     rows = {row[0]: set(re.findall(r"`(\w+)`", row[1])) for row in re.findall(r"^\| `(\w+)` \| (.*?) \|", page, re.M)}
     found: dict[str, set[str]] = {}
-    for family in Counts([""], lambda: Wire(0, 0, 0, 0), lambda: NOTHING, lambda: State.READY).collect():
+    for family in MetricsCollector(
+        [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: NOTHING, lambda: DaemonState.READY
+    ).collect():
         for sample in family.samples:
             name = re.sub("_(bucket|sum|count)$", "", sample.name)
             found.setdefault(name, set()).update(sample.labels.keys() - {"le"})

@@ -261,7 +261,7 @@ def test_wire_cannot_steer_the_terminal():
     """Escape sequences in an event are shown as text."""
     board = monitor.Board("tcp://[::1]:5555")
     sample = monitor.Sample("event", {"schema": 1, "timestamp": 0.0, "tick": 1, "kind": "\x1b[2J", "name": "x"})
-    board.take(sample)
+    board.update(sample)
     assert "\x1b" not in monitor.line(board)
     assert r"\x1b[2J" in monitor.line(board)
 
@@ -278,7 +278,7 @@ def board_with(*records, health=True):
             publisher.publish(some)
         board = monitor.Board("tcp://127.0.0.1:5555")
         while (sample := samples.receive(0.3)) is not None:
-            board.take(sample)
+            board.update(sample)
     return board
 
 
@@ -321,11 +321,11 @@ def test_bars_fall_when_the_server_has_gone():
     board = board_with(pressed())
     assert any("█" in line for line in drawn(board))
     stopped = {"schema": 1, "timestamp": 0.0, "tick": 1500, "kind": "lifecycle", "name": "stopped", "ticks": 1500}
-    board.take(monitor.Sample("event", stopped))
+    board.update(monitor.Sample("event", stopped))
     lines = drawn(board)
     assert "the server has stopped" in lines[0] and not any("█" in line for line in lines)
     assert "the server has stopped;" in monitor.line(board)
-    board.take(board.contact)
+    board.update(board.contact)
     assert any("█" in line for line in drawn(board))
     board._arrived_s -= 2.0
     lines = drawn(board)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import math
+import os
+import signal
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -15,8 +18,10 @@ import pytest
 import zmq
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.wire.asking import NoAnswer
+from softfinger.server.wire import client_requests
+from softfinger.server.wire import control as control_module
 from softfinger.server.wire.client import subscribe
+from softfinger.server.wire.client_requests import NoAnswer
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.envelope import Declined, parse
 
@@ -46,6 +51,80 @@ def test_a_command_without_an_answer_ends(endpoint: str) -> None:
             with pytest.raises(NoAnswer, match=r"no answer to get_state from .* within 0\.05 s"):
                 control.get_state()
             time.sleep(WAIT_S)
+
+
+def test_who_would_wait_for_a_compiler_asks_first_whether_anybody_answers(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scene takes minutes to compile; that there is no daemon is said after the time of a short request."""
+
+    async def ask() -> None:
+        async with AsyncControl(endpoint) as control:
+            with pytest.raises(NoAnswer, match=rf"no answer to reset_world from .* within {WAIT_S:g} s"):
+                await control.reset_world()
+
+    monkeypatch.setattr(client_requests, "TIMEOUT_S", WAIT_S)
+    monkeypatch.setattr(control_module, "TIMEOUT_S", WAIT_S)
+    with Control(endpoint) as control, pytest.raises(NoAnswer, match=rf"no answer to set_scene .* {WAIT_S:g} s"):
+        control.set_scene("sphere")
+    asyncio.run(ask())
+
+
+def in_a_fork(act: Callable[[], object]) -> bool:
+    """Whether an act of a process that is forked off does what it has to, within 20 s."""
+    child = os.fork()
+    if child == 0:
+        try:
+            signal.alarm(20)
+            os._exit(0 if act() else 1)
+        finally:
+            os._exit(2)
+    return os.waitpid(child, 0)[1] == 0
+
+
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_clients_go_on_in_a_process_that_is_forked_off(tmp_path: Path) -> None:
+    """Made and used before the fork: commands, both ways, and telemetry; closed there, they go on in the first one."""
+    commands, telemetry = f"ipc://{tmp_path}/commands", f"ipc://{tmp_path}/telemetry"
+    event = msgpack.packb({"schema": 1, "kind": "mark", "name": "mark", "tick": 1, "timestamp": 1.0})
+    over = threading.Event()
+
+    def serve() -> None:
+        with zmq.Context() as context, context.socket(zmq.ROUTER) as router, context.socket(zmq.PUB) as publisher:
+            router.linger = publisher.linger = 0
+            router.bind(commands)
+            publisher.bind(telemetry)
+            while not over.is_set():
+                publisher.send_multipart([b"event", event])
+                if router.poll(10):
+                    client, _, body = router.recv_multipart()
+                    answer = {"command_id": msgpack.unpackb(body)["command_id"], "success": True, "result": {}}
+                    router.send_multipart([client, b"", msgpack.packb(answer | {"result": {"timeout_ms": 7}})])
+
+    async def ask(control: AsyncControl) -> int:
+        async with control:
+            return (await control.heartbeat()).timeout_ms
+
+    serving = threading.Thread(target=serve)
+    serving.start()
+    try:
+        with Control(commands, 10.0) as control, subscribe(telemetry, ["event"]) as samples:
+            waiting = AsyncControl(commands, 10.0)
+
+            def act() -> bool:
+                done = control.heartbeat().timeout_ms == 7 and samples.receive(10.0) is not None
+                done = done and asyncio.run(ask(waiting)) == 7
+                control.close()
+                samples.close()
+                return done
+
+            assert control.heartbeat().timeout_ms == 7 and samples.receive(10.0) is not None
+            assert in_a_fork(act)
+            assert control.heartbeat().timeout_ms == 7 and samples.receive(10.0) is not None
+            assert asyncio.run(ask(waiting)) == 7
+    finally:
+        over.set()
+        serving.join()
 
 
 def test_each_of_many_clients_of_a_publisher_ends(tmp_path: Path) -> None:

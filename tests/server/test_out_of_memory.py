@@ -1,12 +1,15 @@
-"""A process beside the daemon that gets no more memory: the daemon holds its force, and the process is started again.
+"""A process beside the daemon that gets no more memory, or ends while the daemon has no more file descriptors: the
+daemon holds its force, and the process is started again.
 
-The limit is what the process has at that moment, so the next page that it asks the system for is refused. A recording
-and a black box are written by threads of the daemon, which has its own row of the fault model.
+The limit of memory is what the process has at that moment, so the next page that it asks the system for is refused. A
+recording and a black box are written by threads of the daemon, which has its own row of the fault model.
 """
 
 from __future__ import annotations
 
+import os
 import resource
+import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -18,7 +21,7 @@ from emulators.serialboard import Board
 from helpers.browser import answered
 from test_kills import gone, of_kind
 from test_process_faults import end, read
-from test_signals import START_S, ZERO, pressing, until
+from test_signals import END_S, START_S, ZERO, pressing, until
 from websockets.exceptions import WebSocketException
 
 from softfinger.server.wire.client import subscribe
@@ -88,6 +91,7 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
     assert ticks == list(range(len(ticks))) and "publisher" in [name for name, _ in events]
 
 
+@pytest.mark.exhaustive
 def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
     """Browsers that come make it ask for more: it ends, and another takes its place at the same address. The board has
     a force all the while, and the recording every tick."""
@@ -108,3 +112,31 @@ def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
         assert board.force == ZERO
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks))) and "page" in [name for name, _ in events]
+
+
+@pytest.mark.parametrize("kind", ["publisher", "page"])
+def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(kind: str, tmp_path: Path) -> None:
+    """It is restarted when descriptors are available again. Until then the run continues with its force."""
+    recording = tmp_path / "on.mcap"
+    view = ["--view"] if kind == "page" else []
+    with pressing(tmp_path, *view, "--record", str(recording)) as (board, process), felt(board) as least:
+        assert process.stderr is not None
+        before = process_of(process, kind)
+        hard = resource.prlimit(process.pid, resource.RLIMIT_NOFILE)[1]
+        resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (3, hard))  # what is open stays open
+        os.kill(before, signal.SIGKILL)
+        assert next(line for line in process.stderr if f"the {kind} cannot be started: [Errno 24]" in line)
+        first = len(board.sent)
+        until(lambda: len(board.sent) > first + 1000, END_S, "a thousand forces")
+        assert process.poll() is None and of_kind(kind, process.pid) in (None, before)
+        resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (hard, hard))
+        assert process_of(process, kind, other=before)
+        with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
+            tick = next(iter(telemetry)).tick
+            assert next(sample for sample in telemetry if sample.tick > tick + 1500)  # the event waits for a second
+        assert least() > 0.0
+        said = end(process)
+        assert board.force == ZERO
+    assert said.count("cannot be started") == 0  # told once
+    ticks, events = read(recording)
+    assert ticks == list(range(len(ticks))) and kind in [name for name, _ in events]

@@ -102,8 +102,8 @@ def test_the_law_of_the_normal_force_and_the_patch_are_parameters(
     [
         ({f"{NORMAL}.exponent": 0.5}, "from 1 to 3"),
         ({"fingertip.patch.exponent": 0.5}, "from 0 to 0.333333"),
-        ({STIFFNESS: 500.0, f"{NORMAL}.exponent": 1.0}, "another model, to be compiled: set the whole scene"),
-        ({"fingertip.patch.rolling_loss": 0.3}, "another model, to be compiled: set the whole scene"),
+        ({STIFFNESS: 500.0, f"{NORMAL}.exponent": 1.0}, "another model, to be compiled: use set_scene"),
+        ({"fingertip.patch.rolling_loss": 0.3}, "another model, to be compiled: use set_scene"),
     ],
 )
 def test_another_model_is_refused_whole(
@@ -128,7 +128,7 @@ def test_a_change_waits_for_a_replacement_and_no_longer(
     held, go_on = threading.Event(), threading.Event()
 
     def hand_over() -> None:
-        with rendering._handing_over:
+        with rendering._tuning_lock:
             held.set()
             go_on.wait(60.0)
 

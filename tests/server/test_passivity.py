@@ -16,7 +16,7 @@ from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.numerics.tool import make_tool, tip_of
 from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE, ROLLING
-from softfinger.server.loop.guard import Guarded
+from softfinger.server.loop.guard import GuardState
 from softfinger.server.loop.passivity import NO_ENERGY, Energy, Motion, Passivity, keep_passive, work_on_hand
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import DAMPING_MAX_NS_PER_M, make_tuning
@@ -25,6 +25,8 @@ from softfinger.server.offline.simulate import simulate, tick_many
 pytestmark = pytest.mark.plain
 
 T = 0.001
+SLOW_HZ = 250.0
+"""Rate of a whole recording: the sum is over ticks, however long."""
 PUSH = (0.0, 0.0, 2.0)
 NONE = (0.0, 0.0, 0.0)
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -36,7 +38,7 @@ def by(*way):
 
 
 def holding(force=NONE, torque=NONE):
-    return Guarded(force, torque, 1.0)
+    return GuardState(force, torque, 1.0)
 
 
 def column(records, name, size=1):
@@ -61,7 +63,7 @@ def test_energy_is_the_work_against_the_commanded_wrench(mode):
     turn; debts alone outlive a touch."""
     scene = msgspec.structs.replace(load_scene("paper-plane"), passivity=schema.Passivity(mode=mode))
     tuning = make_tuning(scene, load_rig("replay").guard)
-    records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 1000.0), 1000.0)
+    records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), SLOW_HZ), SLOW_HZ)
     work, expected = 0.0, []
     each = work_a_tick(records)
     for n, touching in enumerate(column(records, "contact.mode") != FREE):
@@ -70,7 +72,7 @@ def test_energy_is_the_work_against_the_commanded_wrench(mode):
         if not touching:
             work = min(work, 0.0)
         expected.append(work)
-    # Ten thousand additions of terms around 1e-5 J.
+    # Thousands of additions of terms around 1e-5 J.
     np.testing.assert_allclose(column(records, "passivity.energy"), expected, rtol=0, atol=1e-15)
     assert max(expected) > 1e-4  # the press alone takes f^2 / 2K = 0.5 mJ
     if mode == "observe":
@@ -144,7 +146,7 @@ def cycle(fingertip, height, n, turns=1.0, **tables):
     poses = np.column_stack((x, 0.0 * x, 0.0 * x + height, np.cos(0.5 * tilt), 0.0 * x, np.sin(0.5 * tilt), 0.0 * x))
     guard = schema.Guard(torque_max_nm=1.0, ramp_s=0.01)
     tuning = make_tuning(build(schema.Scene, table, "here"), guard)
-    tuning = tuning._replace(guards=(tuning.guards[0]._replace(turns=turns),))
+    tuning = tuning._replace(guards=(tuning.guards[0]._replace(displays_torque=turns),))
     records = simulate(tuning, poses, 1000.0)
     energy = column(records, "passivity.energy")
     assert (column(records, "contact.mode") == ROLLING).all()

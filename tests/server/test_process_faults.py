@@ -21,7 +21,7 @@ from test_signals import END_S, START_S, pressing, state, until
 
 from softfinger.proxy.record import AT
 from softfinger.server.loop.guard import RAMPING
-from softfinger.server.recording.reader import Event, Ticks, contents
+from softfinger.server.recording.reader import Event, Ticks, read_contents
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import Control
 
@@ -37,7 +37,7 @@ RAMP_TICKS = 500
 
 def read(path: Path) -> tuple[list[int], list[tuple[str, float]]]:
     """Ticks of a recording in their order, and names and times of its events in the order of the file."""
-    parts = list(contents(path))
+    parts = list(read_contents(path))
     ticks = [int(row) for part in parts if isinstance(part, Ticks) for row in part.records()[:, AT.tick]]
     return ticks, [(part.event["name"], part.event["timestamp"]) for part in parts if isinstance(part, Event)]
 
@@ -123,7 +123,7 @@ def clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
-@pytest.mark.parametrize("slept_s", [1, 3600])
+@pytest.mark.parametrize("slept_s", [pytest.param(1, marks=pytest.mark.exhaustive), 3600])
 def test_a_machine_that_was_suspended_wakes_with_zero_force(
     slept_s: int, tmp_path: Path, record_property: Note
 ) -> None:
@@ -142,7 +142,7 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
         assert first is not None, "the force was carried over"
         assert max(forces[first : first + RAMP_TICKS // 50]) < before / 2  # as above
         end(process)
-    rows = [row for part in contents(recording) if isinstance(part, Ticks) for row in part.records()]
+    rows = [row for part in read_contents(recording) if isinstance(part, Ticks) for row in part.records()]
     assert [int(row[AT.tick]) for row in rows] == list(range(len(rows)))
     long = [row for row in rows if row[AT.dt] > 0.9]
     assert len(long) == 1 and int(long[0][AT.servo_guard]) & RAMPING  # a second counts, however long it was
@@ -168,7 +168,7 @@ def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Pa
         felt = [frame[2] for frame in board.sent[count : count + 500]]
         end(process)
     assert min(felt) > 0.0
-    parts = list(contents(recording))
+    parts = list(read_contents(recording))
     rows = [row for part in parts if isinstance(part, Ticks) for row in part.records()]
     times = {int(row[AT.tick]): row[AT.timestamp] for row in rows}
     assert list(times) == list(range(len(times)))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import msgspec
 import numba
 import pytest
 import zmq
@@ -21,7 +22,8 @@ from numba.core import event
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.compiler.numba_internals import KernelCache
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
-from softfinger.server.progress import described
+from softfinger.server.progress import progress_text
+from softfinger.server.wire.commands import State
 
 RUN = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off"]
 
@@ -106,7 +108,7 @@ class Looking(Folder):
         self.seen: list[str] = []
 
     def read(self, name: str) -> bytes | None:
-        self.seen.append(described("simulating", 3, 10))
+        self.seen.append(progress_text("simulating", 3, 10))
         return super().read(name)
 
 
@@ -117,7 +119,7 @@ def test_a_wait_says_whether_it_compiles_or_loads(tmp_path: Path) -> None:
 
     class Look(event.Listener):  # type: ignore[misc]
         def on_start(self, event: Any) -> None:
-            while_compiled.append(described("simulating", 3, 10))
+            while_compiled.append(progress_text("simulating", 3, 10))
 
         def on_end(self, event: Any) -> None:
             pass
@@ -129,12 +131,12 @@ def test_a_wait_says_whether_it_compiles_or_loads(tmp_path: Path) -> None:
     for _ in range(2):  # the second finds what the first has kept
         kernel: Any = numba.njit(**OPTIONS)(doubled)
         kernel._cache = KernelCache(doubled, folder)
-        assert described("simulating", 3, 10) == "simulating 30%" and described("simulating") == "simulating"
+        assert progress_text("simulating", 3, 10) == "simulating 30%" and progress_text("simulating") == "simulating"
         with event.install_listener("numba:compile", Look()):
             kernel.compile((numba.float64,))
     assert len(while_compiled) == 1 and re.fullmatch(r"simulating: compiling kernel \d+", while_compiled[0])
-    assert folder.seen == ["simulating: loading kept kernels"] * 2
-    assert described("simulating", 3, 10) == "simulating 30%"
+    assert folder.seen == ["simulating: loading cached kernels"] * 2
+    assert progress_text("simulating", 3, 10) == "simulating 30%"
 
 
 def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
@@ -154,7 +156,12 @@ def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
         with asking:
             assert asking.stderr is not None and asking.stdout is not None
             scene = {"active_field": "sphere", "tick": 7}
-            answers = {"describe": {"endpoints": {"telemetry": endpoint}}, "set_scene": scene}
+            state = State(0.0, 1, *[(0.0, 0.0, 0.0)] * 3, "", {})
+            answers = {
+                "describe": {"endpoints": {"telemetry": endpoint}},
+                "get_state": msgspec.to_builtins(state),
+                "set_scene": scene,
+            }
             said, asked = "", ""
             while asked != "set_scene":  # whose address this is, is asked first
                 sender, *_, request = daemon.recv_multipart()
@@ -164,4 +171,4 @@ def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
                 answer = {"command_id": command["command_id"], "success": True, "result": answers[asked]}
                 daemon.send_multipart([sender, b"", msgpack.packb(answer)])
             assert "tick: 7" in asking.stdout.read()
-    assert said.startswith("set_scene: the daemon compiles the scene") and asking.returncode == 0
+    assert said.startswith("set_scene: waiting for the daemon, which may have to compile") and asking.returncode == 0

@@ -20,18 +20,18 @@ from softfinger.proxy.record import CAUSE_NAMES
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.publishing.clients import BURST, BURST_S, WAITING_MAX
-from softfinger.server.publishing.front import FILES_MAX, HANDSHAKE_MS, MEMORY_MAX
+from softfinger.server.publishing.peer_socket import FILES_MAX, HANDSHAKE_MS, MEMORY_MAX
 from softfinger.server.publishing.process import QUIET_S
 from softfinger.server.publishing.readers import SUBSCRIPTION_MAX
 from softfinger.server.publishing.setup import REQUEST_MAX
 from softfinger.server.services.commands import EVENT_BYTES_MAX
-from softfinger.server.services.hotplug import described
-from softfinger.server.services.world import told
+from softfinger.server.services.hotplug import event_fields
+from softfinger.server.services.world import body_maps
 from softfinger.server.wire import commands, envelope
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.link import LOG_PERIOD_S
 from softfinger.server.wire.native import memory
-from softfinger.server.wire.native.relay import BELL_MS, HANDED_ON
+from softfinger.server.wire.native.relay import CAPACITY_TICKS, WAKE_INTERVAL_MS
 from softfinger.server.wire.protocol import (
     CONTACT_KEYS,
     EVENT_EXTRA_KEYS,
@@ -148,11 +148,11 @@ def real_messages():
         socket.subscribe(SCHEMA_TOPIC)
         publisher.publish(records)
         puck = Attached("hid", 0x046D, 0xC626, "SpaceNavigator", "", "/dev/hidraw0")
-        publisher.event("device", "attached", **described(puck))
-        publisher.world(5, told(["box"], np.arange(14.0)))
+        publisher.event("device", "attached", **event_fields(puck))
+        publisher.world(5, body_maps(["box"], np.arange(14.0)))
         publisher.event("command", "arm", command_id="a1", what={"armed": True})
         publisher.event("mark", "mark", command_id="a2", label="x", data={"a": {"b": 1}})
-        publisher.event("state", "armed", before="ready", cause="nothing keeps the force off")
+        publisher.event("state", "armed", before="ready", cause="the force may be switched on")
         publisher.event("lifecycle", "stopped")
         while not {"schema", "event lifecycle"} <= {title for title, _ in found}:
             assert socket.poll(5000)
@@ -178,9 +178,9 @@ def test_real_messages_have_the_documented_keys_and_types():
 def test_lists_and_numbers_in_the_text_are_the_codes():
     """Schema, backlog and bounds of peers are those of the code."""
     assert f"`schema` is {SCHEMA}." in DOC
-    assert f"`state`: {STATE_HZ:g} times a second" in DOC and f"{HANDED_ON} ticks behind" in DOC
-    assert f"some {BELL_MS} ms of their tick" in DOC
-    assert f"newest {HANDED_ON} rows are there" in DOC and f"| 1 | layout, {memory.LAYOUT}: another" in DOC
+    assert f"`state`: {STATE_HZ:g} times a second" in DOC and f"{CAPACITY_TICKS} ticks behind" in DOC
+    assert f"some {WAKE_INTERVAL_MS} ms of their tick" in DOC
+    assert f"newest {CAPACITY_TICKS} rows are there" in DOC and f"| 1 | layout, {memory.LAYOUT}: another" in DOC
     assert f"{BACKLOG} messages are kept" in DOC and f"where none has come for {QUIET_S:g} s" in DOC
     assert f"a frame of {SUBSCRIPTION_MAX} bytes, {HANDSHAKE_MS / 1000.0:g} s for the handshake" in DOC
     assert f"There are some {FILES_MAX - 26} connections" in DOC  # the others are the publisher's own files
@@ -191,9 +191,9 @@ def test_lists_and_numbers_in_the_text_are_the_codes():
 def test_bounds_of_requests_are_the_codes():
     """Sizes, numbers and rates in the text are those of the code."""
     assert f"{REQUEST_MAX} bytes, {envelope.NODES_MAX} values and a depth of {envelope.DEPTH_MAX}" in DOC
-    told = " ".join(DOC.split())  # wherever its lines break
-    assert f"may ask {BURST} times in {BURST_S:g} s" in told and f"{WAITING_MAX} wait, and more are dropped" in told
-    assert f"A frame of more than {REQUEST_MAX} bytes" in told and f"more than {EVENT_BYTES_MAX} bytes" in told
+    page = " ".join(DOC.split())  # wherever its lines break
+    assert f"may ask {BURST} times in {BURST_S:g} s" in page and f"{WAITING_MAX} wait, and more are dropped" in page
+    assert f"A frame of more than {REQUEST_MAX} bytes" in page and f"more than {EVENT_BYTES_MAX} bytes" in page
 
 
 def test_speeds_of_a_led_hand_are_the_codes():

@@ -23,9 +23,9 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.record import AT, PATCHES
 from softfinger.server.app import Daemon
-from softfinger.server.loop.shared.broadcast import make_broadcast, make_place, read_rows, write_row
+from softfinger.server.loop.shared.broadcast import make_broadcast, make_read_position, read_rows, write_row
 from softfinger.server.publishing.process import QUIET_S
-from softfinger.server.publishing.setup import Shown
+from softfinger.server.publishing.setup import StateInfo
 from softfinger.server.recording.summary import summary
 from softfinger.server.wire import link
 from softfinger.server.wire.control import Control
@@ -106,7 +106,7 @@ def test_messages_equal_those_of_the_encoder(sockets, every):
         Publisher("tcp://127.0.0.1:*", every) as single,
         Publisher("tcp://127.0.0.1:*", every, fingers=FINGERS) as both,
     ):
-        both.show(Shown("pinch", 1000.0, 1.69e9))
+        both.set_state_info(StateInfo("pinch", 1000.0, 1.69e9))
         for publisher, records, epoch_s, scene in (
             (single, {b"contact": rows}, 0.0, "unnamed"),
             (both, {b"finger/index": rows, b"finger/thumb": other}, 1.69e9, "pinch"),
@@ -129,7 +129,7 @@ def test_state_keeps_its_rate_and_says_the_scenes_name(sockets):
         socket = sockets(publisher.endpoint, b"state", b"event")
         join(publisher, socket)
         for name, first in (("a", 0), ("b" * 300, 400)):
-            publisher.show(Shown(name, 8000.0))
+            publisher.set_state_info(StateInfo(name, 8000.0))
             publisher.event("test", "shown")
             until_event(socket, "shown")
             publisher.publish(synthetic(400, first_tick=first))
@@ -197,7 +197,7 @@ def test_while_ticks_come_nobody_is_sent_one_twice(sockets):
 def test_plotjugglers_rules_hold_for_every_topic(sockets):
     """Each message of each topic; and the checker finds what breaks each rule."""
     with Publisher("tcp://127.0.0.1:*", fingers=FINGERS) as publisher:
-        publisher.show(Shown(epoch_s=1.69e9))
+        publisher.set_state_info(StateInfo(epoch_s=1.69e9))
         socket = sockets(publisher.endpoint, b"")
         join(publisher, socket)
         records = [with_every_set_of_patches(synthetic(1200, seed=seed)) for seed in range(2)]
@@ -343,7 +343,7 @@ def test_a_publisher_that_cannot_start_ends_the_run(monkeypatch):
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
         daemon.start()
-        with pytest.raises(SafetyStop, match="nobody can see what is rendered"):
+        with pytest.raises(SafetyStop, match="the rendered state would be invisible"):
             daemon.wait(60.0)
 
 
@@ -361,7 +361,7 @@ def test_readers_of_a_broadcast_see_no_torn_row_and_count_what_they_miss():
     with those counted as lost they are all."""
     count = 2_000_000
     broadcast = make_broadcast(16, 24)
-    places = [make_place(broadcast) for _ in range(2)]
+    places = [make_read_position(broadcast) for _ in range(2)]
     write_numbered(broadcast, np.zeros((1, 24)), 0)  # compiled before it is raced
     out = np.empty((8, 24))
     for place in places:

@@ -56,6 +56,7 @@ def test_it_costs_others_nothing() -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.exhaustive  # four daemons; `make test` has the fixture's passes and failures below
 def test_the_example_project_passes(tmp_path: Path) -> None:
     """All of its tests, in a folder of their own with nothing of this project's configuration."""
     project = tmp_path / "project"

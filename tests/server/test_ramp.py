@@ -30,13 +30,13 @@ def scene(**changes):
 
 
 def way_from(tree, ticks=TICKS):
-    return ramp.make_way(tree, ticks)
+    return ramp.make_ramp(tree, ticks)
 
 
 def gone(way, tree, ticks):
     """The tree after so many ticks on the way."""
     for _ in range(ticks):
-        if way.left[0] > 0:
+        if way.ticks_left[0] > 0:
             ramp.advance(way)
     return unflatten(tree, way.now)
 
@@ -47,12 +47,12 @@ def test_all_that_acts_on_the_force_is_on_its_way_together():
     old = build_scene(scene())
     new = build_scene(scene(**{"stiffness_n_per_m": 500.0, "friction.static": 0.2, "friction.kinetic": 0.1}))
     way = way_from(old)
-    ramp.head_for(way, flatten(new))
+    ramp.set_target(way, flatten(new))
     half = gone(way, old, TICKS // 2)
     np.testing.assert_allclose(flatten(half), 0.5 * (flatten(old) + flatten(new)), rtol=1e-12)  # fifty additions
     assert half.objects.body.material.friction.kinetic < half.objects.body.material.friction.static
     assert flatten(gone(way, old, TICKS // 2)).tobytes() == flatten(new).tobytes()
-    assert way.left[0] == -1
+    assert way.ticks_left[0] == -1
 
 
 @pytest.mark.plain
@@ -62,12 +62,12 @@ def test_what_says_where_and_what_is_allowed_is_there_at_once():
     old = make_tuning(scene(), guard)
     softer = old._replace(scene=build_scene(scene(stiffness_n_per_m=500.0)))
     way = way_from(old)
-    ramp.head_for(way, flatten(softer))
+    ramp.set_target(way, flatten(softer))
     assert gone(way, old, 60).scene.objects.body.material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
     table = softer.scene.objects.body
     lifted = softer.scene._replace(objects=model.Single(table._replace(shape=table.shape._replace(offset=0.001))))
     weak = softer._replace(guards=(old.guards[0]._replace(force_max=0.0),), scene=lifted)
-    ramp.head_for(way, flatten(weak))
+    ramp.set_target(way, flatten(weak))
     now = gone(way, old, 1)
     assert now.guards[0].force_max == 0.0 and now.scene.objects.body.shape.offset == 0.001
     assert now.scene.objects.body.material.normal.stiffness == pytest.approx(695.0, rel=1e-12)
@@ -79,7 +79,7 @@ def test_an_array_is_another_at_once():
     """What a law of another package owns is reached by its address, of which there is no half way."""
     old, new = (model.Object(None, None, None, model.Material(ReadOnly([k]), None, None), 0.0) for k in (1.0, 2.0))
     way = way_from(old)
-    ramp.head_for(way, flatten(new))
+    ramp.set_target(way, flatten(new))
     ramp.advance(way)
     assert way.now.tobytes() == flatten(new).tobytes()
 
@@ -93,7 +93,7 @@ def test_a_power_law_changes_its_force_evenly_at_every_depth():
     ]
     old, new = (model.Object(None, None, None, material, 0.0) for material in ends)
     way = way_from(old)
-    ramp.head_for(way, flatten(new))
+    ramp.set_target(way, flatten(new))
     for _ in range(TICKS):
         law = gone(way, old, 1).material.normal
         assert law.coefficient * DEPTH_M**law.exponent == pytest.approx(1.0, rel=1e-12)  # a power a tick
@@ -118,15 +118,15 @@ def test_many_objects_are_ramped_as_well():
 
     old, new = tiles(1000.0), tiles(500.0)
     way = way_from(old)
-    ramp.stay(way, ramp.leaves(old))
-    ramp.head_for(way, ramp.leaves(new))
+    ramp.set_now(way, ramp.leaves(old))
+    ramp.set_target(way, ramp.leaves(new))
     for ticks, expected in ((TICKS // 2, 750.0), (TICKS // 2, 500.0)):
         for _ in range(ticks):
             ramp.advance(way)
         stiffness, friction = np.transpose([stiffness_of(old, way.now, float(k)) for k in range(9)])
         assert stiffness == pytest.approx([*[1000.0] * 3, expected, *[1000.0] * 5], rel=1e-12)  # fifty additions
         assert friction == pytest.approx(8e-4 * stiffness, rel=1e-12)
-    assert old.objects.entries[3].normal.stiffness == 1000.0 and way.left[0] == -1
+    assert old.objects.entries[3].normal.stiffness == 1000.0 and way.ticks_left[0] == -1
 
 
 @pytest.mark.plain
@@ -134,7 +134,7 @@ def test_no_ticks_are_at_once():
     """With a ramp of 0 s the next tick has what was set."""
     old, new = (build_scene(scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
     way = way_from(old, 0)
-    ramp.head_for(way, flatten(new))
+    ramp.set_target(way, flatten(new))
     assert gone(way, old, 1) == new
 
 

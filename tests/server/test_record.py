@@ -21,8 +21,8 @@ from softfinger.drivers.replay.device import Options, Replay
 from softfinger.proxy.record import AT
 from softfinger.server import cli
 from softfinger.server.app import Daemon
-from softfinger.server.offline.results import read_results
-from softfinger.server.verbs.record import Kept, record
+from softfinger.server.recording.results import read_results
+from softfinger.server.verbs.record import RecordingStats, record
 from softfinger.server.wire.client import NoTelemetry, record_of, subscribe
 from softfinger.server.wire.protocol import ProtocolError
 from softfinger.server.wire.publisher import Publisher
@@ -34,9 +34,9 @@ __all__ = ["stub", "stub_library"]  # fixtures
 RATE_HZ = 1000.0
 
 
-def follow(daemon: Daemon, path: Path) -> Kept:
+def follow(daemon: Daemon, path: Path) -> RecordingStats:
     """Run a daemon to its end, and record it as another program does."""
-    done: list[Kept] = []
+    done: list[RecordingStats] = []
 
     def take() -> None:
         with subscribe(daemon.publisher.endpoint, ("contact", "event")) as wire:
@@ -51,7 +51,7 @@ def follow(daemon: Daemon, path: Path) -> Kept:
     return done[0]
 
 
-def recorded_daemon(path: Path, rate_hz: float = RATE_HZ) -> tuple[Kept, np.ndarray]:
+def recorded_daemon(path: Path, rate_hz: float = RATE_HZ) -> tuple[RecordingStats, np.ndarray]:
     """Run the daemon on a shipped recording, record it, and give back what the device played."""
     changes = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "servo.rate_hz": rate_hz}
     changes |= {"device.recording": "tap", "device.loop": False}
@@ -64,7 +64,7 @@ def test_a_recording_of_a_replay_is_that_replay(rate_hz: float, tmp_path: Path) 
     """What the daemon played comes back from its recording to the bit, tick by tick, also where 1/rate is not exact."""
     file = tmp_path / "again.csv"
     kept, played = recorded_daemon(file, rate_hz)
-    assert kept.ended == "the server stopped"
+    assert kept.end_reason == "the server stopped"
     assert kept.lost == 0
     assert kept.poses > len(played) - 500, "the recorder was too late for most of it"
     again = Replay(Options(recording=str(file), loop=False), rate_hz).samples
@@ -110,7 +110,7 @@ def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path
     assert again[at].tobytes() == np.ascontiguousarray(sensed[:, pose]).tobytes()
 
 
-def published(tmp_path: Path, records: np.ndarray, every: int = 1, **options: Any) -> tuple[Kept, Path]:
+def published(tmp_path: Path, records: np.ndarray, every: int = 1, **options: Any) -> tuple[RecordingStats, Path]:
     """Record what a publisher sends, followed by the event that the server stopped."""
     file = tmp_path / "poses.csv"
     with (
@@ -163,14 +163,14 @@ def test_one_tick_in_five_is_no_gap(tmp_path: Path) -> None:
 def test_duration_ends_the_recording(tmp_path: Path) -> None:
     """So many seconds of ticks are written, whatever the publisher goes on to send."""
     kept, file = published(tmp_path, moving(400), duration_s=0.3)
-    assert kept.ended == "0.3 s are over"
+    assert kept.end_reason == "0.3 s are over"
     assert len(load_poses(file).t) == 300
 
 
 def test_a_server_that_starts_again_ends_the_recording(tmp_path: Path) -> None:
     """Ticks that go back belong to another run: the file ends before them."""
     kept, file = published(tmp_path, np.vstack([moving(100), moving(50)]))
-    assert kept.ended == "the server started again"
+    assert kept.end_reason == "the server started again"
     assert len(load_poses(file).t) == 100
 
 

@@ -22,6 +22,7 @@ from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.services import rendering
 from softfinger.server.services.records import Sink
+from softfinger.server.states import COMMANDED, UNARMED
 
 pytestmark = pytest.mark.real_time
 
@@ -94,7 +95,7 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
         running.stop()
         assert running.wait(60.0)
         ticks = running.servo.ticks
-        written = device._log.written().wrench
+        written = device._log.logged().wrench
     rows = kept.all
     assert rows[:, 0].tolist() == list(range(ticks))
     assert rows[begun, 2].tolist() == missed
@@ -120,7 +121,7 @@ def test_a_rig_that_asks_for_more_than_the_device_displays_gets_no_more():
         running.stop()
         assert running.wait(WAIT_S)
         (plant,) = running.devices
-        written = np.linalg.norm(plant._log.written().wrench[:, :3], axis=1)
+        written = np.linalg.norm(plant._log.logged().wrench[:, :3], axis=1)
     norms = np.linalg.norm(kept.all[:, 3:], axis=1)
     assert norms[:begun].max() == pytest.approx(0.2, rel=1e-12)  # rounding of the scaled vector
     assert norms.max() == pytest.approx(most, rel=1e-12) and written.max() <= most * (1.0 + 1e-12)
@@ -244,10 +245,53 @@ def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver)
     assert acts(old) == ["arm", "stop", "close", "stop"] and acts(new)[:2] == ["arm", "stop"]
     assert new.acts[0][2] == 0
     for device, rate in ((old, 1000.0), (new, 4000.0)):
-        force = np.linalg.norm(np.diff(device.wrenches[: -1 if device is old else -2, :3], axis=0), axis=1)
-        assert force.max() <= SLEW / rate * (1.0 + 1e-9)
+        rises = np.diff(np.linalg.norm(device.wrenches[:, :3], axis=1))  # a fall may be faster: MAX_OFF_S
+        assert rises.max() <= SLEW / rate * (1.0 + 1e-9)
         assert not device.wrenches[-1].any()
     assert kept.all[:, 0].tolist() == list(range(running.servo.ticks))
+
+
+def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_without(driver):
+    """With arming by command. Another scene on the same device has the force and the zero of before; on another device
+    nothing presses until somebody arms, and it is where it says. Another rate alone opens the device anew."""
+    newest, (first, second) = [], scenes()
+    rig = faulty_rig(**{"guard.arm": "command"})
+    with Daemon(
+        rig, first, sinks=[Sink("newest", lambda records, drops: newest.append(records[-1].copy()))]
+    ) as running:
+        rendering, devices = running.rendering, driver.devices
+        running.start()
+
+        def pressed() -> bool:
+            return float(np.abs(devices[-1].wrenches[-5:]).max(initial=0.0)) > 0.1
+
+        def idle(ticks: int) -> bool:
+            return eventually(lambda: running.servo.ticks > begun + ticks)
+
+        begun = running.servo.ticks
+        assert idle(100) and not devices[0].wrenches.any()
+        rendering.disarm(COMMANDED)
+        assert eventually(lambda: rendering.force.is_off and newest)
+        z = newest[-1][AT.probe_position + 2]
+        rendering.set_offset(0, (0.0, 0.0, z - 0.0005), newest[-1])
+        moved = rendering.offsets
+        assert moved[0][2] == pytest.approx(-0.0005, rel=1e-6)
+        rendering.arm(UNARMED, COMMANDED)
+        assert eventually(pressed)
+        running.replace(second)
+        assert len(devices) == 1 and rendering.force.is_requested and rendering.offsets == moved
+        assert eventually(pressed)
+        for changes in ({"device.at": 7}, {"device.at": 7, "servo.rate_hz": 500.0}):
+            count = len(devices)
+            running.replace(second, faulty_rig(**{"guard.arm": "command"} | changes))
+            assert len(devices) == count + 1 and not rendering.force.is_requested
+            assert rendering.offsets == ((0.0, 0.0, 0.0),)
+            begun = running.servo.ticks
+            assert idle(100) and not devices[-1].wrenches.any()
+            rendering.arm(UNARMED)
+            assert eventually(pressed)
+        running.stop()
+        assert running.wait(60.0)
 
 
 def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
@@ -289,7 +333,7 @@ def test_a_pause_meanwhile_ends_the_run(driver):
     with Daemon(faulty_rig(), first) as running:
         running.start()
         assert eventually(lambda: running.servo.ticks > 100)
-        with running.rendering._handing_over:
+        with running.rendering._tuning_lock:
             running.pause()()
         assert running.wait(60.0)
     assert not driver.devices[0].wrenches[-1].any()

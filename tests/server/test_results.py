@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from softfinger.config.errors import RecordingError
-from softfinger.drivers.poses import decoded_messages
+from softfinger.drivers.poses import decode_messages
 from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE, columns
-from softfinger.server.offline.results import ENDINGS, McapResults, read_results, write_results
+from softfinger.server.recording.results import SUFFIXES, McapResults, read_results, write_results
 
 
 def some_records(count: int, seed: int = 11) -> np.ndarray:
@@ -29,7 +29,7 @@ def some_records(count: int, seed: int = 11) -> np.ndarray:
     return records
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("ending", SUFFIXES)
 @pytest.mark.parametrize("count", [1, 2500])
 def test_round_trip_is_exact(tmp_path: Path, ending: str, count: int) -> None:
     """What is read is what was written, bit for bit, and a second writing gives the same numbers."""
@@ -135,7 +135,7 @@ def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.L
     assert "cut short" in caplog.text
     stream.close()
     stream.close()
-    assert sum(1 for _ in decoded_messages(path)) == 3000
+    assert sum(1 for _ in decode_messages(path)) == 3000
 
 
 def test_unusable_requests_are_refused(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_unusable_requests_are_refused(tmp_path: Path) -> None:
             read_results(tmp_path / name)
     with pytest.raises(RecordingError, match=r"\(3, 4\), must be"):
         write_results(tmp_path / "o.csv", np.zeros((3, 4)))
-    for ending in ENDINGS:
+    for ending in SUFFIXES:
         with pytest.raises(RecordingError, match="cannot be written"):
             write_results(tmp_path / "nowhere" / f"o{ending}", records)
         with pytest.raises(RecordingError, match="cannot be read"):
@@ -159,7 +159,7 @@ def test_unusable_requests_are_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("ending", SUFFIXES)
 def test_other_files_are_refused(tmp_path: Path, ending: str) -> None:
     """A file of something else is an error that names it."""
     path = tmp_path / f"other{ending}"

@@ -19,7 +19,7 @@ from softfinger.server.driver_contract import run_for
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import GUARD_NAMES, POSE_FROZEN, POSE_JUMPED, POSE_REFUSED, RAMPING, SLEW_LIMITED
-from softfinger.server.loop.health import HELD_MAX_S, JUMPING, NO_POSE, SILENCE_MAX_S, STARVED
+from softfinger.server.loop.health import IGNORED_WRENCH_MAX_S, JUMPING, NO_FORCE_MAX_S, NO_POSE, STARVED
 from softfinger.server.loop.shutdown import WRITE_FAILED, device_failure
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.wire.events import RecordEvents
@@ -47,7 +47,7 @@ def make_servo(
     return device, servo
 
 
-def finish(servo: s.Servo) -> tuple[s.Ended, np.ndarray]:
+def finish(servo: s.Servo) -> tuple[s.LoopEnd, np.ndarray]:
     """Start, wait for the end, and take what the ring still holds."""
     servo.start()
     ended = servo.join(30.0)
@@ -94,7 +94,7 @@ def test_stop_word_ends_the_loop_with_zero():
     run_for(servo, 300)
     servo.stop()
     ended = servo.join(30.0)
-    assert ended == s.Ended(s.STOPPED, 0)
+    assert ended == s.LoopEnd(s.STOPPED, 0)
     assert np.abs(device.wrenches[-3]).max() > 0.1 and not device.wrenches[-1].any()
     servo.close()
 
@@ -200,7 +200,7 @@ def test_poses_that_jump_again_and_again_end_the_loop():
     assert (ended.ending, len(records)) == (JUMPING, 705)
     assert not device.wrenches[700:].any()
     error = device_failure(device, ended)
-    assert isinstance(error, DeviceError) and "faulty: its pose jumps again and again" in str(error)
+    assert isinstance(error, DeviceError) and "faulty: its pose jumps repeatedly" in str(error)
     assert "guard.speed_max_m_per_s" in str(error)
 
 
@@ -264,7 +264,7 @@ def test_a_device_that_takes_no_force_for_ever_ends_the_loop():
     device, servo = make_servo(Options(fault="held", at=700, count=100_000, own_clock=True), 2000)
     ended, records = finish(servo)
     assert (ended.ending, ended.status) == (WRITE_FAILED, TIMEOUT)
-    assert len(records) == 700 + round(HELD_MAX_S * 1000)
+    assert len(records) == 700 + round(IGNORED_WRENCH_MAX_S * 1000)
     error = device_failure(device, ended)
     assert isinstance(error, DeviceTimeout) and "no answer to a write in time" in str(error)
 
@@ -332,7 +332,7 @@ def test_a_pose_that_stays_unusable_is_a_fault(fault):
     device, servo = make_servo(Options(fault=fault, at=700, count=100_000), 5000)
     ended, records = finish(servo)
     assert ended.ending == NO_POSE
-    assert abs(len(records) - 700 - SILENCE_MAX_S * 1000) <= 2  # sums of 0.001
+    assert abs(len(records) - 700 - NO_FORCE_MAX_S * 1000) <= 2  # sums of 0.001
     assert np.linalg.norm(device.wrenches[699]) > 0.9 and not device.wrenches[700:].any()
 
 

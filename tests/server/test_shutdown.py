@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import os
 import threading
 import time
+import tty
+from contextlib import suppress
 from math import nan
 from types import SimpleNamespace
 from typing import Any, cast
@@ -14,11 +17,12 @@ import numpy as np
 import pytest
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, LOST, PROTOCOL, TIMEOUT, Device, DeviceIO
-from softfinger.server.closing import Closing
+from softfinger.server.closing import Closeable
 from softfinger.server.loop import health, shutdown
-from softfinger.server.loop.shutdown import READ_FAILED, STOPPED, WRITE_FAILED, Ended
+from softfinger.server.loop.shutdown import READ_FAILED, STOPPED, WRITE_FAILED, LoopEnd
+from softfinger.server.watcher import zero_force
 
 pytestmark = pytest.mark.plain
 
@@ -69,7 +73,7 @@ def device(motor: Motor) -> Device:
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that hangs is given up in time for a test."""
-    monkeypatch.setattr(opened, "END_S", 0.2)
+    monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", 0.2)
 
 
 def fails(error: BaseException) -> Any:
@@ -86,17 +90,17 @@ def test_every_step_has_its_turn_and_the_first_error_comes_back(caplog: pytest.L
     first = ValueError("one")
     with caplog.at_level(logging.ERROR):
         steps = (fails(first), lambda: done.append(1), fails(KeyboardInterrupt()), lambda: done.append(2))
-        assert shutdown.every(*steps) is first
+        assert shutdown.run_all_steps(*steps) is first
     assert done == [1, 2]
     assert [record.getMessage() for record in caplog.records] == ["during shutdown, besides: KeyboardInterrupt"]
-    assert shutdown.every(lambda: None) is None
+    assert shutdown.run_all_steps(lambda: None) is None
 
 
 def test_an_error_from_before_stays_the_first(caplog: pytest.LogCaptureFixture) -> None:
     """It is returned, and that of a step is logged in its own words."""
     before = SafetyStop("stalled")
     with caplog.at_level(logging.ERROR):
-        assert shutdown.every(fails(OSError("gone")), first=before) is before
+        assert shutdown.run_all_steps(fails(OSError("gone")), first=before) is before
     assert "besides: gone" in caplog.text
 
 
@@ -122,6 +126,39 @@ def test_a_stop_that_fails_is_followed_by_a_plain_zero(error: BaseException) -> 
         assert caught.value is error
 
 
+def test_a_zero_that_is_not_confirmed_is_an_error() -> None:
+    """The error names device, reason and remedy; confirmed devices raise nothing."""
+
+    class Quiet(Motor):
+        why = ""
+
+        def zero_failure(self) -> str:
+            return self.why
+
+    sound, dead = Quiet(), Quiet()
+    shutdown.confirm_zero([device(sound), device(dead)])
+    dead.why = "8 bytes have been pending"
+    with pytest.raises(DeviceError, match=r"^Motor: .* not confirmed \(8 bytes have been pending\): .*switch it off"):
+        shutdown.confirm_zero([device(sound), device(dead)])
+
+
+def test_a_watcher_drops_what_waits_before_its_zero() -> None:
+    """A board behind a full port reads the bytes that it already had, then three zeros."""
+    far, near = os.openpty()
+    tty.setraw(near)
+    os.set_blocking(near, False)
+    with suppress(BlockingIOError):
+        while os.write(near, b"force"):
+            pass
+    assert zero_force("the node", near, b"zero!") == "zero force was written to the node"
+    got = os.read(far, 1 << 16)
+    while not got.endswith(b"zero!" * 3):
+        got += os.read(far, 1 << 16)
+    assert len(got) <= 4096 + 3 * 5  # what the far end had, of some 16 kB
+    os.close(near)
+    os.close(far)
+
+
 def test_an_error_without_words_is_told_by_its_class() -> None:
     """`Motor could not be closed (RuntimeError)`, of a close."""
     with pytest.raises(DeviceError, match=r"could not be closed \(RuntimeError\)"):
@@ -141,7 +178,7 @@ def test_all_are_stopped_whoever_fails_or_hangs(caplog: pytest.LogCaptureFixture
 
 @pytest.mark.usefixtures("short")
 def test_those_that_hang_are_waited_for_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten that hang are all given up within END_S, which begins once for all, and keep no process from its end."""
+    """Ten that hang are all given up in STOP_TIMEOUT_S, which begins once for all, and keep no process from its end."""
     waits, daemons = list[float](), list[bool]()
     join = threading.Thread.join
 
@@ -152,8 +189,8 @@ def test_those_that_hang_are_waited_for_together(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(threading.Thread, "join", noted)
     motors = [Motor(hangs=True) for _ in range(10)]
-    failures = opened.at_once(lambda motor: motor.stop(), [*motors, Motor()])
-    assert sum(waits) <= opened.END_S and all(daemons) and len(waits) == 11
+    failures = open_devices.call_all(lambda motor: motor.stop(), [*motors, Motor()])
+    assert sum(waits) <= open_devices.STOP_TIMEOUT_S and all(daemons) and len(waits) == 11
     assert [motor for motor, _ in failures] == motors
     assert all(isinstance(error, TimeoutError) for _, error in failures)
     for motor in motors:
@@ -161,14 +198,14 @@ def test_those_that_hang_are_waited_for_together(monkeypatch: pytest.MonkeyPatch
 
 
 def test_one_that_takes_a_while_is_waited_for() -> None:
-    """Less than END_S is no failure."""
-    assert opened.at_once(lambda _: time.sleep(0.2), [Motor()]) == []
+    """Less than STOP_TIMEOUT_S is no failure."""
+    assert open_devices.call_all(lambda _: time.sleep(0.2), [Motor()]) == []
 
 
 def test_at_once_is_at_the_same_time() -> None:
     """Each of two waits for the other: one after the other neither would come back."""
     both = threading.Barrier(2, timeout=1.9)
-    assert opened.at_once(lambda _: both.wait() and None, [Motor(), Motor()]) == []
+    assert open_devices.call_all(lambda _: both.wait() and None, [Motor(), Motor()]) == []
 
 
 def test_all_are_closed_whoever_fails(caplog: pytest.LogCaptureFixture) -> None:
@@ -184,9 +221,9 @@ def test_what_a_signal_stops_and_closes() -> None:
     """Every device that is open, whoever opened it; what could not be stopped is returned."""
     error = OSError("no power")
     motors = [Motor(error), Motor()]
-    opened.devices.update(motors)
-    assert opened.stop_all() == [error]
-    opened.close_all()
+    open_devices.devices.update(motors)
+    assert open_devices.stop_all() == [error]
+    open_devices.close_all()
     assert [motor.closed for motor in motors] == [1, 1]
 
 
@@ -210,7 +247,7 @@ SAID = "its driver said why"
     ("ending", "status", "kind", "words"),
     [
         (health.NO_POSE, 0, DeviceError, ["no usable pose for", "see to its sensors"]),
-        (health.JUMPING, 0, DeviceError, ["jumps again and again", "guard.speed_max_m_per_s"]),
+        (health.JUMPING, 0, DeviceError, ["jumps repeatedly", "guard.speed_max_m_per_s"]),
         (READ_FAILED, FORCE_OFF, SafetyStop, ["turned its force off"]),
         (READ_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a read in time"]),
         (WRITE_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a write in time"]),
@@ -222,7 +259,7 @@ def test_a_failed_device_is_told_with_what_to_do(
     ending: int, status: int, kind: type[HapticError], words: list[str]
 ) -> None:
     """Each by its own class, with the device, the finger where there are several, and the driver's words."""
-    ended = Ended(ending, status)
+    ended = LoopEnd(ending, status)
     error = shutdown.device_failure(device(Motor(said=SAID)), ended, "thumb")
     assert type(error) is kind
     assert all(word in str(error) for word in [*words, "Motor, finger 'thumb'", f"({SAID})", "start again"])
@@ -232,24 +269,24 @@ def test_a_failed_device_is_told_with_what_to_do(
 
 @pytest.mark.parametrize("ending", [STOPPED, health.NO_FORCE, health.STARVED])
 def test_what_was_not_the_device_is_no_error_of_it(ending: int) -> None:
-    assert shutdown.device_failure(device(Motor()), Ended(ending, 0)) is None
+    assert shutdown.device_failure(device(Motor()), LoopEnd(ending, 0)) is None
 
 
 def test_a_loop_that_could_not_go_on_is_told_with_what_to_do() -> None:
     """A scene without a force, and time lost before or in the exchange, with the deadlines counted; else None."""
-    assert shutdown.loop_failure(Ended(READ_FAILED, LOST), 10, 2, False) is None
-    scene = shutdown.loop_failure(Ended(health.NO_FORCE, 0), 10, 2, False)
+    assert shutdown.loop_failure(LoopEnd(READ_FAILED, LOST), 10, 2, False) is None
+    scene = shutdown.loop_failure(LoopEnd(health.NO_FORCE, 0), 10, 2, False)
     assert isinstance(scene, SafetyStop) and "softfinger check" in str(scene)
-    device_slow = str(shutdown.loop_failure(Ended(health.STARVED, 0), 10, 2, False))
+    device_slow = str(shutdown.loop_failure(LoopEnd(health.STARVED, 0), 10, 2, False))
     assert "2 of 12 deadlines" in device_slow and "in the device's exchange" in device_slow
-    machine = str(shutdown.loop_failure(Ended(health.STARVED, 0), 10, 2, True))
+    machine = str(shutdown.loop_failure(LoopEnd(health.STARVED, 0), 10, 2, True))
     assert "before the servo thread was woken" in machine and "softfinger doctor" in machine
 
 
 def test_with_closes_whatever_happens() -> None:
     """At the end of a block and when it raises, which goes through."""
 
-    class Door(Closing):
+    class Door(Closeable):
         closed = 0
 
         def close(self) -> None:

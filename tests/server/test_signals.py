@@ -99,14 +99,13 @@ def test_every_signal_that_ends_a_process_is_handled() -> None:
 
 
 # All have one handler, which test_every_signal_that_ends_a_process_is_handled has the list of.
-OTHERS = (signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT)
+OTHERS = (signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT, signal.SIGRTMIN + 3)
 
 
 @pytest.mark.parametrize(
     "number",
     [
         signal.SIGHUP,
-        signal.SIGRTMIN + 3,
         *(pytest.param(number, marks=pytest.mark.exhaustive) for number in OTHERS),
     ],
 )
@@ -191,7 +190,7 @@ def test_watcher_goes_with_a_daemon_that_ends_in_order(tmp_path: Path) -> None:
         assert board.force == ZERO
     words = [*COMMAND, "run", "--watcher", "--endpoint", f"ipc://{tmp_path}/t"]
     refused = subprocess.run(words, capture_output=True, text=True, timeout=START_S, check=False)
-    assert refused.returncode == 2 and "no other process can take a force off replay" in refused.stderr
+    assert refused.returncode == 2 and "no other process can switch off the force of replay" in refused.stderr
 
 
 @pytest.mark.parametrize(
@@ -235,7 +234,7 @@ def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) ->
 
 STUCK = """
 import ctypes, hashlib, os, signal, sys, threading, time
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.server import signals
 class Device:
     def stop(self): pass
@@ -248,9 +247,9 @@ def callback(a, b):
     signal.raise_signal(signal.SIGTERM)
     for _ in range(1000): pass
     return 0
-with signals.handled():
-    signals.imported()
-    opened.devices.add(device)
+with signals.handle_signals():
+    signals.mark_imported()
+    open_devices.devices.add(device)
     threading.Thread(target=soon if sys.argv[1] != "callback" else time.time).start()
     try:
         if sys.argv[1] == "native":
@@ -263,7 +262,7 @@ with signals.handled():
             time.sleep(60)
     except signals.Interrupted as error:
         device.close()
-        sys.exit(signals.code_of(error.number))
+        sys.exit(signals.exit_code(error.number))
 """
 
 
@@ -282,22 +281,22 @@ def test_end_wherever_the_main_thread_is(where: str) -> None:
 
 REFUSING = """
 import os, signal, sys, threading
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.server import cli
 class Device:
     def stop(self): raise OSError("the port has gone")
     def close(self): pass
 device = Device()
-opened.devices.add(device)
+open_devices.devices.add(device)
 if sys.argv[1] == "TSTP":
     from softfinger.server import signals
     os.setsid()  # nobody there who would stop us: the system leaves an orphaned group running
-    with signals.handled():
-        signals.imported()
+    with signals.handle_signals():
+        signals.mark_imported()
         try:
             signal.raise_signal(signal.SIGTSTP)
         except signals.Interrupted as error:
-            sys.exit(signals.code_of(error.number))
+            sys.exit(signals.exit_code(error.number))
 sys.argv = ["softfinger", *sys.argv[1:]]
 sys.exit(cli.main())
 """
@@ -324,15 +323,15 @@ def test_a_device_that_cannot_be_stopped_is_named_and_changes_no_way_out(words: 
 SWALLOWED = """
 import signal, sys, threading
 from softfinger.server import signals
-with signals.handled():
-    signals.imported()
+with signals.handle_signals():
+    signals.mark_imported()
     try:
         signal.raise_signal(signal.SIGTERM)
     except BaseException:
         pass  # as a library does that imports another one
     stop = threading.Event()
-    with signals.asked(stop.set):
-        sys.exit(signals.code_of_stop() if stop.wait(30.0) else 1)
+    with signals.stop_on_signal(stop.set):
+        sys.exit(signals.stop_exit_code() if stop.wait(30.0) else 1)
 """
 
 
@@ -345,38 +344,38 @@ def test_a_signal_that_was_swallowed_is_not_lost() -> None:
 def test_a_second_signal_raises_nothing() -> None:
     """The first one is raised; what comes during its shutdown changes neither that nor the exit code."""
     before = signal.getsignal(signal.SIGINT)
-    with signals.handled():
-        signals.imported()
+    with signals.handle_signals():
+        signals.mark_imported()
         with pytest.raises(signals.Interrupted) as interrupted:
             signal.raise_signal(signal.SIGTERM)
         try:
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 signal.raise_signal(number)
         except signals.Interrupted as second:  # which would end this program of tests, as one at its keyboard does
-            pytest.fail(f"{signals.named(second.number)} was raised besides")
-        assert interrupted.value.number == signal.SIGTERM and signals.code_of_stop() == 0
+            pytest.fail(f"{signals.signal_name(second.number)} was raised besides")
+        assert interrupted.value.number == signal.SIGTERM and signals.stop_exit_code() == 0
     assert signal.getsignal(signal.SIGINT) is before
 
 
 JOB = """
 import os, signal, sys, time
-from softfinger.drivers import opened
+from softfinger.drivers import open_devices
 from softfinger.server import signals
 def say(word): os.write(1, word.encode() + b"\\n")  # print() has a lock, which whom a signal holds up may have
 class Device:
     def stop(self): say("zero")
     def close(self): say("closed")
 device = Device()
-with signals.handled():
-    signals.imported()
-    opened.devices.add(device)
+with signals.handle_signals():
+    signals.mark_imported()
+    open_devices.devices.add(device)
     try:
         say("ready")
         time.sleep(60)
     except signals.Interrupted as error:
         device.close()
-        opened.devices.discard(device)
-        sys.exit(signals.code_of(error.number))
+        open_devices.devices.discard(device)
+        sys.exit(signals.exit_code(error.number))
 """
 
 SHELL = """

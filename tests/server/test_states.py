@@ -13,7 +13,7 @@ from softfinger.server.states import (
     SILENT,
     TRANSITIONS,
     UNARMED,
-    State,
+    DaemonState,
     States,
     Trigger,
 )
@@ -21,11 +21,11 @@ from softfinger.server.states import (
 pytestmark = pytest.mark.plain
 
 WAYS = {
-    State.STARTING: [],
-    State.READY: [Trigger.TICK],
-    State.ARMED: [Trigger.TICK, Trigger.ARM],
-    State.FAULTED: [Trigger.TICK, Trigger.FAULT],
-    State.STOPPING: [Trigger.END],
+    DaemonState.STARTING: [],
+    DaemonState.READY: [Trigger.TICK],
+    DaemonState.ARMED: [Trigger.TICK, Trigger.ARM],
+    DaemonState.FAULTED: [Trigger.TICK, Trigger.FAULT],
+    DaemonState.STOPPING: [Trigger.END],
 }
 """How each state is come to."""
 
@@ -55,37 +55,37 @@ def states_in(state):
     return states, told
 
 
-@pytest.mark.parametrize(("state", "trigger"), list(product(State, Trigger)))
+@pytest.mark.parametrize(("state", "trigger"), list(product(DaemonState, Trigger)))
 def test_a_trigger_leads_where_it_should_and_else_nowhere(state, trigger):
     """Each trigger in each state: the expected way, told with its cause, or none, and nothing told."""
     states, told = states_in(state)
     after = EXPECTED.get(f"{state} {trigger}")
     assert states.fire(trigger, "because") == (after is not None)
     assert states.now == (after or state)
-    assert told == ([] if after is None else [(state, State(after), "because")])
+    assert told == ([] if after is None else [(state, DaemonState(after), "because")])
 
 
 def test_the_table_is_whole():
     """It has the expected ways; every state and trigger says what it is; stopping is the end."""
     assert {f"{state} {trigger}": after for (state, trigger), after in TRANSITIONS.items()} == EXPECTED
-    assert set(MEANINGS) == set(State) and set(CAUSES) == set(Trigger)
-    assert not any(state is State.STOPPING for state, _ in TRANSITIONS)
+    assert set(MEANINGS) == set(DaemonState) and set(CAUSES) == set(Trigger)
+    assert not any(state is DaemonState.STOPPING for state, _ in TRANSITIONS)
 
 
 @pytest.mark.parametrize(
     ("begun", "reasons", "after"),
     [
-        (State.STARTING, set(), []),
-        (State.READY, set(), ["armed"]),
-        (State.READY, {UNARMED}, []),
-        (State.READY, {SILENT}, ["faulted"]),
-        (State.ARMED, set(), []),
-        (State.ARMED, {COMMANDED}, ["ready"]),
-        (State.ARMED, {FAST, COMMANDED}, ["faulted"]),
-        (State.FAULTED, {SILENT}, []),
-        (State.FAULTED, set(), ["ready", "armed"]),
-        (State.FAULTED, {COMMANDED}, ["ready"]),
-        (State.STOPPING, set(), []),
+        (DaemonState.STARTING, set(), []),
+        (DaemonState.READY, set(), ["armed"]),
+        (DaemonState.READY, {UNARMED}, []),
+        (DaemonState.READY, {SILENT}, ["faulted"]),
+        (DaemonState.ARMED, set(), []),
+        (DaemonState.ARMED, {COMMANDED}, ["ready"]),
+        (DaemonState.ARMED, {FAST, COMMANDED}, ["faulted"]),
+        (DaemonState.FAULTED, {SILENT}, []),
+        (DaemonState.FAULTED, set(), ["ready", "armed"]),
+        (DaemonState.FAULTED, {COMMANDED}, ["ready"]),
+        (DaemonState.STOPPING, set(), []),
     ],
 )
 def test_the_state_follows_what_keeps_the_force_off(begun, reasons, after):
@@ -100,12 +100,12 @@ def test_the_state_follows_what_keeps_the_force_off(begun, reasons, after):
 
 def test_an_error_that_ends_the_run_is_cleared_by_nothing():
     """Once failed, whatever keeps the force off or does not, the state is faulted until the end."""
-    states, told = states_in(State.ARMED)
+    states, told = states_in(DaemonState.ARMED)
     states.fail("the device is gone")
     for reasons in (set(), {COMMANDED}, {SILENT}):
         states.follow(reasons)
-    assert told == [(State.ARMED, State.FAULTED, "the device is gone")]
-    assert states.fire(Trigger.END, "done") and states.now is State.STOPPING
+    assert told == [(DaemonState.ARMED, DaemonState.FAULTED, "the device is gone")]
+    assert states.fire(Trigger.END, "done") and states.now is DaemonState.STOPPING
 
 
 def test_what_is_a_fault_is_a_reason():

@@ -28,7 +28,7 @@ WAIT_S = 20.0
 class Broken:
     """A servo that cannot be looked at."""
 
-    looping = True
+    is_ticking = True
 
     @property
     def ticks(self) -> int:
@@ -49,7 +49,11 @@ def test_a_supervisor_that_fails_ends_the_run() -> None:
     assert told.wait(WAIT_S)
     supervisor.stop()
     (error,) = errors
-    assert isinstance(error, SafetyStop) and "gone" in str(error) and "nobody would see the servo stall" in str(error)
+    assert (
+        isinstance(error, SafetyStop)
+        and "gone" in str(error)
+        and "a stall of the servo would go unnoticed" in str(error)
+    )
 
 
 def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
@@ -58,7 +62,7 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
     ended = threading.Event()
 
     class Device:
-        info = SimpleNamespace(holds_a_force=True)
+        info = SimpleNamespace(has_persistent_force=True)
 
         def __init__(self, name: str) -> None:
             self.name = name
@@ -71,7 +75,7 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
         done.append(f"{kind} {name}")
         ended.set()
 
-    servo = SimpleNamespace(looping=True, ticks=7, armed=True, devices=(Device("a"), Device("b")))
+    servo = SimpleNamespace(is_ticking=True, ticks=7, armed=True, devices=(Device("a"), Device("b")))
     supervisor = Supervisor(cast(Any, servo), lambda error: done.append(str(error).partition(" for ")[0]), event)
     supervisor.start()
     assert ended.wait(WAIT_S)
@@ -82,11 +86,11 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
 class Stalled:
     """A servo of which no tick comes, and how often it was looked at."""
 
-    looping, armed, looks = True, True, 0
+    is_ticking, armed, looks = True, True, 0
 
-    def __init__(self, holds_a_force: bool) -> None:
-        info = SimpleNamespace(holds_a_force=holds_a_force)
-        self.devices = (SimpleNamespace(info=info, stop=lambda: None),)
+    def __init__(self, *hold_a_force: bool) -> None:
+        infos = [SimpleNamespace(has_persistent_force=each) for each in hold_a_force]
+        self.devices = tuple(SimpleNamespace(info=info, stop=lambda: None) for info in infos)
 
     @property
     def ticks(self) -> int:
@@ -94,14 +98,25 @@ class Stalled:
         return 7
 
 
-@pytest.mark.parametrize(("held", "looks"), [(True, STALL_POLLS), (False, STALL_POLLS_WITHOUT_HAND)])
+@pytest.mark.parametrize(
+    ("held", "looks"),
+    [
+        ((True,), STALL_POLLS),
+        ((True, False), STALL_POLLS),
+        ((False, True), STALL_POLLS),
+        ((True, True), STALL_POLLS),
+        ((False, False), STALL_POLLS_WITHOUT_HAND),
+        ((False,), STALL_POLLS_WITHOUT_HAND),
+    ],
+)
 def test_how_long_a_stall_is_goes_by_whether_a_hand_is_there(
-    held: bool, looks: int, monkeypatch: pytest.MonkeyPatch
+    held: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The look that sees the last tick, and so many more, each after a rest; the words have their time and the tick."""
+    """On any of the devices. The look that sees the last tick, and so many more, each after a rest; the message has
+    their time and the tick."""
     rests: list[float] = []
     monkeypatch.setattr(supervising.time, "sleep", rests.append)
-    servo, errors = Stalled(held), list[HapticError]()
+    servo, errors = Stalled(*held), list[HapticError]()
     Supervisor(cast(Any, servo), errors.append, lambda *words, **fields: None).work()
     assert servo.looks == 1 + looks and rests == [STALL_POLL_S] * (1 + looks)
     assert f"no tick for {looks * STALL_POLL_S:.2f} s after tick 7:" in str(errors[0])
@@ -131,9 +146,11 @@ def test_a_stall_ends_with_zero_within_what_the_fault_model_says(
     last = (3.0 + share) * step  # a tick a millisecond before it, and none behind it
 
     class Running:
-        looping, armed = True, True
+        is_ticking, armed = True, True
         devices = (
-            SimpleNamespace(info=SimpleNamespace(holds_a_force=True), stop=lambda: stopped.append(clock.now + turn)),
+            SimpleNamespace(
+                info=SimpleNamespace(has_persistent_force=True), stop=lambda: stopped.append(clock.now + turn)
+            ),
         )
 
         @property
@@ -150,13 +167,13 @@ class Unarmed:
     """A servo that waits for its devices, for so many looks at it."""
 
     ticks, armed = 0, False
-    devices = (SimpleNamespace(info=SimpleNamespace(holds_a_force=True)),)
+    devices = (SimpleNamespace(info=SimpleNamespace(has_persistent_force=True)),)
 
     def __init__(self, looks: int) -> None:
         self._looks = looks
 
     @property
-    def looping(self) -> bool:
+    def is_ticking(self) -> bool:
         self._looks -= 1
         return self._looks > 0
 

@@ -23,7 +23,7 @@ def test_memory_in_swap_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFi
     watch = Swapping(event, status)
     for kilobytes in (0, 40, 80, 0, 12):
         status.write_text(f"Name:\tpython3\nVmStk:\t   132 kB\nVmSwap:\t   {kilobytes} kB\nThreads:\t3\n")
-        watch.look()
+        watch.check()
     assert [(kind, name, message.split(":")[0]) for kind, name, message in told] == [
         ("fault", NAME, f"{kilobytes} kB of the daemon are in swap") for kilobytes in (40, 12)
     ]

@@ -36,7 +36,12 @@ def test_poses_are_doubted_where_a_force_is_in_a_hand():
     no hand needs a limit of its speed, its energy, the motors' heat or the workspace."""
     believing = LIMITS._replace(speed_max=math.inf, turn_max=math.inf, frozen=0.0, limits=UNLIMITED)
     recorded, puck = dataclasses.replace(STRONG, own_clock=True), dataclasses.replace(STRONG, actuated_dof=0)
-    assert guard_limits(RIG) == guard_limits(RIG, recorded) == guard_limits(RIG, puck)._replace(turns=1.0) == believing
+    assert (
+        guard_limits(RIG)
+        == guard_limits(RIG, recorded)
+        == guard_limits(RIG, puck)._replace(displays_torque=1.0)
+        == believing
+    )
 
 
 @pytest.mark.parametrize(("field", "limit"), [("force_max_n", "force_max"), ("torque_max_nm", "torque_max")])
@@ -50,8 +55,8 @@ def test_no_more_than_the_device_can(field, limit, caplog):
 def test_a_torque_that_a_device_does_not_display_is_known():
     """Of three driven degrees of freedom the hand is given the force alone, however many are sensed."""
     for driven, turns in ((3, 0.0), (6, 1.0)):
-        assert guard_limits(RIG, dataclasses.replace(STRONG, actuated_dof=driven)).turns == turns
-    assert guard_limits(RIG).turns == 1.0
+        assert guard_limits(RIG, dataclasses.replace(STRONG, actuated_dof=driven)).displays_torque == turns
+    assert guard_limits(RIG).displays_torque == 1.0
 
 
 def test_the_servo_is_given_these_limits():

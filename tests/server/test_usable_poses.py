@@ -11,8 +11,8 @@ import pytest
 from softfinger.drivers.base import OK, SAMPLE_SIZE, STALE
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, Guard
-from softfinger.server.loop.inputs.poses import doubt, nothing_seen
-from softfinger.server.loop.tick import POSITION_MAX_M, usable
+from softfinger.server.loop.inputs.poses import check_pose, make_pose_memory
+from softfinger.server.loop.tick import POSITION_MAX_M, has_pose
 
 pytestmark = pytest.mark.plain
 
@@ -36,16 +36,16 @@ def with_one(place: int, value: float) -> np.ndarray:
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_no_number_may_be_missing(place: int, value: float) -> None:
     """Each of the seven alone makes a sample one that holds no pose."""
-    assert usable(sample(*TILTED))
-    assert not usable(with_one(place, value))
+    assert has_pose(sample(*TILTED))
+    assert not has_pose(with_one(place, value))
 
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_reach_ends_on_each_axis_on_both_sides(axis: int, side: float) -> None:
     """At the reach a position is taken, behind it none."""
-    assert usable(with_one(axis, side * POSITION_MAX_M))
-    assert not usable(with_one(axis, side * math.nextafter(POSITION_MAX_M, math.inf)))
+    assert has_pose(with_one(axis, side * POSITION_MAX_M))
+    assert not has_pose(with_one(axis, side * math.nextafter(POSITION_MAX_M, math.inf)))
 
 
 @pytest.mark.parametrize("axis", range(4))
@@ -54,7 +54,7 @@ def test_a_quaternion_is_about_unit(axis: int) -> None:
     for length, taken in ((0.0, False), (0.499, False), (0.5, True), (1.0, True), (2.0, True), (2.001, False)):
         quaternion = [0.0] * 4
         quaternion[axis] = -length
-        assert bool(usable(sample(0.0, 0.0, 0.0, *quaternion))) == taken
+        assert bool(has_pose(sample(0.0, 0.0, 0.0, *quaternion))) == taken
 
 
 LIMITED = Guard(12.0, 0.3, 2000.0, 50.0, 0.5, 1.0, speed_max=10.0, turn_max=100.0, frozen=0.0105)
@@ -65,10 +65,11 @@ NONE = (0.0, 0.0, 0.0)
 
 def doubts(poses: Sequence[Sequence[float]], statuses: Sequence[int] = (), force: Vec3 = NONE) -> list[int]:
     """What is said of each pose, a tick apart."""
-    seen = nothing_seen()
+    seen = make_pose_memory()
     told = statuses or [OK] * len(poses)
     return [
-        int(doubt(LIMITED, seen, sample(*pose), status, force, T)) for pose, status in zip(poses, told, strict=True)
+        int(check_pose(LIMITED, seen, sample(*pose), status, force, T))
+        for pose, status in zip(poses, told, strict=True)
     ]
 
 
@@ -111,7 +112,7 @@ def test_a_pose_that_repeats_is_frozen_under_a_force_alone() -> None:
 
 def test_a_frozen_pose_stays_so_without_the_force() -> None:
     """The force is gone by then, and must not come back."""
-    seen = nothing_seen()
+    seen = make_pose_memory()
     for _ in range(30):
-        doubt(LIMITED, seen, sample(*at(0.0)), OK, PUSH, T)
-    assert doubt(LIMITED, seen, sample(*at(0.0)), OK, NONE, T) == POSE_FROZEN
+        check_pose(LIMITED, seen, sample(*at(0.0)), OK, PUSH, T)
+    assert check_pose(LIMITED, seen, sample(*at(0.0)), OK, NONE, T) == POSE_FROZEN

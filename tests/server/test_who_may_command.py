@@ -20,8 +20,8 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import commands_beside
 from softfinger.server.app import Daemon
 from softfinger.server.cli import main
-from softfinger.server.gateway.addresses import addresses_of
-from softfinger.server.recording.reader import Note, contents
+from softfinger.server.gateway.addresses import find_addresses
+from softfinger.server.recording.reader import Note, read_contents
 from softfinger.server.remote import Client
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.endpoint import listen
@@ -107,7 +107,7 @@ def test_a_daemon_that_names_its_commands_is_found_from_either_address(
     both = (named.publisher.endpoint, str(named.commands_endpoint))
     for number, endpoint in enumerate(both):
         for to_command in (False, True):
-            assert addresses_of(endpoint, to_command=to_command) == both
+            assert find_addresses(endpoint, to_command=to_command) == both
         assert main(["ctl", "describe", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
         assert json.loads(capsys.readouterr().out)["endpoints"] == {"telemetry": both[0], "commands": both[1]}
         assert main(["monitor", "--once", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
@@ -115,7 +115,9 @@ def test_a_daemon_that_names_its_commands_is_found_from_either_address(
         folder.mkdir(mode=0o700, exist_ok=True)
         kept = folder / f"{number}.mcap"
         assert main(["record", str(kept), "--endpoint", endpoint, "--duration", "0.05", "--timeout", "60"]) == 0
-        assert any(isinstance(part, Note) and part.name == "scene" for part in contents(kept))  # the daemon said it
+        assert any(
+            isinstance(part, Note) and part.name == "scene" for part in read_contents(kept)
+        )  # the daemon said it
         with Client(endpoint, timeout_s=WAIT_S) as client:
             assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
             assert client.describe()["endpoints"]["telemetry"] == named.publisher.endpoint
@@ -129,7 +131,7 @@ def test_the_page_and_the_gateway_find_commands_that_the_rig_names(folder: Path,
 
     page = Page("127.0.0.1", 0)
     try:
-        fed = LivePage(page, addresses_of(named.publisher.endpoint))
+        fed = LivePage(page, find_addresses(named.publisher.endpoint))
         try:
             until = time.monotonic() + WAIT_S
             while not page.fingers and time.monotonic() < until:
@@ -156,7 +158,7 @@ def test_a_daemon_without_commands_says_so(folder: Path) -> None:
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
         daemon.start()
-        assert addresses_of(daemon.publisher.endpoint).commands is None
+        assert find_addresses(daemon.publisher.endpoint).commands is None
         with Client(daemon.publisher.endpoint) as client:
             assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
             with pytest.raises(ConfigError, match="takes no commands"):
@@ -166,9 +168,9 @@ def test_a_daemon_without_commands_says_so(folder: Path) -> None:
 def test_nobody_is_asked_where_the_addresses_follow_from_each_other(folder: Path) -> None:
     """A socket of commands leads to its telemetry, an address that other machines reach to the port behind it."""
     beside = f"ipc://{folder}/5601.commands"
-    assert addresses_of(beside) == ("tcp://127.0.0.1:5601", beside)
-    assert addresses_of("tcp://10.0.0.1:5555") == ("tcp://10.0.0.1:5555", "tcp://10.0.0.1:5556")
-    assert addresses_of("tcp://10.0.0.1:5556", to_command=True).commands == "tcp://10.0.0.1:5556"
+    assert find_addresses(beside) == ("tcp://127.0.0.1:5601", beside)
+    assert find_addresses("tcp://10.0.0.1:5555") == ("tcp://10.0.0.1:5555", "tcp://10.0.0.1:5556")
+    assert find_addresses("tcp://10.0.0.1:5556", to_command=True).commands == "tcp://10.0.0.1:5556"
 
 
 CONNECT = """
@@ -236,7 +238,7 @@ def _of_another(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("plant", "said"),
     [
-        (_writable, "others may write to it"),
+        (_writable, "other users may write to it"),
         (_link, "is no folder"),
         (Path.touch, "is no folder"),
         pytest.param(_of_another, "belongs to another user", marks=needs_root),
@@ -254,5 +256,5 @@ def test_a_folder_that_another_user_may_have_planted_is_refused(folder: Path, pl
 def test_a_runtime_folder_that_is_not_there_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With what to do."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "gone"))
-    with pytest.raises(ConfigError, match="cannot be made for the socket of commands: No such file"):
+    with pytest.raises(ConfigError, match="cannot be created for the socket of commands: No such file"):
         listen(commands_beside(TELEMETRY), KEY, own=True)

@@ -85,7 +85,7 @@ def test_one_of_several_fingers_is_moved(rig):  # noqa: F811
     device = {"driver": "faulty"}
     with running(two_devices(device, device, guard=describe(rig())["guard"]), pressed_by_two()) as (_, control, kept):
         control.disarm()
-        with pytest.raises(CommandRefused, match="say finger, one of thumb, index"):
+        with pytest.raises(CommandRefused, match="give finger, one of thumb, index"):
             control.zero()
         done = zeroed(control, position_m=(0.0, 0.0, 0.0085), finger="index")
         assert eventually(lambda: kept.rows[-1][-1, AT.tick] > done.tick + 2)

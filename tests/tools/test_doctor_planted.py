@@ -151,13 +151,13 @@ def sound_and_planted(problem: str, folder: Path, keep: ExitStack, patch: pytest
         ("slow clock", "could be better", "hpet", "echo tsc"),
         ("processor that is not there", "bad", "processor 1023", "servo.cpu"),
         ("cache that others may write", "bad", "can be written by other users", "SOFTFINGER_CACHE_DIR"),
-        ("endpoint in use", "bad", "tcp://127.0.0.1:", "end the program that holds it"),
+        ("endpoint in use", "bad", "tcp://127.0.0.1:", "end the program that uses it"),
         ("ticks that are missed", "bad", "50 of 1000 missed", "isolcpus"),
         ("late wake-ups", "bad", "p99 600 us", "servo.cpu"),
         ("library that is missing", "bad", "is not on this machine", "export FDSDK="),
         ("device that is not plugged in", "bad", "nothing that driver spacemouse", "plug it in"),
         ("device without rights", "bad", "may not write to", "install --system"),
-        ("device that is in use", "bad", "is held by process", "kill "),
+        ("device that is in use", "bad", "is used by process", "kill "),
     ],
 )
 def test_a_planted_problem_is_found(

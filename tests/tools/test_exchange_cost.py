@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive]
 
 SCRIPT = Path(__file__).parents[1] / "exchange_cost.py"
 

@@ -16,6 +16,7 @@ SCRIPT = Path(__file__).parents[1] / "handover_age.py"
 
 
 @pytest.mark.real_time
+@pytest.mark.exhaustive
 def test_every_driver_is_measured() -> None:
     """Of each driver there are ages of new poses and of forces that arrived, in their order, and shares of both."""
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json")

@@ -67,5 +67,5 @@ def test_bodies_of_a_bench_lie_on_their_floor(tmp_path: Path) -> None:
         mujoco.mj_step(model, data)
     assert model.ngeom == 9 and data.ncon >= 8
     assert np.abs(data.xpos - began).max() < 1e-3  # MuJoCo's floor is soft: a body sinks into it by that order
-    with pytest.raises(ConfigError, match="--geoms: 25: must be a whole number from 1 to 24"):
+    with pytest.raises(ConfigError, match="--geoms: 25: must be an integer from 1 to 24"):
         scene_of_geoms(25, 1000.0, tmp_path)

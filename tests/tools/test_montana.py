@@ -83,6 +83,7 @@ def test_gauss_frame_against_differences(name: str) -> None:
         assert montana.locate(shape, here.point) == pytest.approx((u, v), abs=1e-15)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", SHAPES)
 def test_both_forms_agree(name: str) -> None:
     """Rolled by 0.4 rad, charts and contact angle give the centre and the orientation that the plain form gives."""

@@ -14,6 +14,7 @@ pytestmark = pytest.mark.plain
 SVG = "{http://www.w3.org/2000/svg}"
 
 
+@pytest.mark.exhaustive
 def test_the_moving_picture_shows_a_box_that_hangs_and_one_that_swings(tmp_path: Path) -> None:
     """With torsion it turns by less than 5 degrees, without by more than 90; both are lifted; every value is there."""
     moving.draw(tmp_path / "lift.svg")

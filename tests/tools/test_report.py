@@ -7,18 +7,22 @@ import json
 import logging
 import platform
 import re
+import sys
 import tarfile
 import time
 from pathlib import Path
 
 import pytest
+from helpers.forgotten import forget_user
 from helpers.recorded import about, run
 
-from softfinger.config.load import load_rig
+from softfinger.config.load import find, load_rig
+from softfinger.config.schema import Scene
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
 from softfinger.proxy.record import AT
 from softfinger.server.cli import main
 from softfinger.server.recording.blackbox import BlackBox
-from softfinger.server.recording.reader import Event, Note, Ticks, contents
+from softfinger.server.recording.reader import Event, Note, Ticks, read_contents
 
 PREFIX = "softfinger-report/"
 
@@ -28,8 +32,9 @@ def test_the_archive_has_what_an_issue_needs_and_no_private_word(
 ) -> None:
     """Versions, doctor, rig, scene, log and the newest black boxes, each ticks and all; the user's name, the home
     folder, the host and a serial number that were put into each of them are gone; what cannot be read is left out."""
-    private = [str(Path.home()), platform.node(), "SN1234567"]
+    private = [str(Path.home()), platform.node(), "SN1234567", "Project-X", "study", sys.prefix, str(CACHE_DIR)]
     words = f"{Path.home()}/study/hand.toml on {platform.node()}: serial number SN1234567, user {getpass.getuser()}"
+    words += f"; Project-X/my-scene.toml, {sys.prefix}/bin/python"
     place = tmp_path / "boxes"
     place.mkdir(0o700)
     monkeypatch.setenv("SOFTFINGER_BLACKBOX_DIR", str(place))
@@ -43,8 +48,10 @@ def test_the_archive_has_what_an_issue_needs_and_no_private_word(
     box.write(place / "new.mcap", about(note=words))
     (place / "broken.mcap").write_bytes(b"\x89MCAP0\r\nnothing")
     out = tmp_path / "report.tar.gz"
-    rig = load_rig("replay")
-    assert main(["report", "--out", str(out), "--seconds", "0.3"]) == 0
+    rig, scene = load_rig("replay"), tmp_path / "Project-X" / "my-scene.toml"
+    scene.parent.mkdir()
+    scene.write_bytes(find("paper-plane", Scene).read_bytes())
+    assert main(["report", "--out", str(out), "--seconds", "0.3", "--scene", str(scene)]) == 0
     assert "broken.mcap" in caplog.text
     with tarfile.open(out) as archive:
         for member in archive:
@@ -58,7 +65,7 @@ def test_the_archive_has_what_an_issue_needs_and_no_private_word(
     assert told["softfinger"] and told["doctor"]["checks"]
     assert json.loads((found / "rig.json").read_text())["guard"]["force_max_n"] == rig.guard.force_max_n
     assert "hand.toml" in (found / "log.txt").read_text()
-    parts = list(contents(found / "blackbox" / "new.mcap"))
+    parts = list(read_contents(found / "blackbox" / "new.mcap"))
     copied = [part.records() for part in parts if isinstance(part, Ticks)]
     assert sum(map(len, copied)) == 500 and copied[0][0].tolist() == ticks[0].tolist()
     told_texts = json.dumps([part.event for part in parts if isinstance(part, Event)])
@@ -66,3 +73,12 @@ def test_the_archive_has_what_an_issue_needs_and_no_private_word(
     told_texts += "".join(path.read_text() for path in found.rglob("*.*") if path.suffix != ".mcap")
     for word in filter(None, private):
         assert not re.search(rf"(?<![A-Za-z0-9]){re.escape(word)}(?![A-Za-z0-9])", told_texts), word
+
+
+def test_a_user_without_a_home_reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the user of a container: no black box can be there, the rest is, and `doctor` ends."""
+    forget_user(monkeypatch)
+    out = tmp_path / "report.tar.gz"
+    assert main(["report", "--out", str(out), "--seconds", "0.3"]) == 0
+    with tarfile.open(out) as archive:
+        assert not [name for name in archive.getnames() if "blackbox" in name]

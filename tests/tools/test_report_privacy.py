@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import platform
+import sys
+from pathlib import Path
 from typing import Final
 
 import pytest
+from helpers.forgotten import forget_user
 
 from softfinger.config.load import load_rig
 from softfinger.drivers import registry
@@ -18,19 +21,34 @@ USER: Final = "zaphodb"
 
 
 @pytest.fixture
-def somebody(monkeypatch: pytest.MonkeyPatch) -> privacy.Privacy:
+def somebody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> privacy.Privacy:
     """Takes out what says that this is zaphodb's report, on whatever machine."""
     monkeypatch.setenv("HOME", f"/home/{USER}")
     monkeypatch.setenv("USER", USER)
+    (tmp_path / "My Project").mkdir()
+    monkeypatch.chdir(tmp_path / "My Project")
     return privacy.Privacy(["SN-4711-A"])
 
 
 @pytest.mark.parametrize(
     ("text", "clean"),
     [
-        (f"/home/{USER}/lib/x.so", "~/lib/x.so"),
+        (f"/home/{USER}/lib/x.so", "x.so"),
         (f"/home/{USER}", "~"),
-        (f"/media/{USER}/disk", "/media/<user>/disk"),
+        (f"/media/{USER}/disk", "..."),
+        (f"/home/{USER}/Project-X/scene.toml: no such file", "scene.toml: no such file"),
+        ("~/Project-X/scene.toml, ~/Project-X", "scene.toml, ..."),
+        ("Project-X/part/scene.toml:12", "scene.toml:12"),
+        ("../Project-X/scene.toml", "scene.toml"),
+        ("no file '/srv/Project X/scene.toml'", "no file 'scene.toml'"),
+        ("PATH=/srv/Project-X/bin:/usr/bin", "PATH=...:/usr/bin"),
+        ("ipc:///srv/Project-X/commands", "ipc://..."),
+        ("/run/media/me/Project-X/a.csv", "a.csv"),
+        (f"sudo setcap x {sys.prefix}/bin/python", "sudo setcap x <environment>/bin/python"),
+        (f"{Path(privacy.__file__).parent}/privacy.py", "softfinger/tools/doctor/privacy.py"),
+        ("tcp://127.0.0.1:5555, https://example.org/a/b.zip", "tcp://127.0.0.1:5555, https://example.org/a/b.zip"),
+        ("docs/operate/docker.md, 3 N/m, 1/s.", "docs/operate/docker.md, 3 N/m, 1/s."),
+        ("/sys/class/x.y, /dev/hidraw0", "/sys/class/x.y, /dev/hidraw0"),
         (f"held by {USER}", "held by <user>"),
         (f"{USER}x is another word", f"{USER}x is another word"),
         ("omega.3, serial 1234", "omega.3, serial ...34"),
@@ -57,6 +75,25 @@ def test_options_keep_no_folder() -> None:
     given = {"firmware": "/srv/lab/x.bin", "serial": 123456, "path": "/dev/hidraw0", "hand": {"recording": "a/b.csv"}}
     want = {"firmware": "x.bin", "serial": "...56", "path": "/dev/hidraw0", "hand": {"recording": "b.csv"}}
     assert privacy.options(given) == want
+
+
+def test_the_working_folder_goes_whatever_its_name(somebody: privacy.Privacy) -> None:
+    """It has a space here: no pattern shows where such a path ends in a text."""
+    assert somebody.text(f"{Path.cwd()}/part/x.toml: fault; {Path.cwd()} is full") == "x.toml: fault; . is full"
+
+
+def test_scenes_and_rigs_keep_no_folder(somebody: privacy.Privacy) -> None:
+    """Nor a name that no pattern tells from other words: with spaces, without an ending."""
+    dirty = {"object": [{"file": "My Project/a.obj"}], "world": {"model": "Project-X/m"}, "directory": "Project-X"}
+    want = {"object": [{"file": "a.obj"}], "world": {"model": "m"}, "directory": "..."}
+    assert somebody.clean(dirty) == want
+    assert somebody.clean({"directory": "."}) == {"directory": "."}
+
+
+def test_a_user_without_a_home_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither HOME nor a name in the environment, nor an entry in passwd, as the user of a container."""
+    forget_user(monkeypatch)
+    assert privacy.Privacy().text("~ and /srv/x/y.toml") == "~ and y.toml"
 
 
 def test_the_questions_are_well_formed() -> None:

@@ -97,6 +97,7 @@ def crossings(loop: LinearLoop) -> list[float]:
     return sorted(k for k in found if k > 0.0)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.plain
 @pytest.mark.parametrize(
     "loop",
@@ -296,7 +297,7 @@ def test_verb_times_random_runs(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         (["--mass", "0", "--delay", "17"], "2 faults"),
         (["--mass", "0"], r"command line --mass: mass_kg = 0\.0: must be a number from 0\.001 to 100 kg"),
         (["--rate", "1"], r"command line --rate: rate_hz = 1\.0: must be a number from 50 to 50000 Hz"),
-        (["--cases", "0"], "--cases: 0: must be a whole number of at least 1"),
+        (["--cases", "0"], "--cases: 0: must be an integer of at least 1"),
         (["--cases", "9", "--plot", "a.png"], "--plot: random runs have no plot"),
         (["--scheduler", "here"], "must be 'local' or the address of a dask scheduler"),
     ],

@@ -69,6 +69,7 @@ def test_equal_cases_are_computed_once() -> None:
     assert computed == [0, 0]
 
 
+@pytest.mark.exhaustive
 def test_a_local_cluster_gives_the_same_bits() -> None:
     """Processes of a dask cluster on this machine return what threads do."""
     assert bits(run_cases(roots, CASES, label="test", scheduler="local", block=4)) == bits(roots(CASES))
@@ -139,7 +140,9 @@ def test_a_dask_scheduler_gives_the_same_bits_and_goes_on_where_a_run_ended(
 
     monkeypatch.setattr(sweep, "CONNECT_S", 1.0)
     threading.Timer(1.0, process.kill).start()
-    with pytest.raises(ConfigError, match=f"--scheduler {scheduler}: lost while it computed.*--results FILE goes on"):
+    with pytest.raises(
+        ConfigError, match=f"--scheduler {scheduler}: lost during a computation.*--results FILE continues"
+    ):
         run_cases(roots, [{"x": 2.0, "n": 13, "number": n} for n in range(200)], label="t", scheduler=scheduler)
 
 

@@ -25,7 +25,7 @@ class TestCases(Cases):
     bus = "usb"
     packets, force = "steps", "motors"
     felt = 100  # motor counts: 1 N is some 240
-    held = "is held by another program: close that one first"
+    held = "is used by another program: close that one first"
     forbidden = "may not be opened by this user: .*install --system"
 
     def test_it_is_found(self, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ class TestCases(Cases):
     bus = "hid"
     packets, force = "reports", "motors"
     felt = 100  # mA
-    held = r"is held by process {pid} \("
+    held = r"is used by process {pid} \("
     forbidden = r"/dev/hidraw\d+ may not be opened by this user"
 
     def test_it_is_found(self) -> None:

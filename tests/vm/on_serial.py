@@ -25,7 +25,7 @@ class TestCases(Cases):
     bus = "serial"
     packets, force = "frames", "force"
     felt = 500  # mN
-    held = r"is held by process {pid} \("
+    held = r"is used by process {pid} \("
     forbidden = r"/dev/ttyACM\d+ may not be opened by this user"
 
     def test_it_is_found(self) -> None:

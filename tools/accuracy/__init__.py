@@ -1,4 +1,4 @@
-"""`softfinger accuracy`: what each rolling method costs and how far it strays.
+"""`softfinger accuracy`: cost and error of each rolling method.
 
-The references are computed here by other means than the kernels'; nothing of them is used to render.
+Contains no kernel of rendering: the references are computed here by other means than the kernels.
 """

@@ -1,4 +1,4 @@
-"""What `softfinger accuracy` measures: surfaces, methods, the standard motion, and the list of cases."""
+"""Cases of `softfinger accuracy`: surfaces, methods, the standard motion, and the list of cases."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ Array = NDArray[np.float64]
 Motion = Literal["constant", "changing"]
 
 RADIUS_M: Final = 0.01
-"""Of the fingertip, in every case; curvature ratios are reached by the size of the surface."""
+"""Radius of the fingertip in every case; curvature ratios are set by the size of the surface."""
 DURATION_S: Final = 1.0
 MAX_ANGLE_RAD: Final = 20.0
-"""A motion ends earlier where the finger would turn by more: on a plane it would only lead further away."""
+"""A motion ends before the finger turns by more than this; on a plane it would only move further away."""
 MIN_TICKS: Final = 4
 TILT_RAD: Final = 1.2
 SPIN_RAD: Final = 0.8
 SWAY_RAD: Final = 0.4
-"""Amplitudes of the changing motion; its rates are reached by its frequencies."""
+"""Amplitudes of the changing motion. Its rates are set by its frequencies."""
 CHANGING_STEP_RAD: Final = 1.0
-"""Longest step of a changing motion that is measured: longer ones skip over its changes."""
+"""Longest step of a changing motion that is measured; longer steps would skip its changes."""
 TRAVEL: Final = (0.5, 0.3, 0.8)
-"""The finger sets off along this direction's part in the tangent plane: not along an axis of any surface."""
+"""Initial direction of the finger, projected onto the tangent plane. It is not an axis of any surface."""
 
 MOTIONS: Final[tuple[Motion, ...]] = ("constant", "changing")
 
 
 class Surface(NamedTuple):
-    """A surface of a few centimetres.
+    """Surface of a few centimetres.
 
     shape    kernel shape
-    size     m     the smallest radius of curvature; of a box half its shortest edge, 0 of a plane
-    near     (3,)  m, the path begins over the point of the shape nearest to it
-    largest        curvature ratio r / size below which the fingertip goes everywhere on the path
+    size     m     smallest radius of curvature; half the shortest edge for a box, 0 for a plane
+    near     (3,)  m, the path starts at the point of the shape nearest to this one
+    largest        curvature ratio r / size below which the fingertip fits everywhere on the path
     """
 
     shape: Any
@@ -49,8 +49,8 @@ class Surface(NamedTuple):
 
 
 _ANY: Final = float("inf")
-# Starts are so near to an edge, an end or the tube's crest that every path of some tenths of a radian crosses it.
-# The inside of a box, and of a cylinder with ends, is made of planes and an inside cylinder: it has no rows of its own.
+# Starts are so close to an edge, an end or the crest of the tube that every path of some tenths of a radian crosses it.
+# The inside of a box and of a cylinder with ends consists of planes and an inside cylinder, so it has no rows here.
 SURFACES: Final[dict[str, Surface]] = {
     "plane": Surface(model.Plane((0.0, 0.0, 1.0), 0.0), 0.0, (0.04, 0.02, 0.03), 0.0),
     "sphere": Surface(model.Sphere(0.05, 1.0), 0.05, (0.04, 0.02, 0.03), _ANY),
@@ -65,7 +65,7 @@ SURFACES: Final[dict[str, Surface]] = {
     "ellipsoid-inside": Surface(
         model.Ellipsoid((0.06, 0.05, 0.04), -1.0), 0.04**2 / 0.06, (0.02, 0.01, 0.015), 1.0
     ),
-    # A fingertip thicker than the tube goes everywhere but through the hole.
+    # A fingertip thicker than the tube fits everywhere but in the hole.
     "torus": Surface(model.Torus(0.05, 0.02, 1.0), 0.02, (0.06, 0.03, 0.01), 1.5),
     "torus-inside": Surface(model.Torus(0.05, 0.02, -1.0), 0.02, (0.05, 0.025, 0.003), 1.0),
 }  # fmt: skip
@@ -82,19 +82,19 @@ METHODS: Final[dict[str, Callable[[float], Any]]] = {
 
 
 def has_method(surface: str, method: str) -> bool:
-    """Whether the method is there for the surface: `rotation_vector` needs a closed form."""
+    """Return whether the method supports the surface; `rotation_vector` needs a closed form."""
     return method != "rotation_vector" or not isinstance(SURFACES[surface].shape, model.Ellipsoid | model.Torus)
 
 
 class Case(NamedTuple):
-    """One measurement: plain values, so that it can be sent anywhere.
+    """One measurement, in plain values that can be sent to another process.
 
     rate_hz                servo rate; a step is its inverse
     turn_rate       rad/s  largest angular velocity of the fingertip
-    curvature_ratio        r over the surface's size, None for the size it has in SURFACES
+    curvature_ratio        r over the size of the surface; None for the size in SURFACES
     spin_ratio             spin over roll, at the start
     tolerance              of montana_rk45
-    passes                 times the motion is timed
+    passes                 repetitions of the motion for timing
     """
 
     surface: str
@@ -109,7 +109,7 @@ class Case(NamedTuple):
 
 
 class Track(NamedTuple):
-    """What the reference path of a case depends on."""
+    """Parameters of the reference path of a case."""
 
     surface: str
     motion: Motion
@@ -120,7 +120,7 @@ class Track(NamedTuple):
 
 
 def ticks(case: Case) -> int:
-    """Steps of the motion."""
+    """Return the number of steps of the motion."""
     return max(MIN_TICKS, round(case.rate_hz * min(DURATION_S, MAX_ANGLE_RAD / case.turn_rate)))
 
 
@@ -131,13 +131,13 @@ def track_of(case: Case) -> Track:
 
 
 def ratio_of(surface: str, ratio: float | None) -> float:
-    """Curvature ratio r / size of a surface, 0 of a plane."""
+    """Return the curvature ratio r / size of a surface, 0 for a plane."""
     size = SURFACES[surface].size
     return ratio if ratio is not None else (RADIUS_M / size if size else 0.0)
 
 
 def contact(surface: str, ratio: float | None) -> tuple[Any, model.Vec3, model.Vec3]:
-    """The shape of that curvature ratio, and centre (3,) m and normal (3,) of the contact to begin with."""
+    """Return the shape with that curvature ratio, and centre (3,) m and normal (3,) of the first contact."""
     found = SURFACES[surface]
     scale = 1.0 if ratio is None else RADIUS_M / (found.size * ratio)
     shape = found.shape if scale == 1.0 else scaled(found.shape, scale)
@@ -148,7 +148,7 @@ def contact(surface: str, ratio: float | None) -> tuple[Any, model.Vec3, model.V
 
 
 def scaled(shape: Any, scale: float) -> Any:
-    """The shape with all its lengths multiplied."""
+    """Return the shape with all lengths multiplied by `scale`."""
     lengths = {name: value for name, value in shape._asdict().items() if name not in ("side", "normal")}
     return shape._replace(
         **{
@@ -159,13 +159,13 @@ def scaled(shape: Any, scale: float) -> Any:
 
 
 def rolling_axis(normal: model.Vec3) -> Array:
-    """Unit tangent (3,) about which the finger rolls at first, so that it sets off along TRAVEL."""
+    """Return the unit tangent (3,) about which the finger rolls at first, so that it starts along TRAVEL."""
     axis = np.cross(normal, TRAVEL)
     return np.asarray(axis / np.linalg.norm(axis))
 
 
 def angular_velocity(track: Track, normal: model.Vec3) -> Callable[[float], Array]:
-    """w(t) (3,) rad/s in the object's frame; see `orientations` for the motion."""
+    """Return w(t) (3,) rad/s in the object frame; see `orientations` for the motion."""
     n, e = np.array(normal), rolling_axis(normal)
     roll_rate, spin_rate = rates(track)
     if track.motion == "constant":
@@ -184,17 +184,17 @@ def angular_velocity(track: Track, normal: model.Vec3) -> Callable[[float], Arra
 
 
 def rates(track: Track) -> tuple[float, float]:
-    """Rates of roll and spin at the start, rad/s, of the given size and ratio."""
+    """Return the rates of roll and spin at the start, rad/s, for the given size and ratio."""
     angle = atan(track.spin_ratio)
     return track.turn_rate * cos(angle), track.turn_rate * sin(angle)
 
 
 def orientations(track: Track, normal: model.Vec3, times: Array) -> Array:
-    """Orientations (n, 4) of the fingertip at `times` (n,) s.
+    """Return the orientations (n, 4) of the fingertip at `times` (n,) s.
 
-    "constant" turns at one angular velocity. "changing" tilts to and fro about a tangent axis; turns all that to and
-    fro about the first normal; and sways all that about the other tangent axis. Tilt and spin begin at their full
-    rate, sway at rest. Two poses do not tell all of it.
+    "constant" turns at one angular velocity. "changing" is a product of three oscillations: a tilt about a tangent
+    axis, a spin about the first normal, and a sway about the other tangent axis, applied in this order. Tilt and spin
+    start at their full rate, sway starts at rest. Two poses do not determine this motion.
     """
     n, e = np.array(normal), rolling_axis(normal)
     roll_rate, spin_rate = rates(track)
@@ -209,25 +209,28 @@ def orientations(track: Track, normal: model.Vec3, times: Array) -> Array:
 
 
 def about(axis: Array, angles: Array) -> Array:
-    """Quaternions (n, 4) of the rotations by `angles` (n,) rad about a unit axis (3,)."""
+    """Return the quaternions (n, 4) of rotations by `angles` (n,) rad about a unit axis (3,)."""
     return np.column_stack([np.cos(angles / 2), np.sin(angles / 2)[:, None] * axis])
 
 
 def product(p: Array, q: Array) -> Array:
-    """Quaternion products (n, 4): rotate by q, then by p."""
+    """Return quaternion products (n, 4): rotate by q, then by p."""
     (a, u), (b, v) = (p[:, :1], p[:, 1:]), (q[:, :1], q[:, 1:])
     return np.hstack([a * b - np.sum(u * v, axis=1, keepdims=True), a * v + b * u + np.cross(u, v)])
 
 
 def turns(q: Array) -> Array:
-    """Rotations (n - 1, 4) from each of the orientations `q` (n, 4) to the next, the short way."""
+    """Return the shortest rotations (n - 1, 4) from each of the orientations `q` (n, 4) to the next."""
     steps = product(q[1:], q[:-1] * (1.0, -1.0, -1.0, -1.0))
     return np.ascontiguousarray(np.where(steps[:, :1] < 0.0, -steps, steps))
 
 
 class Sweep(NamedTuple):
-    """What to measure: every rate at the first rotation rate and spin ratio and at the surfaces' own size; then, at
-    one servo rate, each other value of a parameter alone."""
+    """Values to measure.
+
+    All servo rates are measured at the first rotation rate, the first spin ratio and the original size of the surfaces.
+    The other values of a parameter are measured one at a time, at a single servo rate.
+    """
 
     surfaces: Sequence[str]
     methods: Sequence[str]
@@ -242,14 +245,17 @@ class Sweep(NamedTuple):
 
 
 def longest_step(motions: Sequence[Motion]) -> float:
-    """Angle, rad, that steps must stay below: two poses do not tell the sense of half a turn, nor what changes fast."""
+    """Return the angle, rad, that steps must stay below.
+
+    Two poses determine neither the sense of half a turn nor a fast change.
+    """
     return CHANGING_STEP_RAD if "changing" in motions else pi
 
 
 def cases(sweep: Sweep) -> list[Case]:
-    """The cases in an order that asks for each reference path once in a row.
+    """Return the cases, ordered so that cases with the same reference path are consecutive.
 
-    Left out are steps of `longest_step` and more, and curvature ratios at which the fingertip does not fit.
+    Steps of at least `longest_step` and curvature ratios at which the fingertip does not fit are left out.
     """
     turn, spin, at = sweep.turn_rates[0], sweep.spin_ratios[0], sweep.sweep_rate_hz
     found = []

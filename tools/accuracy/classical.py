@@ -1,9 +1,9 @@
-"""The classical way: Montana's equations, integrated between two poses as Matlab's ODE45 does it.
+"""Classical method: Montana's equations, integrated between two poses as by Matlab's ODE45.
 
-This is what the paper compares its algorithm with. From the contact coordinates and the rotation of a step it
-integrates u_f, v_f, u_o, v_o and psi with the pair of Dormand and Prince, order 5 with error from 4, last stage
-first of the next step. The defaults of ODE45: relative tolerance 1e-3, absolute tolerance 1e-6, no step longer than
-a tenth of the span, the first as short as the slope at its start asks for.
+The paper compares its algorithm with this method. From the contact coordinates and the rotation of a step it integrates
+u_f, v_f, u_o, v_o and psi with the Dormand-Prince pair: order 5, error estimate of order 4, last stage equal to the
+first of the next step. The defaults of ODE45 are a relative tolerance of 1e-3, an absolute tolerance of 1e-6, steps of
+at most a tenth of the span, and a first step chosen from the slope at the start.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ Array = NDArray[np.float64]
 RELATIVE_TOLERANCE: Final = 1e-3
 ABSOLUTE_TOLERANCE: Final = 1e-6
 MAX_STEP_SHARE: Final = 0.1
-"""Longest step, of the span."""
+"""Longest step, as a fraction of the span."""
 THRESHOLD: Final = ABSOLUTE_TOLERANCE / RELATIVE_TOLERANCE
-"""Coordinates smaller than this are judged by the absolute tolerance."""
+"""Coordinates smaller than this are compared with the absolute tolerance."""
 
 
 class Precession(NamedTuple):
-    """An angular velocity whose axis turns: `w` (3,) rad/s, turned about `normal` by angle + spin_rate t, rad."""
+    """Angular velocity with a rotating axis: `w` (3,) rad/s, turned about `normal` by angle + spin_rate t, rad."""
 
     w: Vec3
     normal: Vec3
@@ -40,11 +40,11 @@ class Precession(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Rotations, each at a constant rate over its step.
+    """Rotations, each at a constant rate during its step.
 
     turns      (n, 4)  unit quaternions, world frame
     dt         s       length of a step
-    spin_rate  rad/s   at which the axes of the rates spin about the normal at the start, 0 for the world's
+    spin_rate  rad/s   rate at which the rotation axes spin about the normal at the start; 0 for axes of the world
     """
 
     turns: Array
@@ -54,7 +54,7 @@ class Steps(NamedTuple):
 
 @jit
 def slope(radius: float, shape: Any, at: Coordinates, w: Vec3, normal: Vec3, angle: float) -> Coordinates:
-    """Rates of the coordinates at the angular velocity `w` (3,) rad/s, turned by `angle` about `normal`."""
+    """Return the rates of the coordinates at the angular velocity `w` (3,) rad/s, turned by `angle` about `normal`."""
     if angle != 0.0:
         c, s = cos(angle), sin(angle)
         along = vec3.scale((1.0 - c) * vec3.dot(w, normal), normal)
@@ -69,7 +69,7 @@ def weight(y: float, other: float) -> float:
 
 @jit
 def largest(v: Coordinates, y: Coordinates, other: Coordinates) -> float:
-    """Largest of the components of v, each relative to the larger of y and other, or to the threshold."""
+    """Return the largest component of v, each relative to the larger of y and other, or to the threshold."""
     first = max(abs(v.u_f) * weight(y.u_f, other.u_f), abs(v.v_f) * weight(y.v_f, other.v_f))
     second = max(abs(v.u_o) * weight(y.u_o, other.u_o), abs(v.v_o) * weight(y.v_o, other.v_o))
     return max(first, second, abs(v.psi) * weight(y.psi, other.psi))
@@ -79,9 +79,9 @@ def largest(v: Coordinates, y: Coordinates, other: Coordinates) -> float:
 def ode45(
     radius: float, shape: Any, start: Coordinates, turning: Precession, span: float, share: float
 ) -> tuple[Coordinates, int]:
-    """Coordinates after `span` (s), and how often the equations were evaluated.
+    """Return the coordinates after `span` (s), and the number of evaluations of the equations.
 
-    share  longest step, of the span
+    share  longest step, as a fraction of the span
     """
     w, normal, angle, spin_rate = turning
     y, t, count = start, 0.0, 1
@@ -118,7 +118,7 @@ def ode45(
         off = moved(moved(moved(off, -17253 / 339200, k5), 22 / 525, k6), -1 / 40, k7)
         error = h * largest(off, y, ahead)
         if error > RELATIVE_TOLERANCE:
-            # The first failure trusts the estimate, another one does not.
+            # Only the first failure in a row trusts the error estimate.
             h *= 0.5 if failed else max(0.1, 0.8 * (RELATIVE_TOLERANCE / error) ** 0.2)
             failed = True
             continue
@@ -136,7 +136,7 @@ def roll_classical(
 ) -> int:
     """Roll through the steps from the coordinates `start`, once for each block of `watch`.
 
-    Every step leaves the contact point in a row of `path` (n, 3). Returns the evaluations of the equations in a block.
+    Every step stores the contact point in a row of `path` (n, 3). Returns the evaluations of the equations in a block.
     """
     turns, dt, spin_rate = steps
     count, normal = 0, chart(shape, start.u_o, start.v_o).z

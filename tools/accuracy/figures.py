@@ -1,4 +1,4 @@
-"""The figures of `softfinger accuracy`: Pareto fronts, convergence, the paper's experiment."""
+"""Figures of `softfinger accuracy`: Pareto fronts, convergence, the paper's experiment."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from softfinger.tools.accuracy.paper import MOTIONS, exact_path, method_path
 COLUMNS: Final = 4
 ORDER_SURFACES: Final = ("ellipsoid", "torus")
 FLOOR_M: Final = 1e-18
-"""Smallest error drawn: an error of exactly nothing has no place on a logarithmic axis."""
+"""Smallest error drawn, since a logarithmic axis has no zero."""
 FRONT: Final = {"color": "0.8", "linewidth": 6, "solid_capstyle": "round"}
-"""A wide grey line under the methods' own; also where it is a single point."""
+"""Wide grey line below the lines of the methods, visible even for a single point."""
 DRAWN: Final = 4
-"""Of the steps of the paper's paths every so many is drawn."""
+"""One of so many steps of the paper's paths is drawn."""
 
 
 def colour(method: str) -> str:
@@ -28,7 +28,7 @@ def colour(method: str) -> str:
 
 
 def panels(path: Path, names: Sequence[str], columns: int) -> tuple[Any, list[Any]]:
-    """A drawing with a panel for each name, axes shared."""
+    """Return a drawing with a panel for each name, with shared axes."""
     rows = -(-len(names) // columns)
     drawing = figure(2.9 * columns + 0.6, 2.3 * rows + 0.8)
     found = drawing.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
@@ -42,9 +42,9 @@ def panels(path: Path, names: Sequence[str], columns: int) -> tuple[Any, list[An
 
 
 def draw_fronts(result: dict[str, Any], path: Path) -> None:
-    """Error against computing time, a panel for each surface: a line for each method over the rates, and the front.
+    """Draw error against computing time, a panel for each surface: a line per method over the rates, and the front.
 
-    Of two motions the changing one is drawn: at a constant rate the closed forms have no error to draw.
+    Of two motions, the changing one is drawn, since the closed forms have no error at a constant rate.
     """
     rows = standard(result["trade"])
     motion = "changing" if any(row["motion"] == "changing" for row in rows) else "constant"
@@ -67,7 +67,7 @@ def draw_fronts(result: dict[str, Any], path: Path) -> None:
 
 
 def draw_orders(result: dict[str, Any], path: Path) -> None:
-    """Error against step on surfaces without a closed form, with the slopes of orders 1, 2 and 4."""
+    """Draw error against step on surfaces without a closed form, with the slopes of orders 1, 2 and 4."""
     rows = standard(result["trade"])
     measured = {row["surface"] for row in rows}
     names = [name for name in ORDER_SURFACES if name in measured] or sorted(measured)[:2]
@@ -91,7 +91,7 @@ def draw_orders(result: dict[str, Any], path: Path) -> None:
 
 
 def draw_paper(result: dict[str, Any], path: Path) -> None:
-    """The paths of the paper's experiment as the reference and the methods have them, and their largest differences."""
+    """Draw the paths of the paper's experiment for the reference and the methods, and their largest differences."""
     drawing = figure(9.0, 6.4)
     above, below = drawing.subplots(2, 2)
     lines: dict[str, Any] = {}
@@ -116,7 +116,7 @@ def draw_paper(result: dict[str, Any], path: Path) -> None:
 
 
 def label(drawing: Any, found: Sequence[Any], x: str, y: str, lines: dict[str, Any]) -> None:
-    """Axis labels for the whole drawing, few ticks, and a legend on top."""
+    """Set the axis labels of the drawing, few ticks, and a legend at the top."""
     from matplotlib.ticker import FuncFormatter, LogLocator
 
     drawing.supxlabel(x, fontsize="medium")
@@ -139,4 +139,4 @@ FIGURES: Final[dict[str, Callable[[dict[str, Any], Path], None]]] = {
     "accuracy-pareto.svg": draw_fronts,
     "accuracy-convergence.svg": draw_orders,
 }
-"""What `--figures` writes."""
+"""Files that `--figures` writes."""

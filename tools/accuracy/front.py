@@ -1,4 +1,4 @@
-"""What follows from the rows of `softfinger accuracy`: measured orders, Pareto fronts, recommendations."""
+"""Evaluation of the rows of `softfinger accuracy`: measured orders, Pareto fronts, recommendations."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from math import log
 from typing import Any, Final
 
 ROUNDING_M: Final = 1e-14
-"""Path errors below are rounding, of the reference too: one is as good as another, and they tell no order."""
+"""Path errors below this are rounding, also of the reference: they count as equal and show no order."""
 BETTER: Final = 0.5
-"""Share of the best error so far below which a dearer point is worth its price."""
+"""Fraction of the best error so far below which a more expensive point is worth its cost."""
 CLEAR: Final = 10.0
-"""Errors above this many ROUNDING_M tell an order."""
+"""Errors above this many ROUNDING_M show an order."""
 
 Row = dict[str, Any]
 
 
 def standard(rows: Iterable[Row]) -> list[Row]:
-    """The rows of the ladder of rates: the surface's own size, and the rotation rate and spin ratio that come first."""
+    """Return the rows of the sweep over servo rates: original surface, first rotation rate and first spin ratio."""
     own = [row for row in rows if row["given_ratio"] is None]
     if not own:
         return []
@@ -27,7 +27,7 @@ def standard(rows: Iterable[Row]) -> list[Row]:
 
 
 def grouped(rows: Iterable[Row], *keys: str) -> Iterable[tuple[tuple[Any, ...], list[Row]]]:
-    """Rows that agree in `keys`, in the order of their first appearance."""
+    """Group rows that agree in `keys`, in the order of their first appearance."""
     found: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         found.setdefault(tuple(row[key] for key in keys), []).append(row)
@@ -35,10 +35,10 @@ def grouped(rows: Iterable[Row], *keys: str) -> Iterable[tuple[tuple[Any, ...], 
 
 
 def front(rows: Sequence[Row]) -> list[Row]:
-    """The rows worth choosing, cheapest first: each dearer one at least halves the error of all cheaper ones.
+    """Return the rows worth choosing, cheapest first; each one at least halves the error of all cheaper ones.
 
-    Cost is the computing time per second of motion, `ns_per_step / step_s`; the error is `max_error_m`, with
-    rounding taken for equal.
+    Cost is the computing time per second of motion, `ns_per_step / step_s`. The error is `max_error_m`; errors within
+    rounding count as equal.
     """
     best, chosen = float("inf"), []
     for row in sorted(rows, key=lambda row: (row["ns_per_step"] / row["step_s"], row["max_error_m"])):
@@ -50,14 +50,15 @@ def front(rows: Sequence[Row]) -> list[Row]:
 
 
 def fronts(rows: Iterable[Row]) -> list[Row]:
-    """The front of each surface and motion, over all methods and rates."""
+    """Return the front of each surface and motion, over all methods and rates."""
     return [row for _, group in grouped(standard(rows), "surface", "motion") for row in front(group)]
 
 
 def orders(rows: Iterable[Row]) -> list[Row]:
-    """Slope of error against step of every method on each surface and motion, by its three smallest clear errors.
+    """Fit the slope of error against step of each method, surface and motion to the three smallest clear errors.
 
-    None where fewer are clear of rounding, and for `montana_rk45` at a constant rate: that follows its tolerance.
+    The order is None if fewer errors are clear of rounding, and for `montana_rk45` at a constant rate, where the error
+    follows the tolerance.
     """
     found = []
     for (surface, motion, method), group in grouped(standard(rows), "surface", "motion", "method"):
@@ -72,9 +73,9 @@ def orders(rows: Iterable[Row]) -> list[Row]:
 
 
 def recommendations(rows: Iterable[Row], targets_m: Sequence[float]) -> list[Row]:
-    """For each surface, motion, servo rate and largest error allowed: the cheapest method that keeps it.
+    """Return the cheapest sufficient method for each surface, motion, servo rate and largest error allowed.
 
-    `method` is None where none does.
+    `method` is None if no method is accurate enough.
     """
     found = []
     for (surface, motion, rate), group in grouped(standard(rows), "surface", "motion", "rate_hz"):
@@ -97,7 +98,7 @@ def recommendations(rows: Iterable[Row], targets_m: Sequence[float]) -> list[Row
 
 
 def sentence(surface: str, motion: str, rate: float, target: float, best: Row | None, group: Sequence[Row]) -> str:
-    """The recommendation in words."""
+    """Return the recommendation as a sentence."""
     asked = f"{surface}, {motion} rate: for an error below {length(target)} at {rate:g} Hz"
     if best is None:
         least = min(group, key=lambda row: row["max_error_m"])
@@ -106,7 +107,7 @@ def sentence(surface: str, motion: str, rate: float, target: float, best: Row | 
 
 
 def length(meters: float) -> str:
-    """A length in the unit it is best read in."""
+    """Format a length in the most readable unit."""
     for unit, name in ((1e-3, "mm"), (1e-6, "um"), (1e-9, "nm")):
         if meters >= unit:
             return f"{meters / unit:.3g} {name}"

@@ -1,4 +1,4 @@
-"""One case of `softfinger accuracy` measured: the path's error against the reference, and the time of a step."""
+"""Measurement of one case of `softfinger accuracy`: path error against the reference, and time of a step."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from softfinger.tools.accuracy.reference import roll_path
 from softfinger.tools.bench.step import reference_ns
 
 BLOCK_STEPS: Final = 1000
-"""Least number of steps between two looks at the clock, which costs less than 0.1 ns a step then."""
+"""Smallest number of steps between two readings of the clock, which then cost less than 0.1 ns per step."""
 DRIFT_STEP_RAD: Final = 0.01
 DRIFT_BLOCK: Final = 1000
 
@@ -49,7 +49,7 @@ def roll_turns(
 ) -> None:
     """Roll through `turns` (n, 4) from one contact, `passes` times for each block of `watch`.
 
-    Every step leaves centre, normal and spin so far in a row of `path` (n, 7), as a servo leaves a record.
+    Every step stores centre, normal and total spin in a row of `path` (n, 7), as a servo stores a record.
     """
     for block in range(watch.ns.shape[0]):
         begun = now_ns(watch.timespec)
@@ -74,7 +74,7 @@ class Rolled(NamedTuple):
 
 
 def rolled(method: Any, shape: Any, center: Any, normal: Any, dq: Array, passes: int = 1) -> Rolled:
-    """The path of the fingertip through the rotations `dq` (n, 4), timed in `passes` blocks."""
+    """Return the path of the fingertip through the rotations `dq` (n, 4), timed in `passes` blocks."""
     path, repeats = np.zeros((len(dq), 7)), ceil(BLOCK_STEPS / len(dq)) if passes > 1 else 1
     watch = stopwatch(passes)
     roll_turns(method, shape, RADIUS_M, OffsetPoint(center, normal), dq, repeats, path, watch)
@@ -84,7 +84,7 @@ def rolled(method: Any, shape: Any, center: Any, normal: Any, dq: Array, passes:
 
 @lru_cache(maxsize=16)
 def reference(track: Track, count: int) -> tuple[Array, Array]:
-    """Contact points (count, 3) m and spins (count,) rad of the reference after each of `count` steps."""
+    """Return contact points (count, 3) m and spins (count,) rad of the reference after each of `count` steps."""
     points, _, spins = _reference_path(track).at(np.linspace(0.0, track.duration_s, count + 1)[1:])
     return points, spins
 
@@ -92,7 +92,7 @@ def reference(track: Track, count: int) -> tuple[Array, Array]:
 @lru_cache(maxsize=4)
 def _reference_path(track: Track) -> Any:
     shape, center, normal = contact(track.surface, track.curvature_ratio)
-    # The normal turns with the finger at r / (r + R) of its rate; where it nearly fills a hollow, much faster.
+    # The normal turns with the finger at r / (r + R) of its rate; in a cavity that it nearly fills, much faster.
     ratio = ratio_of(track.surface, track.curvature_ratio)
     faster = ratio / (1.0 - ratio) if getattr(shape, "side", 1.0) < 0.0 else 0.0
     steps = ceil(20.0 * track.turn_rate * track.duration_s * max(1.0, faster))
@@ -100,7 +100,7 @@ def _reference_path(track: Track) -> Any:
 
 
 def run_case(case: Case) -> dict[str, Any]:
-    """A row of the table: the case, its errors and its time."""
+    """Return a row of the table: the case, its errors and its time."""
     track, count = track_of(case), ticks(case)
     shape, center, normal = contact(case.surface, case.curvature_ratio)
     dq = turns(orientations(track, normal, np.linspace(0.0, track.duration_s, count + 1)))
@@ -127,12 +127,12 @@ def run_case(case: Case) -> dict[str, Any]:
 
 
 def run_block(some: Sequence[Case]) -> list[dict[str, Any]]:
-    """`run_case` of each."""
+    """Run `run_case` for each case."""
     return [run_case(case) for case in some]
 
 
 class DriftCase(NamedTuple):
-    """A long roll of one method on one surface."""
+    """Long roll of one method on one surface."""
 
     surface: str
     method: str
@@ -141,10 +141,10 @@ class DriftCase(NamedTuple):
 
 
 def run_drift(case: DriftCase) -> dict[str, Any]:
-    """Largest distance of the contact point from the surface over a long roll, looked at every DRIFT_BLOCK steps.
+    """Return the largest distance of the contact point from the surface over a long roll, every DRIFT_BLOCK steps.
 
-    The finger rolls in loops of a radius of DRIFT_STEP_RAD r DRIFT_BLOCK / 2 pi and spins to and fro; so the path stays
-    near on a plane, and on curved shapes wanders over all of them.
+    The finger rolls in loops of the radius DRIFT_STEP_RAD r DRIFT_BLOCK / 2 pi and spins back and forth. On a plane the
+    path remains near the start; on curved shapes it covers the surface.
     """
     shape, center, normal = contact(case.surface, None)
     t = 2.0 * np.pi * (np.arange(DRIFT_BLOCK) + 0.5) / DRIFT_BLOCK
@@ -161,5 +161,5 @@ def run_drift(case: DriftCase) -> dict[str, Any]:
 
 
 def run_drift_block(some: Sequence[DriftCase]) -> list[dict[str, Any]]:
-    """`run_drift` of each."""
+    """Run `run_drift` for each case."""
     return [run_drift(case) for case in some]

@@ -1,9 +1,9 @@
-"""`accuracy --meshes`: how a ball, a cylinder and a torus of triangles come near to the surfaces, by their edges.
+"""`accuracy --meshes`: convergence of meshes of a ball, a cylinder and a torus to the surfaces, by edge length.
 
-A fingertip is pressed in by a millimetre, and led along paths that it would roll on the surface, askew over many edges.
-Along them the surface's own contact point and normal are known, and so are force and roll. Without friction the mesh's
-force and contact point stand beside them; then it sticks and rolls, and the angle that it has rolled is compared, and
-how far friction's spring was wound by a hand that goes just as the fingertip rolls.
+A fingertip is pressed in by a millimetre and moved along paths on which it would roll on the surface, oblique to many
+edges. Along these paths the contact point and the normal of the surface are known, and so are force and roll. Without
+friction, the force and the contact point of the mesh are compared with them. With sticking friction and rolling, the
+rolled angle is compared, and the extension of the friction spring for a hand that moves exactly as the fingertip rolls.
 """
 
 from __future__ import annotations
@@ -38,25 +38,28 @@ STIFFNESS: Final = 1000.0
 TURN_RAD: Final = 2.0
 TICKS: Final = 2000
 HEADINGS_RAD: Final = tuple(np.radians((20.0, 45.0, 70.0)))
-"""Of the paths' first steps, from the parallel round the z axis. One path crosses too few edges of a coarse mesh for a
-slope, and a path along edges crosses none: the largest difference of three is what counts."""
+"""Directions of the first steps of the paths, from the parallel around the z axis.
+
+One path crosses too few edges of a coarse mesh for a slope, and a path along edges crosses none. Therefore the largest
+difference of three paths counts.
+"""
 PRESSED: Final = 300
-"""Ticks in which the fingertip comes down, in front of those that count."""
+"""Ticks in which the fingertip descends, before the ones that count."""
 FINENESS: Final = (8, 16, 32, 64)
 FITTED: Final = 3
-"""Of the finest, which the orders are fitted to."""
+"""Number of the finest meshes to which the orders are fitted."""
 MEASURES: Final = {
     "force_n": "force",
     "point_m": "contact point off the surface",
     "rolled_m": "angle rolled x radius",
-    "wound_m": "way rolled beside that led",
+    "wound_m": "rolled distance, and the distance that was led",
     "direction_rad": "direction",
     "shaded_rad": "direction, shaded",
 }
 
 
 class Case(NamedTuple):
-    """A surface: as a kernel has it, as triangles of a fineness, and where (3,) m a path begins."""
+    """Surface: kernel shape, function from fineness to triangles, and point (3,) m near the start of a path."""
 
     shape: Any
     triangles: Callable[[int], Arrays]
@@ -64,12 +67,12 @@ class Case(NamedTuple):
 
 
 class Led(NamedTuple):
-    """A path of the fingertip, and what the surface does to it there.
+    """Path of the fingertip, and the contact of the surface along it.
 
-    poses    (PRESSED + n, 7)  m    down onto the surface, then along it
-    points   (n, 3)            m    of contact
-    normals  (n, 3)                 there
-    rolled   (n,)              rad  the angle, as it is summed over ticks
+    poses    (PRESSED + n, 7)  m    descent onto the surface, then motion along it
+    points   (n, 3)            m    contact points
+    normals  (n, 3)                 normals at the contact points
+    rolled   (n,)              rad  angle, summed over ticks
     """
 
     poses: Array
@@ -79,7 +82,10 @@ class Led(NamedTuple):
 
 
 def grid(points: Array, meet: bool) -> Arrays:
-    """Triangles of a grid of points (n, m, 3) m whose columns meet, and its rows too where they `meet`."""
+    """Return the triangles of a grid of points (n, m, 3) m.
+
+    The last column is connected to the first and, if `meet`, the last row to the first.
+    """
     rows, columns = points.shape[:2]
     at = np.arange(rows * columns).reshape(rows, columns)
     at = np.concatenate([at, at[:, :1]], axis=1)
@@ -96,7 +102,7 @@ def ring(major: float, minor: float, fineness: int) -> Arrays:
 
 
 def tube(radius: float, length: float, fineness: int) -> Arrays:
-    """Open at its ends, which the fingertip does not reach."""
+    """Return a tube that is open at its ends, which the fingertip does not reach."""
     u, z = 2.0 * np.pi * np.arange(8 * fineness) / (8 * fineness), np.linspace(-0.5, 0.5, 4 * fineness + 1) * length
     around = np.stack([radius * np.cos(u), radius * np.sin(u)], axis=1)
     points = np.concatenate([np.tile(around, (len(z), 1, 1)), np.repeat(z, len(u)).reshape(len(z), -1, 1)], axis=2)
@@ -105,7 +111,7 @@ def tube(radius: float, length: float, fineness: int) -> Arrays:
 
 
 def ball(radius: float, fineness: int) -> Arrays:
-    """An octahedron, each of its faces in rows, blown up: 8 x fineness^2 triangles, those along its edges twice."""
+    """Return an octahedron with subdivided faces, projected onto a sphere: 8 x fineness^2 triangles."""
     i, j = (axis.ravel() for axis in np.indices((fineness + 1, fineness + 1)))
     keep = i + j <= fineness
     at = np.full((fineness + 1, fineness + 1), -1)
@@ -132,7 +138,7 @@ CASES: Final = {
 
 
 def run(args: argparse.Namespace) -> int:
-    """The verb, with `--json` and `--plot`."""
+    """Run the verb, with `--json` and `--plot`."""
     rows: list[dict[str, Any]] = []
     with progress("meshes of surfaces", len(CASES) * len(FINENESS)) as done:
         for name in CASES:
@@ -147,8 +153,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def converge(name: str, fineness: Sequence[int], ticks: int = TICKS) -> Iterator[dict[str, Any]]:
-    """A row for each: the largest differences from the surface on all paths, and the largest step of the force's
-    direction from tick to tick, rad, which is N per N."""
+    """Yield a row for each fineness: the largest differences from the surface on all paths.
+
+    A row also has the largest change of the force's direction from tick to tick, rad, which is N per N.
+    """
     case = CASES[name]
     paths = [led(case.shape, *begins(case), heading, ticks) for heading in HEADINGS_RAD]
     for n in fineness:
@@ -168,14 +176,18 @@ def converge(name: str, fineness: Sequence[int], ticks: int = TICKS) -> Iterator
 
 
 def visit(engine: Engine, path: Led) -> Records:
-    """Records (n,) of a path that is begun anew, from where the fingertip has come down."""
+    """Return the records (n,) of a path after the descent, from a reset engine."""
     engine.reset()
     records: Records = engine.run(path.poses)[PRESSED:]
     return records
 
 
 def differences(path: Led, flat: Records, shaded: Records, rolls: Records) -> dict[str, float]:
-    """The largest of a mesh from its surface on a path: `flat` and `shaded` without friction, `rolls` with it."""
+    """Return the largest differences of a mesh from its surface on a path.
+
+    flat, shaded  records without friction
+    rolls         records with friction
+    """
     off = np.einsum("ij,ij->i", flat["contact.point"] - path.points, path.normals)
     return {
         "force_n": largest(flat["contact.normal_force"] - STIFFNESS * DEPTH_M),
@@ -190,14 +202,18 @@ def differences(path: Led, flat: Records, shaded: Records, rolls: Records) -> di
 
 
 def begins(case: Case) -> tuple[Array, Array]:
-    """The point (3,) m of the surface where a path begins, and its normal (3,)."""
+    """Return the point (3,) m of the surface where a path starts, and its normal (3,)."""
     _, foot, up = closest(case.shape, case.near)
     return np.array(foot), np.array(up)
 
 
 def led(shape: Any, foot: Array, normal: Array, heading: float, ticks: int) -> Led:
-    """Down onto a point `foot` (3,) m of a surface with that `normal` (3,), and from there as the fingertip rolls,
-    beginning with that heading, rad."""
+    """Return the descent onto a point and the path on which the fingertip rolls from there.
+
+    foot     (3,)  m, point of the surface
+    normal   (3,)  normal there
+    heading  rad   initial direction
+    """
     east = np.cross((0.0, 0.0, 1.0), normal)
     east /= np.linalg.norm(east)
     axis = np.cos(heading) * np.cross(normal, east) - np.sin(heading) * east
@@ -227,7 +243,7 @@ def scene_of(table: dict[str, Any], sticks: bool) -> schema.Scene:
 
 
 def saved(folder: Path, vertices: Array, triangles: NDArray[np.int64]) -> str:
-    """Path of an OBJ file, every digit of whose numbers is there."""
+    """Write an OBJ file with all digits of the numbers, and return its path."""
     if (why := missing()) is not None:
         raise ConfigError(f"accuracy --meshes needs trimesh: pip install 'softfinger[mesh]' ({why})")
     path = folder / "surface.obj"
@@ -245,7 +261,7 @@ def missing() -> ImportError | None:
 
 
 def along(records: Records) -> Array:
-    """Unit vectors (n, 3) of the forces."""
+    """Return the unit vectors (n, 3) of the forces."""
     forces: Array = records["force"]
     return np.asarray(forces / np.linalg.norm(forces, axis=1)[:, None])
 
@@ -255,7 +271,7 @@ def largest(values: Array) -> float:
 
 
 def orders(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """Slopes of the errors over the edges' length, doubly logarithmic, of the finest meshes."""
+    """Return the slopes of the errors against the edge length, in logarithms, of the finest meshes."""
     edges = np.log([row["edge_m"] for row in rows[-FITTED:]])
     return {key: float(np.polyfit(edges, np.log([row[key] for row in rows[-FITTED:]]), 1)[0]) for key in MEASURES}
 
@@ -270,7 +286,7 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
 
 
 def draw(result: dict[str, Any], file: Path) -> None:
-    """A panel for each surface: errors over the edge's length, beside the second order."""
+    """Draw a panel for each surface: errors against edge length, with a line of second order."""
     drawing = figure(10.0, 4.0)
     for axes, name in zip(drawing.subplots(1, len(CASES), sharex=True), CASES, strict=True):
         rows = [row for row in result["rows"] if row["surface"] == name]

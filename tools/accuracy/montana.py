@@ -1,15 +1,15 @@
-"""The equations of contact in Montana's form: coordinates of the contact on both surfaces and the contact angle.
+"""Montana's equations of contact: coordinates of the contact on both surfaces, and the contact angle.
 
-The rolling methods use the same kinematics without coordinates (`rolling`), which has no poles and no
-charts. This is the form it was published in, to check the other by, and to show what it costs.
+The rolling methods use the same kinematics without coordinates (`rolling`), so that they have no poles and no charts.
+This module has the published form, to check them and to show its cost.
 
     chart(shape, u, v)  ->  Chart        Gauss frame, metric M, curvature K and torsion T
     rates(...)          ->  Coordinates  d/dt of (u_f, v_f, u_o, v_o, psi)
 
-A chart f(u, v) is orthogonal and right-handed, with x along f_u, y along f_v and z = x x y the outward
-normal; then K = (x, y)^T (z_u / |f_u|, z_v / |f_v|) and T = y^T (x_u / |f_u|, x_v / |f_v|). The surfaces here are
-planes and surfaces of revolution, whose charts follow the lines of curvature, so that K is diagonal: an
-ellipsoid must have two equal axes, the first two. The charts of sphere and ellipsoid have poles at v = +-pi/2.
+A chart f(u, v) is orthogonal and right-handed, with x along f_u, y along f_v and z = x x y the outward normal. Then
+K = (x, y)^T (z_u / |f_u|, z_v / |f_v|) and T = y^T (x_u / |f_u|, x_v / |f_v|). The surfaces here are planes and
+surfaces of revolution. Their charts follow the lines of curvature, so K is diagonal. An ellipsoid must have two equal
+axes, the first two. The charts of sphere and ellipsoid have poles at v = +-pi/2.
 
 Source: Montana (1988), The Kinematics of Contact and Grasp; Murray, Li, Sastry (1994), section 5.6.
 """
@@ -27,12 +27,12 @@ Profile = tuple[float, float, float, float, float, float]
 
 
 class Chart(NamedTuple):
-    """A surface about one of its points.
+    """Surface at one of its points.
 
     point       (3,)    m
     x, y, z     (3,)    1    Gauss frame, z the unit normal
     metric      (2,)         |f_u|, |f_v|: the diagonal of M
-    curvature   (2,)    1/m  diagonal of K, positive where convex
+    curvature   (2,)    1/m  diagonal of K, positive if convex
     torsion     (2,)    1/m  T
     """
 
@@ -46,11 +46,11 @@ class Chart(NamedTuple):
 
 
 class Coordinates(NamedTuple):
-    """Where fingertip and object touch.
+    """Contact coordinates.
 
     u_f, v_f   on the fingertip: longitude and latitude, rad
-    u_o, v_o   on the object: m on a plane, the turn about the axis and the profile's parameter otherwise
-    psi        rad  contact angle: turning the object's contact frame by -psi about its normal aligns the x axes
+    u_o, v_o   on the object: m on a plane; otherwise the angle about the axis and the parameter of the profile
+    psi        rad  contact angle: turning the contact frame of the object by -psi about its normal aligns the x axes
     """
 
     u_f: float
@@ -62,17 +62,17 @@ class Coordinates(NamedTuple):
 
 @by_type
 def chart(shape: Any, u: float, v: float) -> Any:
-    """The Chart at the coordinates (u, v)."""
+    """Return the Chart at the coordinates (u, v)."""
 
 
 @by_type
 def locate(shape: Any, point: Vec3) -> Any:
-    """Coordinates (u, v) of a point of the surface."""
+    """Return the coordinates (u, v) of a point of the surface."""
 
 
 @by_type
 def profile(shape: Any, v: float) -> Any:
-    """Distance from the axis and height at v, each with its first two derivatives."""
+    """Return distance from the axis and height at v, each with its first two derivatives."""
 
 
 @chart.of(Plane)
@@ -112,7 +112,7 @@ def profile_of_spheroid(shape: Ellipsoid, v: float) -> Profile:
 
 
 def turned_profile(shape: Any, u: float, v: float) -> Chart:
-    """Chart of a profile turned about the z axis; from inside v runs the other way, so that z points inwards."""
+    """Return the chart of a profile rotated about the z axis; from inside, v is reversed so that z points inwards."""
     side = shape.side
     out, d_out, dd_out, up, d_up, dd_up = profile(shape, side * v)
     m = hypot(d_out, d_up)
@@ -153,7 +153,7 @@ def locate_on_spheroid(shape: Ellipsoid, point: Vec3) -> Pair:
 
 @jit
 def finger_axes(on_object: Chart, psi: float) -> tuple[Vec3, Vec3, Vec3]:
-    """The fingertip's contact frame in the object's coordinates; its z points out of the fingertip, along -z_o.
+    """Return the contact frame of the fingertip in the object frame; its z points out of the fingertip, along -z_o.
 
     x_f = cos psi x_o - sin psi y_o, y_f = -sin psi x_o - cos psi y_o: the columns of R_psi.
     """
@@ -165,11 +165,11 @@ def finger_axes(on_object: Chart, psi: float) -> tuple[Vec3, Vec3, Vec3]:
 
 @jit
 def rates(radius: float, shape: Any, at: Coordinates, omega: Vec3, velocity: Pair) -> Coordinates:
-    """Rates of the contact coordinates while the fingertip rolls, slides and spins on the object.
+    """Return the rates of the contact coordinates while the fingertip rolls, slides and spins on the object.
 
     radius         m      of the fingertip
     at                    Coordinates
-    omega    (3,)  rad/s  fingertip against object, in the fingertip's contact frame
+    omega    (3,)  rad/s  fingertip against object, in the contact frame of the fingertip
     velocity (2,)  m/s    slip of the fingertip over the object at the contact, in the same frame
     returns               Coordinates per second
 
@@ -200,14 +200,14 @@ def rates(radius: float, shape: Any, at: Coordinates, omega: Vec3, velocity: Pai
 
 @jit
 def rolling_rates(radius: float, shape: Any, at: Coordinates, w: Vec3) -> Coordinates:
-    """Rates while rolling without slip at the angular velocity `w` (3,) rad/s in the object's frame."""
+    """Return the rates while rolling without slip at the angular velocity `w` (3,) rad/s in the object frame."""
     x, y, z = finger_axes(chart(shape, at.u_o, at.v_o), at.psi)
     return rates(radius, shape, at, (vec3.dot(w, x), vec3.dot(w, y), vec3.dot(w, z)), (0.0, 0.0))
 
 
 @jit
 def moved(at: Coordinates, h: float, by: Coordinates) -> Coordinates:
-    """at + h by."""
+    """Return at + h by."""
     return Coordinates(
         at.u_f + h * by.u_f, at.v_f + h * by.v_f, at.u_o + h * by.u_o, at.v_o + h * by.v_o, at.psi + h * by.psi
     )
@@ -215,9 +215,9 @@ def moved(at: Coordinates, h: float, by: Coordinates) -> Coordinates:
 
 @jit
 def roll_coordinates(radius: float, shape: Any, at: Coordinates, w: Vec3, steps: int) -> Coordinates:
-    """Coordinates after rolling by the rotation vector `w` (3,) rad, in `steps` steps of fourth order.
+    """Return the coordinates after rolling by the rotation vector `w` (3,) rad, in `steps` steps of fourth order.
 
-    A path that comes near a pole of a chart needs many steps, and through the pole there is no way.
+    A path near a pole of a chart needs many steps; a path through the pole is impossible.
     """
     h = 1.0 / steps
     for _ in range(steps):
@@ -232,7 +232,11 @@ def roll_coordinates(radius: float, shape: Any, at: Coordinates, w: Vec3, steps:
 
 @jit
 def coordinates(shape: Any, point: Vec3, orientation: Quaternion) -> Coordinates:
-    """Coordinates of a contact at `point` (3,) m of the object, with the fingertip turned by `orientation` (4,)."""
+    """Return the coordinates of a contact.
+
+    point        (3,)  m  on the object
+    orientation  (4,)     of the fingertip
+    """
     u_o, v_o = locate(shape, point)
     thing = chart(shape, u_o, v_o)
     spot = vec3.scale(-1.0, rotations.rotate(rotations.conjugate(orientation), thing.z))

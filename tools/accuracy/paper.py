@@ -1,11 +1,11 @@
-"""The paper's experiment: errors of every method, for both things its motion may mean, and the times of all.
+"""The paper's experiment: errors of every method, for both interpretations of its motion, and the times of all.
 
 A fingertip of 10 mm rolls on a plane: 100 steps of 0.01 s, each by 0.03, 0.02 and 0.05 rad about x, y and z. The paper
-does not say whose axes these are:
+does not state the frame of these axes:
 
-    contact_frame   of a contact frame that spins with the finger: the path is an arc. Every step is the same in that
-                    frame, and the frame turns by what the method takes for the spin
-    world           of the world: the path is a line
+    contact_frame   a contact frame that spins with the finger: the path is an arc. Every step is the same in that
+                    frame, and the frame turns by the spin that the method computes
+    world           the world frame: the path is a line
 
 Source: Salvietti, Malvezzi, Prattichizzo (2013), section 3.1.
 """
@@ -36,19 +36,19 @@ from softfinger.tools.bench.step import reference_ns
 STEPS: Final = 100
 STEP_S: Final = 0.01
 TURN_RAD: Final = (0.03, 0.02, 0.05)
-"""Per step about x, y, z: the paper's delta psi, delta theta, delta phi."""
+"""Rotation per step about x, y, z: the paper's delta psi, delta theta, delta phi."""
 PLANE: Final = model.Plane((0.0, 0.0, 1.0), 0.0)
 NORMAL: Final = (0.0, 0.0, 1.0)
 CENTER: Final = (0.0, 0.0, RADIUS_M)
 START: Final = Coordinates(0.0, 0.0, 0.0, 0.0, 0.0)
-"""On the equator of the fingertip's chart: the path comes nowhere near its poles."""
+"""Start on the equator of the fingertip's chart, so that the path does not come near its poles."""
 ROUNDS: Final = 15
-"""Rounds of timing, all methods in each, so that a slow spell of the machine falls on all."""
+"""Rounds of timing. Each round times all methods, so that a slow period of the machine affects all of them."""
 MOTIONS: Final = ("contact_frame", "world")
 
 
 def experiment(tolerance: float) -> list[dict[str, Any]]:
-    """Largest differences (mm) along x, y and z from the reference path, of every method in both motions."""
+    """Return the largest differences (mm) along x, y and z from the reference path, of every method in both motions."""
     rows = []
     for motion in MOTIONS:
         exact = exact_path(motion)
@@ -62,7 +62,7 @@ def experiment(tolerance: float) -> list[dict[str, Any]]:
 
 
 def exact_path(motion: str) -> Array:
-    """Contact points (STEPS + 1, 3) m of the reference."""
+    """Return the contact points (STEPS + 1, 3) m of the reference."""
     w, spin_rate = np.array(TURN_RAD) / STEP_S, TURN_RAD[2] / STEP_S if motion == "contact_frame" else 0.0
 
     def rate(t: float) -> Array:
@@ -78,15 +78,15 @@ def times() -> Array:
 
 
 def steps() -> Array:
-    """The experiment's rotations (STEPS, 4), all the same."""
+    """Return the rotations of the experiment (STEPS, 4), all equal."""
     return np.tile(rotations.exp(TURN_RAD), (STEPS, 1))
 
 
 def method_path(name: str, motion: str, tolerance: float) -> Array:
-    """Contact points (STEPS + 1, 3) m of a rolling method.
+    """Return the contact points (STEPS + 1, 3) m of a rolling method.
 
-    In the contact frame euler_zxz has the heading phi, the axes being those before the step; it is also what the
-    published differences belong to. Everywhere else a method has its own.
+    In the contact frame, euler_zxz uses the heading phi, since the axes are the ones before the step; the published
+    differences belong to this choice. In all other cases a method uses its own heading.
     """
     method = METHODS[name](tolerance)
     if motion == "world":
@@ -99,7 +99,7 @@ def method_path(name: str, motion: str, tolerance: float) -> Array:
 
 
 def classical_path(motion: str) -> Array:
-    """Contact points (STEPS + 1, 3) m of Montana's equations under ODE45 at its defaults, one call a step."""
+    """Return the contact points (STEPS + 1, 3) m of Montana's equations with ODE45 at its defaults, one call a step."""
     spin_rate = TURN_RAD[2] / STEP_S if motion == "contact_frame" else 0.0
     path, _, _ = time_classical(steps(), STEP_S, MAX_STEP_SHARE, spin_rate)
     return np.vstack([np.zeros(3), path])
@@ -108,20 +108,21 @@ def classical_path(motion: str) -> Array:
 def time_classical(
     turns: Array, dt: float, share: float, spin_rate: float = 0.0, blocks: int = 1
 ) -> tuple[Array, float, int]:
-    """Path (n, 3) m, median time of the whole motion, ns, and evaluations of the equations in it."""
+    """Return the path (n, 3) m, the median time of the complete motion, ns, and its evaluations of the equations."""
     path, watch = np.zeros((len(turns), 3)), stopwatch(blocks)
     count = roll_classical(PLANE, RADIUS_M, START, Steps(turns, dt, spin_rate), share, path, watch)
     return path, float(np.median(watch.ns)), int(count)
 
 
 def speed(tolerance: float, blocks: int = 50) -> dict[str, Any]:
-    """Time of a step of the paper's motion in the world's axes, ns, of every method and of the classical way.
+    """Measure the time of a step of the paper's motion in world axes, ns, of every method and of the classical method.
 
-    Each is one compiled loop over the same 100 rotations. The classical way is one call of ODE45 a step, at its
-    defaults, since in a haptic loop the next pose is not known. Beside it: the same without the bound on the length of
-    a step, and two calls for the whole second, which know the rate of all of it ahead.
+    Each measurement is one compiled loop over the same 100 rotations. The classical method calls ODE45 once per step,
+    at its defaults, since a haptic loop does not know the next pose. For comparison, the result also has the classical
+    method without the bound on the step length, and with two calls for the complete second, which know its rate in
+    advance.
     """
-    # Halves, since a rotation of 6.2 rad cannot be told from one of 0.1.
+    # Two halves, since a rotation of 6.2 rad cannot be distinguished from one of 0.1.
     dq, halves = steps(), np.array([rotations.exp(vec3.scale(STEPS / 2, TURN_RAD))] * 2)
     taken: dict[str, list[float]] = {name: [] for name in (*METHODS, "classical", "free", "ahead", "reference")}
     counts: dict[str, int] = {}

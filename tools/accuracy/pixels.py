@@ -1,7 +1,7 @@
 """`accuracy --heightmap`: hills from an array of heights, as a height map and as a shaded mesh of the same pixels.
 
 The hills z = A cos(k x) cos(k y) have an equation, so the path of a rolling fingertip on them is known to the eighth
-order. Both objects are led along it, and compared with it, as `accuracy --meshes` does for a ball of triangles.
+order. The fingertip is moved along it on both objects and compared with it, as `accuracy --meshes` does for a ball.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from softfinger.tools.accuracy.reference import Hills, normal_and_curvature
 from softfinger.tools.measure import show
 
 HILLS: Final = Hills(0.004, 0.06)
-"""Their valleys have a radius of 23 mm at the least."""
+"""The smallest radius of curvature of their valleys is 23 mm."""
 BEGIN_M: Final = (0.003, 0.002)
-"""Where paths begin: x and y."""
+"""Start of the paths: x and y."""
 SIDE_M: Final = 0.12
 PITCHES_M: Final = (0.004, 0.002, 0.001, 0.0005)
 KINDS: Final = ("heightmap", "mesh")
 MEASURES: Final = ("force_n", "direction_rad", "rolled_m", "wound_m")
 PASSES: Final = 3
-"""Times that the costliest run is repeated; the shortest counts."""
+"""Repetitions of the most expensive run; the shortest counts."""
 
 
 def paths(ticks: int) -> list[Led]:
@@ -51,7 +51,7 @@ def paths(ticks: int) -> list[Led]:
 
 
 def grid(pitch: float) -> tuple[Array, Array, Array]:
-    """Places x and y of the pixels and their heights, (n, n) m each: columns along x, the origin in the middle."""
+    """Return x and y of the pixels and their heights, (n, n) m each: columns along x, origin in the middle."""
     count = round(SIDE_M / pitch)
     at = pitch * (np.arange(count + 1) - 0.5 * count)
     x, y = np.meshgrid(at, at)
@@ -59,7 +59,7 @@ def grid(pitch: float) -> tuple[Array, Array, Array]:
 
 
 def table(kind: str, pitch: float, folder: Path) -> dict[str, Any]:
-    """The object of a scene; two triangles for each square of the mesh."""
+    """Return the object of a scene; a mesh has two triangles for each square."""
     x, y, z = grid(pitch)
     if kind == "heightmap":
         np.save(folder / "hills.npy", z)
@@ -72,7 +72,7 @@ def table(kind: str, pitch: float, folder: Path) -> dict[str, Any]:
 
 
 def compare(kind: str, pitch: float, ways: Sequence[Led]) -> dict[str, Any]:
-    """The largest differences from the hills on all paths, and the cost of a tick that rolls, us."""
+    """Return the largest differences from the hills on all paths, and the cost of a tick that rolls, us."""
     with tempfile.TemporaryDirectory() as folder:
         thing = table(kind, pitch, Path(folder))
         smooth, rolls = (Engine(scene_of(thing, sticks)) for sticks in (False, True))
@@ -90,7 +90,7 @@ def compare(kind: str, pitch: float, ways: Sequence[Led]) -> dict[str, Any]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """The verb, with `--json` and `--plot`."""
+    """Run the verb, with `--json` and `--plot`."""
     rows: list[dict[str, Any]] = []
     with progress("hills of pixels", len(KINDS) * len(PITCHES_M)) as done:
         ways = paths(TICKS)
@@ -112,7 +112,7 @@ def lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 
 def draw(rows: Sequence[dict[str, Any]], file: Path) -> None:
-    """A panel for each measure: both kinds over the pitch."""
+    """Draw a panel for each measure: both kinds against the pitch."""
     drawing = figure(10.0, 3.5)
     for axes, key in zip(drawing.subplots(1, len(MEASURES), sharex=True), MEASURES, strict=True):
         for kind in KINDS:

@@ -1,10 +1,9 @@
-"""Rolling without slip on surfaces given by an equation F(p) = 0, integrated to the eighth order.
+"""Reference for rolling without slip on surfaces with an equation F(p) = 0, integrated to the eighth order.
 
-The contact point moves by p' = (W_o + I / r)^-1 (w x n), with the normal n from the gradient of F and the
-shape operator W_o from its second derivatives: nothing is shared with the kernels, which move the
-fingertip's centre by closest points and know no curvature. Shapes with edges have no such equation; for
-them the centre is moved, with the nearest point of the solid found by clamping, and at every edge crossed the
-integration begins anew.
+The contact point moves by p' = (W_o + I / r)^-1 (w x n). The normal n follows from the gradient of F, and the shape
+operator W_o from its second derivatives. Nothing is shared with the kernels, which move the fingertip's centre by
+closest points and do not use curvature. Shapes with edges have no such equation. For them the centre is moved, the
+nearest point of the solid is found by clamping, and the integration restarts at every edge that is crossed.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ def ellipsoid(p: Array, shape: model.Ellipsoid) -> Gradient:
 
 
 def torus(p: Array, shape: model.Torus) -> Gradient:
-    """F = (q - a)^2 + z^2 - b^2 with q the distance from the axis."""
+    """Use F = (q - a)^2 + z^2 - b^2 with q the distance from the axis."""
     flat = np.array([p[0], p[1], 0.0])
     q = np.hypot(p[0], p[1])
     hessian = np.diag([2 - 2 * shape.major / q] * 2 + [2.0]) + 2 * shape.major / q**3 * np.outer(flat, flat)
@@ -50,7 +49,7 @@ def torus(p: Array, shape: model.Torus) -> Gradient:
 
 
 class Hills(NamedTuple):
-    """z = amplitude cos(k x) cos(k y), k = 2 pi / wavelength, m; no shape of the kernels."""
+    """Surface z = amplitude cos(k x) cos(k y), k = 2 pi / wavelength, m; it is not a shape of the kernels."""
 
     amplitude: float
     wavelength: float
@@ -61,7 +60,7 @@ class Hills(NamedTuple):
 
 
 def hills(p: Array, shape: Hills) -> Gradient:
-    """F = z - h(x, y)."""
+    """Use F = z - h(x, y)."""
     a, k = shape.amplitude, 2.0 * np.pi / shape.wavelength
     (cx, cy), (sx, sy) = np.cos(k * p[:2]), np.sin(k * p[:2])
     hessian = a * k * k * np.array([[cx * cy, -sx * sy, 0.0], [-sx * sy, cx * cy, 0.0], [0.0, 0.0, 0.0]])
@@ -79,7 +78,7 @@ GRADIENTS: dict[type, Callable[..., Gradient]] = {
 
 
 def normal_and_curvature(p: Array, shape: Any) -> tuple[Array, Array]:
-    """Unit normal (3,) to where the fingertip is, and shape operator (3, 3) dn/dp on the tangent plane."""
+    """Return the unit normal (3,) towards the fingertip, and the shape operator (3, 3) dn/dp on the tangent plane."""
     gradient, hessian = GRADIENTS[type(shape)](p, shape)
     size, side = np.linalg.norm(gradient), getattr(shape, "side", 1.0)
     n = gradient / size
@@ -88,7 +87,7 @@ def normal_and_curvature(p: Array, shape: Any) -> tuple[Array, Array]:
 
 
 def levels(x: Array, shape: Any) -> tuple[Array, Array]:
-    """Coordinates of x along which a shape with edges ends, and where it ends, m: it reaches from -end to +end."""
+    """Return the coordinates of x along which a shape with edges ends, and the ends, m: it spans -end to +end."""
     if isinstance(shape, model.Box):
         return x, np.array(shape.half_extents)
     if isinstance(shape, model.Capsule):
@@ -97,15 +96,15 @@ def levels(x: Array, shape: Any) -> tuple[Array, Array]:
 
 
 def ends_at(x: Array, shape: Any) -> Array:
-    """The feature x is over, a number for each of `levels`: 0 between the ends, else the sign of the end it is past."""
+    """Return the feature below x: for each of `levels`, 0 between the ends, else the sign of the end passed."""
     level, end = levels(x, shape)
     return np.asarray(np.where(np.abs(level) > end, np.sign(level), 0.0))
 
 
 def center_normal(x: Array, shape: Any, past: Array) -> Array:
-    """Unit normal (3,) of the offset surface through the centre x, over the feature `past` continued endlessly.
+    """Return the unit normal (3,) of the offset surface through the centre x, over the feature `past` without its ends.
 
-    It points away from the nearest point of the solid, or of the hollow capsule's axis.
+    It points away from the nearest point of the solid, or of the axis of the hollow capsule.
     """
     level, end = levels(x, shape)
     held = np.where(past == 0.0, level, past * end)
@@ -120,7 +119,7 @@ def center_normal(x: Array, shape: Any, past: Array) -> Array:
 
 
 class Path:
-    """A rolled path, to be asked for any times of it.
+    """Rolled path that can be evaluated at any times.
 
     pieces   end of a piece, s, and its state (4, n) at given times (n,): contact point, or centre on shapes with
              edges, and spin
@@ -130,7 +129,7 @@ class Path:
         self._shape, self._radius, self._pieces = shape, radius, pieces
 
     def at(self, times: Array) -> tuple[Array, Array, Array]:
-        """Contact points (n, 3) m, unit normals (n, 3) and spins (n,) rad at `times` (n,) s."""
+        """Return contact points (n, 3) m, unit normals (n, 3) and spins (n,) rad at `times` (n,) s."""
         number = np.searchsorted([end for end, _ in self._pieces[:-1]], times)
         state = np.zeros((len(times), 4))
         for piece in np.unique(number):
@@ -151,15 +150,15 @@ def roll_path(
     duration: float = 1.0,
     steps: int = 10,
 ) -> Path:
-    """The path of a fingertip that rolls without slip.
+    """Return the path of a fingertip that rolls without slip.
 
     radius         m      of the fingertip
     center  (3,)   m      of the fingertip at time 0
-    normal  (3,)          unit normal under it
-    rate           rad/s  angular velocity (3,) of the fingertip against the object at a time, in the object's frame
+    normal  (3,)          unit normal below it
+    rate           rad/s  angular velocity (3,) of the fingertip against the object at a time, in the object frame
     duration       s
-    steps                 least number of steps. Between steps the path is interpolated to the seventh order, without
-                          error control: a twentieth of a radian a step leaves 1e-15 of the radius
+    steps                 smallest number of steps. Between steps the path is interpolated to the seventh order, without
+                          error control: a twentieth of a radian per step gives an error of 1e-15 of the radius
     """
     n, c = np.asarray(normal, float), np.asarray(center, float)
     if type(shape) not in GRADIENTS:
@@ -177,7 +176,7 @@ def roll_path(
 def edged_pieces(
     shape: Any, radius: float, center: Array, rate: Callable[[float], ArrayLike], duration: float, steps: int
 ) -> list[tuple[float, Callable[[Array], Array]]]:
-    """The path of the centre piece by piece: over each face, edge or corner as if it went on, to where it ends."""
+    """Return the path of the centre in pieces: over each face, edge or corner as if it continued, until its end."""
     pieces: list[tuple[float, Callable[[Array], Array]]] = []
     begun, state, past = 0.0, np.append(center, 0.0), ends_at(center, shape)
     while begun < duration:
@@ -197,7 +196,7 @@ def edged_pieces(
 
 
 def leaving_event(shape: Any, past: Array, i: int) -> Callable[[float, Array], float]:
-    """The event, for scipy, that the centre leaves the feature `past` along the i-th of `levels`."""
+    """Return the event, for scipy, that the centre leaves the feature `past` along the i-th of `levels`."""
 
     def beyond(_: float, state: Array) -> float:
         level, end = levels(state[:3], shape)
@@ -215,7 +214,7 @@ def integrate(
     longest: float,
     events: Sequence[Callable[[float, Array], float]] = (),
 ) -> Any:
-    """scipy's solution of the eighth order, to 1e-13, interpolated."""
+    """Return scipy's interpolated solution of the eighth order, to 1e-13."""
     try:
         from scipy.integrate import solve_ivp
     except ImportError as error:
@@ -234,6 +233,6 @@ def rolled(
     rate: Callable[[float], ArrayLike],
     duration: float = 1.0,
 ) -> tuple[Array, Array, float]:
-    """Centre (3,) m, normal (3,) and spin (rad) at the end of the path; arguments as for `roll_path`."""
+    """Return centre (3,) m, normal (3,) and spin (rad) at the end of the path; arguments as for `roll_path`."""
     points, normals, spins = roll_path(shape, radius, center, normal, rate, duration).at(np.array([duration]))
     return points[0] + radius * normals[0], normals[0], float(spins[0])

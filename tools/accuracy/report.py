@@ -1,4 +1,4 @@
-"""The terminal output of `softfinger accuracy`."""
+"""Terminal output of `softfinger accuracy`."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from softfinger.config.files import new_file
 from softfinger.tools.accuracy.front import grouped, standard
 
 RATE_HZ: Final = 1000.0
-"""Servo rate that the recommendations are printed for, where it was measured; else the highest."""
+"""Servo rate of the printed recommendations if it was measured; else the highest."""
 WIDTH: Final = 120
-"""Of what is not a terminal, characters."""
+"""Width of output that is not a terminal, characters."""
 
 
 def print_report(result: dict[str, Any], file: TextIO | None = None) -> None:
-    """All sections as tables, to the terminal or to a file."""
+    """Print all sections as tables, to the terminal or to a file."""
     from rich.console import Console
 
     console = Console(highlight=False, file=file)
@@ -36,7 +36,7 @@ def print_report(result: dict[str, Any], file: TextIO | None = None) -> None:
 
 
 def write_report(result: dict[str, Any], path: Path) -> None:
-    """The same as a text file."""
+    """Write the report as a text file."""
     text = io.StringIO()
     print_report(result, text)
     with new_file(path) as file:
@@ -44,7 +44,7 @@ def write_report(result: dict[str, Any], path: Path) -> None:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> Any:
-    """A table whose first `left` columns are words and whose others are numbers; long names are broken at `_`."""
+    """Return a table with words in the first `left` columns and numbers in the others; long names are broken at `_`."""
     from rich import box
     from rich.table import Table
 
@@ -69,7 +69,7 @@ def speed_table(result: dict[str, Any]) -> Any:
     named = [(name.removesuffix("_ns_per_step"), times[name]) for name in times if name.endswith("_ns_per_step")]
     named += [
         ("classical, steps of any length", classical["without_step_bound"]["ns_per_step"]),
-        ("classical, the whole path known ahead", classical["known_ahead"]["ns_per_step"]),
+        ("classical, with the complete path known in advance", classical["known_ahead"]["ns_per_step"]),
     ]
     zxz, unit = times["euler_zxz_ns_per_step"], times["reference_ns"]
     rows = [(name, f"{ns:.1f}", f"{ns / zxz:.2f}", f"{ns / unit:.3f}") for name, ns in named]
@@ -87,7 +87,7 @@ def orders_table(result: dict[str, Any]) -> Any:
 
 
 def front_table(result: dict[str, Any]) -> Any:
-    """A line for each stretch of a front that is one method's, over a range of servo rates."""
+    """Return a table with a row for each part of a front with one method, over a range of servo rates."""
     rows = []
     for (surface, motion), group in grouped(result["pareto"], "surface", "motion"):
         for method, run in groupby(group, key=lambda row: row["method"]):
@@ -102,13 +102,13 @@ def front_table(result: dict[str, Any]) -> Any:
 
 
 def span(values: Sequence[float], form: str) -> str:
-    """First and last of the values, or the one if they look alike."""
+    """Format the first and the last value, or one if they look alike."""
     first, last = format(values[0], form), format(values[-1], form)
     return first if first == last else f"{first} .. {last}"
 
 
 def sweep_table(result: dict[str, Any]) -> Any:
-    """What was varied at one servo rate, the rows that are not part of the ladder: the worst of all surfaces."""
+    """Return the table of values varied at one servo rate, without the sweep over rates: the worst of all surfaces."""
     ladder = {id(row) for row in standard(result["trade"])}
     keys = ("motion", "turn_rate_rad_per_s", "given_ratio", "spin_ratio", "rate_hz")
     methods = list(dict.fromkeys(row["method"] for row in result["trade"]))
@@ -133,14 +133,14 @@ def drift_table(result: dict[str, Any]) -> Any:
 
 
 def at_advised_rate(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """The recommendations for RATE_HZ."""
+    """Return the recommendations for RATE_HZ."""
     rates = {row["rate_hz"] for row in result["recommendations"]}
     rate = RATE_HZ if RATE_HZ in rates else max(rates)
     return [row for row in result["recommendations"] if row["rate_hz"] == rate]
 
 
 def advice(result: dict[str, Any]) -> list[str]:
-    """The recommendations for RATE_HZ; of errors that ask for the same method only the smallest."""
+    """Return the recommendations for RATE_HZ; of errors with the same method only the smallest."""
     found = []
     for _, group in grouped(at_advised_rate(result), "surface", "motion", "method"):
         pick = min if group[0]["method"] else max

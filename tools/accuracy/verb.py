@@ -1,8 +1,8 @@
-"""`accuracy`: what each rolling method costs and how far it strays, on every surface.
+"""`accuracy`: cost and error of each rolling method, on every surface.
 
-First the paper's experiment, then the trade of speed against accuracy: largest error of the contact's path against an
-independent eighth-order reference, error of the spin, drift off the surface, and time of a step, over the servo rate,
-the rotation rate, the curvature ratio and the ratio of spin to roll.
+The first part is the paper's experiment. The second part is speed against accuracy: largest error of the contact path
+against an independent eighth-order reference, error of the spin, drift off the surface, and time of a step. These are
+measured over the servo rate, the rotation rate, the curvature ratio and the ratio of spin to roll.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any, Final
 import llvmlite.binding as llvm
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.offline.figures import unusable
+from softfinger.server.offline.figures import reason_unsavable
 from softfinger.server.progress import progress
 from softfinger.tools.accuracy import meshes, pixels
 from softfinger.tools.accuracy.cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
@@ -31,7 +31,7 @@ from softfinger.tools.sweep import add_sweep_options, run_cases
 
 RATES_HZ: Final = (4.0, 8.0, 16.0, 32.0, 64.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 TURN_RATES: Final = (2.0, 0.2, 20.0, 200.0, 3000.0)
-"""rad/s. A hand turns at 2, quickly at 20; 3000 at 1 kHz is nearly half a turn a step."""
+"""rad/s. A hand turns at 2, quickly at 20; 3000 at 1 kHz is nearly half a turn per step."""
 CURVATURE_RATIOS: Final = (0.01, 0.1, 0.9, 10.0, 100.0)
 SPIN_RATIOS: Final = (0.5, 0.0, 0.1, 10.0)
 SWEEP_RATE_HZ: Final = 1000.0
@@ -51,7 +51,7 @@ LIMITS: Final = {
     "tolerance": (1e-13, 1e-2, ""),
     "drift_steps": (DRIFT_BLOCK, 10**10, ""),
 }
-"""Smallest and largest value of the options that take numbers, and their unit."""
+"""Smallest and largest value of the numeric options, and their unit."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -61,15 +61,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", nargs="+", type=float, metavar="HZ", help="servo rates (4 to 8000)")
     parser.add_argument(
         "--turn-rate", nargs="+", type=float, metavar="RAD_S", default=TURN_RATES,
-        help="rotation rates; the first with every servo rate, the others at 1 kHz (%(default)s)",
+        help="rotation rates; the first with every servo rate, the rest at 1 kHz (%(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--curvature-ratio", nargs="*", type=float, metavar="R", default=CURVATURE_RATIOS,
-        help="radius of the fingertip over that of the surface, beside the surfaces' own, at 1 kHz (%(default)s)",
+        help="radius of the fingertip over that of the surface, in addition to those of the surfaces, at 1 kHz "
+        "(%(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--spin-ratio", nargs="+", type=float, metavar="R", default=SPIN_RATIOS,
-        help="spin over roll; the first with every servo rate, the others at 1 kHz (%(default)s)",
+        help="spin over roll; the first with every servo rate, the rest at 1 kHz (%(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--error-below", nargs="+", type=float, metavar="M", default=TARGETS_M, help="errors to recommend for, m"
@@ -99,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
         prepare_figures(args.figures)
     with progress("the paper's experiment"):
         paper, times = experiment(sweep.tolerance), speed(sweep.tolerance)
-    # One thread: what is timed has no other beside it.
+    # One thread, so that nothing runs concurrently with the timing.
     where = {"scheduler": args.scheduler, "results": args.results, "threads": 1}
     trade = run_cases(run_block, cases(sweep), label="measuring speed and accuracy", **where)
     drift = run_cases(run_drift_block, drift_cases, label="measuring drift", **where)
@@ -131,17 +132,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def prepare_figures(folder: Path) -> None:
-    """Make the folder of the figures; ConfigError, before the work and not after it, where one could not be saved."""
+    """Create the folder of the figures; raises ConfigError, before any measurement, if a figure could not be saved."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"--figures {folder}: {error.strerror}: name a folder that can be written") from error
-    if (why := unusable(folder / next(iter(FIGURES)))) is not None:
+    if (why := reason_unsavable(folder / next(iter(FIGURES)))) is not None:
         raise ConfigError(f"--figures {folder}: {why}")
 
 
 def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
-    """What the options ask for; ConfigError for a value out of range and for options that leave nothing to measure."""
+    """Return the sweep for the options; raises ConfigError for a value out of range, or if nothing can be measured."""
     for name, (low, high, unit) in LIMITS.items():
         given = getattr(args, name)
         for value in given if isinstance(given, list | tuple) else [given]:
@@ -181,7 +182,7 @@ def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
 
 
 def machine() -> dict[str, Any]:
-    """What the times were taken on."""
+    """Describe the machine on which the times were measured."""
     return {
         "processor": llvm.get_host_cpu_name(),
         "processors": os.cpu_count(),

@@ -1,4 +1,4 @@
-"""`softfinger bench`: what a step, a tick, a message and a closed loop take.
+"""`softfinger bench`: time of a step, a tick, a message and a closed loop.
 
-Each beside a reference that runs in turn with it: no figure stands alone.
+Contains no measurement without a reference that runs in turn with it.
 """

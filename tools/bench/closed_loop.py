@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.simulated.plant import (
-    LINE_SIZE,
-    Drive,
+    DELAY_LINE_SIZE,
     Handle,
     Impedance,
     Intention,
     Plant,
+    PlantInputs,
     PlantState,
-    at_rest,
     make_plant,
+    make_rest_state,
 )
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import Packed, packed, unpack
@@ -34,13 +34,15 @@ from softfinger.tools.bench.step import ROUNDS, quiet, reference_ns
 from softfinger.tools.measure import add_output_options, show
 
 TICKS: Final = 10_000
-"""Run of a block."""
+"""Ticks in a block."""
 SHORT: Final = 1_000
-"""Run between two looks at the clock, some 0.1 ms: another program that takes the processor for a millisecond spoils
-few of them. Two cycles of the hand's sway."""
+"""Ticks between two readings of the clock, about 0.1 ms, and two cycles of the hand's sway.
+
+Another program that takes the processor for a millisecond disturbs only a few of them.
+"""
 PERIOD_S: Final = 0.001
 DEPTH_M: Final = 0.001
-"""How far below the surface the hand intends the fingertip's lowest point: it presses all the time."""
+"""Depth of the intended lowest point of the fingertip below the surface; the hand presses all the time."""
 HAND: Final = Impedance(mass=0.1, damping=8.0, stiffness=1000.0)
 BARE: Final = Handle((0.2, 0.2, 0.2), (1.0, 1.0, 1.0), force_max=12.0)
 HANDLES: Final = {
@@ -50,7 +52,10 @@ HANDLES: Final = {
     "and amplifier lag": BARE._replace(delay=2, resolution=1e-5, lag=0.0005),
     "and Coulomb friction": BARE._replace(delay=2, resolution=1e-5, lag=0.0005, friction=(0.1, 0.1, 0.1)),
 }
-"""What is timed in the hand, each with what the one before it has; plants of one type, so they run the same code."""
+"""Handles that are timed in the hand; each adds an effect to the one before.
+
+All plants have one type, so that they run the same code.
+"""
 
 
 @entry
@@ -59,14 +64,14 @@ def time_ticks(
     start: Memory,
     plant: Plant,
     state: PlantState,
-    drive: Drive,
+    drive: PlantInputs,
     dt: float,
     watch: Stopwatch,
     cpu_ns: NDArray[np.int64],
 ) -> float:
-    """SHORT ticks for each of `watch` (blocks, m), one after the other; returns the largest force.
+    """Run SHORT ticks for each element of `watch` (blocks, m), in sequence, and return the largest force.
 
-    `cpu_ns` (blocks,) takes the time that the thread had a processor for in each block.
+    `cpu_ns` (blocks,) receives the processor time of the thread in each block.
     """
     tuning, memory, strongest = unpack(tuning_packed.like, tuning_packed.values), start, 0.0
     timespec, short_ns, tick = watch.timespec, watch.ns, 0
@@ -127,7 +132,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def told(turns: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Of all turns of a plant the quietest."""
+    """Return the quietest turn of a plant."""
     row: dict[str, Any] = {key: quiet([turn[key] for turn in turns]) for key in turns[0]}
     row["p99_block_ns_per_tick"] = float(np.median([turn["p99_block_ns_per_tick"] for turn in turns]))
     row["ticks_per_s"], row["ratio"] = 1e9 / row["ns_per_tick"], row["ns_per_tick"] / row["reference_ns"]
@@ -135,13 +140,13 @@ def told(turns: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def measure(tuning: Tuning, radius: float, handle: Handle, blocks: int) -> dict[str, Any]:
-    """One turn: median cost of a tick with this handle, and that of the reference beside it."""
+    """Return the median cost of a tick with this handle and the cost of the reference, for one turn."""
     goal = radius - DEPTH_M
     plant = make_plant(PERIOD_S, handle, HAND)
-    state, poses = at_rest((0.0, 0.0, goal)), np.array([0.0, 0.0, goal, 1.0, 0.0, 0.0, 0.0])
-    sway = Intention(1.0, 1.0, (0.0005, 0.0, 0.0002), 0.0023, 0.0)  # 2.3 Hz to and fro: friction has work to do
+    state, poses = make_rest_state((0.0, 0.0, goal)), np.array([0.0, 0.0, goal, 1.0, 0.0, 0.0, 0.0])
+    sway = Intention(1.0, 1.0, (0.0005, 0.0, 0.0002), 0.0023, 0.0)  # 2.3 Hz back and forth, so that friction acts
     watch, cpu = stopwatch(blocks, TICKS // SHORT), np.zeros(blocks, np.int64)
-    drive = Drive(sway, poses, np.zeros(LINE_SIZE))
+    drive = PlantInputs(sway, poses, np.zeros(DELAY_LINE_SIZE))
     arguments = (packed(tuning), begin(tuning.scene), plant, state, drive, PERIOD_S)
     time_ticks(*arguments, stopwatch(1, TICKS // SHORT), cpu[:1].copy())
     unit = reference_ns()

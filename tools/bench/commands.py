@@ -1,8 +1,8 @@
-"""`bench commands`: what commands do to a hand that presses: torn sets, ticks missed, steps of force, memory.
+"""`bench commands`: effect of commands on a pressing hand: torn sets, missed ticks, force steps, memory.
 
-A daemon in a process of its own replays a hand that is held 1 mm in a plane that only pushes back, with a constant
-force beside: F_z = k d + f. Stiffness and constant force are set together, so that their sum is always the same: any
-other force is a set that was torn. Then two scenes take turns, each put in from zero force.
+A daemon in a separate process replays a hand that is held 1 mm deep in a plane that only pushes back, with a constant
+force in addition: F_z = k d + f. Stiffness and constant force are set together so that their sum is constant. Any other
+force shows a torn set. Then two scenes alternate; each one fades in from zero force.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from softfinger.tools.measure import Array, add_output_options, show
 DEPTH_M: Final = 0.001
 FORCE_N: Final = 2.0
 PAIRS: Final = [(1000.0, 1.0), (500.0, 1.5), (250.0, 1.75), (1500.0, 0.5)]
-"""Stiffness, N/m, and constant force, N, whose sum at that depth is FORCE_N."""
+"""Stiffness, N/m, and constant force, N; at that depth their sum is FORCE_N."""
 ROUNDING: Final = 1e-9
-"""Relative: of the few operations that make a force."""
+"""Relative rounding error of the few operations that compute a force."""
 SLEW_N_PER_S: Final = 200.0
-"""Of the guard here: slow enough that a step of the whole force in one tick would be above it."""
+"""Slew limit of the guard, so low that a step of the complete force in one tick would exceed it."""
 TURN_S: Final = 120.0
-"""How long a scene may take to be compiled and felt."""
+"""Longest time for a scene to be compiled and felt."""
 SCENE: Final = f"""
 [fingertip]
 radius_m = 0.01
@@ -77,15 +77,18 @@ HELD: Final = "t,x,y,z,qw,qx,qy,qz\n" + "".join(f"{t},0,0,{0.01 - DEPTH_M!r},1,0
 
 
 class Listener:
-    """Every tick of a daemon, six numbers each: tick, dt, force along z, what the guard changed, deadlines missed, and
-    the spring's part of the force."""
+    """Receiver of every tick of a daemon.
+
+    It stores six numbers per tick: tick, dt, force along z, changes by the guard, missed deadlines, and the spring part
+    of the force.
+    """
 
     def __init__(self, subscription: Subscription) -> None:
         self._subscription, self.lost = subscription, 0
         self._rows: list[tuple[float, ...]] = []
 
     def take(self, until_s: float = 0.0) -> None:
-        """What has come, and what comes until a time of the monotonic clock."""
+        """Receive the available samples, and further ones until a time of the monotonic clock."""
         while (sample := self._subscription.receive(max(0.0, until_s - time.monotonic()))) is not None:
             data = sample.data
             self.lost += sample.lost
@@ -94,22 +97,22 @@ class Listener:
             )
 
     def rows(self) -> Array:
-        """All since the call before, (n, 6)."""
+        """Return the samples since the last call, (n, 6)."""
         self.take()
         rows, self._rows = np.array(self._rows).reshape(-1, 6), []
         return rows
 
     def felt(self) -> bool:
-        """Whether the hand feels what the scene says."""
+        """Return whether the device gets the force of the scene, unchanged by the guard."""
         self.take(time.monotonic() + 0.02)
         return bool(self._rows) and self._rows[-1][3] == 0.0 and self._rows[-1][2] > 0.0
 
     def await_felt(self) -> None:
-        """Wait until it does."""
+        """Wait until `felt` is true."""
         until = time.monotonic() + TURN_S
         while not self.felt():
             if time.monotonic() > until:
-                raise ConfigError(f"no unchanged force came back within {TURN_S:g} s: is the machine overloaded?")
+                raise ConfigError(f"no unchanged force was returned within {TURN_S:g} s: is the machine overloaded?")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -132,7 +135,8 @@ def run(args: argparse.Namespace) -> int:
         quiet, _ = asking(listener, lambda: None, args.rate, args.seconds, "without commands")
         held, answers = asking(listener, setting(control), args.rate, args.seconds, "set_params")
         turned, memory = swapping(listener, control, process.pid, args.swaps)
-    steps = np.abs(np.diff(turned[:, 2]))[(np.diff(turned[:, 0]) == 1.0) & (turned[1:, 1] <= PAUSE_MAX_S)]
+    # Rises alone: before a swap the switch brings the force to zero faster than the slew limit.
+    steps = np.diff(np.abs(turned[:, 2]))[(np.diff(turned[:, 0]) == 1.0) & (turned[1:, 1] <= PAUSE_MAX_S)]
     result = {
         "ticks_without": len(quiet), "missed_without": missed(quiet),
         "set_params": len(answers), "ticks": len(held), "missed": missed(held), "torn": torn(held),
@@ -161,7 +165,7 @@ def table(result: dict[str, Any]) -> list[str]:
         f"{result['set_params']} x set_params in contact: {result['torn']} torn, {result['changes_felt']} felt, "
         f"{result['missed']} of {result['ticks']} ticks missed; answer p50 {1e3 * result['answer_p50_s']:.2f} ms, "
         f"p99 {1e3 * result['answer_p99_s']:.2f} ms",
-        f"{result['swaps']} x set_scene in contact: largest step {result['largest_step_n']:.4f} N in a tick, "
+        f"{result['swaps']} x set_scene in contact: largest rise {result['largest_step_n']:.4f} N in a tick, "
         f"slew limit {result['slew_n']:.4f} N; resident at first, a tenth, half, end: {spots} MB",
         f"lost by the subscriber: {result['lost']}",
     ]
@@ -169,7 +173,7 @@ def table(result: dict[str, Any]) -> list[str]:
 
 @contextmanager
 def daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
-    """A daemon until the block ends: its process and its two endpoints."""
+    """Run a daemon until the block ends; yields its process and its two endpoints."""
     endpoint, commands = f"ipc://{folder}/telemetry", f"ipc://{folder}/commands"
     (folder / "held.csv").write_text(HELD, "utf-8")
     (folder / "pressed.toml").write_text(SCENE, "utf-8")
@@ -188,7 +192,7 @@ def daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
 
 
 def setting(control: Control) -> Callable[[], None]:
-    """Sets the next pair."""
+    """Return a function that sets the next pair."""
     pairs = cycle(PAIRS[1:] + PAIRS[:1])
 
     def ask() -> None:
@@ -201,7 +205,7 @@ def setting(control: Control) -> Callable[[], None]:
 def asking(
     listener: Listener, ask: Callable[[], None], rate_hz: float, seconds: float, what: str
 ) -> tuple[Array, Array]:
-    """`ask` so many times a second: the ticks meanwhile, (n, 6), and how long each call took, s."""
+    """Call `ask` at a rate; return the ticks in that time, (n, 6), and the duration of each call, s."""
     count = max(1, round(rate_hz * seconds))
     taken = np.zeros(count)
     with progress(what, count) as done:
@@ -216,7 +220,7 @@ def asking(
 
 
 def swapping(listener: Listener, control: Control, pid: int, count: int) -> tuple[Array, list[float]]:
-    """set_scene back and forth: the ticks meanwhile, (n, 6), and resident memory after each, MB."""
+    """Alternate set_scene; return the ticks in that time, (n, 6), and the resident memory after each call, MB."""
     pressed = control.describe()["scene"]
     memory = []
     with progress("set_scene", count) as done:
@@ -229,17 +233,17 @@ def swapping(listener: Listener, control: Control, pid: int, count: int) -> tupl
 
 
 def missed(rows: Array) -> int:
-    """Deadlines missed over rows."""
+    """Return the number of deadlines missed in the rows."""
     return int(rows[-1, 4] - rows[0, 4])
 
 
 def torn(rows: Array) -> int:
-    """Ticks that the guard left alone, and whose force is of no pair."""
+    """Return the number of ticks with a force of no pair, unchanged by the guard."""
     left_alone = rows[rows[:, 3] == 0.0]
     return int(np.count_nonzero(np.abs(left_alone[:, 2] - FORCE_N) > ROUNDING * FORCE_N))
 
 
 def resident_mb(pid: int) -> float:
-    """Memory of a process that is in the machine's, MB."""
+    """Return the resident memory of a process, MB."""
     pages = int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

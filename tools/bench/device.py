@@ -1,4 +1,4 @@
-"""`bench device`: what the exchange with a rig's device takes, beside an exchange with functions that do nothing."""
+"""`bench device`: duration of the exchange with a rig's device, compared with an exchange of empty functions."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; returns the exit code. Zero force is all that the device is sent."""
+    """Measure and print; returns the exit code. The device receives zero force only."""
     check_seconds(args.seconds)
     rig = load_rig(args.rig)
     rate = rig.servo.rate_hz
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def draw(path: Path, rows: Array, title: str) -> None:
-    """Share of ticks whose read, write, and empty pair took longer than a time."""
+    """Draw the fraction of ticks in which read, write, and the empty pair took longer than a time."""
     drawing = figure()
     axes = drawing.add_subplot()
     parts = {"read": rows[:, READ], "write": rows[:, WRITE], "empty pair": rows[:, EMPTY_READ] + rows[:, EMPTY_WRITE]}

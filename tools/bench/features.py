@@ -1,7 +1,7 @@
-"""Every feature a scene file offers, each as a pair of scenes that differ by that one feature.
+"""Features of scene files, each as a pair of scenes that differ by that feature only.
 
-What the difference costs is what the feature costs, in the company the pair is in: on a bare plane for what needs
-nothing else, on the paper's plane for what needs friction.
+The difference in cost is the cost of the feature in this combination: on a bare plane if it needs nothing else, on the
+paper's plane if it needs friction.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ SHAPES: Final[dict[str, Table]] = {
         "level_m": 1e-7,
     },
 }
-"""Room for a fingertip of 10 mm in each that has an inside, and in the hole of the torus."""
+"""Every shape with an inside has room for a fingertip of 10 mm, and so has the hole of the torus."""
 
 NORMALS: Final[dict[str, Table]] = {
     "power law": {"normal": {"exponent": 1.5}},
@@ -69,7 +69,7 @@ WORKSPACE: Final[dict[str, Table]] = {
     "constant_force": {"kind": "constant_force", "force_n": [0.0, 0.0, -1.0]},
     "spring": {"kind": "spring", "position_m": [0.0, 0.0, 0.05], "stiffness_n_per_m": 200.0, "force_max_n": 3.0},
     "vibration": {"kind": "vibration", "amplitude_n": 0.5, "frequency_hz": 100.0, "direction": [0.0, 0.0, 1.0]},
-    # So small that the fingertip is beyond it while it is timed.
+    # So small that the fingertip is outside while it is timed.
     "boundary, a box": {"kind": "boundary", "size_m": [0.01, 0.01, 0.01]} | BAND,
     "boundary, a ball": {"kind": "boundary", "radius_m": 0.005} | BAND,
 }
@@ -90,7 +90,7 @@ MOTIONS: Final[dict[str, Table]] = {
 RIBS: Final = FOLDERS[schema.Scene] / "ribs.csv"
 TEXTURES: Final[dict[str, Table]] = {"heights": {"height_m": 1e-4}, "friction": {"friction_scale": [0.5, 1.5]}}
 ROUND_M: Final = 2.0 * math.pi * 0.05 / 64.0
-"""Sixty-four ribs round the cylinder."""
+"""Width of the texture, for 64 ribs around the cylinder."""
 WALLS: Final[list[Table]] = [
     {"name": "left wall", "shape": "plane", "orientation_wxyz": [1.0, 0.0, 1.0, 0.0]},
     {"name": "back wall", "shape": "plane", "orientation_wxyz": [1.0, -1.0, 0.0, 0.0]},
@@ -99,7 +99,7 @@ WALLS: Final[list[Table]] = [
 
 
 class Feature(NamedTuple):
-    """A feature: scenes without and with it, what they have in common, and poses for each if they need their own."""
+    """Feature: scenes without and with it, the description of their common part, and poses for each scene if needed."""
 
     name: str
     base: str
@@ -109,7 +109,7 @@ class Feature(NamedTuple):
 
 
 def corner_poses(count: int = BLOCK) -> Array:
-    """Poses (count, 7) pressed 1 mm and a little into three walls at right angles, turning; radius 10 mm."""
+    """Return poses (count, 7) that press about 1 mm into three walls at right angles and turn; the radius is 10 mm."""
     poses = np.zeros((count, 7))
     t = 2.0 * np.pi * np.arange(count) / count
     poses[:, :3] = 0.009 + 0.0005 * np.stack([np.sin(3.0 * t), np.sin(2.0 * t), np.sin(5.0 * t)], axis=1)
@@ -119,7 +119,7 @@ def corner_poses(count: int = BLOCK) -> Array:
 
 
 def _carried(here: schema.Scene, there: schema.Scene) -> tuple[Array, Array]:
-    """Poses (n, 7) that touch the object of `here`, and the same on it where it is in `there`."""
+    """Return poses (n, 7) that touch the object of `here`, and the same poses relative to that object in `there`."""
     poses = touching_poses(here)
     w, *v = there.object[0].orientation_wxyz
     position, scalar, vector = poses[:, :3], poses[:, 3:4], poses[:, 4:]
@@ -130,7 +130,7 @@ def _carried(here: schema.Scene, there: schema.Scene) -> tuple[Array, Array]:
 
 
 def all_features() -> list[Feature]:
-    """Every feature, in the order of the scene file's tables."""
+    """Return every feature, in the order of the tables of a scene file."""
     return [
         *_normal(),
         *_rolling(),
@@ -149,7 +149,10 @@ def all_features() -> list[Feature]:
 def _scene(
     shape: str = "plane", material: Mapping[str, Any] = STUFF, others: list[Table] | None = None, **changes: Any
 ) -> schema.Scene:
-    """An object of that shape; `changes` are keys of the scene, or with the prefix `object_` of the object."""
+    """Return a scene with an object of that shape.
+
+    `changes` are keys of the scene or, with the prefix `object_`, of the object.
+    """
     own = {key.removeprefix("object_"): value for key, value in changes.items() if key.startswith("object_")}
     tables = {key: value for key, value in changes.items() if not key.startswith("object_")}
     things = [{"name": shape, **SHAPES[shape], **own}, *(others or [])]

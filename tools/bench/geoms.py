@@ -1,4 +1,4 @@
-"""A scene of many bodies, made anew for a bench: one that two fingers press and drag, the others lying about it."""
+"""Scene of many bodies for a benchmark: two fingers press and drag one of them, the others lie around it."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError
 
 GEOMS_MAX: Final = 24
-"""A scene has no more geoms that fingers touch."""
+"""Largest number of geoms in a scene that fingers touch."""
 HALF_M: Final = 0.02
 APART_M: Final = 0.06
-"""From middle to middle: they do not touch."""
+"""Distance between the centres, so that the bodies do not touch."""
 KINDS: Final = {
     "box": f"{HALF_M} {HALF_M} {HALF_M}",
     "sphere": f"{HALF_M}",
     "capsule": f"{HALF_M} {HALF_M}",
     "cylinder": f"{HALF_M} {HALF_M}",
 }
-"""Size of each kind of geom; capsules and cylinders lie, so that all are as high."""
+"""Size of each kind of geom; capsules and cylinders lie, so that all have the same height."""
 GEOM: Final = """
     <body name="{name}" pos="{x} {y} -{half}"><freejoint/>
       <geom name="{name}" type="{kind}" size="{size}" zaxis="1 0 0" mass="0.1"/>
@@ -35,12 +35,13 @@ MODEL: Final = """
 
 
 def scene_of_geoms(count: int, rate_hz: float, folder: Path) -> dict[str, Any]:
-    """A scene of `count` bodies of 100 g, of four kinds, on a floor, touched by two fingers; its model in `folder`.
+    """Return a scene of `count` bodies of 100 g on a floor, touched by two fingers, with its model in `folder`.
 
-    The tops are at z = 0, where the shipped recording presses and drags. Raises ConfigError for a count out of range.
+    The bodies are of four kinds. Their tops are at z = 0, at which the shipped recording presses and drags. Raises
+    ConfigError for a count out of range.
     """
     if not 1 <= count <= GEOMS_MAX:
-        raise ConfigError(f"command line --geoms: {count}: must be a whole number from 1 to {GEOMS_MAX}")
+        raise ConfigError(f"command line --geoms: {count}: must be an integer from 1 to {GEOMS_MAX}")
     places = sorted(product(range(-2, 3), repeat=2), key=lambda at: at[0] ** 2 + at[1] ** 2)
     bodies = []
     for number, (x, y) in enumerate(islice(places, count)):

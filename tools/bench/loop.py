@@ -1,9 +1,8 @@
-"""`bench loop`: how late the servo wakes and what a tick costs, beside an equal loop in C, run in turn.
+"""`bench loop`: wake-up lateness of the servo and cost of a tick, compared with an equal loop in C.
 
-Three loops take turns, so that whatever the machine does meanwhile falls on all of them: the C loop, the
-servo, and the servo with another thread of the process spinning in pure Python.
-
-A scene with a rig of its own, simulated-SCENE, is felt by the hands of that rig; any other by a recording.
+Three loops run in turn, so that disturbances of the machine affect all of them: the C loop, the servo, and the servo
+with another thread of the process spinning in pure Python. A scene that has a shipped rig simulated-SCENE uses the
+hands of that rig; any other scene uses a recording.
 """
 
 from __future__ import annotations
@@ -74,11 +73,11 @@ def run(args: argparse.Namespace) -> int:
 def measure(
     rig: Rig, scene: Scene, seconds: float, busy: bool
 ) -> tuple[dict[str, list[Array]], list[realtime.Setting]]:
-    """Turns of the C loop, where there is a compiler, the servo, and `busy` the servo beside spinning Python.
+    """Run the loops in turn: C (if there is a compiler), servo and, if `busy`, servo with spinning Python.
 
-    rig      whose devices are opened by each turn of the servo; one device is shared by all fingers
-    seconds  of each of the loops
-    returns  what `run_reference` and `run_servo` give, a list of turns each, and the real-time settings
+    rig      rig of the devices, opened for each turn of the servo; a single device is shared by all fingers
+    seconds  duration of each loop
+    returns  the results of `run_reference` and `run_servo`, a list of turns each, and the real-time settings
     """
     turns = max(1, round(seconds / TURN_S))
     ticks = max(1, round(seconds / turns * rig.servo.rate_hz))
@@ -92,7 +91,7 @@ def measure(
             loops = {"c": lambda: run_reference(program, rig, ticks), **loops}
         runs: dict[str, list[Array]] = {name: [] for name in loops}
         with progress("measuring the servo loop", turns * len(loops)) as done:
-            run_servo(rig, scene, 10, settings)  # compiles, and touches what the first turn would touch first
+            run_servo(rig, scene, 10, settings)  # compiles, and touches memory that the first turn would touch first
             for turn in range(turns):
                 for number, (name, loop) in enumerate(loops.items()):
                     runs[name].append(loop())
@@ -101,7 +100,7 @@ def measure(
 
 
 def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Setting]) -> Array:
-    """One turn of the real servo, its records taken by a thread; (n, 4) late, exec, busy s, missed."""
+    """Run one turn of the real servo with its records taken by a thread; returns (n, 4): late, exec, busy s, missed."""
 
     def prepare() -> Callable[[], None]:
         applied = realtime.apply(rig.servo.realtime, rig.servo.priority, rig.servo.cpu)
@@ -124,13 +123,16 @@ def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Settin
     if ended is not None and ended.error is not None:
         raise ended.error
     found = np.concatenate(parts)
-    found[:, 2] = np.roll(found[:, 2], -1)  # a record holds the busy time of the tick before
+    found[:, 2] = np.roll(found[:, 2], -1)  # a record has the busy time of the previous tick
     return found[:-1]
 
 
 @contextmanager
 def devices_of(rig: Rig, scene: Scene) -> Iterator[list[Device]]:
-    """An open device for each finger. Several fingers share a rig's only one: each reads the pose after the other's."""
+    """Yield an open device for each finger.
+
+    If a rig has one device for several fingers, they share it: each reads the pose after the pose of another one.
+    """
     with ExitStack() as opened:
         if rig.device is not None:
             yield [opened.enter_context(open_device(rig.device, rig.servo.rate_hz))] * len(scene.fingers)
@@ -143,7 +145,7 @@ def devices_of(rig: Rig, scene: Scene) -> Iterator[list[Device]]:
 
 @contextmanager
 def spinning_python() -> Iterator[None]:
-    """Another thread of this process that never lets the interpreter rest."""
+    """Run another thread of this process that keeps the interpreter busy."""
     stop = threading.Event()
 
     def spin() -> None:
@@ -167,7 +169,7 @@ def run_busy(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Setting
 
 
 def compile_reference(folder: Path) -> Path | None:
-    """The C loop, compiled; None where there is no C compiler."""
+    """Compile the C loop; returns None if there is no C compiler."""
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         return None
@@ -177,7 +179,7 @@ def compile_reference(folder: Path) -> Path | None:
 
 
 def run_reference(program: Path, rig: Rig, ticks: int) -> Array:
-    """One turn of the C loop; (n, 3) late, exec, busy s."""
+    """Run one turn of the C loop; returns (n, 3): late, exec, busy s."""
     priority = 0 if rig.servo.realtime == "off" else rig.servo.priority
     out = program.with_suffix(".out")
     words = [str(program), repr(rig.servo.rate_hz), str(ticks), str(priority), str(RECORD_SIZE), str(out)]
@@ -186,7 +188,7 @@ def run_reference(program: Path, rig: Rig, ticks: int) -> Array:
 
 
 def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
-    """Percentiles of each loop, seconds, and their ratios."""
+    """Return percentiles of each loop, seconds, and their ratios."""
     block = round(rate_hz)
     result: dict[str, Any] = {"rate_hz": rate_hz}
     for name, values in figures.items():
@@ -207,12 +209,15 @@ def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
 
 
 def missed_by_servo(values: Array) -> int:
-    """Deadlines missed during turns of the servo, which counts them: values (n, 4) of `run_servo`."""
+    """Return the deadlines missed in turns of the servo, which counts them; values (n, 4) of `run_servo`."""
     return int(np.maximum(np.diff(values[:, 3], prepend=values[0, 3]), 0).sum())
 
 
 def missed_by_c(values: Array, period_s: float) -> int:
-    """Deadlines that passed before the C loop slept again, which it leaves out as the servo does: values (n, 3)."""
+    """Return the deadlines that passed before the C loop slept again, which it skips as the servo does.
+
+    values  (n, 3) of `run_reference`
+    """
     over = values[:, 0] + values[:, 2] - period_s
     return int(np.where(over > 0.0, np.floor(over / period_s) + 1.0, 0.0).sum())
 

@@ -1,4 +1,4 @@
-"""`bench mesh`: what a tick on a mesh costs, by its size, smooth and bumpy, beside the ball that it stands for."""
+"""`bench mesh`: cost of a tick on a mesh, by its size, smooth and bumpy, compared with a ball of the same size."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from softfinger.server.progress import progress
 from softfinger.tools.measure import Array, add_output_options, quantiles, show
 
 RADIUS_M: Final = 0.05
-"""Of the ball."""
+"""Radius of the ball."""
 BUMPS_M: Final = 0.001
 DEPTH_M: Final = 0.001
 SPEED_M: Final = 1e-4
-"""Way of the fingertip in a tick: 0.1 m/s."""
+"""Distance of the fingertip per tick: 0.1 m/s."""
 BLOCK: Final = 1000
 CHECKED: Final = 20
-"""Points whose distance is compared with that of all triangles asked in turn."""
+"""Points at which the distance is compared with a search over all triangles."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def ball(folder: Path, level: int, bumps: float) -> tuple[str, Array, Array]:
-    """A ball of 20 x 4^level triangles, smooth or bumpy, as a file; its vertices (n, 3) m and triangles (m, 3)."""
+    """Write a ball of 20 x 4^level triangles, smooth or bumpy; returns file, vertices (n, 3) m and triangles (m, 3)."""
     try:
         import trimesh
     except ImportError as error:
@@ -108,7 +108,7 @@ def scene_of(radius: float, **shape: Any) -> schema.Scene:
 
 
 def way(ticks: int, radius: float) -> Array:
-    """Poses (ticks, 7) of a fingertip that is pressed in, dragged over the ball and turned."""
+    """Return poses (ticks, 7) of a fingertip that is pressed in, dragged over the ball and turned."""
     rng, reach = np.random.default_rng(0), RADIUS_M + radius
     x, along = np.array([0.0, 0.0, 1.0]), rng.normal(size=3)
     poses = np.zeros((ticks, 7))
@@ -125,14 +125,14 @@ def way(ticks: int, radius: float) -> Array:
 
 
 def measured(scene: schema.Scene, radius: float, args: argparse.Namespace) -> dict[str, Any]:
-    """Time of a tick, ns, each by itself: back to back, paced, and in free flight."""
+    """Measure the time of single ticks, ns: back to back, paced, and in free motion."""
     tree = build_scene(scene)
     parameters, poses = packed(tree), way(args.ticks, radius)
     paced = way(args.paced, radius)
     away = poses.copy()
     away[:, :3] *= 1.3
     found: dict[str, Any] = {}
-    watch = stopwatch(1, BLOCK)  # a thousand stretches of no pose: what looking at the clock costs
+    watch = stopwatch(1, BLOCK)  # a thousand intervals without a pose: the cost of reading the clock
     time_steps(parameters, packed(start_state(tree)), poses[:1], 0.001, watch, np.zeros(1, np.int64))
     clock = float(np.median(watch.ns))
     for name, along, apart_ns in (("touching", poses, 0), ("free", away, 0), ("paced", paced, 1_000_000)):
@@ -145,8 +145,11 @@ def measured(scene: schema.Scene, radius: float, args: argparse.Namespace) -> di
 
 @entry
 def ask(like: Any, values: Array, points: Array, found: Array) -> None:
-    """Into `found` (n, 3): square of the distance of each of `points` (n, 3) m, what was asked for it, and of the first
-    ones the square by asking all."""
+    """Store in `found` (n, 3) the results for each of `points` (n, 3) m.
+
+    The columns are the squared distance, the number of nodes and triangles visited and, for the first CHECKED points,
+    the squared distance over all triangles.
+    """
     mesh = unpack(like, values)
     triangles = mesh.row[0]
     for i in range(len(points)):
@@ -159,7 +162,7 @@ def ask(like: Any, values: Array, points: Array, found: Array) -> None:
 
 
 def asked(scene: schema.Scene, corners: Array, radius: float) -> dict[str, Any]:
-    """Nodes and triangles asked for the nearest one, and how far the distance is from that of all."""
+    """Return the nodes and triangles visited for the nearest one, and the largest error of the distance."""
     mesh = build_scene(scene).objects.body.shape
     points = np.ascontiguousarray(way(BLOCK, radius)[:, :3])
     found = np.zeros((len(points), 3))

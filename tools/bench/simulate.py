@@ -1,4 +1,4 @@
-"""`bench simulate`: how many times as fast as real time `simulate` is, from the start of the program to the file."""
+"""`bench simulate`: speed of `simulate` relative to real time, from the start of the program to the file."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.drivers.poses import POSE_COLUMNS, load_poses
 from softfinger.drivers.resample import close_loop, resample
 from softfinger.server.offline.figures import figure, save
-from softfinger.server.offline.results import ENDINGS, csv_lines
 from softfinger.server.progress import progress
+from softfinger.server.recording.results import SUFFIXES, csv_lines
 from softfinger.tools.measure import Array, add_output_options, show
 
 RATE_HZ: Final = 1000.0
@@ -41,18 +41,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     ticks, rounds = args.ticks, max(args.rounds, 1)
     if ticks < TICKS_MIN:
-        raise ConfigError(f"--ticks {ticks}: too few to tell: {TICKS_MIN} or more")
-    taken: dict[str, list[tuple[float, float]]] = {ending: [] for ending in ENDINGS}
+        raise ConfigError(f"--ticks {ticks}: too few to measure: {TICKS_MIN} or more")
+    taken: dict[str, list[tuple[float, float]]] = {ending: [] for ending in SUFFIXES}
     with tempfile.TemporaryDirectory(dir=args.folder) as made:
         poses = Path(made, "poses.csv")
-        with progress("a run before, which compiles what is not kept"):
+        with progress("first run, which compiles kernels that are not cached"):
             poses.write_bytes(",".join(POSE_COLUMNS).encode() + b"\n" + csv_lines(motion(args.poses, ticks)))
             simulate(args.scene, poses, Path(made, "warm.npz"))
-        with progress("simulating", rounds * len(ENDINGS)) as done:
+        with progress("simulating", rounds * len(SUFFIXES)) as done:
             for turn in range(rounds):
-                for place, ending in enumerate(ENDINGS):
+                for place, ending in enumerate(SUFFIXES):
                     taken[ending].append(simulate(args.scene, poses, Path(made, f"results{ending}")))
-                    done(turn * len(ENDINGS) + place + 1)
+                    done(turn * len(SUFFIXES) + place + 1)
     rows = [{"format": ending[1:]} | told(turns, ticks) for ending, turns in taken.items()]
     lines = [f"{ticks} ticks on {args.scene}, poses from CSV, with the start of the program; {rounds} turns each"]
     lines += [
@@ -71,13 +71,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def motion(recording: str, ticks: int) -> Array:
-    """The recording as a loop: (ticks, 8), times and poses."""
+    """Return the recording as a loop: (ticks, 8), times and poses."""
     once = close_loop(resample(load_poses(recording), RATE_HZ), RATE_HZ)
     return np.column_stack((np.arange(ticks) / RATE_HZ, np.resize(once, (ticks, once.shape[1]))))
 
 
 def simulate(scene: str, poses: Path, out: Path) -> tuple[float, float]:
-    """One run of the program, whose file is removed: wall clock and processor, s."""
+    """Run the program once and remove its file; returns wall-clock and processor time, s."""
     words = ["simulate", "--scene", scene, "--poses", str(poses), "--out", str(out)]
     before, begun = children_s(), time.perf_counter()
     ended = subprocess.run(
@@ -91,13 +91,13 @@ def simulate(scene: str, poses: Path, out: Path) -> tuple[float, float]:
 
 
 def children_s() -> float:
-    """Time that ended children of this process have had of processors."""
+    """Return the processor time of finished child processes."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def told(turns: list[tuple[float, float]], ticks: int) -> dict[str, Any]:
-    """The quickest turn, for others share the machine; beside it the median."""
+    """Return the fastest turn, since other programs share the machine, and the median."""
     walls, cpus = zip(*turns, strict=True)
     return {
         "seconds": min(walls),

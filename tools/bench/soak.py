@@ -1,9 +1,9 @@
-"""`bench soak`: a daemon with all that goes on around it, for a long time: does anything grow, is anything lost?
+"""`bench soak`: long run of a daemon with all its services, to find growth and losses.
 
-One daemon at 1 kHz on the simulated device, recorded, with four subscribers, a viewer, a client that changes a
-parameter ten times a second, and a program that is busy a third of the time. The viewer's page is open: a client of
-its socket takes all that a browser is sent, and draws nothing. Beside it, all the while, the loop in C of `bench loop`,
-where there is a compiler: what it misses too is the machine's doing. Ctrl-C ends the run, and what it has is shown.
+One daemon at 1 kHz on the simulated device is recorded. It has four subscribers, a viewer, a client that changes a
+parameter ten times a second, and a program that is busy a third of the time. A client of the viewer's socket receives
+everything that a browser would, and draws nothing. If there is a compiler, the C loop of `bench loop` runs in parallel:
+deadlines that it also misses are caused by the machine. Ctrl-C ends the run and prints the results so far.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ SUBSCRIBERS: Final = 4
 CHANGE_S: Final = 0.1
 SAMPLE_S: Final = 1.0
 C_TURN_S: Final = 10.0
-"""The loop in C keeps what it measured in memory until a turn is over."""
+"""The C loop stores its measurements in memory until the end of a turn."""
 WARM_S: Final = 600.0
-"""Allocators and caches fill in the first minutes; of a run of less than half an hour a third is left out."""
+"""Allocators and caches fill in the first minutes. In a run below half an hour, the first third is ignored."""
 GROWTH_MAX: Final = {"resident_mb": 1.0, "descriptors": 1.0, "threads": 1.0}
-"""What may be gained in an hour: less could not be told from an allocator's steps."""
+"""Allowed growth per hour; less cannot be distinguished from the steps of an allocator."""
 LIMITED: Final = {"resident_mb": 0.5, "descriptors": 1.0, "threads": 1.0}
-"""What may be gained in the whole run, however short: a page of memory is no leak."""
+"""Allowed growth in the complete run, however short; a page of memory is no leak."""
 BLOCKS: Final = 120
-"""Samples are put together into so many medians."""
+"""Number of medians that the samples are reduced to."""
 NORMAL_95: Final = 1.645
-"""Of a one-sided 95 % bound."""
+"""Normal quantile of a one-sided 95 % bound."""
 FIELDS: Final = tuple(GROWTH_MAX)
 
 BUSY: Final = """
@@ -73,13 +73,13 @@ Sizes = dict[str, tuple[float, ...]]
 
 
 class Soaked(NamedTuple):
-    """What a run has shown.
+    """Results of a run.
 
     times      (n,) s         of the samples
     processes                 for each, (n, 3) MB, descriptors, threads
     ticks                     of the servo
-    missed                    deadlines of it, and of the loop in C (None without one)
-    lost                      ticks that subscribers did not get
+    missed                    its deadlines, and the deadlines of the C loop (None without one)
+    lost                      ticks that subscribers did not receive
     """
 
     times: Array
@@ -97,7 +97,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; raises Unfit where something grows, or a tick was lost."""
+    """Measure and print; raises Unfit if something grows or a tick was lost."""
     if not 0.1 <= args.minutes <= 10_000.0:
         raise ConfigError(f"--minutes {args.minutes:g} must be from 0.1 to 10 000")
     rig = load_rig("simulated", {"servo.realtime": args.realtime})
@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def soak(rig: Rig, seconds: float) -> Soaked:
-    """Run everything for so long, and look at it once a second."""
+    """Run everything for `seconds` and sample it once a second."""
     with tempfile.TemporaryDirectory() as made, ExitStack() as running:
         folder = Path(made)
         commands, recording = f"ipc://{folder}/commands", str(folder / "soak.mcap")
@@ -138,12 +138,15 @@ def soak(rig: Rig, seconds: float) -> Soaked:
 
 
 def watched(trees: dict[str, int], act: Callable[[int], None], seconds: float) -> tuple[Array, dict[str, Array]]:
-    """Samples (n,) s and (n, 3) of every process and its children, NaN where it was not there; `act` is called ten
-    times a second. One that was there for less than half of the time is left out. A signal ends it sooner."""
+    """Sample every process and its children, and call `act` ten times a second, until the end or a signal.
+
+    Returns the times (n,) s and, by process, samples (n, 3), NaN if the process did not exist. A process that existed
+    for less than half of the time is left out.
+    """
     begun, passed, number = time.monotonic(), 0.0, 0
     times, seen = list[float](), list[Sizes]()
     stopped = threading.Event()
-    with progress("soaking", round(seconds)) as done, signals.asked(stopped.set):
+    with progress("soaking", round(seconds)) as done, signals.stop_on_signal(stopped.set):
         while passed < seconds and not stopped.is_set():
             act(number)
             if passed >= SAMPLE_S * len(times):
@@ -162,7 +165,7 @@ def watched(trees: dict[str, int], act: Callable[[int], None], seconds: float) -
 
 
 def sizes(name: str, pid: int) -> Sizes:
-    """Resident memory (MB), descriptors and threads of a process and of its children, by name."""
+    """Return resident memory (MB), descriptors and threads of a process and of its children, by name."""
     process = Path(f"/proc/{pid}")
     try:
         status = dict(line.split(":\t", 1) for line in (process / "status").read_text().splitlines() if ":\t" in line)
@@ -178,18 +181,18 @@ def sizes(name: str, pid: int) -> Sizes:
             words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
             module = next((word.decode() for word in words if word.startswith(b"softfinger.")), "child")
             found |= sizes(f"{name}: {module.removeprefix('softfinger.')}", child)
-    except (OSError, KeyError):  # it has ended meanwhile
+    except (OSError, KeyError):  # it has ended
         return {}
     return found
 
 
 def change(client: Client, number: int) -> None:
-    """Another stiffness, to and fro."""
+    """Set one of three stiffnesses."""
     client.set_params({"object.table.material.stiffness_n_per_m": 900.0 + 100.0 * (number % 3)})
 
 
 def newest(endpoint: str) -> tuple[int, int]:
-    """The newest tick, and the deadlines missed until then."""
+    """Return the latest tick and the deadlines missed until then."""
     with subscribe(endpoint, timeout_s=30.0) as samples:
         tick = next(iter(samples))
         return tick.tick, tick.servo.missed
@@ -197,7 +200,7 @@ def newest(endpoint: str) -> tuple[int, int]:
 
 @contextmanager
 def ended(words: list[str]) -> Iterator[subprocess.Popen[str]]:
-    """A process that is there until the block ends, and then neither it nor what it has started."""
+    """Run a process until the block ends, and kill it with all processes that it has started."""
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
         try:
             yield process
@@ -209,7 +212,7 @@ def ended(words: list[str]) -> Iterator[subprocess.Popen[str]]:
 
 @contextmanager
 def helper(*words: str) -> Iterator[subprocess.Popen[str]]:
-    """A process that this file is, once it is at work, until the block ends."""
+    """Run this file as a process until the block ends; yields it once it is at work."""
     with ended([sys.executable, "-m", "softfinger.tools.bench.soak", *words]) as process:
         assert process.stdout is not None
         process.stdout.readline()
@@ -218,7 +221,10 @@ def helper(*words: str) -> Iterator[subprocess.Popen[str]]:
 
 @contextmanager
 def in_c(rig: Rig, folder: Path) -> Iterator[Callable[[], int | None]]:
-    """The loop in C, in turns; a function that ends it and says what it has missed, None without a compiler."""
+    """Run the C loop in turns.
+
+    Yields a function that ends the loop and returns its missed deadlines, None without a compiler.
+    """
     program = compile_reference(folder)
     if program is None:
         yield lambda: None
@@ -234,7 +240,7 @@ def in_c(rig: Rig, folder: Path) -> Iterator[Callable[[], int | None]]:
 
 
 def evaluate(soaked: Soaked) -> dict[str, Any]:
-    """Growth of every process, in an hour and with its lower bound, and what is wrong."""
+    """Return the growth of every process per hour with its lower bound, and the faults."""
     hours = soaked.times / 3600.0
     faults, processes = list[str](), dict[str, Any]()
     for name, values in soaked.processes.items():
@@ -261,8 +267,10 @@ def evaluate(soaked: Soaked) -> dict[str, Any]:
 
 
 def growth(hours: Array, values: Array) -> tuple[float, float]:
-    """Slope in an hour and the lower end of its one-sided 95 % interval: the median of the slopes of all pairs, and the
-    order statistic below it. Both are blind to single steps and to a stall.
+    """Return the slope per hour and the lower end of its one-sided 95 % interval.
+
+    They are the median of the slopes of all pairs, and the order statistic below it. Both ignore single steps and a
+    stall.
 
     Source: Sen (1968), Estimates of the regression coefficient based on Kendall's tau.
     """
@@ -278,7 +286,7 @@ def growth(hours: Array, values: Array) -> tuple[float, float]:
 
 
 def table(result: dict[str, Any]) -> list[str]:
-    beside = "no C compiler" if result["missed_c"] is None else f"the loop in C beside it {result['missed_c']}"
+    beside = "no C compiler" if result["missed_c"] is None else f"reference loop in C {result['missed_c']}"
     lines = [
         f"{result['minutes']:.0f} minutes, {result['ticks']} ticks: {result['missed']} deadlines missed ({beside}), "
         f"{result['lost']} ticks lost by {SUBSCRIBERS} subscribers",
@@ -304,7 +312,7 @@ def draw(path: Path, soaked: Soaked) -> None:
 
 
 def until_asked() -> threading.Event:
-    """Is set by SIGTERM from now on, which is said."""
+    """Return an event that SIGTERM sets, and print that the process is at work."""
     stopped = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stopped.set())
     print("at work", flush=True)
@@ -312,7 +320,7 @@ def until_asked() -> threading.Event:
 
 
 def receive(endpoint: str) -> None:
-    """A subscriber: counts the ticks that it did not get, and says so when it is asked to end."""
+    """Run a subscriber that counts the ticks it did not receive and prints them on SIGTERM."""
     stopped, lost = until_asked(), 0
     with subscribe(endpoint) as samples:
         while not stopped.is_set():
@@ -322,7 +330,7 @@ def receive(endpoint: str) -> None:
 
 
 def connect_to_page(address: str) -> ClientConnection:
-    """The socket of the page at an address, as a browser opens it."""
+    """Open the socket of the page at an address, as a browser does."""
     import viser
     from websockets.sync.client import connect
     from websockets.typing import Origin, Subprotocol
@@ -337,7 +345,7 @@ def connect_to_page(address: str) -> ClientConnection:
 
 
 def look_on(address: str) -> None:
-    """A client of the page's socket: takes what a browser is sent, and answers nothing."""
+    """Run a client of the page's socket that receives everything a browser would, and answers nothing."""
     with connect_to_page(address) as page:
         print("at work", flush=True)
         for _ in page:
@@ -345,7 +353,7 @@ def look_on(address: str) -> None:
 
 
 def repeat_in_c(program: str, rate_hz: str, realtime: str, priority: str) -> None:
-    """The loop in C, turn after turn; says how many deadlines it missed when it is asked to end."""
+    """Run the C loop in turns; print the deadlines that it missed on SIGTERM."""
     rig = load_rig("simulated", {"servo.rate_hz": float(rate_hz), "servo.priority": int(priority)})
     if realtime == "off":
         rig = load_rig("simulated", {"servo.rate_hz": float(rate_hz), "servo.realtime": "off"})

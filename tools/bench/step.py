@@ -1,4 +1,4 @@
-"""`bench step`: cost of the contact step on scenes, of each scene without its parts, and of every feature there is."""
+"""`bench step`: cost of the contact step on scenes, of each scene without its parts, and of every feature."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from softfinger.config.load import load_scene, shipped
 from softfinger.config.schema import Scene
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch
-from softfinger.server.offline.cost import BLOCK, Cost, bare, measure, touching_poses, without_parts
+from softfinger.server.offline.cost import BLOCK, Cost, bare_contact, measure, touching_poses, without_parts
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.bench.features import Feature, all_features, corner_poses
@@ -22,14 +22,14 @@ from softfinger.tools.measure import add_output_options, show
 
 REFERENCE_OPERATIONS: Final = 100
 CORNER: Final = "corner"
-"""Shipped scene of three walls: its poses press into all of them at once."""
+"""Shipped scene of three walls; its poses press into all of them at once."""
 ROUNDS: Final = 40
-"""Turns that scenes take which are compared, so that a slower moment of the machine hits all of them."""
+"""Turns of the scenes that are compared, so that a slow moment of the machine affects all of them."""
 
 
 @entry
 def time_reference(factor: float, count: int, watch: Stopwatch) -> float:
-    """Chains of REFERENCE_OPERATIONS multiplications and additions, each waiting for the one before."""
+    """Run chains of REFERENCE_OPERATIONS multiplications and additions, each dependent on the previous one."""
     x = 0.5
     for block in range(watch.ns.shape[0]):
         begun = now_ns(watch.timespec)
@@ -41,7 +41,7 @@ def time_reference(factor: float, count: int, watch: Stopwatch) -> float:
 
 
 def reference_ns() -> float:
-    """Time of one such chain now, ns."""
+    """Return the present time of one such chain, ns."""
     watch, count = stopwatch(50), 100
     time_reference(0.5, count, watch)
     return float(np.median(watch.ns)) / count
@@ -82,7 +82,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def select(offered: Sequence[Feature], patterns: Sequence[str]) -> list[Feature]:
-    """The features whose names match one of the patterns, all without any; ConfigError for a pattern that none does."""
+    """Return the features with names that match a pattern, all without patterns.
+
+    Raises ConfigError for a pattern without a match.
+    """
     for pattern in patterns:
         if not any(fnmatch(feature.name, pattern) for feature in offered):
             raise ConfigError(
@@ -94,7 +97,7 @@ def select(offered: Sequence[Feature], patterns: Sequence[str]) -> list[Feature]
 
 def variants(name: str, scene: Scene, blocks: int) -> list[dict[str, Any]]:
     poses = corner_poses() if name == CORNER else touching_poses(scene)
-    parts = [("whole", scene), *((f"without {n}", s) for n, s in without_parts(scene)), ("bare", bare(scene))]
+    parts = [("whole", scene), *((f"without {n}", s) for n, s in without_parts(scene)), ("bare", bare_contact(scene))]
     units, costs = in_turns([(part, poses) for _, part in parts], blocks)
     rows: list[dict[str, Any]] = []
     for (label, _), turns in zip(parts, costs, strict=True):
@@ -109,8 +112,10 @@ def variants(name: str, scene: Scene, blocks: int) -> list[dict[str, Any]]:
 
 
 def in_turns(measured: Sequence[tuple[Scene, Any]], blocks: int) -> tuple[list[float], list[list[Cost]]]:
-    """Scenes with their poses, `blocks` blocks each in ROUNDS turns: of each turn the reference, ns; of each scene the
-    Cost in each turn."""
+    """Measure scenes with their poses, `blocks` blocks each in ROUNDS turns.
+
+    Returns the time of the reference in each turn, ns, and the Cost of each scene in each turn.
+    """
     units, costs = [], []
     for _ in range(ROUNDS):
         units.append(reference_ns())
@@ -119,13 +124,16 @@ def in_turns(measured: Sequence[tuple[Scene, Any]], blocks: int) -> tuple[list[f
 
 
 def quiet(values: Any) -> float:
-    """The quietest turn's: whatever shares a core with this program slows steps by a third, for seconds on end, and a
-    median over turns would be now that of the slow ones, now that of the others."""
+    """Return the value of the quietest turn.
+
+    Programs that share a core with this one slow its steps by a third, for seconds. A median over turns would be the
+    value of slow turns in one run and of fast turns in another.
+    """
     return float(np.min(values))
 
 
 def features(chosen: Sequence[Feature], blocks: int) -> list[dict[str, Any]]:
-    """Cost of each feature: of a scene with it, and the difference from the scene without it, in ns."""
+    """Return the cost of each feature: a scene with it, and the difference from the scene without it, in ns."""
     rows = []
     with progress("measuring features", len(chosen)) as done:
         for number, feature in enumerate(chosen):
@@ -135,11 +143,11 @@ def features(chosen: Sequence[Feature], blocks: int) -> list[dict[str, Any]]:
 
 
 def cost_of(feature: Feature, blocks: int) -> dict[str, Any]:
-    """Over turns of `blocks` blocks in all. Where the feature changes the touched surface the poses do, too."""
+    """Measure a feature over turns of `blocks` blocks in all; the poses change with the touched surface."""
     scenes = feature.without, feature.having
     if feature.poses is not None:
         poses = feature.poses()
-    elif bare(feature.without).object[0] == bare(feature.having).object[0]:
+    elif bare_contact(feature.without).object[0] == bare_contact(feature.having).object[0]:
         poses = (touching_poses(feature.without),) * 2
     else:
         poses = touching_poses(feature.without), touching_poses(feature.having)
@@ -168,7 +176,7 @@ def table(result: dict[str, Any]) -> list[str]:
                 f"thread {row['cpu_ns_per_step']:.1f} ns{marginal}"
             )
     if "features" in result:
-        lines.append("what a feature adds, and to what")
+        lines.append("cost of a feature, and the scene it is added to")
         for row in result["features"]:
             cost, unit = row["ns_per_step"], row["reference_ns"]
             lines.append(
@@ -179,7 +187,7 @@ def table(result: dict[str, Any]) -> list[str]:
 
 
 def draw(result: dict[str, Any], args: argparse.Namespace) -> None:
-    """The scenes' variants, and below them what each feature adds."""
+    """Draw the variants of the scenes and, below them, the cost of each feature."""
     steps = [(f"{s['scene']}: {row['variant']}", row["ns_per_step"]) for s in result["scenes"] for row in s["variants"]]
     added = [(row["feature"], row["marginal_ns"]) for row in result.get("features", [])]
     parts = [(rows, axis) for rows, axis in ((steps, "ns per step, back to back"), (added, "ns added")) if rows]

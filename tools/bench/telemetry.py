@@ -1,9 +1,10 @@
-"""`bench telemetry`: from the tick to the subscriber, end to end, over real sockets and processes.
+"""`bench telemetry`: latency from the tick to the subscriber, end to end, over real sockets and processes.
 
-One process runs the daemon, each subscriber is a process of its own. Beside it, in turn, so that whatever the machine
-does meanwhile falls on all of them: a sender in C over libzmq that does nothing else, where there is a compiler; with
-`--busy` the daemon with a thread that spins in Python inside it, and the sender beside a process that does so; with
-`--forward` what `softfinger forward` hands on, by CURVE with `--keys`; with `--beside` the daemon of another version.
+One process runs the daemon, and each subscriber is a separate process. Further sources run in turn, so that
+disturbances of the machine affect all of them. If there is a compiler, one is a sender in C over libzmq that does
+nothing else. With `--busy`, the daemon has a thread that spins in Python, and the sender has a process that does so.
+With `--forward`, the source is `softfinger forward`, by CURVE with `--keys`. With `--beside`, it is the daemon of
+another version.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ from softfinger.server.keys import client_keys, make_pair
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.publishing.messages import Messages
-from softfinger.server.publishing.setup import Shown, Ticks
+from softfinger.server.publishing.setup import StateInfo, Ticks
 from softfinger.server.wire.client import NoTelemetry
 from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
 from softfinger.tools.measure import Array, add_output_options, microseconds, quantiles, show
 
 START_S: Final = 180.0
-"""How long a cold daemon may take to compile."""
+"""Longest time for a cold daemon to compile."""
 
 TURN_S: Final = 10.0
 SOURCE: Final = Path(__file__).with_name("reference_sender.c")
 _EIGHT_BYTES: Final = 2**50 + 1
-"""A tick that a message has as eight bytes, as many as the sender in C puts in; no `state` goes with it."""
+"""A tick that is encoded in eight bytes, like those of the C sender; no `state` message is sent with it."""
 
 SPINNING: Final = """
 import sys, threading
@@ -66,20 +67,20 @@ if os.fork() == 0:
     os._exit(0)
 os.execv(sys.argv[1], sys.argv[1:])
 """
-"""The sender in C with as much Python spinning on the machine: how much of the delay is the subscribers' own."""
+"""The C sender with as much Python spinning on the machine; it shows the delay that is caused by the subscribers."""
 
 FORWARD: Final = "forward"
 
 
 class Turn(NamedTuple):
-    """What the subscribers of a source saw: (n, 2) tick, latency s, of each; and the source's share of a processor."""
+    """Data of the subscribers of a source: (n, 2) tick, latency s, of each; and the source's share of a processor."""
 
     seen: list[Array]
     load: float
 
 
 class Source(NamedTuple):
-    """Something that publishes: its process, the endpoint, and the client's key files, none where no key is needed."""
+    """Publisher: its process, the endpoint, and the client's key files, empty if no key is needed."""
 
     process: subprocess.Popen[Any]
     endpoint: str
@@ -91,11 +92,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure each (default: %(default)s)")
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="ticks per second (%(default)s)")
     parser.add_argument("--transport", choices=["tcp", "ipc"], default="tcp", help="default: %(default)s")
-    parser.add_argument("--busy", action="store_true", help="also with Python that spins, in the daemon and beside C")
+    parser.add_argument(
+        "--busy", action="store_true", help="also with a busy Python thread, in the daemon and next to the C loop"
+    )
     parser.add_argument("--forward", action="store_true", help="also through `softfinger forward`")
     parser.add_argument("--keys", action="store_true", help="with --forward: by CURVE keys")
     parser.add_argument("--rig", default="replay", help="rig file or name (default: %(default)s)")
-    parser.add_argument("--beside", metavar="PYTHON", help="interpreter of another version, whose daemon takes turns")
+    parser.add_argument("--beside", metavar="PYTHON", help="interpreter of another version; the daemons run in turn")
     add_output_options(parser)
 
 
@@ -131,7 +134,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def commands(args: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
-    """The words that start each source; `ENDPOINT` stands where its endpoint belongs."""
+    """Return the command line of each source; `ENDPOINT` is replaced by its endpoint."""
     daemon = ["run", "--endpoint", "ENDPOINT", "--commands", "off", "--rate", repr(args.rate), "--rig", args.rig]
     found = {}
     if (program := compile_reference(folder)) is not None:
@@ -149,7 +152,7 @@ def commands(args: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
 
 
 def compile_reference(folder: Path) -> list[str] | None:
-    """The sender in C and the library it is to load; None where there is no C compiler."""
+    """Compile the C sender; returns it with the library that it has to load, None if there is no C compiler."""
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         return None
@@ -163,18 +166,20 @@ def compile_reference(folder: Path) -> list[str] | None:
 
 
 def body(folder: Path) -> list[str]:
-    """A file with the map of a message in free space, and where in it the time and the tick are."""
+    """Write a file with the map of a message in free space; returns it with the positions of time and tick."""
     record, path = [0.0] * RECORD_SIZE, folder / "body"
     for i in range(PATCHES):
         record[NAMED[f"contacts{i}.object"].at] = -1.0
     record[AT.timestamp], record[AT.tick] = 1.5, float(_EIGHT_BYTES)
-    ((_, made),) = Messages(Ticks(SCHEMA, 1, [CONTACT], STATE, STATE_HZ), Shown(rate_hz=1e9)).of(tuple(record))
+    ((_, made),) = Messages(Ticks(SCHEMA, 1, [CONTACT], STATE, STATE_HZ), StateInfo(rate_hz=1e9)).encode_row(
+        tuple(record)
+    )
     path.write_bytes(made)
     return [str(path), *(str(made.index(each)) for each in (struct.pack(">d", 1.5), struct.pack(">q", _EIGHT_BYTES)))]
 
 
 def measure(name: str, words: list[str], args: argparse.Namespace, seconds: float) -> Turn:
-    """A turn of a source; of what is forwarded, the share of a processor is that of the process that does so."""
+    """Run a turn of a source; the share of a processor is that of the forwarding process if there is one."""
     with tempfile.TemporaryDirectory() as made, ExitStack() as running:
         shown = running.enter_context(source(words, args.transport, Path(made)))
         await_messages(shown.endpoint)
@@ -186,7 +191,7 @@ def measure(name: str, words: list[str], args: argparse.Namespace, seconds: floa
 
 
 def processor_s(pid: int) -> float:
-    """Time that a process and its children have had of processors."""
+    """Return the processor time of a process and its children."""
     fields = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()
     children = " ".join(each.read_text("ascii") for each in Path(f"/proc/{pid}/task").glob("*/children")).split()
     own = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
@@ -195,14 +200,14 @@ def processor_s(pid: int) -> float:
 
 @contextmanager
 def source(words: list[str], transport: str, folder: Path) -> Iterator[Source]:
-    """A process that publishes until the block ends."""
+    """Run a process that publishes until the block ends."""
     if transport == "ipc":
         endpoint = f"ipc://{folder}/source.sock"
     else:
         with zmq.Context() as context, context.socket(zmq.PUB) as probe:
             endpoint = f"tcp://127.0.0.1:{probe.bind_to_random_port('tcp://127.0.0.1')}"
     started = [endpoint if word == "ENDPOINT" else word for word in words]
-    with subprocess.Popen(started, stderr=subprocess.DEVNULL, process_group=0) as process:  # Ctrl-C is not for it
+    with subprocess.Popen(started, stderr=subprocess.DEVNULL, process_group=0) as process:  # Ctrl-C does not reach it
         try:
             yield Source(process, endpoint)
         finally:
@@ -212,7 +217,7 @@ def source(words: list[str], transport: str, folder: Path) -> Iterator[Source]:
 
 @contextmanager
 def forward(endpoint: str, keys: bool, folder: Path) -> Iterator[Source]:
-    """A process that hands on what comes from an endpoint; its keys, if any, are in the folder."""
+    """Run a process that forwards from an endpoint; its keys, if any, are in the folder."""
     words = [sys.executable, "-m", "softfinger.server.cli", "forward", "--from", endpoint, "--to", "tcp://127.0.0.1:*"]
     pair: tuple[str, ...] = ()
     if keys:
@@ -238,13 +243,13 @@ def await_messages(endpoint: str) -> None:
         socket.linger = 0
         socket.subscribe(b"contact")
         socket.connect(endpoint)
-        with progress("the daemon starts, and compiles what is not kept"):
+        with progress("the daemon starts, and compiles kernels that are not cached"):
             if not socket.poll(int(START_S * 1000)):
                 raise NoTelemetry(f"nothing arrived from {endpoint} within {START_S:g} s: does `softfinger run` start?")
 
 
 def subscribe_all(name: str, shown: Source, subscribers: int, seconds: float, folder: Path) -> list[Array]:
-    """Messages of every subscriber, (n, 2): tick, latency s."""
+    """Return the messages of every subscriber, (n, 2): tick, latency s."""
     paths = [folder / f"{number}.npy" for number in range(subscribers)]
     words = [sys.executable, "-m", "softfinger.tools.bench.telemetry", shown.endpoint, repr(seconds)]
     processes = [subprocess.Popen([*words, str(path), *shown.keys]) for path in paths]
@@ -260,13 +265,13 @@ def subscribe_all(name: str, shown: Source, subscribers: int, seconds: float, fo
 
 
 def receive(endpoint: str, seconds: float, path: str, *keys: str) -> None:
-    """A subscriber: notes each message's tick and age as it arrives, and saves them at the end."""
+    """Run a subscriber that records tick and age of each message on arrival, and saves them at the end."""
     import msgpack
 
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.rcvhwm, socket.rcvtimeo, socket.linger = 0, 10_000, 0
         if keys:
-            client_keys(*keys).put_on(socket)
+            client_keys(*keys).apply_to(socket)
         socket.subscribe(b"contact")
         socket.connect(endpoint)
         seen: list[tuple[float, bytes]] = []
@@ -274,8 +279,8 @@ def receive(endpoint: str, seconds: float, path: str, *keys: str) -> None:
         while time.monotonic() < end:
             _, body = socket.recv_multipart()
             seen.append((time.time(), body))
-    # Decoded afterwards: what a subscriber does with a message is its own affair. The first second is the
-    # start of all the others.
+    # Messages are decoded afterwards, since their use by a subscriber is not measured. In the first second the other
+    # subscribers start.
     messages = [(at, msgpack.unpackb(body)) for at, body in seen if at > seen[0][0] + 1.0]
     np.save(path, np.array([(message["tick"], at - message["timestamp"]) for at, message in messages]))
 

@@ -1,4 +1,4 @@
-"""`bench`: what a step costs, how late the servo wakes, how long a device and telemetry take."""
+"""`bench`: cost of a step, lateness of the servo, and duration of device exchange and telemetry."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ KINDS: Final = {
     "step": ("softfinger.tools.bench.step", "cost of the contact step, back to back"),
     "closed-loop": ("softfinger.tools.bench.closed_loop", "ticks per second with a simulated device, offline"),
     "simulate": ("softfinger.tools.bench.simulate", "how fast `simulate` is, from its start to the file"),
-    "loop": ("softfinger.tools.bench.loop", "lateness and execution time of the servo loop, beside a C loop"),
-    "device": ("softfinger.tools.bench.device", "time of an exchange with a device, beside one that does nothing"),
+    "loop": ("softfinger.tools.bench.loop", "lateness and execution time of the servo loop, compared with a C loop"),
+    "device": ("softfinger.tools.bench.device", "time of an exchange with a device, compared with an empty one"),
     "commands": (
         "softfinger.tools.bench.commands",
-        "what commands do to a hand that presses: torn sets, steps, memory",
+        "effect of commands on a pressing hand: torn sets, steps, memory",
     ),
-    "grasp": ("softfinger.tools.bench.grasp", "a box held by soft fingertips, beside MuJoCo's own contact"),
     "mesh": ("softfinger.tools.bench.mesh", "cost of a tick on a mesh, by its size"),
-    "view": ("softfinger.tools.bench.view", "what pages cost the servo, and how many pictures a second they draw"),
-    "soak": ("softfinger.tools.bench.soak", "a long run with everything on: what grows, what is missed or lost"),
-    "telemetry": ("softfinger.tools.bench.telemetry", "time from tick to subscriber, and what was lost"),
+    "view": ("softfinger.tools.bench.view", "cost of pages for the servo, and their frame rate"),
+    "soak": (
+        "softfinger.tools.bench.soak",
+        "a long run with all services: growth of memory, missed ticks, lost records",
+    ),
+    "telemetry": ("softfinger.tools.bench.telemetry", "time from tick to subscriber, and lost records"),
 }
 
 

@@ -1,9 +1,9 @@
-"""`bench view`: what pages that look on cost the servo, and how many pictures a second a page draws.
+"""`bench view`: cost of open pages for the servo, and frame rate of a page.
 
-One process runs the daemon, each viewer is a process of its own. Cases take turns, so that whatever the machine does
-meanwhile falls on all of them: no viewer; viewers that no browser has opened, one and several; with `--browsers` one
-viewer with a page in Chromium, and with several. Their pictures are drawn by software, as on a machine without a
-graphics card, and counted by the page itself.
+One process runs the daemon, and each viewer is a separate process. Cases take turns, so that disturbances of the
+machine affect all of them: no viewer; viewers without a browser, one and several; with `--browsers` one viewer with a
+page in Chromium, and with several. Their frames are drawn in software, as on a machine without a graphics card, and
+counted by the page itself.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from softfinger.tools.measure import Array, add_output_options, microseconds, qu
 
 TURN_S: Final = 10.0
 SETTLE_S: Final = 8.0
-"""A page that is slow first lowers its resolution, twice."""
+"""A slow page first lowers its resolution, twice."""
 SIZE: Final = (1100, 700)
-"""Of a page, pixels."""
+"""Size of a page, pixels."""
 ARGUMENTS: Final = [
     "--no-sandbox",
     "--disable-gpu",
@@ -46,7 +46,7 @@ ARGUMENTS: Final = [
     "--disable-component-update",
     "--disable-sync",
 ]
-"""A Chromium that draws in software, and asks nobody for anything."""
+"""Arguments for a Chromium that draws in software and makes no requests to the network."""
 
 COUNT: Final = """() => {
     const begun = performance.now();
@@ -58,14 +58,19 @@ COUNT: Final = """() => {
 
 
 class Case(NamedTuple):
-    """How many processes serve a page, and how many browsers' pages are open at the first of them."""
+    """Number of viewer processes, and number of browser pages that are open at the first of them."""
 
     viewers: int
     pages: int
 
 
 class Turn(NamedTuple):
-    """Ticks (n, 3): lateness s, busy s, deadlines missed so far; a viewer's share of a processor; frames a second."""
+    """Results of a turn.
+
+    ticks   (n, 3)  lateness s, busy s, deadlines missed so far
+    load            a viewer's share of a processor
+    frames          frames a second of each page
+    """
 
     ticks: Array
     load: float
@@ -102,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def cases(args: argparse.Namespace) -> dict[str, Case]:
-    """What is measured, by what it is called; ConfigError for browsers that are not there."""
+    """Return the cases by name; raises ConfigError if browsers are not available."""
     if args.viewers < 1 or args.browsers < 0:
         raise ConfigError(f"--viewers {args.viewers} --browsers {args.browsers}: give at least 1 viewer, 0 browsers")
     found = {"no viewer": Case(0, 0), "1 viewer": Case(1, 0)}
@@ -118,7 +123,7 @@ def cases(args: argparse.Namespace) -> dict[str, Case]:
 
 
 def measure(case: Case, endpoint: str, commands: str, seconds: float) -> Turn:
-    """The daemon's ticks while so many look on."""
+    """Return the daemon's ticks with the viewers and pages of a case."""
     with ExitStack() as running:
         words = ["--endpoint", endpoint, "--commands", commands]
         served = [running.enter_context(viewer(*words)) for _ in range(case.viewers)]
@@ -133,7 +138,7 @@ def measure(case: Case, endpoint: str, commands: str, seconds: float) -> Turn:
 
 
 def received(endpoint: str, seconds: float) -> Array:
-    """Every tick (n, 3) of so many seconds: lateness s, busy s, deadlines missed so far."""
+    """Return every tick (n, 3) of some seconds: lateness s, busy s, deadlines missed so far."""
     rows, end = [], time.monotonic() + seconds
     with subscribe(endpoint) as samples:
         while (left := end - time.monotonic()) > 0.0:
@@ -145,9 +150,12 @@ def received(endpoint: str, seconds: float) -> Array:
 
 @contextmanager
 def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A process `softfinger view` with these words, and its page's address; ConfigError with what it said without."""
+    """Run `softfinger view` with arguments; yields the process and the address of its page.
+
+    Raises ConfigError with the output of the process if there is no page.
+    """
     command = [sys.executable, "-m", "softfinger.server.cli", "view", "--no-open", *words]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:  # nor is Ctrl-C
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:  # no Ctrl-C
         assert process.stderr is not None
         try:
             said = ""
@@ -164,7 +172,10 @@ def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 @contextmanager
 def opened(address: str, count: int) -> Iterator[list[Any]]:
-    """So many pages of a Chromium without a screen, once they are drawn; ConfigError without playwright."""
+    """Open pages in a Chromium without a screen and wait until they are drawn.
+
+    Raises ConfigError without playwright.
+    """
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
@@ -186,7 +197,7 @@ def opened(address: str, count: int) -> Iterator[list[Any]]:
 
 
 def summary(turns: list[Turn]) -> dict[str, Any]:
-    """What is told of a case."""
+    """Return the results of a case."""
     late, busy = (np.concatenate([turn.ticks[:, column] for turn in turns]) for column in (0, 1))
     missed = [float(turn.ticks[-1, 2] - turn.ticks[0, 2]) for turn in turns]
     frames = [rate for turn in turns for rate in turn.frames]

@@ -1,4 +1,4 @@
-"""`softfinger doctor`: whether this machine is good enough, and a report of a device that an issue can carry.
+"""`softfinger doctor`: checks of this machine, and a device report for an issue.
 
-Nothing here mends: it tells what would.
+Contains no repair: a check only names the remedy.
 """

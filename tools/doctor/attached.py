@@ -1,4 +1,4 @@
-"""What reaches devices on this machine: libraries, the maker's library, and what is attached."""
+"""Checks of the access to devices on this machine: libraries, makers' libraries, and attached devices."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from softfinger.config.schema import Rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system import libusb as system_libusb
-from softfinger.drivers.system.claims import Claim, claim_on, claims, may_be
-from softfinger.drivers.system.diagnosis import OVER_A_LIBRARY, diagnose, makers_library
+from softfinger.drivers.system.claims import Claim, claims, find_claim, matches
+from softfinger.drivers.system.diagnosis import LIBRARY_DRIVERS, diagnose, makers_library
 from softfinger.drivers.system.discovery import Attached
 from softfinger.tools.doctor.check import STATES, Check, State
 
@@ -20,8 +20,8 @@ OVER_HID: Final = ("hid", "spacemouse")
 
 
 def checks(rig: Rig) -> list[Check]:
-    """All of them; what the rig does not need is at worst said."""
-    found = [libusb(rig), hidapi(rig), *(maker_library(rig, driver) for driver in OVER_A_LIBRARY)]
+    """Return all checks; a missing part that the rig does not need is at worst "could be better"."""
+    found = [libusb(rig), hidapi(rig), *(maker_library(rig, driver) for driver in LIBRARY_DRIVERS)]
     if single_device(rig).driver == "haply":
         found.append(inverse_service(rig))
     return [*found, *devices(rig, discovery.attached())]
@@ -59,7 +59,7 @@ def hidapi(rig: Rig) -> Check:
 
 
 def maker_library(rig: Rig, driver: str) -> Check:
-    """A maker's library, which does not come with this program; only its own devices need it."""
+    """Check a maker's library, which is not part of this program; only its devices need it."""
     library = makers_library(driver)
     needed = single_device(rig).driver == driver
     wanted = "there, for the maker's devices"
@@ -73,26 +73,26 @@ def maker_library(rig: Rig, driver: str) -> Check:
 
 
 def inverse_service(rig: Rig) -> Check:
-    """Haply's service, which has the devices; it is asked what it lists, and nothing is sent to a device."""
-    from softfinger.drivers.haply import link, opening
+    """Check Haply's service, which owns the devices: query its list, without sending anything to a device."""
+    from softfinger.drivers.haply import dial, opening
 
     options = single_device(rig).options
     try:
         said = opening.identify(options.get("port", opening.PORT), options.get("version"))
     except HapticError as error:
-        return Check("Inverse Service", "bad", str(error), "running", link.START)
+        return Check("Inverse Service", "bad", str(error), "running", dial.START)
     state: State = "good" if said["devices"] else "bad"
     shown = f"version {said['service']}, lists {', '.join(said['devices'] + said['grips']) or 'no device'}"
     return Check("Inverse Service", state, shown, "running, with a device", "plug the device in and switch it on")
 
 
 def devices(rig: Rig, found: list[Attached]) -> list[Check]:
-    """Each device that a driver claims, as `devices` diagnoses it; bad where it is the rig's and cannot be used."""
+    """Check each device that a driver claims, as `devices` diagnoses it; bad if the rig needs it and it is unusable."""
     driver, wanted = single_device(rig).driver, "usable"
     seen, own = [], False
     for device in found:
-        claim, mine = claim_on(device), is_of(rig, device)
-        if claim is None and mine:  # the rig describes it, and no shipped one does
+        claim, mine = find_claim(device), is_of(rig, device)
+        if claim is None and mine:  # only the rig describes it, no shipped rig does
             claim = Claim(driver, device.bus, device.vendor, device.product)
         if claim is None:
             continue
@@ -116,10 +116,10 @@ def devices(rig: Rig, found: list[Attached]) -> list[Check]:
 
 
 def is_of(rig: Rig, device: Attached) -> bool:
-    """Whether a device may be the one that a rig names: by its ids where the rig has them, else by its driver."""
-    options, claim = single_device(rig).options, claim_on(device)
+    """Return whether a device may be the rig's: by its ids or path if the rig gives them, else by its driver."""
+    options, claim = single_device(rig).options, find_claim(device)
     if "vendor_id" in options:
-        return may_be(device, options)
+        return matches(device, options)
     if options.get("path") is not None:
         return bool(device.node == options["path"])
     return claim is not None and claim.driver == single_device(rig).driver

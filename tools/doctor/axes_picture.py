@@ -1,4 +1,4 @@
-"""The axes of a device as a picture of text: where the world's lie, how far the handle went, what was seen of it."""
+"""Picture of a device's axes in text: directions in the world, range of the handle, and observed motions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ WORDS: Final = {"+x": "right", "+y": "away from you", "+z": "up", "-x": "left", 
 
 
 def picture(report: Report) -> list[str]:
-    """Arrows of x, y and z with the range of the handle along each; beside an axis, which motion came out along it."""
+    """Draw arrows of x, y and z with the range of the handle along each, and list the motions seen along each axis."""
     span = report["range"]
     reach = ["not seen"] * 3
     if span is not None:
@@ -31,7 +31,7 @@ def picture(report: Report) -> list[str]:
 
 
 def _motions(report: Report) -> list[str]:
-    """What was asked for, with an arrow to what was seen: the axis and sense that moved."""
+    """Format each requested motion with an arrow to the axis and sense that moved."""
     found = []
     for move in report["moves"]:
         if move["kind"] == "translation":

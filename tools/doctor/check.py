@@ -1,4 +1,4 @@
-"""One thing that `doctor` looks at."""
+"""Result of one check of `doctor`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ STATES: Final[tuple[State, ...]] = ("good", "could be better", "bad")
 
 
 class Check(NamedTuple):
-    """What was seen, what is wanted, and the command or setting that mends it; no remedy where it is good."""
+    """Observation, expectation, and the command or setting as the remedy; a good state has no remedy."""
 
     name: str
     state: State
@@ -19,12 +19,12 @@ class Check(NamedTuple):
 
 
 def graded(value: float, fair: float, bad: float) -> State:
-    """State of a number that is good up to `fair` and bad above `bad`."""
+    """Return the state of a number that is good up to `fair` and bad above `bad`."""
     return STATES[(value > fair) + (value > bad)]
 
 
 def lines(checks: list[Check]) -> list[str]:
-    """The checks for people: the state, what was seen, and below it what to do."""
+    """Format the checks for people: state and observation, and below them the remedy."""
     text = []
     for check in checks:
         text.append(f"  {check.state:<16}{check.name}: {check.seen}")

@@ -1,4 +1,4 @@
-"""What the servo does on this machine: real-time settings really made, ticks really run, a step really timed."""
+"""Checks of the servo on this machine: real-time settings are applied, ticks are run, and a step is timed."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.cost import measure as step_cost
 from softfinger.server.offline.cost import touching_poses
-from softfinger.server.progress import making, progress
+from softfinger.server.progress import progress, report_compilation
 from softfinger.server.wire.publisher import Publisher
 from softfinger.tools.bench import loop
 from softfinger.tools.doctor.check import STATES, Check, graded
 
 MISSED_FAIR: Final = 1e-4
-"""Share of missed ticks: one in ten seconds at 1 kHz. A missed tick holds the force for one more period."""
+"""Fraction of missed ticks: one in ten seconds at 1 kHz. A missed tick extends the force by one period."""
 MISSED_BAD: Final = 1e-2
 """One in a hundred is felt as roughness of a stiff wall."""
 LATE_FAIR: Final = 0.1
-"""p99 of the lateness over the period. A sample a tenth of a period off makes a velocity that is a tenth off."""
+"""p99 of the lateness over the period. Lateness of a tenth of a period makes a velocity wrong by a tenth."""
 LATE_BAD: Final = 0.5
-"""Past half a period the device's exchange, which takes its own part, no longer fits."""
+"""Above half a period there is no time for the exchange with the device."""
 STEP_FAIR: Final = 0.1
-"""Cost of a step over the period: on top of it come the exchange, lateness and, with cold caches, as much again."""
+"""Cost of a step over the period. Exchange, lateness and, with cold caches, as much again are added to it."""
 STEP_BAD: Final = 0.5
 STEP_BLOCKS: Final = 10
 
 
 def without_device(rig: Rig) -> Rig:
-    """The rig's loop on a recording: nothing is displayed while the machine is measured."""
+    """Return the rig's loop on a recording, so that no force is displayed while the machine is measured."""
     keys = ("rate_hz", "realtime", "priority", "cpu")
     values = {f"servo.{key}": getattr(rig.servo, key) for key in keys}
     return load_rig("replay", {key: value for key, value in values.items() if value is not None})
 
 
 def settings(rig: Rig) -> list[Check]:
-    """Each real-time setting made in a thread of its own, and given back."""
+    """Apply each real-time setting in a separate thread, and undo it."""
     made: list[realtime.Setting] = []
     thread = threading.Thread(target=lambda: made.extend(_apply(rig)))
     thread.start()
@@ -68,10 +68,10 @@ def _apply(rig: Rig) -> list[realtime.Setting]:
 
 
 def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
-    """Whether compiled kernels are kept, and were there; compiles what is not."""
+    """Check whether compiled kernels are cached, and compile the missing ones."""
     bare = without_device(rig)
     begun = time.monotonic()
-    with making("kernels of the scene"), open_device(single_device(bare), bare.servo.rate_hz) as device:
+    with report_compilation("kernels of the scene"), open_device(single_device(bare), bare.servo.rate_hz) as device:
         servo = Servo([device] * len(scene.fingers), make_tuning(scene, bare.guard), bare.servo.rate_hz)
         warm = servo.compile()
         servo.close()
@@ -88,8 +88,10 @@ def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
 
 
 def lateness(rig: Rig, scene: Scene, seconds: float, plot: Path | None = None) -> tuple[list[Check], dict[str, Any]]:
-    """Missed ticks and wake-up lateness of the servo on a recording, and the figures, beside the loop in C; drawn to
-    `plot`."""
+    """Measure missed ticks and wake-up lateness of the servo on a recording, and the C loop for comparison.
+
+    Returns the checks and the figures, and draws the lateness to `plot`.
+    """
     runs, _ = loop.measure(without_device(rig), scene, seconds, busy=False)
     result = loop.evaluate({name: np.concatenate(parts) for name, parts in runs.items()}, rig.servo.rate_hz)
     if plot is not None:
@@ -98,34 +100,34 @@ def lateness(rig: Rig, scene: Scene, seconds: float, plot: Path | None = None) -
 
 
 def judged(result: dict[str, Any]) -> list[Check]:
-    """The checks of the figures of `tools.bench.loop.evaluate`."""
+    """Return the checks for the figures of `tools.bench.loop.evaluate`."""
     period, servo = 1.0 / result["rate_hz"], result["servo"]
     share, late = servo["missed"] / servo["ticks"], servo["late"]["p99"]
     beside = "no C compiler here to compare with (install gcc)"
     if "c" in result:
         theirs = result["c"]["late"]["p99"]
         beside = f"the same loop in C {theirs * 1e6:.0f} us, {theirs / period:.1%}"
-    quiet = "end other programs, set servo.cpu to a processor of its own, isolcpus= on the kernel's command line"
+    quiet = "stop other programs, reserve a processor for servo.cpu with isolcpus= on the kernel's command line"
     return [
         Check(
             "ticks in time",
             graded(share, MISSED_FAIR, MISSED_BAD),
             f"{servo['missed']} of {servo['ticks']} missed ({share:.3%}) at {result['rate_hz']:g} Hz",
             f"at most {MISSED_FAIR:.2%}; above {MISSED_BAD:.0%} it is felt",
-            f"mend what is named above; {quiet}; or a lower servo.rate_hz",
+            f"correct the faults listed above; {quiet}; or a lower servo.rate_hz",
         ),
         Check(
             "wake-up lateness",
             graded(late / period, LATE_FAIR, LATE_BAD),
             f"p99 {late * 1e6:.0f} us, {late / period:.1%} of the period; {beside}",
             f"at most {LATE_FAIR:.0%} of the period; above {LATE_BAD:.0%} a tick does not fit",
-            f"mend what is named above; {quiet}",
+            f"correct the faults listed above; {quiet}",
         ),
     ]
 
 
 def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
-    """Cost of one contact step in contact, in relation to the period."""
+    """Measure the cost of a contact step, in contact, relative to the period."""
     with progress("measuring the contact step"):
         cost = step_cost(scene, touching_poses(scene), STEP_BLOCKS)
     share = cost.median_ns * 1e-9 * rig.servo.rate_hz
@@ -139,11 +141,11 @@ def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
 
 
 def endpoint(rig: Rig) -> Check:
-    """Whether the rig's telemetry endpoint can be bound; it is released at once."""
+    """Check whether the rig's telemetry endpoint can be bound; it is released at once."""
     where, wanted = rig.telemetry.endpoint, "free to be bound"
     try:
         Publisher(where).close()
     except HapticError as error:
-        holder = "end the program that holds it" if isinstance(error, AddressInUse) else "choose another"
+        holder = "end the program that uses it" if isinstance(error, AddressInUse) else "choose another"
         return Check("telemetry endpoint", "bad", str(error), wanted, f"{holder}, or run with --endpoint ANOTHER")
     return Check("telemetry endpoint", "good", f"{where} is free", wanted)

@@ -1,6 +1,6 @@
-"""What the machine says of itself: Python, packages, system, processors, clock. Nothing is measured here.
+"""Checks of system information without a measurement: Python, packages, system, processors, clock.
 
-Files of the system are read below `root`, so that a test can give another machine's.
+System files are read below `root`, so that a test can use the files of another machine.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ CPUS: Final = Path("sys/devices/system/cpu")
 CLOCK: Final = Path("sys/devices/system/clocksource/clocksource0/current_clocksource")
 
 FAST_CLOCKS: Final = ("tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter")
-"""Sources that the C library reads without a system call; the loop reads the clock three times a tick."""
+"""Clock sources that the C library reads without a system call; the loop reads the clock three times a tick."""
 RESOLUTION_S: Final = 1e-6
-"""Coarser means no high-resolution timers: sleeps then end on the scheduler's tick, 1 to 10 ms apart."""
+"""A coarser resolution means no high-resolution timers: sleeps then end on the scheduler's tick, 1 to 10 ms apart."""
 PROCESSORS: Final = 2
-"""One for the servo, one for the rest: on a single one every message delays a tick."""
+"""One for the servo and one for other threads: on a single processor, every message delays a tick."""
 CONTAINER_WORDS: Final = re.compile(r"docker|containerd|kubepods|libpod|lxc")
 
 
 def checks(root: Path = ROOT) -> list[Check]:
-    """All of them, in the order in which they are shown."""
+    """Return all checks, in the order of their display."""
     return [python(), packages(), kernel(root), virtual(root), processors(root), frequency(root), clock(root)]
 
 
 def text(path: Path) -> str:
-    """First content of a system's file, empty where it is not."""
+    """Return the stripped contents of a system file, empty if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip("\0\n ")
     except OSError:
@@ -47,7 +47,7 @@ def python() -> Check:
 
 
 def versions() -> dict[str, str]:
-    """Version of every package that softfinger needs, empty where it is not installed; extras are left out."""
+    """Return the version of every package that softfinger needs, empty if it is not installed; without extras."""
     found = {}
     for requirement in metadata.requires("softfinger") or []:
         name, _, condition = requirement.partition(";")
@@ -90,7 +90,7 @@ def kernel(root: Path = ROOT) -> Check:
 
 
 def virtual(root: Path = ROOT) -> Check:
-    """A virtual machine or a container: the first is stalled by its host, the second may lack rights and nodes."""
+    """Check for a virtual machine, which its host may stall, and for a container, which may lack rights and nodes."""
     seen = []
     machine = " ".join(filter(None, (text(root / "sys/class/dmi/id" / key) for key in ("sys_vendor", "product_name"))))
     if re.search(r"^flags\s*:.*\bhypervisor\b", text(root / "proc/cpuinfo"), re.MULTILINE):
@@ -105,7 +105,7 @@ def virtual(root: Path = ROOT) -> Check:
     if any(one.startswith("virtual") for one in seen):
         advice.append("run on the machine itself: a host stalls its guests for milliseconds")
     if "container" in seen:
-        advice.append("give a container what docs/operate/docker.md lists")
+        advice.append("give the container the options in docs/operate/docker.md")
     return Check(
         "bare machine",
         "could be better" if seen else "good",
@@ -116,7 +116,7 @@ def virtual(root: Path = ROOT) -> Check:
 
 
 def stolen(root: Path = ROOT) -> str:
-    """Share of the time that the host has taken from this machine since it was started."""
+    """Return the share of time that the host has taken from this machine since its start."""
     words = text(root / "proc/stat").partition("\n")[0].split()[1:9]
     if len(words) < 8 or not sum(map(int, words)):
         return "time taken by its host unknown"
@@ -140,11 +140,11 @@ def processors(root: Path = ROOT) -> Check:
 
 
 def frequency(root: Path = ROOT) -> Check:
-    """The governor of every processor; one that saves power lets a processor wake slowly, and at a low clock."""
+    """Check the governor of every processor; power saving makes a processor wake slowly and run at a low clock."""
     found = {text(path) for path in (root / CPUS).glob("cpu[0-9]*/cpufreq/scaling_governor")} - {""}
     wanted = "governor performance, or no scaling"
     if not found:
-        return Check("processor frequency", "good", "no scaling to be seen", wanted)
+        return Check("processor frequency", "good", "no frequency scaling found", wanted)
     good = found == {"performance"}
     seen = f"governor {', '.join(sorted(found))}"
     return Check(
@@ -163,6 +163,6 @@ def clock(root: Path = ROOT) -> Check:
     if resolution > RESOLUTION_S:
         return Check("clock", "bad", seen, wanted, "boot a kernel with CONFIG_HIGH_RES_TIMERS, without highres=off")
     if source and source not in FAST_CLOCKS:
-        remedy = f"echo tsc | sudo tee /{CLOCK}   # where available_clocksource beside it lists tsc"
+        remedy = f"echo tsc | sudo tee /{CLOCK}   # if available_clocksource in the same folder lists tsc"
         return Check("clock", "could be better", seen, wanted, remedy)
     return Check("clock", "good", seen, wanted)

@@ -1,5 +1,4 @@
-"""What the rows of a report's parts say of the handle: noise at rest, which axis moved and in which sense, what a
-push did."""
+"""Evaluation of a report's rows: noise at rest, axis and sense of a motion, and response to a push."""
 
 from __future__ import annotations
 
@@ -15,31 +14,37 @@ from softfinger.tools.measure import Array
 AXES: Final = "xyz"
 
 MOVED_M: Final = 0.005
-"""A motion that was asked for is some centimetres; less than this is a hand that did not move."""
+"""Smallest displacement that counts as a motion; requested motions are some centimetres."""
 TURNED_RAD: Final = 0.1
 CLEAR: Final = 2.0
-"""A motion is along an axis when that component is so many times the next largest."""
+"""A motion is along an axis if that component is this many times the next largest."""
 BY_ITSELF: Final = (5.0, 95.0)
-"""Percentiles between which the handle's place at rest is its own motion: a handle that settles first is not one."""
+"""Percentiles between which the position at rest counts as motion by itself; they exclude initial settling."""
 ENDS: Final = 0.1
-"""Share of a part at either end whose median is taken for where the handle was."""
+"""Fraction of a part at either end; the median over it is the start or end position."""
 
 SHARE_MIN: Final = 0.5
-"""Of the variance of the motion, what a push has to account for to be its cause."""
+"""Fraction of the variance of the motion that a push must explain to be its cause."""
 PUSHED_M: Final = 2e-5
-"""A response smaller than the steps of common encoders is none."""
+"""A response smaller than the steps of common encoders counts as none."""
 SPRINGY_DEG: Final = 15.0
-"""Lags nearer than this to 0 are those of a handle held by a springy hand; nearer to half a cycle, those of a free mass
-or of a force of the wrong sign, which are not told apart."""
+"""Lags closer than this to 0 belong to a handle in a springy hand.
+
+Lags closer than this to half a cycle belong to a free mass or to a force of the wrong sign, which are not
+distinguished.
+"""
 
 
 def finite(rows: Array) -> Array:
-    """The rows whose pose is all numbers."""
+    """Return the rows with a finite pose."""
     return rows[np.isfinite(rows[:, SAMPLE : SAMPLE + 7]).all(axis=1)]
 
 
 def rest(rows: Array, turns: bool) -> dict[str, Any] | None:
-    """Place and standard deviation per axis, m, and of the rotation about each world axis, rad; None without rows."""
+    """Return mean position and standard deviation per axis, m, and of the rotation about each world axis, rad.
+
+    Returns None without rows.
+    """
     kept = finite(rows)
     if len(kept) < 2:
         return None
@@ -55,7 +60,7 @@ def rest(rows: Array, turns: bool) -> dict[str, Any] | None:
 
 
 def by_itself(rows: Array) -> Array:
-    """How far (3,) m from its middle the handle went along each axis while nobody pushed it."""
+    """Return the deviation (3,) m of the handle from its middle along each axis while nothing pushed it."""
     kept = finite(rows)[:, SAMPLE : SAMPLE + 3]
     if len(kept) == 0:
         return np.zeros(3)
@@ -64,7 +69,7 @@ def by_itself(rows: Array) -> Array:
 
 
 def reach(rows: Array) -> dict[str, list[float]] | None:
-    """Where the handle has been: smallest and largest coordinates, m."""
+    """Return the range of the handle: smallest and largest coordinates, m."""
     kept = finite(rows)[:, SAMPLE : SAMPLE + 3]
     if len(kept) == 0:
         return None
@@ -72,12 +77,12 @@ def reach(rows: Array) -> dict[str, list[float]] | None:
 
 
 def masks(rows: Array) -> list[int]:
-    """Button masks that were seen."""
+    """Return the button masks in the rows."""
     return sorted({int(value) for value in rows[:, SAMPLE + SAMPLE_BUTTONS] if np.isfinite(value)})
 
 
 def rotation(before: Array, after: Array) -> Array:
-    """Rotation vector (3,) rad, world frame, from the orientation of one row to that of another; the shorter way."""
+    """Return the shorter rotation vector (3,) rad, world frame, from the orientation of one row to that of another."""
     w0, x0, y0, z0 = before[SAMPLE + 3 : SAMPLE + 7]
     w1, x1, y1, z1 = after[SAMPLE + 3 : SAMPLE + 7]
     # after times the conjugate of before
@@ -95,7 +100,7 @@ def rotation(before: Array, after: Array) -> Array:
 
 
 def translated(rows: Array) -> Array:
-    """How far (3,) m the handle went from the beginning of a part to its end."""
+    """Return the displacement (3,) m of the handle from the start of a part to its end."""
     kept = finite(rows)
     count = max(1, round(ENDS * len(kept)))
     way: Array = np.median(kept[-count:, SAMPLE : SAMPLE + 3], axis=0) - np.median(
@@ -105,7 +110,7 @@ def translated(rows: Array) -> Array:
 
 
 def move(asked: str, kind: str, expected: str, rows: Array) -> dict[str, Any] | None:
-    """What came of a motion that was asked for. `kind`: translation or rotation; `expected`: an axis, as '+x'."""
+    """Return the result of a requested motion. `kind`: translation or rotation; `expected`: an axis, as '+x'."""
     kept = finite(rows)
     if len(kept) == 0:
         return None
@@ -124,7 +129,7 @@ def move(asked: str, kind: str, expected: str, rows: Array) -> dict[str, Any] | 
 
 
 def along(vector: Array, least: float) -> str:
-    """The axis and sense of a vector (3,), as '+x'; in words where there is none."""
+    """Return the axis and sense of a vector (3,), as '+x', or a text if there is none."""
     sizes = np.abs(vector)
     if sizes.max() < least:
         return "no motion"
@@ -138,14 +143,14 @@ def along(vector: Array, least: float) -> str:
 def push(
     axis: int, frequency_hz: float, rate_hz: float, rows: Array, own_m: Array | None = None
 ) -> dict[str, Any] | None:
-    """What a push along an axis did, from the motion that goes with the force that was written.
+    """Return the response to a push along an axis, from the motion that is correlated with the written force.
 
-    The motion is fitted by the force and by the force a quarter of a cycle late, beside a slow drift. Lag is by how
-    much of a cycle the motion comes behind the force: 0 for a handle on a spring, a quarter for one that is braked,
-    half a cycle for a free mass. Whatever holds it, if it is passive, is within; a force of the wrong sign is outside.
+    The motion is fitted by the force, the force a quarter of a cycle later, and a slow drift. The lag is the fraction
+    of a cycle by which the motion follows the force: 0 for a handle on a spring, a quarter for a damped one, half a
+    cycle for a free mass. Any passive load is within this range; a force of the wrong sign is outside.
 
-    rows   (n, ROW_SIZE) of the push; None where it has no pose or no force
-    own_m  (3,) m, what the handle does by itself: a push that moves it no further is not told from that
+    rows   (n, ROW_SIZE) of the push; the result is None if they have no pose or no force
+    own_m  (3,) m, motion of the handle at rest; a response that is not larger cannot be attributed to the push
     """
     kept = np.isfinite(rows[:, SAMPLE : SAMPLE + 3]).all(axis=1)
     force, place = rows[:, FORCE + axis], rows[:, SAMPLE : SAMPLE + 3]
@@ -175,7 +180,7 @@ def push(
 
 
 def _without(drift: Array, values: Array) -> Array:
-    """`values` (n, k) without the part that `drift` (n, m) accounts for."""
+    """Return `values` (n, k) without the part that `drift` (n, m) explains."""
     fit, *_ = np.linalg.lstsq(drift, values, rcond=None)
     rest_of: Array = values - drift @ fit
     return rest_of
@@ -185,7 +190,7 @@ def _verdict(axis: str, size_m: float, lag_deg: float, share: float, own_m: floa
     if size_m < PUSHED_M:
         return "no motion"
     if size_m < own_m:
-        return f"not clear: at rest the handle moved along {axis} by as much"
+        return f"unclear: at rest the handle moved along {axis} by as much"
     if share < SHARE_MIN:
         return f"not clear: the push accounts for {share:.0%} of the motion"
     if abs(lag_deg) > 180.0 - SPRINGY_DEG:

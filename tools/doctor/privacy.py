@@ -1,4 +1,7 @@
-"""What a report must not carry: names of the user and of the machine, folders, whole serial numbers."""
+"""Removal from reports of the names of user and machine, folders, and all but the end of serial numbers.
+
+`doctor --device-report` and `report` call it. Folders of the system and of this program remain.
+"""
 
 from __future__ import annotations
 
@@ -8,30 +11,59 @@ import os
 import platform
 import pwd
 import re
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
+from softfinger.config.files import home_folder
+
 KEPT_KEYS: Final = frozenset({"driver", "id"})
-"""Their values are words of this program: a user who is called like a driver does not change them."""
+"""Keys with values from this program, which a user of the same name as a driver does not change."""
+
+FILE_KEYS: Final = frozenset({"file", "model"})
+FOLDER_KEYS: Final = frozenset({"directory"})
+"""Keys of rigs and scenes with a path as their value, which may contain spaces and have no suffix."""
+
+_START: Final = r"(?:(?<=ipc://)|(?<![\w./~>])(?!//))(?!/(?:dev|sys|proc|usr|etc|run(?!/media))\b)(?:~[\w-]*|\.{1,2})?/"
+_QUOTED: Final = re.compile(rf"""(?<=['"]){_START}[^'"\n]*(?=['"])""")
+_PATH: Final = re.compile(rf"""{_START}[^\s'"<>,;:()=]+""")
+_RELATIVE: Final = re.compile(r"(?<![\w./~>-])(?!docs/|softfinger/)(?:[\w.+-]+/)+(?=[\w+-]+\.[A-Za-z])")
+"""Folders in front of a file name with a suffix; `N/m` is no path."""
 
 _BY_ID: Final = re.compile(r"(/dev/\S*by-id/)\S+")
 _SERIAL: Final = re.compile(
     r"(serial(?: number)?[ =:]*['\"]?)(?![0-9a-f]{4}:[0-9a-f]{4}\b)([\w-]*\d[\w-]*)", re.IGNORECASE
 )
-"""USB ids behind the name of the driver `serial` are none."""
+"""USB ids after the name of the driver `serial` do not match."""
 
 
 def shortened(serial: str) -> str:
-    """The last two characters of a serial number: enough to tell two devices on a desk apart."""
+    """Return the last two characters of a serial number, enough to distinguish two devices on a desk."""
     return f"...{serial[-2:]}" if len(serial) > 3 else "..." if serial else ""
 
 
 class Privacy:
-    """Takes out of texts what says whose report it is."""
+    """Removal of identifying words from texts.
+
+    Parameters
+    ----------
+    serials
+        Serial numbers of the attached devices.
+    """
 
     def __init__(self, serials: Iterable[str] = ()) -> None:
-        self._homes = sorted({home for home in _homes() if len(home) > 1}, key=len, reverse=True)
+        folders = dict.fromkeys(_homes(), "~") | {
+            str(Path.cwd()): ".",
+            sys.prefix: "<environment>",
+            str(Path(__file__).resolve().parents[2]): "softfinger",
+            str(Path(__file__).parents[2]): "softfinger",
+        }
+        self._folders = [
+            (re.compile(rf"(?<![\w.~-]){re.escape(folder)}(?![\w.-])"), folders[folder])
+            for folder in sorted(folders, key=len, reverse=True)
+            if folder not in {"", "/", "/usr"}
+        ]
         words = dict.fromkeys(_users(), "<user>") | dict.fromkeys(_hosts(), "<host>")
         words |= {serial: shortened(serial) for serial in serials}
         words.pop("", None)
@@ -40,23 +72,36 @@ class Privacy:
         self._pattern = re.compile(rf"(?<![A-Za-z0-9])(?:{longest_first})(?![A-Za-z0-9])") if words else None
 
     def clean(self, value: Any) -> Any:
-        """`value`, made of mappings, lists and scalars, with every text in it cleaned; keys stay."""
+        """Return `value`, made of mappings, lists and scalars, with every text in it cleaned; keys do not change."""
         if isinstance(value, dict):
-            return {key: one if key in KEPT_KEYS else self.clean(one) for key, one in value.items()}
+            return {key: self._entry(key, one) for key, one in value.items()}
         if isinstance(value, list | tuple):
             return [self.clean(one) for one in value]
         return self.text(value) if isinstance(value, str) else value
 
+    def _entry(self, key: str, value: Any) -> Any:
+        if key in KEPT_KEYS:
+            return value
+        if isinstance(value, str) and key in FILE_KEYS:
+            value = Path(value).name
+        elif isinstance(value, str) and key in FOLDER_KEYS and value != ".":
+            return "..."
+        return self.clean(value)
+
     def text(self, text: str) -> str:
-        for home in self._homes:
-            text = re.sub(rf"{re.escape(home)}(?![A-Za-z0-9])", "~", text)
+        """Return a text, such as a message, cleaned."""
+        for folder, name in self._folders:
+            text = folder.sub(name, text)
+        for pattern in (_QUOTED, _PATH):
+            text = pattern.sub(lambda found: _file_name(found[0]), text)
+        text = _RELATIVE.sub("", text)
         text = _BY_ID.sub(r"\1...", text)
         text = _SERIAL.sub(lambda found: found[1] + shortened(found[2]), text)
         return text if self._pattern is None else self._pattern.sub(lambda found: self._words[found[0]], text)
 
 
 def options(given: dict[str, Any]) -> dict[str, Any]:
-    """A rig's options of its device, files without their folders, and the serial number shortened."""
+    """Return the device options of a rig with files without their folders and a shortened serial number."""
     kept: dict[str, Any] = {}
     for key, value in given.items():
         if key == "serial":
@@ -70,8 +115,13 @@ def options(given: dict[str, Any]) -> dict[str, Any]:
     return kept
 
 
+def _file_name(path: str) -> str:
+    """Return the last part of a path if it has an ending, else `...`: it may be a folder."""
+    return Path(path).name if Path(path).suffix else "..."
+
+
 def _homes() -> set[str]:
-    homes = {str(Path.home()), os.environ.get("HOME", "")}
+    homes = {str(home_folder() or ""), os.environ.get("HOME", "")}
     with contextlib.suppress(KeyError):  # a user without an entry, as in some containers
         homes.add(pwd.getpwuid(os.getuid()).pw_dir)
     return {home.rstrip("/") for home in homes}

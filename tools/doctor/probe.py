@@ -1,5 +1,7 @@
-"""`devices --probe`: ten seconds of a device without force, told at a glance and written as a device report; and if it
-is asked for, one small push along each axis."""
+"""`devices --probe`: ten seconds of a device without force, shown briefly and written as a device report.
+
+On request, one small push along each axis follows.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,9 @@ from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.base import Device, DeviceInfo
-from softfinger.drivers.kinematics.freedom import freedom_of_table
+from softfinger.drivers.kinematics.subspace import read_subspace
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import claim_on
+from softfinger.drivers.system.claims import find_claim
 from softfinger.server.loop.guard import Guard
 from softfinger.tools.devices import PUSH_N
 from softfinger.tools.doctor import motions
@@ -29,16 +31,16 @@ from softfinger.tools.exchange_figures import figures
 from softfinger.tools.measure import Array
 
 PART_S: Final = 2.0
-"""Of five parts: at rest, to the right, away, up, buttons. Ten seconds."""
+"""Duration of each of five parts: at rest, to the right, away, up, buttons. Ten seconds in all."""
 PUSH_S: Final = 1.5
 PEAK: Final = 3.0 * 3.0**0.5 / 8.0
-"""Largest value of one sine under its envelope, sin(pi s)^2 sin(2 pi s): it goes along the axis, and back."""
+"""Largest value of one sine under its envelope, sin(pi s)^2 sin(2 pi s); it pushes along the axis and back."""
 
 
 def run(args: argparse.Namespace) -> int:
     """Probe, write and print; returns the exit code. Raises as `report.run`."""
     rig = load_rig(args.rig if args.rig is not None else attached_rig())
-    freedom = freedom_of_table(single_device(rig))
+    freedom = read_subspace(single_device(rig))
     file = report_file(rig, args.probe, "--probe")
     if args.push:
         check_push(rig)
@@ -58,15 +60,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check_push(rig: Rig) -> None:
-    """ConfigError where the rig allows less force than a push has."""
+    """Raise ConfigError if the rig allows less force than a push has."""
     if rig.guard.force_max_n < PUSH_N:
         raise ConfigError(f"--push: guard.force_max_n = {rig.guard.force_max_n:g} is below the push of {PUSH_N:g} N")
 
 
 def attached_rig() -> str:
-    """Name of the shipped rig for the first attached device that has one. DeviceNotFound where there is none."""
+    """Return the shipped rig of the first attached device that has one. Raises DeviceNotFound if there is none."""
     for device in discovery.attached():
-        claim = claim_on(device)
+        claim = find_claim(device)
         if claim is not None and claim.rigs:
             return claim.rigs[0]
     raise DeviceNotFound(
@@ -75,7 +77,7 @@ def attached_rig() -> str:
 
 
 class Probe(Session):
-    """Ten seconds of parts that follow each other without a word from the user, then the pushes."""
+    """Ten seconds of parts that follow each other without input from the user, then the pushes."""
 
     def run(self, force_n: float | None) -> None:
         self._tell_freedom()
@@ -87,7 +89,7 @@ class Probe(Session):
         self._rest_of(parts[0])
         wanted = self._translations()
         for one in TRANSLATIONS:
-            rows = self._cued(one.words) if one in wanted else self._record("what else it does", self._seconds)
+            rows = self._cued(one.words) if one in wanted else self._record("further options", self._seconds)
             parts.append(rows)
             asked = self._guided and one in wanted
             found = motions.move(one.words, one.kind, one.expected, rows) if asked else None
@@ -117,7 +119,7 @@ class Probe(Session):
                 self._report["pushes"].append(found | {"felt": self._felt(motions.AXES[axis])})
 
     def _felt(self, name: str) -> str:
-        """What the user says in a line; empty where nobody is asked."""
+        """Return the user's answer in one line; empty if the probe is not guided."""
         if not self._guided or self._exchange.ended is not None:
             return ""
         print(
@@ -132,7 +134,7 @@ class Probe(Session):
 
 
 def joined(parts: list[Array]) -> Array:
-    """Rows of parts as if they were one: the gaps between are left out of their times."""
+    """Join rows of parts; the gaps between the parts are removed from their times."""
     kept: list[Array] = []
     begins = 0.0
     for rows in parts:
@@ -145,7 +147,7 @@ def joined(parts: list[Array]) -> Array:
 
 
 def glance(report: Mapping[str, Any]) -> list[str]:
-    """The picture of the axes, and what a user wants to know first."""
+    """Return the picture of the axes, and the most important figures for a user."""
     text = picture(report)
     if (seen := report["exchange"]) is not None:
         text.append(f"  {seen['new_samples_hz']:.0f} new samples a second, the rig asks for {report['rate_hz']:g}")

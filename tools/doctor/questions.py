@@ -1,4 +1,4 @@
-"""What only hardware can show: questions.toml, and the answers that a report has measured."""
+"""Questions that only hardware can answer (questions.toml), and the answers that a report has measured."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Report = Mapping[str, Any]
 
 
 class Question(NamedTuple):
-    """A question by its id, the drivers that have it, and how a user can answer it."""
+    """Question with its id, the drivers that it concerns, and a way for a user to answer it."""
 
     id: str
     drivers: tuple[str, ...]
@@ -25,13 +25,13 @@ class Question(NamedTuple):
 
 @cache
 def questions() -> tuple[Question, ...]:
-    """All of them, in the order of the file."""
+    """Return all questions, in the order of the file."""
     rows = tomllib.loads(FILE.read_text(encoding="utf-8"))["question"]
     return tuple(Question(row["id"], tuple(row["drivers"]), row["question"], row["how"]) for row in rows)
 
 
 def answered(report: Report) -> list[dict[str, Any]]:
-    """The questions of a report's driver, each with the answer that was measured, or with how to get it."""
+    """Return the questions of a report's driver, each with the measured answer or with the way to get it."""
     found = []
     for one in questions():
         if report["driver"] in one.drivers:
@@ -130,4 +130,4 @@ ANSWERS: Final[Mapping[str, Callable[[Report], str | None]]] = {
     "hid-write": _exchange,
     "serial-ids": _ids,
 }
-"""What a report can answer by itself, None where it has not measured it."""
+"""Functions that return the answer in a report, None if it was not measured."""

@@ -1,4 +1,4 @@
-"""`doctor --device-report`: a rig's device opened through its driver, measured, and written down for an issue."""
+"""`doctor --device-report`: a rig's device, opened through its driver, measured, and described for an issue."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.base import Device, DeviceInfo
-from softfinger.drivers.kinematics.freedom import freedom_of_table
+from softfinger.drivers.kinematics.subspace import read_subspace
 from softfinger.drivers.registry import open_device
 from softfinger.drivers.system import discovery
 from softfinger.server.loop.guard import Guard
@@ -32,7 +32,7 @@ from softfinger.tools.exchange import Exchange, compile_exchange, disarmed
 from softfinger.tools.measure import show
 
 FORMAT: Final = 1
-"""Raised when a key changes its meaning."""
+"""Incremented when a key changes its meaning."""
 LIBRARIES: Final = ("libdrd", "libHD")
 
 
@@ -56,14 +56,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record, write and print the report; returns the exit code. Raises what kept the device from being opened or
-    ended its exchange, after the report was written."""
+    """Record, write and print the report; returns the exit code.
+
+    Raises the error that prevented opening the device or ended its exchange, after the report was written.
+    """
     rig = load_rig(args.rig)
     file = report_file(rig, args.device_report, "--device-report")
     check_force(args.with_force, args.seconds, rig)
     guided = sys.stdin.isatty() and not args.no_prompts
     report, serials = begun(rig, guided)
-    freedom = freedom_of_table(single_device(rig))
+    freedom = read_subspace(single_device(rig))
 
     def work() -> None:
         def guard_of(device: Device) -> Guard:
@@ -80,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def report_file(rig: Rig, given: str, option: str) -> Path:
-    """Where the report goes. ConfigError for what is no file in a folder that there is."""
+    """Return the path of the report. Raises ConfigError unless it is a file in an existing folder."""
     file = Path(given or f"softfinger-{single_device(rig).driver}-report.json")
     if not file.parent.is_dir() or file.is_dir():
         raise ConfigError(f"{option} {file}: there is no folder {file.parent}, or it is one: name a file")
@@ -95,8 +97,10 @@ def written(
     work: Callable[[], None],
     head: Callable[[Mapping[str, Any]], list[str]] = lambda report: [],
 ) -> int:
-    """Do the work, and write and print the report whatever ends it; what ended it is raised then. `head` gives lines
-    above the text."""
+    """Do the work, then write and print the report even after an error, which is raised afterwards.
+
+    `head` returns lines above the text.
+    """
     failure: HapticError | KeyboardInterrupt | None = None
     try:
         work()
@@ -120,7 +124,7 @@ def written(
 
 
 def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
-    """ConfigError for pushes that the rig does not allow, or that are too fast."""
+    """Raise ConfigError for pushes that the rig does not allow, or that are too fast."""
     if force_n is None:
         return
     limit = rig.guard.force_max_n
@@ -131,9 +135,9 @@ def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
 
 
 def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
-    """A report with everything that is known before the device is opened, and the serial numbers to be shortened."""
+    """Return a report with all data that is known before opening the device, and the serial numbers to shorten."""
     found = [one for one in discovery.attached() if attached.is_of(rig, one)]
-    freedom = freedom_of_table(single_device(rig))
+    freedom = read_subspace(single_device(rig))
     report: dict[str, Any] = {
         "report": FORMAT,
         "complete": False,
@@ -149,7 +153,7 @@ def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
         "options": privacy.options(single_device(rig).options),
         "rate_hz": rig.servo.rate_hz,
         "guided": guided,
-        "freedom": "" if freedom is None else freedom.words(),
+        "freedom": "" if freedom is None else freedom.describe(),
         "identity": [identity(one) for one in found],
         "maker_library": [],
         "device": None,
@@ -170,7 +174,7 @@ def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
 
 
 def identity(device: discovery.Attached) -> dict[str, Any]:
-    """A device as the system lists it; of a hidraw node also the report descriptor, read without opening it."""
+    """Return a device as the system lists it, for a hidraw node with the report descriptor, read without opening it."""
     seen: dict[str, Any] = {
         "bus": device.bus,
         "vendor_id": f"{device.vendor:04x}",
@@ -195,11 +199,11 @@ def record(
     session_of: Callable[[Exchange, DeviceInfo], Session],
     force_n: float | None,
 ) -> Session:
-    """Open the device, run a session, and put all of it into `report`, whatever ends it.
+    """Open the device, run a session, and store the results in `report`, also after an error.
 
-    Zero force on every shutdown path. Raises what opening raises, and the error of a device that failed in use.
+    Every exit commands zero force. Raises the errors of opening, and the error of a device that failed in use.
     """
-    compile_exchange()  # before the device is open: it would wait for its first exchange
+    compile_exchange()  # before the device is open, since it would wait for its first exchange
     with open_device(single_device(rig), rig.servo.rate_hz) as device:
         report["device"] = asdict(device.info)
         report["maker_library"] = loaded_libraries()
@@ -218,7 +222,7 @@ def record(
 
 
 def pushing(rig: Rig, device: Device, force_n: float, option: str = "--with-force") -> Guard:
-    """The rig's guard with no more force than was asked for; ConfigError where the device cannot push so hard."""
+    """Return the rig's guard, limited to the requested force; raises ConfigError if the device cannot push so hard."""
     if device.info.actuated_dof == 0:
         raise ConfigError(f"{option} {force_n:g}: {device.info.name} displays no force: leave it out")
     if force_n > device.info.force_max_n:
@@ -229,13 +233,13 @@ def pushing(rig: Rig, device: Device, force_n: float, option: str = "--with-forc
 
 
 def loaded_libraries() -> list[str]:
-    """File names of makers' libraries in this process."""
+    """Return the file names of makers' libraries in this process."""
     mapped = machine.text(Path("/proc/self/maps")).splitlines()
     return sorted({Path(line.split(maxsplit=5)[5]).name for line in mapped if any(one in line for one in LIBRARIES)})
 
 
 def write(file: Path, report: dict[str, Any]) -> None:
-    """Write the file whole or not at all. ConfigError where it cannot be written."""
+    """Write the file completely or not at all. Raises ConfigError if it cannot be written."""
     try:
         with new_file(file) as part:
             part.write((json.dumps(report, indent=2) + "\n").encode())

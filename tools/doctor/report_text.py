@@ -1,4 +1,4 @@
-"""A device report for people: what an issue needs to be read, and what is still open."""
+"""Text of a device report: the content that an issue needs, and the open questions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Report = Mapping[str, Any]
 
 
 def lines(report: Report, file: Path) -> list[str]:
-    """The short text. `file` is where the whole report is."""
+    """Return the short text; `file` is the path of the complete report."""
     text = [f"device report of driver {report['driver']}, softfinger {report['softfinger']}: {report['ended']}"]
     if report["fault"] is not None:
         text.append(f"  fault: {report['fault']['message']}")
@@ -25,10 +25,10 @@ def lines(report: Report, file: Path) -> list[str]:
     if report["counts"]:
         text.append("  the driver counted: " + ", ".join(f"{name} {value}" for name, value in report["counts"].items()))
     if report["questions"]:
-        text.append("what only hardware can show")
+        text.append("only visible on hardware")
     for one in report["questions"]:
         text += [f"  {one['question']}", f"    {one['answer']}"]
-    text.append(f"the whole report is in {file}: attach it to an issue")
+    text.append(f"the complete report is in {file}: attach it to an issue")
     return text
 
 
@@ -40,7 +40,7 @@ def _measured(report: Report) -> list[str]:
         text.append(burst_line(report["without_pauses"]))
     if (rest := report["rest"]) is not None:
         noise = ", ".join(f"{value * 1e6:.1f}" for value in rest["position_std_m"])
-        held = "at rest" if report["guided"] else "at first, nobody was asked to hold it still"
+        held = "at rest" if report["guided"] else "at the start, without a request to hold it still"
         text.append(f"  noise along x, y, z, {held}: {noise} um")
     if (span := report["range"]) is not None:
         pairs = zip(span["position_min_m"], span["position_max_m"], strict=True)

@@ -1,4 +1,4 @@
-"""The parts of a device report, one after the other, and what the user is asked to do in each."""
+"""Parts of a device report in sequence, with the requests to the user in each."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.drivers.base import DeviceInfo
-from softfinger.drivers.kinematics.freedom import Freedom
+from softfinger.drivers.kinematics.subspace import MotionSubspace
 from softfinger.server.progress import progress
 from softfinger.tools.doctor import motions
 from softfinger.tools.exchange import FORCE_CYCLES, ROW_SIZE, Exchange, Push
@@ -16,17 +16,17 @@ from softfinger.tools.exchange_figures import burst_figures, figures
 from softfinger.tools.measure import Array
 
 REST_S: Final = 1.0
-"""Long enough for noise of the mains, short enough for a hand to keep still."""
+"""Long enough for noise of the mains, short enough for a hand to remain still."""
 FORCE_MIN_S: Final = 1.0
-"""A push of three cycles is faster than a handle follows in less."""
+"""Shortest part with a push; a handle cannot follow three cycles in less time."""
 
 
 LEAST_PART: Final = 0.5
-"""Of a motion or a push along an axis, what the handle has to have of it to be asked for it."""
+"""Smallest part of a motion or push along an axis that the handle must support for the motion to be requested."""
 
 
 class Asked(NamedTuple):
-    """A motion that the user is asked for, and the axis along or about which it has to come out."""
+    """Motion that the user is asked for, and the expected axis of the motion."""
 
     words: str
     kind: str
@@ -38,16 +38,16 @@ TRANSLATIONS: Final = (
     Asked("move the handle away from you", "translation", "+y"),
     Asked("move the handle up", "translation", "+z"),
 )
-TURN: Final = Asked("turn the handle counter-clockwise, seen from above", "rotation", "+z")
+TURN: Final = Asked("turn the handle counter-clockwise as seen from above", "rotation", "+z")
 
 
 class Session:
-    """Records the parts and puts what they say into `report`, part by part, so that one cut short has what was done.
+    """Recording of the parts. Results are stored in `report` after each part, so that an aborted report has them.
 
     exchange  runs
     seconds   length of each part but the first
-    guided    whether somebody at a terminal is asked to move the handle
-    freedom   of a device that moves on an arc or in a plane: what it cannot do is not asked for
+    guided    whether a user at a terminal is asked to move the handle
+    freedom   of a device that moves on an arc or in a plane; motions that it does not support are not requested
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Session:
         report: dict[str, Any],
         seconds: float,
         guided: bool,
-        freedom: Freedom | None,
+        freedom: MotionSubspace | None,
     ) -> None:
         self._exchange, self._info, self._report = exchange, info, report
         self._seconds, self._guided, self._freedom = seconds, guided, freedom
@@ -67,9 +67,10 @@ class Session:
         """Rows of the part that times the exchange."""
 
     def run(self, force_n: float | None) -> None:
-        """All parts; `force_n`: amplitude of the pushes, N, None for no push.
+        """Run all parts; `force_n` is the amplitude of the pushes, N, None for no push.
 
-        Where the device fails or a recording ends, the parts after that are empty; the exchange's `failure` says which.
+        If the device fails or a recording ends, the later parts are empty; `failure` of the exchange returns the
+        reason.
         """
         self._tell_freedom()
         self._at_rest()
@@ -126,18 +127,18 @@ class Session:
     def _tell_freedom(self) -> None:
         if self._freedom is not None:
             print(
-                f"the device moves {self._freedom.words()}. Right, away and up are the world's, into which "
+                f"the device moves {self._freedom.describe()}. Right, away and up are the world's, into which "
                 "[device.mounting] turns it",
                 file=sys.stderr,
             )
 
     def _part(self, axis: int) -> Array:
-        """What the handle has (3,) of a motion or force along an axis."""
+        """Return the part (3,) of a motion or force along an axis that the handle supports."""
         whole = np.eye(3)[axis]
-        return whole if self._freedom is None else self._freedom.displayed(self._freedom.middle, whole)
+        return whole if self._freedom is None else self._freedom.displayed(self._freedom.centre, whole)
 
     def _translations(self) -> list[Asked]:
-        """Motions that the handle can make."""
+        """Return the motions that the handle can make."""
         return [one for k, one in enumerate(TRANSLATIONS) if motions.along(self._part(k), LEAST_PART) == one.expected]
 
     def _pushed_axes(self) -> list[int]:
@@ -151,7 +152,7 @@ class Session:
         return rows
 
     def _ask(self, words: str) -> None:
-        """Wait for Enter. The device is exchanged with all the while."""
+        """Wait for Enter. The exchange with the device continues."""
         if not self._guided or self._exchange.ended is not None:
             return
         print(f"{words}; Enter to begin", file=sys.stderr, flush=True)

@@ -9,7 +9,7 @@ from typing import Any
 
 from softfinger.config.errors import ConfigError, Unfit
 from softfinger.config.load import load_rig, load_scene
-from softfinger.config.schema import Rig
+from softfinger.config.schema import Rig, Scene
 from softfinger.tools.doctor import attached, loop, machine, report
 from softfinger.tools.doctor.check import STATES, Check, lines
 from softfinger.tools.exchange import check_seconds
@@ -31,26 +31,30 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check, or report; returns the exit code. Raises Unfit when something is bad, after all of it was printed."""
+    """Check or report; returns the exit code. Raises Unfit if a check is bad, after printing all of them."""
     check_seconds(args.seconds)
     if args.device_report is not None:
         return report.run(args)
     if args.with_force is not None or args.no_prompts:
         raise ConfigError("--with-force and --no-prompts belong to a report: add --device-report")
     rig = load_rig(args.rig)
-    result = examine(rig, args.rig, args.scene, args.seconds, args.plot)
+    result = examine(rig, load_scene(args.scene), args.rig, args.scene, args.seconds, args.plot)
     checks = [Check(**one) for one in result["checks"]]
     head = f"softfinger on this machine, for rig {args.rig} at {rig.servo.rate_hz:g} Hz and scene {args.scene}"
     tail = "  " + ", ".join(f"{result['states'][state]} {state}" for state in STATES)
     show(result, args.json, [head, *lines(checks), tail])
     if bad := [check.name for check in checks if check.state == "bad"]:
-        raise Unfit(f"{len(bad)} of {len(checks)} checks are bad: {', '.join(bad)}: see what mends each")
+        raise Unfit(f"{len(bad)} of {len(checks)} checks failed: {', '.join(bad)}: see the remedy of each")
     return 0
 
 
-def examine(rig: Rig, rig_name: str, scene_name: str, seconds: float, plot: Path | None) -> dict[str, Any]:
-    """Every check, and the figures behind those that were measured; the lateness is drawn to `plot`."""
-    scene = load_scene(scene_name)
+def examine(
+    rig: Rig, scene: Scene, rig_name: str, scene_name: str, seconds: float, plot: Path | None
+) -> dict[str, Any]:
+    """Return every check, and the figures behind the measured ones; draw the lateness to `plot`.
+
+    Both names are for messages.
+    """
     checks = machine.checks() + loop.settings(rig) + [loop.cache(rig, scene_name, scene)]
     late, figures = loop.lateness(rig, scene, seconds, plot)
     checks += [*late, loop.step(rig, scene_name, scene), loop.endpoint(rig), *attached.checks(rig)]

@@ -1,4 +1,4 @@
-"""Pages and pictures of docs/ that are made from the program: the reference, and a figure for each model page.
+"""Generated pages and pictures of docs/: the reference, and a figure for each model page.
 
-No measurements: those are in the study. No prose beyond a page's heading and its first lines.
+Contains no measurements, which are in the study, and no prose except the heading and first lines of a page.
 """

@@ -23,7 +23,7 @@ from softfinger.config.schema import Scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
-from softfinger.server.offline import feel_figure, feels
+from softfinger.server.offline import feel_figure, library_texts
 from softfinger.server.offline.figures import figure, legends_below, save
 from softfinger.tools.pages import moving, sketches, states
 
@@ -32,29 +32,29 @@ Array = NDArray[np.float64]
 RADIUS_M: Final = 0.01
 STIFFNESS_N_PER_M: Final = 1000.0
 GRIP: Final = {"stiffness_n_per_m": STIFFNESS_N_PER_M, "friction": {"static": 0.6, "kinetic": 0.5}}
-"""The paper's fingertip and material."""
+"""Fingertip and material of the paper."""
 
 
 def poses(*corners: tuple[float, float, float], ticks: int = 200) -> Array:
-    """Upright poses (n, 7) along straight lines from corner to corner, m."""
+    """Return upright poses (n, 7) along straight lines from corner to corner, m."""
     lines = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
     points = np.vstack([*lines, corners[-1]])
     return np.hstack([points, np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))])
 
 
 def run(objects: list[dict[str, Any]], path: Array, **tables: Any) -> Any:
-    """Records of a spherical fingertip along the poses."""
+    """Return the records of a spherical fingertip along the poses."""
     mapping = {"fingertip": {"radius_m": RADIUS_M}, "object": objects, **tables}
     return Engine(build(Scene, mapping, "a figure")).run(path)
 
 
 def plane(**material: Any) -> dict[str, Any]:
-    """The plane z = 0."""
+    """Return the plane z = 0."""
     return {"name": "plane", "shape": "plane", "material": GRIP | material}
 
 
 def normal(axes: Any) -> None:
-    """Laws of the normal force over the depth, and the loop of Hunt and Crossley's damping."""
+    """Draw laws of the normal force against the depth, and the loop of Hunt-Crossley damping."""
     axes = axes[0]
     depth = np.linspace(0.0, 2e-3, 81)
     for exponent, name in ((1.0, "linear, p = 1"), (1.5, "Hertz, p = 1.5"), (2.5, "soft, p = 2.5")):
@@ -72,13 +72,13 @@ def normal(axes: Any) -> None:
 
 
 def depth_force(depth: Array, exponent: float) -> Array:
-    """K d (depth / d)^p, N, with 1000 N/m at 1 mm."""
+    """Return K d (depth / d)^p, N, with 1000 N/m at 1 mm."""
     force: Array = STIFFNESS_N_PER_M * 1e-3 * (depth / 1e-3) ** exponent
     return force
 
 
 def friction(axes: Any) -> None:
-    """A drag to and fro: tangential force over the probe's position."""
+    """Draw a drag back and forth: tangential force against the position of the probe."""
     axes = axes[0]
     z = RADIUS_M - 1e-3
     path = poses((0.0, 0.0, z), (0.002, 0.0, z), (0.0, 0.0, z))
@@ -94,7 +94,7 @@ def friction(axes: Any) -> None:
 
 
 def patch(axes: Any) -> None:
-    """Radius and torsional limit of a patch over the load."""
+    """Draw radius and torsional limit of a patch against the load."""
     load = np.linspace(0.0, 4.0, 81)
     hertz = (3.0 * load * RADIUS_M / (16.0 * 45e3)) ** (1.0 / 3.0)
     for radius, name in ((hertz, "Hertz, G = 45 kPa"), (0.004 * load**0.25, "a = 4 mm at 1 N, $\\gamma$ = 0.25")):
@@ -105,16 +105,18 @@ def patch(axes: Any) -> None:
 
 
 def materials(axes: Any) -> None:
-    """Friction of the library beside published coefficients, and how the patch of a finger pad grows by two laws."""
+    """Draw the friction of the library with published coefficients, and a finger pad's patch growing by two laws."""
     feel_figure.overview(axes[0])
     names = ("human-index", "human-index-plateau")
-    feel_figure.patch(axes[1], {name: (fingertips()[name], feels.whole("fingertip", name)) for name in names})
+    feel_figure.patch(
+        axes[1], {name: (fingertips()[name], library_texts.library_table("fingertip", name)) for name in names}
+    )
     axes[0].figure.set_figheight(3.6)
     legends_below(axes[0].figure, axes, "small")
 
 
 def effects(axes: Any) -> None:
-    """A plane with a magnet, approached and pressed: the force of the contact and of the effect."""
+    """Draw a plane with a magnet, approached and pressed: the force of contact and effect."""
     axes = axes[0]
     path = poses((0.0, 0.0, 0.035), (0.0, 0.0, 0.007))
     magnet = {"kind": "magnet", "force_n": 1.5, "range_m": 0.02}
@@ -126,7 +128,7 @@ def effects(axes: Any) -> None:
 
 
 def texture(axes: Any) -> None:
-    """A stroke over the shipped ribs: height under the probe and the force on the hand."""
+    """Draw a stroke over the shipped ribs: normal force and force along the stroke."""
     z = RADIUS_M - 5e-4
     path = poses((0.0, 0.0, z), (0.008, 0.0, z), ticks=160)
     records = Engine("ribbed-plane").run(path)
@@ -138,7 +140,7 @@ def texture(axes: Any) -> None:
 
 
 def passivity(axes: Any) -> None:
-    """Energy that the hand has put in, over presses of several lengths."""
+    """Draw the energy that the hand has put in, over presses of several lengths."""
     axes = axes[0]
     z, deep = RADIUS_M, RADIUS_M - 1e-3
     for ticks in (10, 20, 50):
@@ -151,7 +153,7 @@ def passivity(axes: Any) -> None:
 
 
 def bodies(axes: Any) -> None:
-    """A box that two fingertips lift, 8 mm beside its centre of mass: height, and turn about the line between them."""
+    """Draw a box lifted by two fingertips 8 mm off its centre of mass: height, and turn about the line between them."""
     hands = {name: resample(load_poses(f"lift-{name}"), 1000.0)[800:2600] for name in ("thumb", "index")}
     block = 10
     for name, torsion in (("with torsion", True), ("without torsion", False)):
@@ -188,12 +190,14 @@ FIGURES: Final[dict[str, tuple[Callable[[Any], None], tuple[str, ...]]]] = {
     "passivity": (passivity, ("lower left",)),
     "bodies": (bodies, ("upper left", "")),
 }
-"""What draws the figure of each page, and where a legend covers nothing in each of its axes, empty where there is none;
-the page on several patches has a figure of the study."""
+"""Function that draws the figure of each page, and free place for a legend in each of its axes, empty without a legend.
+
+The page on several patches has a figure of the study.
+"""
 
 
 OTHERS: Final[dict[str, tuple[Callable[[Any], None], tuple[str, ...]]]] = {"states": (states.draw, ("",))}
-"""The same of pages that are no model's."""
+"""The same for pages that are not of a model."""
 
 
 def draw(name: str, path: Path) -> None:

@@ -1,7 +1,7 @@
-"""The moving picture that README begins with: a box lifted by two fingertips, with torsion and without, side by side.
+"""Animation at the top of README: a box lifted by two fingertips, with torsion and without, side by side.
 
-Both are simulated; the picture shows poses 20 times a second, seen along the line between the fingers. SVG moves it
-by itself (SMIL), in a page and in an image; what does not move it shows the moment STILL.
+Both are simulated. The picture shows poses 20 times a second, seen along the line between the fingers. SVG animates it
+without a script (SMIL), in a page and in an image; a program without SMIL shows the frame STILL.
 """
 
 from __future__ import annotations
@@ -21,28 +21,34 @@ Array = NDArray[np.float64]
 
 RATE_HZ: Final = 1000.0
 BLOCK: Final = 50
-"""Ticks from picture to picture."""
+"""Ticks per frame."""
 STILL: Final = 50
-"""The box is up, and held."""
+"""Frame in which the box is up and held."""
 PIXELS_PER_M: Final = 1400.0
 WIDTH: Final = 360
 HEIGHT: Final = 270
 FLOOR: Final = 235
-"""px: of a half, and where the floor is."""
+"""Size of a half, and height of the floor, px."""
 HALF_M: Final = 0.02
 RADIUS_M: Final = 0.01
-TITLES: Final = ("soft fingertips: the contacts' torsion holds it", "without torsion it turns about the fingers")
+TITLES: Final = (
+    "soft fingertips: the torsion of the contacts carries it",
+    "without torsion it turns about the fingers",
+)
 
 
 def lifted(torsion: bool) -> tuple[Array, Array, Array]:
-    """Of each picture: the box's place in the plane (n, 2) m, its turn (n,) deg, and the fingers' place (n, 2) m."""
+    """Return the states of all frames.
+
+    They are the box's position in the plane (n, 2) m, its turn (n,) deg, and the fingers' position (n, 2) m.
+    """
     mapping = describe(load_scene("lift-a-box"))
     if not torsion:
         for table in (mapping["world"], *mapping["object"]):
             del table["material"]["torsion"]
     engine = Engine(mapping, RATE_HZ)
     hands = {name: resample(load_poses(f"lift-{name}"), RATE_HZ) for name in engine.fingers}
-    # A hand gives way by as much as the contact: half of what the recording means to press.
+    # A hand yields by as much as the contact: half of the depth in the recording.
     for poses in hands.values():
         touch = HALF_M + RADIUS_M
         poses[:, 0] = np.sign(poses[:, 0]) * (touch + _given_way(np.abs(poses[:, 0]) - touch))
@@ -61,7 +67,7 @@ def _given_way(gap: Array) -> Array:
 
 
 def picture() -> str:
-    """The SVG's text."""
+    """Return the text of the SVG."""
     halves = [_half(place, *lifted(torsion)) for place, torsion in enumerate((True, False))]
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {2 * WIDTH} {HEIGHT}" width="{2 * WIDTH}" '
@@ -91,12 +97,12 @@ def _half(place: int, boxes: Array, turns: Array, fingers: Array) -> str:
 
 
 def _pixels(places: Array) -> list[str]:
-    """Places (n, 2) m, to the right and up, as points of a half."""
+    """Convert positions (n, 2) m, to the right and up, to points of a half."""
     return [f"{WIDTH / 2 + PIXELS_PER_M * y:.1f} {FLOOR - PIXELS_PER_M * z:.1f}" for y, z in places.tolist()]
 
 
 def _moved(kind: str, values: list[str], seconds: float, shape: str) -> str:
-    """A shape that is moved from value to value, again and again."""
+    """Return a shape that moves from value to value in a loop."""
     return (
         f'<g transform="{kind}({values[STILL]})"><animateTransform attributeName="transform" type="{kind}" '
         f'dur="{seconds:g}s" repeatCount="indefinite" values="{";".join(values)}"/>{shape}</g>\n'
@@ -104,5 +110,5 @@ def _moved(kind: str, values: list[str], seconds: float, shape: str) -> str:
 
 
 def draw(path: Path) -> None:
-    """Simulate both, and save the picture."""
+    """Simulate both and save the picture."""
     path.write_text(picture(), encoding="ascii", newline="\n")

@@ -17,13 +17,13 @@ from typing import Any, Final
 from softfinger.config.materials import flat, papers
 from softfinger.drivers import registry
 from softfinger.proxy.record import CAUSE_NAMES, FIELDS, MODE_NAMES, Field
-from softfinger.server.faults import HAZARDS, SEEN_IN, Hazard
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.offline import feels
+from softfinger.server.offline import library_texts
 from softfinger.server.verbs import schema, shipped
 from softfinger.server.wire import commands, protocol
 from softfinger.server.wire.protocol import Key
 from softfinger.tools.pages import states
+from softfinger.tools.pages.hazards import HAZARDS, SEEN_IN, Hazard
 
 WIDTH: Final = 120
 MADE: Final = "<!-- made by `make reference`; change the program, not this file -->"
@@ -34,7 +34,7 @@ Units are SI and end each key. Neither a file nor a flag widens a range. A text 
 
 
 def scenes() -> str:
-    """Every key of a scene, and the shipped scenes."""
+    """Return the page with every key of a scene, and the shipped scenes."""
     head = f"""\
 # Scenes: every key
 
@@ -45,7 +45,7 @@ folder."""
 
 
 def rigs() -> str:
-    """Every key of a rig, and the shipped rigs."""
+    """Return the page with every key of a rig, and the shipped rigs."""
     head = f"""\
 # Rigs: every key
 
@@ -56,7 +56,7 @@ tables as JSON Schema. {_KEYS}"""
 
 
 def drivers() -> str:
-    """Every key of every driver; tables that two drivers share stand once."""
+    """Return the page with every key of every driver; tables shared by two drivers are printed once."""
     head = """\
 # Drivers: every key
 
@@ -72,7 +72,7 @@ Keys of a rig's `[device]` besides `driver`; several devices have a table `[devi
 
 
 def experiments() -> str:
-    """Every key of an experiment, and the files of its folder."""
+    """Return the page with every key of an experiment, and the files of its folder."""
     head = f"""\
 # Experiments: every key
 
@@ -87,8 +87,8 @@ An experiment file (TOML) describes trials and answers: [run an experiment](../r
 
 _KEPT: Final = {
     "experiment.json": "the experiment; the folder refuses another one",
-    "files.json": "hashes of the scenes and the rig beside the experiment; the folder refuses other ones",
-    "dataset_description.json": "title and version of BIDS, whose names the files follow",
+    "files.json": "hashes of the scene files and the rig file of the experiment; the folder refuses others",
+    "dataset_description.json": "title and version of BIDS, which defines the file names",
     "trials.csv, participants.tsv": "a row per trial of all participants, made from the journals",
     "sub-01/sub-01_journal.jsonl": "every event, a line each: the source of all tables",
     "sub-01/sub-01_design.json, sub-01_order.csv": "seed, conditions, the order of trials",
@@ -101,7 +101,7 @@ _KEPT: Final = {
 
 
 def record() -> str:
-    """The record of a tick."""
+    """Return the page of the record of a tick."""
     head = """\
 # The record of a tick
 
@@ -122,7 +122,7 @@ unused one is -1."""
 
 
 def telemetry() -> str:
-    """Every key of every message."""
+    """Return the page with every key of every message."""
     head = f"""\
 # Telemetry: every key
 
@@ -150,13 +150,13 @@ Keys that events of single kinds add. Other kinds add what the event needs."""
 
 
 def _beside_the_record(keys: Iterable[Key]) -> list[Key]:
-    """Keys of a message of a tick that are no fields of the record."""
+    """Return the keys of a tick's message that are not fields of the record."""
     names = {field.name for field in FIELDS}
     return [key for key in keys if key.name.replace("[]", "0") not in names]
 
 
 def _kinds_table(kinds: Mapping[str, Iterable[Key]]) -> str:
-    """Keys of events with the kinds that have them; a key that several have alike stands once."""
+    """Return a table of keys of events with their kinds; a key that several kinds share is printed once."""
     of: dict[Key, list[str]] = {}
     for kind, keys in kinds.items():
         for key in keys:
@@ -166,7 +166,7 @@ def _kinds_table(kinds: Mapping[str, Iterable[Key]]) -> str:
 
 
 def commands_page() -> str:
-    """Every method with its parameters and its result, and every error."""
+    """Return the page with every method, its parameters and result, and every error."""
     head = """\
 # Commands: every method
 
@@ -189,7 +189,7 @@ messages. Units are SI. A key in brackets may be left out. `object` and `finger`
 
 
 def states_page() -> str:
-    """The states of the daemon."""
+    """Return the page of the states of the daemon."""
     head = """\
 # States: every transition
 
@@ -202,7 +202,7 @@ says who arms; [Safety](../safety.md) says what a fault is."""
 
 
 def faults_page() -> str:
-    """The fault model, and what tests have seen of it."""
+    """Return the page of the fault model, with the results of the tests."""
     head = """\
 # Faults: every hazard
 
@@ -232,7 +232,7 @@ them. After that, what became of the run."""
 
 
 def _seen_rows(seen: list[dict[str, Any]]) -> list[list[str]]:
-    """A row for each fault that was injected, the drivers of it together."""
+    """Return a row for each injected fault, with all its drivers."""
     faults: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for each in seen:
         if "driver" in each:
@@ -255,7 +255,7 @@ def _seen_rows(seen: list[dict[str, Any]]) -> list[list[str]]:
 
 
 def _cases(hazard: Hazard, seen: list[dict[str, Any]]) -> str:
-    """How many cases of each of a hazard's tests have passed, with a link to it."""
+    """Format the number of passed cases of each test of a hazard, with a link to the test."""
     found = {each["test"]: each for each in seen if each["hazard"] == hazard.name and "test" in each}
     told = []
     for test in hazard.tests:
@@ -266,13 +266,13 @@ def _cases(hazard: Hazard, seen: list[dict[str, Any]]) -> str:
 
 
 def materials_page() -> str:
-    """The library of materials and fingertips, with its sources."""
+    """Return the page of the library of materials and fingertips, with its sources."""
     head = """\
 # Materials and fingertips: every entry
 
 What a scene may name: `material = "rubber"`, `fingertip = "human-index"`. [Materials](../model/materials.md) shows how,
 and the models beside what was published; `softfinger materials NAME` prints one, with `--plot` its figure."""
-    listed = feels.entries()
+    listed = library_texts.entries()
     parts = []
     for kind, title in (("material", "## Materials"), ("fingertip", "## Fingertips")):
         rows = [
@@ -281,7 +281,7 @@ and the models beside what was published; `softfinger materials NAME` prints one
                 f"{entry.about} {'Friction: ' + entry.friction_of + '.' if entry.friction_of else ''}".strip(),
                 "<br>".join(f"`{key}` {value:g}" for key, value in flat(entry.values)),
                 entry.holds,
-                "<br>".join(map(feels.measured_text, entry.measured)),
+                "<br>".join(map(library_texts.measured_text, entry.measured)),
                 ", ".join(entry.papers),
             ]
             for name, (each, entry) in listed.items()
@@ -313,18 +313,18 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
 
 
 def keys_table(keys: Iterable[Key]) -> str:
-    """Keys of a message as a Markdown table."""
+    """Format the keys of a message as a Markdown table."""
     rows = [[f"`{key.name}`", _typed(key), key.meaning] for key in keys if key is not protocol.SCHEMA_KEY]
     return schema.grid(["key", "type", "meaning"], rows)
 
 
 def _typed(key: Key) -> str:
-    """Type, unit and frame of a key, those that it has: `float[3], m, world`."""
+    """Return type, unit and frame of a key, omitting missing ones: `float[3], m, world`."""
     return ", ".join(part for part in (key.type, key.unit, key.frame) if part not in ("", "1"))
 
 
 def _said(kind: Any) -> str:
-    """What a type of the table of commands says about itself, on one line."""
+    """Return the docstring of a type of the table of commands, on one line."""
     text = commands.VALUES if kind is commands.Values else kind.__doc__ if isinstance(kind, type) else ""
     return " ".join((text or "").split())
 
@@ -338,7 +338,7 @@ def _numbers(values: Iterable[tuple[int, str]]) -> str:
 
 
 def _listed(verb: str) -> str:
-    rows = [[f"`{each['name']}`", each["description"]] for each in shipped.shipped_in(verb)]
+    rows = [[f"`{each['name']}`", each["description"]] for each in shipped.list_shipped(verb)]
     return schema.grid(["name", "what it is"], rows)
 
 

@@ -17,7 +17,7 @@ TURN: Final = np.linspace(0.0, 2.0 * np.pi, 61)
 
 
 def contact(axes: Any) -> None:
-    """Probe and proxy of a fingertip that is pressed into a plane and dragged along it."""
+    """Draw probe and proxy of a fingertip that is pressed into a plane and dragged along it."""
     (axes,) = axes
     probe, proxy = np.array([0.35, 0.7]), np.array([0.0, 1.0])
     _ground(axes, -1.6, 2.2)
@@ -33,7 +33,7 @@ def contact(axes: Any) -> None:
 
 
 def conventions(axes: Any) -> None:
-    """The world's axes with a fingertip on a floor, from the side and from above."""
+    """Draw the world axes with a fingertip on a floor, from the front and from above."""
     side, above = axes
     _ground(side, -1.6, 2.2)
     _circle(side, np.array([0.0, 0.9]), 1.0, BLUE)
@@ -52,7 +52,7 @@ def conventions(axes: Any) -> None:
 
 
 def rolling(axes: Any) -> None:
-    """A ball before and after a roll: the contact travels r theta on the ball and on the plane."""
+    """Draw a ball before and after a roll: the contact travels r theta on the ball and on the plane."""
     (axes,) = axes
     theta = 1.1
     _ground(axes, -1.5, 2.9)
@@ -71,14 +71,14 @@ def rolling(axes: Any) -> None:
 
 
 def ellipsoid(axes: Any) -> None:
-    """An ellipse that rolls on a line: the support vector from contact to centre, and the way of the centre."""
+    """Draw an ellipse that rolls on a line: the support vector from contact to centre, and the path of the centre."""
     (axes,) = axes
     a, b = 1.3, 0.8
     _ground(axes, -1.5, 4.7)
     turns = np.linspace(0.0, np.pi, 181)
     height = np.sqrt((a * np.sin(turns)) ** 2 + (b * np.cos(turns)) ** 2)
     lean = (a * a - b * b) * np.sin(turns) * np.cos(turns) / height
-    # Without slip the contact travels the length of the ellipse, whose element is h + h'' of the turn.
+    # Without slip the contact travels the length of the ellipse, with the element h + h'' of the turn.
     way = np.concatenate([[0.0], np.cumsum(0.5 * (height[1:] + height[:-1]) * np.diff(turns))]) + np.gradient(
         height, turns
     )
@@ -93,7 +93,7 @@ def ellipsoid(axes: Any) -> None:
 
 
 def heightmap(axes: Any) -> None:
-    """Hills and the surface on which the centre of a fingertip moves, with a valley too narrow for it."""
+    """Draw hills and the surface on which the centre of a fingertip moves, with a valley that is too narrow for it."""
     (axes,) = axes
     x = np.linspace(-3.0, 3.0, 241)
     hills = 0.35 * np.cos(2.0 * x) + 0.25 * np.cos(0.9 * x)
@@ -112,7 +112,7 @@ def heightmap(axes: Any) -> None:
 
 
 def mesh(axes: Any) -> None:
-    """A faceted outline, the surface on which the centre moves, and normals with and without shading."""
+    """Draw a faceted outline, the surface on which the centre moves, and normals with and without shading."""
     (axes,) = axes
     corners = np.array([[2.6 * np.sin(t), 2.6 * np.cos(t) - 2.6] for t in np.linspace(-0.9, 0.9, 5)])
     axes.fill(*np.vstack([corners, [3.0, -3.0], [-3.0, -3.0]]).T, color="0.85", linewidth=0)

@@ -1,29 +1,29 @@
-"""The states of the daemon and their transitions, as tables and as a figure, all from server/states.py."""
+"""States of the daemon and their transitions, as tables and as a figure, all from server/states.py."""
 
 from __future__ import annotations
 
 from typing import Any, Final
 
-from softfinger.server.states import CAUSES, MEANINGS, TRANSITIONS, State
+from softfinger.server.states import CAUSES, MEANINGS, TRANSITIONS, DaemonState
 from softfinger.server.verbs import schema
 
 PLACES: Final = {
-    State.STARTING: (0.0, 1.0),
-    State.READY: (2.4, 1.0),
-    State.ARMED: (5.6, 1.0),
-    State.FAULTED: (3.9, 2.1),
-    State.STOPPING: (5.6, -0.4),
+    DaemonState.STARTING: (0.0, 1.0),
+    DaemonState.READY: (2.4, 1.0),
+    DaemonState.ARMED: (5.6, 1.0),
+    DaemonState.FAULTED: (3.9, 2.1),
+    DaemonState.STOPPING: (5.6, -0.4),
 }
-"""Of each state in the figure."""
+"""Position of each state in the figure."""
 
 _ALOFT: Final = 0.14
-"""How an arrow bends, so that two between the same states stay apart."""
+"""Curvature of an arrow, so that two arrows between the same states are apart."""
 
 
 def tables() -> tuple[str, str]:
-    """States with what they are; transitions with what leads to them."""
+    """Return the table of states with their meaning, and the table of transitions with their causes."""
     states = schema.grid(["state", "meaning"], [[f"`{state}`", meaning] for state, meaning in MEANINGS.items()])
-    ways: dict[tuple[Any, State], list[str]] = {}
+    ways: dict[tuple[Any, DaemonState], list[str]] = {}
     for (before, trigger), after in _ways():
         ways.setdefault((trigger, after), []).append(f"`{before}`")
     rows = [
@@ -32,12 +32,12 @@ def tables() -> tuple[str, str]:
     return states, schema.grid(["from", "by", "to"], rows)
 
 
-def _ways() -> list[tuple[tuple[State, Any], State]]:
+def _ways() -> list[tuple[tuple[DaemonState, Any], DaemonState]]:
     return list(TRANSITIONS.items())
 
 
 def draw(axes: Any) -> None:
-    """A box for each state, an arrow for each transition."""
+    """Draw a box for each state, and an arrow for each transition."""
     (axes,) = axes
     for (before, trigger), after in _ways():
         start, end = PLACES[before], PLACES[after]
@@ -55,7 +55,7 @@ def draw(axes: Any) -> None:
         )
         x, y = (0.5 * (a + b) for a, b in zip(start, end, strict=True))
         dx, dy = end[0] - start[0], end[1] - start[1]
-        at = (x + 0.5 * _ALOFT * dy, y - 0.5 * _ALOFT * dx)  # where an arc of this bend has its middle
+        at = (x + 0.5 * _ALOFT * dy, y - 0.5 * _ALOFT * dx)  # the middle of an arc with this curvature
         axes.annotate(trigger.value, at, ha="center", va="center", fontsize="small", backgroundcolor="white")
     for state, place in PLACES.items():
         box = {"boxstyle": "round,pad=0.5", "facecolor": "white", "edgecolor": "C0"}

@@ -1,4 +1,4 @@
-"""`softfinger stability`: the stiffest stable wall, and the tick at the ends of its inputs.
+"""`softfinger stability`: the stiffest stable wall, and the tick at the limits of its inputs.
 
-The tick is the servo's own; what is predicted beside it shares no code with it.
+Contains no tick: the tested one is the servo's, and the predictions share no code with it.
 """

@@ -1,13 +1,13 @@
-"""Bodies that fingers drag, balance and hold: whether they come to rest, from light to heavy and from soft to hard.
+"""Stability of bodies that fingers drag, balance and hold, from light to heavy and from soft to hard.
 
     drag     one finger presses a box onto a floor, and drags it
     balance  one finger carries a plate, and lifts it
     hold     two fingers lift a box
 
-The hands are led, as stiff as hands can be. Each case is played twice. Once the hands go to the body, move it, and come
-back to where they began: a closed cycle. Once they stay with it, it is knocked, and what is left of the knock a second
-later tells whether it rings. The finger that has nothing to do is far away: all cases are one type of scene, whose
-kernels are compiled once.
+The hands follow a path, as stiff as hands can be. Each case has two runs. In the first, the hands move to the body,
+move it, and return to their start: a closed cycle. In the second, they stop at the body, it gets a velocity knock, and
+the remaining speed a second later shows whether it rings. An unused finger is far away, so that all cases are one type
+of scene, with kernels that are compiled once.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ G: Final = 9.81
 FINGERS: Final = ("thumb", "index")
 RADIUS_M: Final = 0.01
 HALF_M: Final = 0.02
-"""Of the box of 40 mm; the plate is as wide, and thinner."""
+"""Half edge of the box of 40 mm; the plate is as wide, and thinner."""
 PLATE_HALF_M: Final = 0.003
-"""Its centre of mass is lower than the fingertip's radius: it stays on it."""
+"""Its centre of mass is lower than the fingertip's radius, so it remains on the finger."""
 FRICTION: Final = 0.8
 FLOOR_FRICTION: Final = 0.1
 TORSION: Final = 0.05
@@ -43,25 +43,25 @@ MASSES: Final = (0.001, 0.01, 0.03, 0.1, 0.3, 1.0)
 STIFFNESSES: Final = (200.0, 500.0, 1000.0, 2000.0, 3000.0)
 LIGHT_KG: Final = 0.01
 LIGHT_SUBSTEPS: Final = 4
-"""Of bodies lighter than that."""
+"""Substeps for bodies lighter than that."""
 KNOCK: Final = (0.01, 0.01, 0.01, 0.3, 0.3, 0.3)
-"""Velocity that a knock gives, m/s and rad/s."""
+"""Velocity of a knock, m/s and rad/s."""
 STAY_S: Final = 0.2
-"""The hands stay so long in the middle of a cycle, and before the knock."""
+"""Pause of the hands in the middle of a cycle, and before the knock."""
 WATCH_S: Final = 1.0
 QUARTER: Final = round(0.25 * WATCH_S / DT)
 MOVES_M: Final = {"drag": 0.01, "balance": 0.02, "hold": 0.02}
-"""How far the hands move a body."""
+"""Distance by which the hands move a body."""
 LEG: Final = round(0.3 / DT)
-"""Ticks from one place of the hands to the next."""
+"""Ticks from one position of the hands to the next."""
 SPEEDING_UP: Final = 10.0 / sqrt(3.0) / (LEG * DT) ** 2
 """1/s^2: largest acceleration of a leg, over its length."""
 AT_REST: Final = 0.02
-"""Share of the knock's speed below which a body is at rest."""
+"""Fraction of the knock's speed below which a body is at rest."""
 GROWS: Final = 1.1
-"""A body is unstable whose speed grows by this factor from the third quarter of the watch to the last."""
+"""Growth of the speed, from the third quarter of the observation to the last, above which a body is unstable."""
 BALANCED: Final = 1e-12
-"""N: the force on a body and those on the hands are opposite to rounding."""
+"""N: the force on a body and the forces on the hands cancel to rounding."""
 AWAY: Final = (1.0, 0.0, 0.0)
 MODEL: Final = """
 <mujoco>
@@ -78,7 +78,7 @@ MODEL: Final = """
 
 
 class Cell(NamedTuple):
-    """A case, kg, N/m."""
+    """Case, kg, N/m."""
 
     case: str
     mass: float
@@ -86,18 +86,18 @@ class Cell(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a cell came to.
+    """Results of a cell.
 
-    depth_m       how deep a finger presses
+    depth_m       penetration depth of a finger
     damping       N s/m   of material and coupling
-    left          speed a second after the knock, as a share of the knock's
+    left          speed a second after the knock, as a fraction of the knock's
     grown         speed in the last quarter of that second over that in the third
     ripple_n      largest change of a force from tick to tick in the last quarter
-    slips         how often a finger began to slip, after it took the body and before it let go, and after the knock
+    slips         slips that start between grip and release, and after the knock
     given_j       work of the forces on the hands in the cycle
-    unbalanced_n  largest difference between the force on the body and minus those on the hands
-    verdict       rests, swings, unstable, lost, failed, or deep: not played
-    reason        of all but rests
+    unbalanced_n  largest difference between the force on the body and minus the forces on the hands
+    verdict       rests, swings, unstable, lost, failed, or deep: not run
+    reason        of each verdict except rests
     """
 
     case: str
@@ -117,8 +117,13 @@ class Found(NamedTuple):
 
 
 class Played(NamedTuple):
-    """Ticks of a run: force on each finger (n, 2, 3) N, mode of each contact (n, 2), speed of the body (n,) m/s, and
-    the largest `unbalanced_n`."""
+    """Ticks of a run.
+
+    force       (n, 2, 3)  N    on each finger
+    mode        (n, 2)          of each contact
+    speed       (n,)       m/s  of the body
+    unbalanced             N    largest `unbalanced_n`
+    """
 
     force: Array
     mode: Array
@@ -131,12 +136,15 @@ def substeps(mass: float) -> int:
 
 
 def damping(cell: Cell) -> float:
-    """N s/m: a tenth of critical for the body between two springs, and what a spring gives that is sampled, K T / 2."""
+    """Return the damping, N s/m: a tenth of critical for the body between two springs, but at least 0.6 K T.
+
+    A sampled spring generates energy like a damping of -K T / 2.
+    """
     return max(0.2 * sqrt(cell.stiffness * cell.mass), 0.6 * cell.stiffness * DT)
 
 
 def force(cell: Cell) -> float:
-    """N that a finger presses with: half more than friction needs, and not too little to be felt."""
+    """Return the force, N, of a finger: half more than friction needs, and not too little to be felt."""
     weight = cell.mass * G
     carried = weight + cell.mass * SPEEDING_UP * MOVES_M["hold"]
     if cell.case == "balance":
@@ -148,7 +156,7 @@ def force(cell: Cell) -> float:
 
 
 def scene_of(cell: Cell, folder: Path) -> dict[str, Any]:
-    """The scene of a cell, whose model is written into the folder."""
+    """Return the scene of a cell, with its model written into the folder."""
     steps = substeps(cell.mass)
     (folder / "body.xml").write_text(
         MODEL.format(
@@ -186,7 +194,7 @@ def scene_of(cell: Cell, folder: Path) -> dict[str, Any]:
 
 
 def way_there(cell: Cell) -> Array:
-    """Centres of both fingertips (n, 2, 3) m, from where they begin to where they stay."""
+    """Return the centres of both fingertips (n, 2, 3) m, from their start to their final position."""
     moved, near, pressed = MOVES_M[cell.case], RADIUS_M + 0.001, RADIUS_M - force(cell) / cell.stiffness
     if cell.case == "drag":
         places = [((0.0, 0.0, HALF_M + near), AWAY), ((0.0, 0.0, HALF_M + pressed), AWAY)]
@@ -206,7 +214,7 @@ def way_there(cell: Cell) -> Array:
 
 
 def begin(cell: Cell, folder: Path) -> Engine:
-    """The body before the fingers come; a plate that is balanced has sunk onto its finger."""
+    """Return the engine with the body before contact; a balanced plate is already pressed onto its finger."""
     engine = Engine(scene_of(cell, folder), 1.0 / DT)
     if cell.case == "balance":
         engine.data.qpos[2] = -force(cell) / cell.stiffness
@@ -214,20 +222,20 @@ def begin(cell: Cell, folder: Path) -> Engine:
 
 
 def speed_of(engine: Engine) -> float:
-    """Of the body, m/s: of its centre, or of the middle of a side about it."""
+    """Return the speed of the body, m/s: of its centre, or of the middle of a side about it."""
     velocity = engine.data.qvel
     return float(max(np.linalg.norm(velocity[:3]), HALF_M * np.linalg.norm(velocity[3:])))
 
 
 def poses_of(way: Array) -> dict[str, Array]:
-    """Poses (n, 7) of each finger, not turned, by centres (n, 2, 3)."""
+    """Return unrotated poses (n, 7) of each finger for centres (n, 2, 3)."""
     poses = np.zeros((*way.shape[:2], 7))
     poses[:, :, :3], poses[:, :, 3] = way, 1.0
     return {name: poses[:, at] for at, name in enumerate(FINGERS)}
 
 
 def play(engine: Engine, way: Array) -> Played:
-    """Lead the fingertips along centres (n, 2, 3)."""
+    """Move the fingertips along centres (n, 2, 3)."""
     poses = poses_of(way)
     found = Played(np.zeros(way.shape), np.zeros(way.shape[:2]), np.zeros(len(way)), 0.0)
     unbalanced = 0.0
@@ -243,12 +251,12 @@ def play(engine: Engine, way: Array) -> Played:
 
 
 def slips(mode: Array) -> int:
-    """How often a contact begins to slip: modes (n, 2)."""
+    """Count the starts of slip: modes (n, 2)."""
     return int(np.count_nonzero(np.diff((mode == SLIDING).astype(np.int8), axis=0) > 0))
 
 
 def measure(cell: Cell) -> Found:
-    """A cell played twice."""
+    """Run a cell twice."""
     found = Found(*cell, substeps(cell.mass), force(cell) / cell.stiffness, damping(cell))
     if found.depth_m > 2.0 * RADIUS_M:
         return found._replace(verdict="deep", reason="it would press deeper than a fingertip is thick")
@@ -279,7 +287,7 @@ def measure(cell: Cell) -> Found:
 
 
 def judged(found: Found, touching: bool) -> Found:
-    """With verdict and reason."""
+    """Return the results with verdict and reason."""
     assert found.left is not None and found.grown is not None
     if not touching:
         return found._replace(verdict="lost", reason="a finger touches it no more")
@@ -293,7 +301,7 @@ def judged(found: Found, touching: bool) -> Found:
 def measure_all(
     cases: Sequence[str] = CASES, masses: Sequence[float] = MASSES, stiffnesses: Sequence[float] = STIFFNESSES
 ) -> list[Found]:
-    """Every cell."""
+    """Measure every cell."""
     found, cells = [], [Cell(*each) for each in product(cases, masses, stiffnesses)]
     with progress("bodies", len(cells)) as done:
         for number, cell in enumerate(cells):

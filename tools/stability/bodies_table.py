@@ -1,4 +1,4 @@
-"""What `bodies` found, as text, as a table of Markdown, and as a figure."""
+"""Results of `bodies` as text, as a Markdown table, and as a figure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ UNSTABLE: Final = ("unstable", "failed")
 
 
 def wrong(found: Sequence[Found]) -> list[Found]:
-    """Cells that grow or fail, that give energy to the hands, or whose forces are not opposite."""
+    """Return the cells that grow or fail, give energy to the hands, or have unbalanced forces."""
     return [
         row
         for row in found
@@ -29,9 +29,9 @@ def mass_text(row: Found) -> str:
 
 
 def lines(found: Sequence[Found]) -> list[str]:
-    """A cell a line, for a terminal."""
+    """Format one cell per line, for a terminal."""
     heads = ("left", "ripple, mN", "slips", "given, mJ", "unbalanced, N")
-    text = ["knocked, and what is left of the knock after a second; energy given to the hands in a closed cycle"]
+    text = ["knocked, and the remaining motion after a second; energy given to the hands in a closed cycle"]
     text.append(f"  {'case':<9}{'mass':<17}{'K, N/m':>7}" + "".join(f"{head:>15}" for head in heads) + "  verdict")
     for row in found:
         numbers = (
@@ -52,7 +52,7 @@ def lines(found: Sequence[Found]) -> list[str]:
 
 
 def case_table(found: Sequence[Found]) -> str:
-    """Of each case the worst of what was measured, and what does not come to rest and why."""
+    """Return the worst measured values of each case, and the bodies that do not come to rest, with the reason."""
     text = [
         "| case | largest ripple | slips | energy given, at most | forces opposite to | not at rest after a second |"
     ]
@@ -76,7 +76,7 @@ def case_table(found: Sequence[Found]) -> str:
 
 
 def draw(path: Path, found: Sequence[Found]) -> None:
-    """A panel for each case: what is left of a knock against the stiffness, a line for each mass."""
+    """Draw a panel for each case: remaining speed after a knock against the stiffness, a line for each mass."""
     cases = list(dict.fromkeys(row.case for row in found))
     drawing = figure(4.0 * len(cases), 4.0)
     panels = drawing.subplots(1, len(cases), squeeze=False, sharey=True)[0]

@@ -1,7 +1,7 @@
-"""The servo's tick at the ends of everything it may be given: what is fed, what must hold, what happened.
+"""Tests of the servo's tick at the limits of its inputs: inputs, conditions, results.
 
-A tick must leave a finite force within the guard's limits and a contact in one of its three modes, whatever
-comes from the device, and name what it refused. `try_extremes` runs every case.
+A tick must give a finite force within the guard's limits and a contact in one of its three modes for any input from the
+device, and name the reason of a refusal. `try_extremes` runs every case.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ GUARD: Final = schema.Guard(force_max_n=FORCE_MAX_N, torque_max_nm=TORQUE_MAX_NM
 ROUNDING: Final = 1e-12
 """A clamp by norm is exact to a few roundings; relative."""
 SUMMING: Final = 1e-9
-"""A change of a force of 12 N by 0.04 N, as at 50 kHz, is known to 1e-13; relative."""
+"""A force change of 0.04 N at 12 N, as at 50 kHz, is accurate to 1e-13; relative."""
 
 
 class Case(NamedTuple):
-    """One extreme.
+    """Extreme input.
 
-    name, given   what is driven to its end, and to where
+    name, given   the extreme parameter, and its value
     scene         mapping of a scene file
     samples       (n, 7)  poses as a device gives them
     dts           (n,) s  time since the last tick
     period        s       nominal length of a tick
-    refused       poses that are to be refused, by name, or None where none may be
-    expects       what else must hold of the records; returns what is wrong, "" for nothing
+    refused       True if poses must be refused, False if none may be
+    expects       further condition on the records; returns the fault, "" for none
     """
 
     name: str
@@ -60,7 +60,7 @@ class Case(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """What happened: ticks, largest force (N), modes seen, what the guard named, what is wrong ("" if nothing)."""
+    """Result: ticks, largest force (N), modes, names of guard bits, and the fault ("" for none)."""
 
     name: str
     given: str
@@ -81,7 +81,7 @@ def scene(
     stiffness: float = 1000.0,
     friction: tuple[float, float] = (0.6, 0.5),
 ) -> dict[str, Any]:
-    """Mapping of a scene file: everything modelled, on a plane if no object is given."""
+    """Return the mapping of a scene file with all parts modelled, on a plane if no object is given."""
     material = {
         "stiffness_n_per_m": stiffness,
         "friction": {"static": friction[0], "kinetic": friction[1]},
@@ -107,13 +107,13 @@ WALLS: Final = (
 
 
 def turned(angles: NDArray[np.floating[Any]], axis: Sequence[float]) -> Array:
-    """Quaternions (n, 4) of the angles (n,) rad about an axis."""
+    """Return the quaternions (n, 4) of the angles (n,) rad about an axis."""
     unit = np.asarray(axis, float) / np.linalg.norm(axis)
     return np.column_stack([np.cos(angles / 2), np.sin(angles / 2)[:, None] * unit])
 
 
 def press(depth: float, radius: float = R, way: float = 0.0, count: int = TICKS) -> Array:
-    """Poses (n, 7) of a fingertip that comes down onto z = 0, `depth` deep, goes `way` along x and y and leaves."""
+    """Return poses (n, 7) of a fingertip that presses `depth` into z = 0, moves `way` along x and y, and leaves."""
     t = np.linspace(0.0, 1.0, count)
     down = np.clip(np.minimum(t, 1.0 - t) / 0.1, 0.0, 1.0)
     along = way * np.clip((t - 0.2) / 0.6, 0.0, 1.0)
@@ -128,7 +128,7 @@ def even(count: int, dt: float = 0.001) -> Array:
     return np.full(count, dt)
 
 
-# --- what is asked of some -------------------------------------------------------------------------
+# --- further conditions ----------------------------------------------------------------------------
 
 
 def touches_and_leaves(records: Array) -> str:
@@ -158,13 +158,13 @@ def zero_where_refused(records: Array) -> str:
 
 
 def cases() -> Iterator[Case]:
-    """Every extreme; those of one scene type follow each other."""
+    """Yield every extreme; cases of one scene type are consecutive."""
     yield from on_a_plane()
     yield from on_other_objects()
 
 
 def on_a_plane() -> Iterator[Case]:
-    """Motions, parameters, times and damaged poses."""
+    """Yield motions, parameters, times and damaged poses."""
     yield Case("no rotation", "a drag without any turn", scene(), press(0.001, way=0.01), even(TICKS), expects=slides)
     for angle, words in ((pi, "pi"), (pi - 1e-9, "a little less than pi"), (pi + 1e-9, "a little more than pi")):
         poses = press(0.001)
@@ -218,7 +218,7 @@ def on_a_plane() -> Iterator[Case]:
 
 
 def on_other_objects() -> Iterator[Case]:
-    """Curvature, edges, and several contacts at once."""
+    """Yield curvature, edges, and several contacts at once."""
     for radius, other in ((1e-5, 1e3), (1e3, 1e-5), (1e3, 1e3), (1e-5, 1e-5)):
         ball = {"shape": "sphere", "radius_m": other, "position_m": [0.0, 0.0, -min(other, 1e3)]}
         poses = press(0.1 * min(radius, other), radius, 0.1 * min(radius, other))
@@ -255,7 +255,7 @@ def tuning_of(mapping: dict[str, Any]) -> Tuning:
 
 
 def run_case(case: Case) -> Array:
-    """Records (n, RECORD_SIZE) of a case."""
+    """Return the records (n, RECORD_SIZE) of a case."""
     tuning = tuning_of(case.scene)
     records = np.zeros((len(case.samples), RECORD_SIZE))
     samples, rows = case.samples[:, None], records[:, None]
@@ -264,7 +264,7 @@ def run_case(case: Case) -> Array:
 
 
 def judge(case: Case, records: Array) -> Finding:
-    """What happened in a case, and what of it must not."""
+    """Return the result of a case, with its fault."""
     force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
     modes = np.unique(records[:, AT.contact_mode])
     bits = int(np.bitwise_or.reduce(records[:, AT.servo_guard].astype(np.int64)))
@@ -281,7 +281,7 @@ def judge(case: Case, records: Array) -> Finding:
 
 
 def broken_rules(records: Array, period: float) -> int:
-    """How many of the records (n, RECORD_SIZE) of ticks of `period` (s) break a rule that holds for every tick."""
+    """Count the records (n, RECORD_SIZE) of ticks of `period` (s) that violate a rule for every tick."""
     with np.errstate(invalid="ignore", over="ignore"):
         force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
         torque = np.linalg.norm(records[:, AT.torque : AT.torque + 3], axis=1)
@@ -295,13 +295,13 @@ def broken_rules(records: Array, period: float) -> int:
             (AT.torque, torque, GUARD.torque_slew_nm_per_s),
         ):
             change = np.linalg.norm(np.diff(records[:, at : at + 3], axis=0), axis=1)
-            # From the last tick, or from zero where the force was let go.
+            # Change from the last tick, or from zero after a release of the force.
             kept[1:] &= np.minimum(change, size[1:]) <= slew * period * (1.0 + SUMMING)
         return int(np.count_nonzero(~kept))
 
 
 def try_extremes() -> list[Finding]:
-    """Every case, in order, and after them the guard alone."""
+    """Run every case, in order, and then the tests of the guard."""
     found, todo = [], list(cases())
     with progress("extremes", len(todo)) as done:
         for number, case in enumerate(todo):
@@ -312,7 +312,7 @@ def try_extremes() -> list[Finding]:
 
 
 def table(found: Sequence[Finding]) -> str:
-    """The findings as a table of Markdown."""
+    """Format the findings as a Markdown table."""
     lines = ["| extreme | given | largest force | modes | the guard says | holds |", "|---|---|---|---|---|---|"]
     lines += [
         f"| {row.name} | {row.given} | {row.force_n:.3g} N | {row.modes} | {row.named or '-'} | {row.wrong or 'yes'} |"

@@ -1,4 +1,4 @@
-"""Random garbage in place of a device's samples: every tick must leave a finite force within the guard's limits."""
+"""Test with random garbage as samples of a device: every tick must give a finite force within the guard's limits."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ HOSTILE_SCENES: Final = {
 }
 HOSTILE_BLOCK: Final = 20_000
 WILD: Final = np.array([nan, inf, -inf, 0.0, -0.0, 5e-324, -5e-324, 1.7e308, -1.7e308])
-"""What no device should send, beside numbers of any size."""
+"""Values that no device should send; numbers of any size are used, too."""
 
 
 def garbage(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-    """Samples (count, 7) and time steps (count,) s; a quarter of the samples holds what none should send."""
+    """Return samples (count, 7) and time steps (count,) s; a quarter of the samples has invalid values."""
     samples = rng.uniform(-1.0, 1.0, (count, 7))
     samples[:, :3] *= 2.0 * R
     spoilt = (rng.random((count, 1)) < 0.25) & (rng.random((count, 7)) < 0.125)
@@ -52,7 +52,7 @@ def garbage(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
 
 
 def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
-    """`ticks` random ticks on each of HOSTILE_SCENES: how many broke a rule and were refused, and the largest force."""
+    """Run `ticks` random ticks on each of HOSTILE_SCENES; returns violations, refusals and the largest force."""
     rows = []
     with progress("hostile input", ticks * len(HOSTILE_SCENES)) as done:
         for number, (name, mapping) in enumerate(HOSTILE_SCENES.items()):
@@ -73,7 +73,7 @@ def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
 
 
 def hostile_table(rows: Sequence[dict[str, Any]]) -> str:
-    """The runs over garbage, as a table of Markdown."""
+    """Format the runs with garbage as a Markdown table."""
     lines = ["| scene | ticks | rules broken | poses refused | largest force |", "|---|---|---|---|---|"]
     lines += [
         f"| {row['scene']} | {row['ticks']} | {row['broken']} | {row['refused']} | {row['force_max_n']:.6g} N |"

@@ -1,9 +1,8 @@
-"""The largest stable stiffness of a wall, found on the real servo step in closed loop with a simulated device.
+"""Search of the largest stable stiffness of a wall, with the real servo step in closed loop with a simulated device.
 
-A frictionless plane is pressed by a constant force, so deep that contact is never lost and damping never
-meets its bounds (f_N between 0 and 2 K delta): there the loop is linear as long as the device is. The
-handle is knocked, and the loop is unstable where the swing that follows grows. Search and ticks are one
-compiled function, which runs many cases without the GIL.
+A constant force presses a frictionless plane so deep that contact is never lost and damping never reaches its bounds
+(f_N between 0 and 2 K delta). The loop is then linear if the device is. The handle is knocked, and the loop is unstable
+if the following swing grows. Search and ticks are one compiled function, which runs many cases without the GIL.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import limits
 from softfinger.drivers.simulated.plant import (
-    LINE_SIZE,
+    DELAY_LINE_SIZE,
     Handle,
     Impedance,
     Plant,
@@ -46,7 +45,7 @@ from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.limits import UNLIMITED
 from softfinger.server.loop.passivity import Passivity
 from softfinger.server.loop.tick import Memory, Tuning, begin, tick
-from softfinger.server.offline.closed_loop import NOWHERE
+from softfinger.server.offline.closed_loop import NULL_RECORD
 from softfinger.server.progress import progress
 from softfinger.tools.stability.predicted import LinearLoop, linear_limit, passive_limit
 
@@ -54,37 +53,36 @@ Array = NDArray[np.float64]
 
 RADIUS_M: Final = 0.01
 KNOCK_M: Final = 1e-4
-"""Swing that the knock gives an undamped handle, m."""
+"""Amplitude that the knock gives an undamped handle, m."""
 KNOCK_STEPS: Final = 20.0
-"""The same in encoder steps, at least: what they add is then small beside it."""
+"""The same in encoder steps, at least, so that their effect is small in comparison."""
 REACH: Final = 30.0
-"""A swing grown by this factor has decided: the wall is unstable."""
+"""A swing that has grown by this factor shows that the wall is unstable."""
 DEAD: Final = 1e-9
-"""Share of the knock's speed below which nothing is left of it; rounding is at 1e-13."""
+"""Fraction of the knock's speed below which the swing is over; rounding is at 1e-13."""
 LIMIT_CYCLE: Final = 1.0
-"""The same with encoder steps: a swing among a few steps never ends, and is no instability until it outgrows the
-knock."""
+"""The same with encoder steps: a swing of a few steps never ends, and is no instability until it exceeds the knock."""
 DEPTH: Final = 100.0
-"""Depth of the equilibrium in knocks, at least: a swing of REACH stays in contact."""
+"""Depth of the equilibrium in knocks, at least, so that a swing of REACH remains in contact."""
 WEIGHT_MAX_N: Final = 1e5
-"""Heaviest weight that presses the wall; where more were needed the knock is smaller. Effects end at 1e6 N."""
+"""Heaviest weight that presses the wall; if more were needed, the knock is smaller. Effects end at 1e6 N."""
 COARSE: Final = 16.0
 FINE: Final = 64.0
-"""Swings of the handle that a trial lasts: while the stiffness is only raised, and while it is bisected."""
+"""Swings of the handle in a trial: until the limit is bracketed, and while it is bisected."""
 TICKS_MIN: Final = 2_000.0
 TICKS_MAX: Final = 1_000_000.0
 SCAN: Final = 1.3
-"""Factor by which the wall is stiffened until it is unstable for the first time."""
+"""Factor by which the stiffness increases until the wall is unstable for the first time."""
 PRECISION: Final = 1e-4
 """Relative width at which the bisection ends."""
 SOFTEST: Final = 1e-6
-"""Share of the first stiffness tried at which softening ends and the limit is said to be 0."""
+"""Fraction of the first stiffness at which softening ends, with a limit of 0."""
 STIFFEST: Final = 1e12
-"""A wall of so many N/m that is stable ends the search: a million times what a scene may have."""
+"""A wall of this stiffness in N/m that is stable ends the search: a million times the limit of a scene."""
 
 
 class Case(msgspec.Struct, frozen=True, kw_only=True):
-    """A wall, a device and a hand along one axis."""
+    """Wall, device and hand along one axis."""
 
     mass_kg: Annotated[float, Meta(ge=1e-3, le=100.0, description="apparent mass of the device")] = 0.2
     damping_ns_per_m: Annotated[float, Meta(ge=0.0, le=1e3, description="physical damping of the device")] = 2.0
@@ -114,11 +112,11 @@ class Case(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def period_s(self) -> float:
-        """Length of a tick, in whole ns as the servo has it."""
+        """Length of a tick, in whole ns like the servo's."""
         return period_ns(self.rate_hz) / NS_PER_S
 
     def linear(self) -> LinearLoop:
-        """What of the case is linear: all but friction and encoder."""
+        """Return the linear part of the case: all but friction and encoder."""
         return LinearLoop(
             self.mass_kg + self.hand_mass_kg,
             self.damping_ns_per_m,
@@ -131,7 +129,7 @@ class Case(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def plant(self) -> Plant:
-        """The simulated device and hand."""
+        """Return the simulated device and hand."""
         handle = Handle(
             mass=(self.mass_kg,) * 3,
             damping=(self.damping_ns_per_m,) * 3,
@@ -144,16 +142,16 @@ class Case(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Loop(NamedTuple):
-    """What a trial needs beside the plant: of the wall, of the tick, and of the whole for the length of a swing.
+    """Parameters of a trial in addition to the plant.
 
     damping, velocity_time_constant, passivity_damping  N s/m, s, N s/m
     period                           s
     mass, hand_stiffness             kg, N/m   device and hand
-    knock                            m         swing that the knock gives an undamped handle
-    floor                                      share of the knock's speed below which a swing is over
-    first                            N/m       stiffness the search begins with
+    knock                            m         amplitude that the knock gives an undamped handle
+    floor                                      fraction of the knock's speed below which a swing is over
+    first                            N/m       first stiffness of the search
     ticks                                      0 to search; else one trial at the first stiffness, of so many ticks
-                                               or with -1 of FINE swings
+                                               or, with -1, of FINE swings
     """
 
     damping: float
@@ -171,16 +169,16 @@ class Loop(NamedTuple):
 def wall_and_weight(
     stiffness: float, damping: float, velocity_time_constant: float, passivity_damping: float, depth: float
 ) -> Tuning:
-    """A plane and the weight that presses `depth` m into it, in balance at the origin; a guard that lets all pass."""
+    """Return a plane and the weight that presses `depth` m into it, balanced at the origin, with an unlimited guard."""
     material = Material(LinearNormal(stiffness, damping), None, None, None)
     shape = Plane((0.0, 0.0, 1.0), depth - RADIUS_M)
-    wall = Object(  # whole: a kernel does not know the defaults of a tuple
+    wall = Object(  # all fields, since a kernel does not know the defaults of a tuple
         shape=shape, pose=None, motion=None, material=material, number=0.0, was=None, texture=None
     )
     weight = ConstantForce((0.0, 0.0, -stiffness * depth), None)
     finger = Finger(RADIUS_M, Coupling(1.0, 0.0, 0.0), 1.0, velocity_time_constant, 0.0, None, None)
     scene = Scene(fingers=(finger,), objects=Single(wall, ()), rolling=None, effects=(weight,), bodies=None)
-    # The observer is always there: with a largest damping of 0 it leaves the force alone.
+    # The observer is always present; with a largest damping of 0 it does not change the force.
     return Tuning(
         scene,
         (Guard(inf, inf, inf, inf, 0.0, 1.0, inf, inf, 0.0, 1.0, UNLIMITED),),
@@ -196,17 +194,17 @@ START: Final = begin(wall_and_weight(1.0, 0.0, 0.0, 0.0, 1.0).scene)
 
 @jit
 def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: float, line: Array) -> tuple[bool, float]:
-    """Whether a knock grows, and after how many ticks that was known.
+    """Return whether a knock grows, and the number of ticks until the decision.
 
-    The squared velocity is summed over the second and the third third of the trial under a window that
-    is 0 and flat at its ends, (u (1 - u))^2: cut so, a swing that neither grows nor decays gives equal
-    sums to about 1e-6 whatever its phase. The first third lets go what dies out fast. A swing that has
-    come down to `loop.floor` is over: what is left then is rounding, or the encoder's own limit cycle.
+    The squared velocity is summed over the second and the last third of the trial with a window that is 0 and flat at
+    its ends, (u (1 - u))^2. With this window a swing of constant amplitude gives equal sums to about 1e-6 for any
+    phase. Fast modes decay in the first third. A swing that has decreased to `loop.floor` is over: the remainder is
+    rounding, or the limit cycle of the encoder.
     """
-    # The frequency at which the handle swings on the wall, rad a tick, at most an eighth of a turn.
+    # Frequency at which the handle swings on the wall, rad per tick, at most an eighth of a turn.
     own = min(sqrt((stiffness + loop.hand_stiffness) / loop.mass) * loop.period, 0.25 * pi)
     ticks = loop.ticks if loop.ticks > 0.0 else max(TICKS_MIN, min(TICKS_MAX, swings * 2.0 * pi / own)) // 1.0
-    # v_k T is at most 2 REACH knocks: so the damper's force stays below K delta, and f_N between 0 and 2 K delta.
+    # v_k T is at most 2 REACH knocks. The damper's force is then below K delta, and f_N between 0 and 2 K delta.
     deep = max(DEPTH, 3.0 * REACH * loop.damping / (stiffness * loop.period))
     knock = min(loop.knock, WEIGHT_MAX_N / (stiffness * deep))
     depth = knock * deep
@@ -214,7 +212,7 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
     zero, upright = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
     state = PlantState(zero, (0.0, 0.0, knock * own / loop.period), zero, zero, upright, 0.0)
     memory, third = start, ticks / 3.0
-    # What a steady swing sums to: half its squared speed, times the integral 1 / 630 of the window squared.
+    # Sum of a steady swing: half its squared speed, times the integral 1 / 630 of the window squared.
     over = 0.5 * (loop.floor * knock * own / loop.period) ** 2 * third / 630.0
     before, after = 0.0, 0.0
     for i in range(line.shape[0]):
@@ -222,8 +220,8 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
     for k in range(int(ticks)):
         x, y, z = sense(plant, state)
         sample: Any = (x, y, z, 1.0, 0.0, 0.0, 0.0)
-        memory = tick(tuning, start, memory, (sample,), loop.period, loop.period, k, (NOWHERE,))
-        state = advance(plant, state, memory.fingers[0].guarded.force, zero, upright, line)
+        memory = tick(tuning, start, memory, (sample,), loop.period, loop.period, k, (NULL_RECORD,))
+        state = advance(plant, state, memory.fingers[0].guard_state.force, zero, upright, line)
         if not abs(state.position[2]) < REACH * knock:
             return True, k + 1.0
         u = (k + 0.5) / third - 1.0
@@ -238,13 +236,14 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
 
 @jit
 def first_limit(loop: Loop, start: Memory, plant: Plant, line: Array) -> tuple[float, float, float]:
-    """The stiffness, N/m, at which a wall made ever stiffer first turns unstable; trials and ticks it took.
+    """Return the stiffness, N/m, at which a wall of increasing stiffness first becomes unstable; and trials and ticks.
 
-    With `loop.ticks` one trial at the first stiffness: that if it is stable, else 0.
+    With `loop.ticks`, run one trial at the first stiffness and return that stiffness if it is stable, else 0.
 
-    From the first stiffness down until it is stable or up until it is not, then by bisection. A window of
-    instability narrower than SCAN, followed by stability, would be passed over. 0 where no wall is stable
-    down to SOFTEST; inf where none is unstable up to STIFFEST, as friction stops the knock at once.
+    The stiffness decreases from the first one until it is stable or increases until it is unstable, then it is
+    bisected. A window of instability narrower than SCAN, followed by stability, would be missed. The limit is 0 if no
+    wall is stable down to SOFTEST, and inf if none is unstable up to STIFFEST, as when friction stops the knock at
+    once.
     """
     low, high, stiffness, trials, total = 0.0, inf, loop.first, 0.0, 0.0
     while True:
@@ -273,7 +272,7 @@ def first_limit(loop: Loop, start: Memory, plant: Plant, line: Array) -> tuple[f
 
 @entry
 def first_limits(start: Memory, loops: Array, plants: Array, like: Any, line: Array, out: Array) -> None:
-    """`first_limit` of each row of `loops` (n, len(Loop)) and `plants` (n, leaves of Plant) into `out` (n, 3)."""
+    """Store `first_limit` of each row of `loops` (n, len(Loop)) and `plants` (n, leaves of Plant) in `out` (n, 3)."""
     for i in range(loops.shape[0]):
         row = loops[i]
         loop = Loop(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
@@ -281,7 +280,7 @@ def first_limits(start: Memory, loops: Array, plants: Array, like: Any, line: Ar
 
 
 def first_stiffness(case: Case) -> float:
-    """Where the search begins, N/m: an eighth of what all damping together would keep passive, if there is any."""
+    """Return the first stiffness of the search, N/m: an eighth of the passivity bound with all damping, if any."""
     damping = case.damping_ns_per_m + case.wall_damping_ns_per_m + case.hand_damping_ns_per_m
     if damping == 0.0:
         return 1e-6 * case.mass_kg / case.period_s**2
@@ -289,14 +288,14 @@ def first_stiffness(case: Case) -> float:
 
 
 def run_rows(loops: Array, plants: Array, like: Plant) -> Array:
-    """`first_limit` of each row of `loops` (n, len(Loop)) with the plant of leaves `plants` (n, ...): (n, 3)."""
+    """Return `first_limit` (n, 3) of each row of `loops` (n, len(Loop)) with the plant of leaves `plants` (n, ...)."""
     out = np.zeros((len(loops), 3))
-    first_limits(START, loops, plants, like, np.zeros(LINE_SIZE), out)
+    first_limits(START, loops, plants, like, np.zeros(DELAY_LINE_SIZE), out)
     return out
 
 
 def loop_of(case: Case, first: float, ticks: int = 0) -> Loop:
-    """The kernel's row for a case: a search from stiffness `first` (N/m), or one trial at it (see Loop.ticks)."""
+    """Return the kernel's row for a case: a search from stiffness `first` (N/m), or one trial (see Loop.ticks)."""
     over = LIMIT_CYCLE if case.resolution_m > 0.0 else DEAD
     return Loop(
         case.wall_damping_ns_per_m, case.velocity_time_constant_s, case.passivity_damping_ns_per_m, case.period_s,
@@ -306,10 +305,10 @@ def loop_of(case: Case, first: float, ticks: int = 0) -> Loop:
 
 
 def find_limits(cases: Sequence[Case]) -> list[dict[str, Any]]:
-    """For each case its values, the limit found, what theory says, and what finding it took.
+    """Return for each case its values, the limit found, the theoretical limits, and the effort of the search.
 
-    `limit_n_per_m` on the real step, None without limit; `predicted_n_per_m` of the linear part, exact;
-    `passive_n_per_m`.
+    `limit_n_per_m` is found on the real step, None without limit. `predicted_n_per_m` is the exact limit of the linear
+    part. `passive_n_per_m` is the passivity bound.
     """
     loops = np.array([loop_of(case, first_stiffness(case)) for case in cases])
     plants = [case.plant() for case in cases]
@@ -328,13 +327,13 @@ def find_limits(cases: Sequence[Case]) -> list[dict[str, Any]]:
 
 
 def compile_search() -> None:
-    """Compile the search, or load it, unless that is done: the processes of a cluster here then find it compiled."""
+    """Compile the search, or load it, once, so that the processes of a local cluster find it compiled."""
     with progress("kernels"):
         plant = Case().plant()
         run_rows(np.array([loop_of(Case(), 1.0, 1)]), flatten(plant).reshape(1, -1), plant)
 
 
 def grows_at(case: Case, stiffness: float) -> bool:
-    """Whether a knock grows on a wall of one stiffness, N/m: the trial of which a search is made."""
+    """Return whether a knock grows on a wall of one stiffness, N/m: a single trial of the search."""
     plant = case.plant()
     return bool(run_rows(np.array([loop_of(case, stiffness, -1)]), flatten(plant).reshape(1, -1), plant)[0, 0] == 0.0)

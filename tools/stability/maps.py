@@ -22,7 +22,7 @@ LINE_POINTS: Final = 80
 
 
 class Map(NamedTuple):
-    """Key of the case that is varied, the axis's label, and whether it is logarithmic."""
+    """Key of the case that is varied, label of the axis, and whether it is logarithmic."""
 
     key: str
     label: str
@@ -43,13 +43,16 @@ VARIANTS: Final[Mapping[str, Mapping[str, float]]] = {
     "with a velocity filter": {"velocity_time_constant_s": 0.002},
     "with passivity control": {"passivity_damping_ns_per_m": 20.0},
 }
-"""What `--compare` adds to the case, one at a time. The hand: a relaxed grip (its order of magnitude); the
-friction: the least of desktop devices; the steps: twice those of a desktop device; the filter: that of the
-shipped scenes; the passivity controller: as a scene has it that says no more."""
+"""Additions to the case by `--compare`, one at a time.
+
+The hand has the order of magnitude of a relaxed grip. The friction is the least of desktop devices, and the encoder
+step twice that of a desktop device. The filter is that of the shipped scenes. The passivity controller has the default
+of a scene.
+"""
 
 
 def damping_limit(case: Case) -> float:
-    """The wall damping, N s/m, past which no wall of the linear loop is stable, to a percent."""
+    """Return the wall damping, N s/m, above which no wall of the linear loop is stable, to a percent."""
     low, high = 0.0, 1.0
     while linear_limit(varied(case, "wall_damping_ns_per_m", high).linear()) > 0.0:
         low, high = high, 2.0 * high
@@ -67,9 +70,9 @@ def varied(case: Case, key: str, value: float) -> Case:
 
 
 def axis(name: str, case: Case, points: int) -> Array:
-    """Values along the axis of a map."""
+    """Return the values along the axis of a map."""
     if name == "zwidth":
-        # From far below the device's own damping, past which no damped wall is passive.
+        # Start far below the damping of the device, above which no damped wall is passive.
         top = damping_limit(case)
         return np.geomspace(min(0.1 * case.damping_ns_per_m or 1.0, 1e-3 * top), top, points)
     if name == "rate":
@@ -78,14 +81,14 @@ def axis(name: str, case: Case, points: int) -> Array:
 
 
 def cases_of(name: str, case: Case, points: int = POINTS) -> list[Case]:
-    """The cases of a map."""
+    """Return the cases of a map."""
     key = MAPS[name].key
     whole = key == "delay_ticks"
     return [varied(case, key, int(value) if whole else value) for value in axis(name, case, points).tolist()]
 
 
 def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: Case) -> None:
-    """A panel for each map: what was found for each variant as marks, theory of the first one as lines."""
+    """Draw a panel for each map: limits of each variant as marks, theory of the first one as lines."""
     names = list(dict.fromkeys(row["map"] for row in rows))
     variants = list(dict.fromkeys(row["variant"] for row in rows))
     drawing = figure(3.0 + 5.0 * len(names), 5.0)
@@ -107,7 +110,7 @@ def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: Case) -> None
         (lines[f"{variants[0]}: exact linear limit"],) = axes.plot(x, exact, "-", color="C0", linewidth=1.0)
         (lines["passive below"],) = axes.plot(x, passive, "--", color="0.4", linewidth=1.0)
         axes.fill_between(x, passive, color="0.9")
-        # A wall that is hardly one says nothing, and 0 has no place on a logarithmic axis.
+        # A very soft wall is of no interest, and a logarithmic axis has no 0.
         axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-3 * axes.get_ylim()[1]))
         axes.set_xlabel(label)
         axes.grid(True, alpha=0.3)

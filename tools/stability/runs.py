@@ -1,8 +1,7 @@
-"""Random closed-loop runs, many at once: how fast they go, and that no passive wall lets a knock grow.
+"""Random closed-loop runs, many in parallel: their speed, and a test that no knock grows on a passive wall.
 
-A device is drawn for every hundred runs, its wall anew for each. A run is short, so its only verdict is
-whether the swing after a knock has grown out of reach; that a passive wall lets that happen would be a
-defect of this program.
+A device is drawn for every hundred runs, and a wall for each run. A run is short, so it only shows whether the swing
+after a knock has grown out of reach. Growth on a passive wall would be a defect of this program.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ from softfinger.tools.stability.predicted import passive_limit
 from softfinger.tools.sweep import run_cases
 
 RUNS_PER_DEVICE: Final = 100
-"""Making the exact matrices of a device costs as much as about three runs of 1000 ticks."""
+"""Computing the exact matrices of a device costs as much as about three runs of 1000 ticks."""
 RUNS_PER_BLOCK: Final = 1000
 SENSIBLE: Final = (1_000_000, 1000)
-"""Runs and ticks of the study whose time is told."""
+"""Runs and ticks of the study for which the time is reported."""
 
 
 class Block(msgspec.Struct, frozen=True):
-    """Some of the runs: which, how many, how long, and the seed of the whole."""
+    """Block of the runs: its number, runs, ticks per run, and the common seed."""
 
     number: int
     runs: int
@@ -37,13 +36,13 @@ class Block(msgspec.Struct, frozen=True):
 
 
 def random_device(random: np.random.Generator) -> Case:
-    """A desktop device at some rate, with up to two ticks of delay."""
+    """Return a desktop device at a random rate, with up to two ticks of delay."""
     mass, damping, rate = np.exp(random.uniform(np.log([0.05, 0.1, 500.0]), np.log([1.0, 10.0, 8000.0]))).tolist()
     return Case(mass_kg=mass, damping_ns_per_m=damping, rate_hz=rate, delay_ticks=int(random.integers(3)))
 
 
 def run_blocks(blocks: Sequence[Block]) -> list[dict[str, int]]:
-    """For each block: runs, ticks done, how many swings grew out of reach, walls that were passive and grew so."""
+    """Return for each block: runs, ticks, swings that grew out of reach, passive walls, and such swings on these."""
     return [_run_block(block) for block in blocks]
 
 
@@ -54,7 +53,7 @@ def _run_block(block: Block) -> dict[str, int]:
         runs = min(RUNS_PER_DEVICE, block.runs - first)
         device = random_device(random)
         plant, bare = device.plant(), passive_limit(device.linear())
-        # Walls from a tenth to ten times what the device alone keeps passive, damped by up to twice its damping.
+        # Walls from a tenth to ten times the passive limit of the device, damped by up to twice its damping.
         stiffness = bare * 10.0 ** random.uniform(-1.0, 1.0, runs)
         share = np.maximum(0.0, random.uniform(-1.0, 2.0, runs))
         rows = np.tile(loop_of(device, 0.0, block.ticks), (runs, 1))
@@ -62,7 +61,7 @@ def _run_block(block: Block) -> dict[str, int]:
         rows[:, Loop._fields.index("damping")] = share * device.damping_ns_per_m
         loops.append(rows)
         plants.append(np.tile(flatten(plant), (runs, 1)))
-        passive.append(stiffness <= (1.0 - share) * bare)  # what B takes of b it takes of the bound
+        passive.append(stiffness <= (1.0 - share) * bare)  # B reduces the bound as it reduces b
     out = run_rows(np.concatenate(loops), np.concatenate(plants), plant)
     left = out[:, 2] < block.ticks
     inside = np.concatenate(passive)
@@ -76,9 +75,9 @@ def _run_block(block: Block) -> dict[str, int]:
 
 
 def measure(runs: int, ticks: int, seed: int, scheduler: str | None, results: Path | None) -> dict[str, Any]:
-    """So many random runs of so many ticks: sums over their blocks, time, rate, and the time of SENSIBLE.
+    """Run random runs; returns sums over their blocks, time, rate, and the time of SENSIBLE.
 
-    Without rate where a file already held results: nothing tells how long those took.
+    The rate is None if a file already had results, since their time is unknown.
     """
     fresh = results is None or not results.exists()
     blocks = [

@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     for flag, low in (("cases", 1), ("ticks", 1), ("points", 2), ("seed", 0), ("garbage", 1)):
         value = getattr(args, flag)
         if value is not None and value < low:
-            raise ConfigError(f"command line --{flag}: {value}: must be a whole number of at least {low}")
+            raise ConfigError(f"command line --{flag}: {value}: must be an integer of at least {low}")
     if args.cases is not None:
         if args.plot:
             raise ConfigError("command line --plot: random runs have no plot: leave out --plot or --cases")
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def run_extremes(args: argparse.Namespace) -> int:
-    """Every extreme and some garbage; exit code 1 if anything did not hold."""
+    """Run every extreme and some garbage; returns exit code 1 if a condition failed."""
     found, fed = extremes.try_extremes(), hostile.try_hostile(args.garbage, args.seed)
     result = {"extremes": [row._asdict() for row in found], "hostile": fed}
     show(result, args.json, [extremes.table(found), hostile.hostile_table(fed)])
@@ -113,7 +113,10 @@ def run_extremes(args: argparse.Namespace) -> int:
 
 
 def run_bodies(args: argparse.Namespace) -> int:
-    """Every case of a body; exit code 1 if one is unstable, gives energy to the hands, or has forces unlike."""
+    """Run every case of a body.
+
+    Returns exit code 1 if a body is unstable, gives energy to the hands, or has unbalanced forces.
+    """
     found = bodies.measure_all()
     show({"bodies": [row._asdict() for row in found]}, args.json, bodies_table.lines(found))
     if args.plot:
@@ -122,7 +125,7 @@ def run_bodies(args: argparse.Namespace) -> int:
 
 
 def case_of(args: argparse.Namespace) -> Case:
-    """The case of the command line; ConfigError with every value that is out of range."""
+    """Return the case of the command line; raises ConfigError with every value that is out of range."""
     values = {key: getattr(args, flag.replace("-", "_")) for flag, key in FLAGS.items()}
     case, faults = examine(Case, values, "command line", {key: f"command line --{flag}" for flag, key in FLAGS.items()})
     if faults:
@@ -132,7 +135,7 @@ def case_of(args: argparse.Namespace) -> Case:
 
 
 def measure(case: Case, args: argparse.Namespace) -> list[dict[str, Any]]:
-    """A row for each case: `find_limits`, and of a map also its name and the variant."""
+    """Return a row for each case: `find_limits` and, for a map, its name and the variant."""
     marks: list[dict[str, str]] = [{}]
     cases = [case]
     if args.map is not None:
@@ -150,7 +153,7 @@ def measure(case: Case, args: argparse.Namespace) -> list[dict[str, Any]]:
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The limits, a case a line: of a map with the value that is varied, else with all values that are not 0."""
+    """Format the limits, a case per line: for a map with the varied value, else with all values that are not 0."""
     lines = ["stiffest stable wall, N/m: found on the servo step, exact limit of the linear loop, passive below"]
     section = None
     for row in rows:
@@ -179,7 +182,7 @@ def _width(head: str) -> int:
 
 
 def draw_radius(path: Path, case: Case, row: Mapping[str, Any]) -> None:
-    """Spectral radius of the linear loop against the stiffness, with what was found and the passivity bound."""
+    """Draw the spectral radius of the linear loop against the stiffness, with the limit and the passivity bound."""
     drawing = figure()
     axes = drawing.add_subplot()
     found = row["limit_n_per_m"]

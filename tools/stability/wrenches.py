@@ -1,7 +1,7 @@
-"""The guard alone, on wrenches that no contact ought to give: what it lets through, tick after tick.
+"""Tests of the guard on wrenches that no contact should give: its output, tick by tick.
 
-The extremes of `extremes` reach the guard through the contact, which gives finite forces whatever it is fed. Here
-the guard is fed directly, and judged by what a hand must never feel; none of its own code has a part in that.
+The extremes of `extremes` reach the guard through the contact, which gives finite forces for any input. Here the guard
+gets its input directly. The checks are limits of the force at the hand and share no code with the guard.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.server.loop.guard import DISENGAGED, GUARD_NAMES, NOT_FINITE, Guard, guard_wrench
+from softfinger.server.loop.guard import GUARD_NAMES, INITIAL_GUARD_STATE, NOT_FINITE, Guard, guard_wrench
 
 Array = NDArray[np.float64]
 
 T: Final = 0.001
 LIMITS: Final = Guard(12.0, 0.3, 2000.0, 50.0, 0.1, 1.0)
 ROUNDING: Final = 1e-9
-"""Hundred sums of a ramp, differences of forces; relative to the limit."""
+"""A hundred sums of a ramp, differences of forces; relative to the limit."""
 RAMP_TICKS: Final = round(LIMITS.ramp / T)
 TICKS: Final = 3 * RAMP_TICKS
 BROKEN_AT: Final = 2 * RAMP_TICKS - 1
@@ -30,7 +30,7 @@ STEADY: Final = np.tile([0.6, 0.0, 0.8, 0.0, 0.01, 0.0], (TICKS, 1))
 
 
 class Case(NamedTuple):
-    """Wrenches (n, 6) and the times (n,) s since the last; what else must hold of what came out, "" for nothing."""
+    """Wrenches (n, 6), times (n,) s since the last tick, and a further check that returns a fault or ""."""
 
     given: str
     wrenches: Array
@@ -40,8 +40,8 @@ class Case(NamedTuple):
 
 @entry
 def guard_many(guard: Guard, wrenches: Array, dts: Array, period: float, out: Array, bits: Any) -> None:
-    """The guard on each row of `wrenches` (n, 6), from disengaged; what it commands (n, 6), and its bits (n,)."""
-    guarded = DISENGAGED
+    """Run the guard on each row of `wrenches` (n, 6), from disengaged; stores the output (n, 6) and its bits (n,)."""
+    guarded = INITIAL_GUARD_STATE
     for i in range(wrenches.shape[0]):
         w = wrenches[i]
         guarded, bits[i] = guard_wrench(guard, guarded, (w[0], w[1], w[2]), (w[3], w[4], w[5]), dts[i], period)
@@ -71,21 +71,21 @@ def cases() -> Iterator[Case]:
 
 
 def fades_in(out: Array, first: int) -> str:
-    """From tick `first` on force and moment are those of STEADY times a share that grows evenly to 1."""
+    """Check that from tick `first` on, force and moment are those of STEADY times a share that grows linearly to 1."""
     share = np.minimum(np.arange(1, len(out) - first + 1) / RAMP_TICKS, 1.0)
     good = np.allclose(out[first:], share[:, None] * STEADY[first:], rtol=0.0, atol=ROUNDING)
     return "" if good else "the force did not fade in"
 
 
 def climbs(out: Array, bits: NDArray[np.int64]) -> str:
-    """10 N come in steps of 2 N, and are there after the fifth."""
+    """Check that 10 N are reached in five steps of 2 N."""
     want = 2.0 * np.arange(1, 6)
     good = np.allclose(np.linalg.norm(out[RAMP_TICKS : RAMP_TICKS + 5, :3], axis=1), want, rtol=ROUNDING)
     return "" if good else "the force did not come in steps of the slew limit"
 
 
 def reaches_the_clamp(out: Array, bits: NDArray[np.int64]) -> str:
-    good = np.allclose(out[-1], [7.2, 0.0, 9.6, 0.0, 0.3, 0.0], rtol=ROUNDING)  # 12 N and 0.3 N m, as STEADY points
+    good = np.allclose(out[-1], [7.2, 0.0, 9.6, 0.0, 0.3, 0.0], rtol=ROUNDING)  # 12 N, 0.3 N m, as STEADY points
     return "" if good else "the limit was not reached, or the direction lost"
 
 
@@ -97,7 +97,7 @@ def refused(out: Array, bits: NDArray[np.int64]) -> str:
 
 
 def broken_rules(out: Array) -> str:
-    """What no output may be, whatever is given: not finite, past a clamp, or a jump; falling to zero is none."""
+    """Return the rule that the output violates: it is not finite, above a clamp, or jumps other than to zero."""
     if not np.isfinite(out).all():
         return "a wrench that is not finite was commanded"
     for part, largest, slew, what in ((out[:, :3], 12.0, 2.0, "force"), (out[:, 3:], 0.3, 0.05, "moment")):
@@ -111,7 +111,7 @@ def broken_rules(out: Array) -> str:
 
 
 def try_wrenches() -> Iterator[tuple[str, int, float, str, str]]:
-    """Of each case: what was given, ticks, largest force (N), what the guard named, what is wrong."""
+    """Yield for each case its input, ticks, largest force (N), names of guard bits, and the fault."""
     for case in cases():
         out, bits = np.zeros((TICKS, 6)), np.zeros(TICKS, np.int64)
         guard_many(LIMITS, case.wrenches, case.dts, T, out, bits)

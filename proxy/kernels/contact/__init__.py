@@ -1,4 +1,4 @@
-"""The proxy: what it meets, which constraints hold it, how it is carried along and rolls.
+"""Motion of the proxy: contact detection, constraints, moving objects, rolling and rest position; used by `step`.
 
-How hard friction resists is not said here, but in `friction`.
+The friction laws are in `friction`.
 """

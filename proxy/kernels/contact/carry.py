@@ -1,6 +1,6 @@
-"""How a moving object takes its contact along: the point, the directions, and what the fingertip turned against it.
+"""Motion of an object in a tick, applied to its contact: points, directions, relative velocity and rotation.
 
-Seen from an object that moves, the fingertip has come from where its last place has gone with the object.
+Relative to a moving object, the fingertip's path in a tick starts at its last position moved along with the object.
 """
 
 from typing import Any, NamedTuple
@@ -15,8 +15,10 @@ from softfinger.proxy.kernels.query.motion import can_move
 
 
 class Carry(NamedTuple):
-    """How an object moved since the last tick; `moves` is 0 for one that cannot. The only object
-    of a scene, if it cannot move, has None in its place: then nothing of what follows is compiled."""
+    """Poses of an object in the last tick and now; `moves` is 0 if it cannot move.
+
+    If the only object of a scene cannot move, None is used instead, and the functions below compile to nothing.
+    """
 
     moves: float
     was: Pose
@@ -25,7 +27,7 @@ class Carry(NamedTuple):
 
 @by_type_of("motion")
 def carry_of(body: Any) -> Any:
-    """Motion of an object in this tick: a Carry, None of one that cannot move."""
+    """Return the motion of an object in this tick: a Carry, or None if it cannot move."""
 
 
 @carry_of.of(None)
@@ -61,22 +63,25 @@ def any_of_many_moves(objects: Many) -> bool:
 
 @by_type
 def carried_point(carried: Any, x: Vec3) -> Any:
-    """A point of the object, (3,) m world, where it is now."""
+    """Return the current position (3,) m of a point that moves with the object, in the world frame."""
 
 
 @by_type
 def carried_direction(carried: Any, v: Vec3) -> Any:
-    """A direction of the object, world, as it points now."""
+    """Return the current direction (3,) of a vector that turns with the object, in the world frame."""
 
 
 @by_type
 def relative_velocity(carried: Any, velocity: Vec3, position: Vec3, dt: float) -> Any:
-    """`velocity` (3,) m/s less that of the object there; `position` (3,) m at the last tick. dt = 0 has no velocity."""
+    """Return `velocity` (3,) m/s relative to the object at `position` (3,) m of the last tick.
+
+    With dt = 0 the object has no velocity.
+    """
 
 
 @by_type
 def relative_rotation(carried: Any, turn: Quaternion) -> Any:
-    """The fingertip's rotation `turn` less the object's own, w >= 0: what it turned against the object."""
+    """Return the fingertip's rotation `turn` relative to the rotation of the object in this tick, with w >= 0."""
 
 
 @carried_point.of(None)

@@ -1,7 +1,7 @@
-"""Friction, torsion and resistance to rolling of one contact, whether it is the only one or one of several.
+"""Friction, torsion and rolling resistance of one contact, either the only one or one of several.
 
-A contact is first predicted as if it stuck: object, probe and roll move it. `apply_friction` then decides how much of
-that slips.
+A contact is first predicted as if it stuck: object, probe and roll move it. `apply_friction` then computes how much of
+this motion slips.
 """
 
 from typing import Any, NamedTuple
@@ -38,8 +38,8 @@ from softfinger.proxy.kernels.query.container import object_at
 class Ground(NamedTuple):
     """Properties of the object under a contact, apart from its shape.
 
-    number       in the scene file
-    material     with the friction of the contact point
+    number       index in the scene file
+    material     with the friction at the contact point
     orientation  object to world
     carried      motion in this tick, see `carry`
     """
@@ -51,13 +51,13 @@ class Ground(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """A contact as if it stuck during the tick.
+    """Contact as if it stuck during the tick.
 
-    contact              with `push` and `normal` of this tick, `deflection` of the last one carried along, and
-                         `rolled_part` including the roll
+    contact              with `push` and `normal` of this tick, `deflection` of the last tick moved with the object,
+                         and `rolled_part` including the roll
     deflection  (3,) m   with the motion of this tick
     twist           rad  rotation about the normal
-    touches              the contact begins in this tick: nothing has moved it
+    touches              True if the contact starts in this tick: nothing has moved it yet
     """
 
     contact: ContactState
@@ -67,7 +67,7 @@ class Prediction(NamedTuple):
 
 
 class ProbeMotion(NamedTuple):
-    """The probe in a tick and at the last one, and the time between, s."""
+    """Probe in this tick and in the last one, and the time between them, s."""
 
     probe: Probe
     last: Probe
@@ -75,20 +75,21 @@ class ProbeMotion(NamedTuple):
 
 
 class Load(NamedTuple):
-    """Normal force, N, and the unit vector (3,) along which it acts on the hand."""
+    """Normal force, N, and the unit vector (3,) of its direction on the hand."""
 
     size: float
     along: Vec3
 
 
 class ContactForces(NamedTuple):
-    """Outcome of friction for one contact.
+    """Result of friction for one contact.
 
-    result  FrictionResult
-    area    ContactPatch
-    unit    of the torsional wind-up, see `winding_unit`
-    load    N, normal force during friction
-    bend, bending  wind-up against rolling, and its moment (3,) N m
+    result             FrictionResult
+    area               ContactPatch
+    unit               of the torsional wind-up, see `winding_unit`
+    load     N         normal force during friction
+    bend     (3,)      wind-up against rolling, see `ContactState.bend`
+    bending  (3,) N m  its moment
     """
 
     result: FrictionResult
@@ -101,13 +102,13 @@ class ContactForces(NamedTuple):
 
 @jit
 def ground_at(objects: Any, index: float) -> Ground:
-    """Return the Ground of the object with that index, of whole objects."""
+    """Return the Ground of object `index`; `objects` have complete materials."""
     return ground_of(object_at(objects, index))
 
 
 @jit
 def rough_ground_at(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Ground:
-    """The same with the friction that its texture has under the proxy's `center` (3,) m."""
+    """Return `ground_at` with the friction that its texture has under the proxy's `center` (3,) m."""
     body = object_at(objects, index)
     return ground_of(texture_friction(body.texture, body, index, active, center))
 
@@ -119,7 +120,7 @@ def ground_of(body: Any) -> Ground:
 
 @jit
 def load_on(finger: Finger, objects: Any, ground: Ground, at: Constraint, motion: ProbeMotion, touches: bool) -> Load:
-    """Normal force of a constraint; `touches` if nothing has moved it yet."""
+    """Return the normal force of a constraint; `touches` is True if nothing has moved the contact yet."""
     probe, last, dt = motion
     against = relative_velocity(ground.carried, probe.velocity, last.position, dt)
     against = velocity_at(finger.form, against, ground.carried, probe, last, at.normal, 0.0 if touches else dt)
@@ -131,7 +132,7 @@ def load_on(finger: Finger, objects: Any, ground: Ground, at: Constraint, motion
 def apply_friction(
     finger: Finger, objects: Any, ground: Ground, predicted: Prediction, share: float, motion: ProbeMotion
 ) -> ContactForces:
-    """Friction, torsion and resistance to rolling of a contact that has this share of the springs."""
+    """Compute friction, torsion and rolling resistance of a contact that has this share of the springs."""
     contact, material, probe = predicted.contact, ground.material, motion.probe
     at = Constraint(contact.body, contact.normal, contact.push)
     load = load_on(finger, objects, ground, at, motion, predicted.touches).size
@@ -172,7 +173,7 @@ def apply_friction(
 
 @jit
 def after_friction(predicted: Prediction, forces: ContactForces) -> ContactState:
-    """The contact with what friction left of its prediction."""
+    """Return the predicted contact with the result of friction."""
     kept, unit = forces.result, forces.unit
     return replace(
         predicted.contact, "mode", kept.mode, "deflection", kept.deflection, "rolled_part", kept.rolled_part,

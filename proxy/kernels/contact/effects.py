@@ -1,4 +1,4 @@
-"""The effects of the workspace and of the objects, as a fingertip feels them in a tick, in contact or out of it."""
+"""Effects of the workspace and of the objects on a fingertip in one tick, with or without contact."""
 
 from typing import Any, NamedTuple
 
@@ -11,8 +11,13 @@ from softfinger.proxy.kernels.query.objects import number_of
 
 
 class Effects(NamedTuple):
-    """Force (3,) N of all effects, what they remember, and 1 where the gap to an object is not known, because the
-    search for its nearest point did not end; else 0."""
+    """Sum of all effects.
+
+    force    (3,) N  total force
+    states           of the effects, for the next tick
+    unknown          1 if the gap of an object is unknown because the search for its nearest point did not finish,
+                     otherwise 0
+    """
 
     force: Vec3
     states: Any
@@ -21,7 +26,7 @@ class Effects(NamedTuple):
 
 @jit
 def numbered(objects: Any, constraint: Constraint) -> Constraint:
-    """With the object's number in the scene in place of its place in the tuple."""
+    """Return the constraint with the object's index in the scene file instead of its flat index."""
     return Constraint(number_of(objects, constraint.body), constraint.normal, constraint.depth)
 
 
@@ -35,7 +40,7 @@ def effects_of_tick(
     probe: Probe,
     dt: float,
 ) -> Effects:
-    """Those of the workspace and those of the objects."""
+    """Evaluate the effects of the workspace and of the objects at the probe."""
     up, in_contact = (0.0, 0.0, 1.0), 0.0 if active[0].body < 0.0 else 1.0
     around = Situation(
         position=probe.position, velocity=probe.velocity, dt=dt, touched=in_contact, gap=0.0, normal=up, carrier=None

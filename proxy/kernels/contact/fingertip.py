@@ -1,8 +1,8 @@
-"""What depends on the fingertip's form: where it is touched, and how forces there turn the hand.
+"""Functions that depend on the fingertip's form: contact points, curvature, torques and velocities.
 
-A form is None for a ball, whose radius says it all, or an EllipsoidTip. To an ellipsoid each object is the Minkowski
-sum of both, less a ball of the finger's radius (`seen_by`): against that it meets, rests, slides and leaves as this
-ball does.
+The form is None for a ball, which has only a radius, or an EllipsoidTip. For an ellipsoid, `seen_by` replaces each
+object by the Minkowski sum of both, shrunk by a ball of the finger's radius. Detection, rest, slip and release then
+treat the fingertip as this ball.
 """
 
 from typing import Any
@@ -19,40 +19,49 @@ from softfinger.proxy.kernels.shapes.minkowski import support_vector
 
 @by_type
 def seen_by(form: Any, radius: float, objects: Any, orientation: Quaternion) -> Any:
-    """The objects as the fingertip's centre sees them; `orientation` fingertip to world."""
+    """Return the objects as obstacles of a ball of the finger's radius; `orientation` fingertip to world."""
 
 
 @by_type
 def point_on(form: Any, radius: float, inward: Vec3) -> Any:
-    """Point of contact (3,) m in the fingertip's frame; `inward` (3,) is the object's normal there."""
+    """Return the contact point (3,) m in the fingertip frame; `inward` (3,) is the object's normal in that frame."""
 
 
 @by_type
 def point_under(form: Any, radius: float, orientation: Quaternion, center: Vec3, normal: Vec3) -> Any:
-    """The same in the world, of a fingertip with that `center` (3,) m on an object with that normal."""
+    """Return the contact point (3,) m, world frame, of a fingertip at `center` (3,) m on an object with that normal."""
 
 
 @by_type
 def radius_of_curvature(form: Any, radius: float, orientation: Quaternion, normal: Vec3) -> Any:
-    """Radius of curvature at the contact, m: the geometric mean of the two principal ones."""
+    """Return the geometric mean of the two principal radii of curvature at the contact, m."""
 
 
 @by_type
 def torque_of(
     form: Any, radius: float, orientation: Quaternion, normal: Vec3, moment: float, pressing: Vec3, tangential: Vec3
 ) -> Any:
-    """Torque (3,) N m about the centre of a moment (N m) about the normal and of forces (3,) N at the contact."""
+    """Return the torque (3,) N m about the centre.
+
+    moment                      N m  about the normal
+    pressing, tangential  (3,)  N    forces at the contact
+    """
 
 
 @by_type
 def velocity_at(
     form: Any, velocity: Vec3, carried: Any, probe: Probe, last: Probe, normal: Vec3, dt: float
 ) -> Any:  # fmt: skip
-    """Velocity (3,) m/s along the normal of the fingertip at the contact, whose centre has `velocity`, both against
-    the object; `last` is the probe before dt, s, or dt is 0 where it has not turned."""
+    """Return a velocity (3,) m/s with the normal component of the fingertip's surface at the contact.
+
+    velocity  (3,) m/s  of the centre; like the result, relative to the object
+    carried             motion of the object, see `carry`
+    last                probe at the last tick
+    dt        s         time since then; 0 if it has not rotated
+    """
 
 
-# --- a ball: its forces are told apart, since those along the normal go through its centre --------------------------
+# --- a ball: normal and tangential forces are separate, since normal forces act through its centre ------------------
 
 
 @seen_by.of(None)
@@ -133,7 +142,7 @@ def point_under_ellipsoid(
 
 @radius_of_curvature.of(EllipsoidTip)
 def radius_of_curvature_of_ellipsoid(form: EllipsoidTip, radius: float, orientation: Quaternion, normal: Vec3) -> float:
-    """1 / sqrt(K) with the Gaussian curvature K = h^4 / (a b c)^2."""
+    """Return 1 / sqrt(K) with the Gaussian curvature K = h^4 / (a b c)^2."""
     a = form.semi_axes
     h = vec3.dot(support_vector(a, axes_in_world(form, orientation), normal), normal)
     return (a[0] / h) * (a[1] / h) * a[2]
@@ -157,7 +166,7 @@ def torque_of_ellipsoid(
 def velocity_of_ellipsoid(
     form: EllipsoidTip, velocity: Vec3, carried: Any, probe: Probe, last: Probe, normal: Vec3, dt: float
 ) -> Vec3:
-    """v - w x arm: an ellipsoid that turns presses deeper or less deep, and the damping has to see it, or it gives."""
+    """Return v - w x arm: rotating an ellipsoid changes its depth. Without this part, damping would generate energy."""
     if dt <= 0.0:
         return velocity
     turn = rotations.log(relative_rotation(carried, rotations.relative(probe.orientation, last.orientation)))

@@ -1,7 +1,7 @@
-"""The first pose of a fingertip, which may begin inside: what it touches, and where outside is.
+"""First pose of a fingertip, which may be inside an object: the object it touches, and a position outside.
 
-It has no way that could be swept, so all of a mesh is asked, once, with a larger budget than other ticks have. What is
-not known then is said, and the next tick's pose is the first again.
+There is no path to sweep, so a mesh is searched completely, once, with a larger budget than that of other ticks. If the
+result is still unknown, `detection` reports it, and the next tick's pose is treated as the first again.
 """
 
 from typing import Any, NamedTuple
@@ -22,17 +22,21 @@ from softfinger.proxy.kernels.shapes.budget import BUDGET, ROOM
 from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
 
 GRAZE = 1e-4
-"""Share of the radius by which a fingertip may touch a mesh and count as clear, where its nearest triangle cannot be
-found: more than a bound is off by rounding."""
+"""Overlap with a mesh, as a share of the radius, that counts as clear if the nearest triangle cannot be found: larger
+than the rounding of a bound."""
 RISES = 16
-"""Heights over a mesh at which a fingertip that begins inside is tried."""
+"""Heights over a mesh that are tried for a fingertip that starts inside."""
 RISE, RISES_BY = 1e-5, 4.0
-"""Share of the radius from the first of them to the second, at least; and what that grows by from each to the next."""
+"""Smallest step from the first height to the second, as a share of the radius, and its growth factor per height."""
 
 
 class Touched(NamedTuple):
-    """Place of the object that is touched, -1 for none; whether that is known; what is left of the budget, below 0
-    where it was used up."""
+    """Object touched by the first pose.
+
+    place   flat index of the object, -1 for none
+    known   False if the search did not finish
+    budget  remaining budget, below 0 if it was exhausted
+    """
 
     place: float
     known: bool
@@ -41,8 +45,10 @@ class Touched(NamedTuple):
 
 @by_multipoint
 def touched_at_first(objects: Any, radius: float, position: Vec3, budget: int) -> Any:
-    """What a fingertip touches that begins at `position` (3,) m; with the `budget` for height maps, and for meshes
-    beside them."""
+    """Return the object that a fingertip starting at `position` (3,) m touches.
+
+    budget  for height maps, and for meshes in a scene with a height map
+    """
 
 
 @touched_at_first.of(SINGLE_POINT)
@@ -53,16 +59,16 @@ def touched_in_one_point(objects: Any, radius: float, position: Vec3, budget: in
 
 @touched_at_first.otherwise
 def touched_in_many_points(objects: Any, radius: float, position: Vec3, budget: int) -> Touched:
-    if any_creases(objects):  # a height map tells its side from near by
+    if any_creases(objects):  # a search nearby is enough for the side of a height map
         gap, index, budget = deepest(objects, position, radius, NOBODY, budget)
         if any_mesh(objects) and gap >= radius:
             gap, index, budget = deepest(objects, position, EVERYWHERE, NOBODY, budget)
-            if has_creases_at(objects, index):  # its bound: it has just been found to be farther
+            if has_creases_at(objects, index):  # only a bound: the first search found it farther away
                 index = NONE
-    else:  # of a mesh all has to be asked for that
+    else:  # the side of a mesh needs a search of all of it
         gap, index, budget = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
     if budget < 0 and index >= 0.0 and not has_creases_at(objects, index):
-        # A mesh was not searched to the end: the gap was a bound. This is that of the nearest triangle found so far.
+        # The search of a mesh did not finish, so the gap was a bound. Use the nearest triangle found so far.
         gap, _, _, budget = closest_to_within(objects, index, position, budget)
         if gap >= radius and not any_creases(objects):
             gap, nearer, budget = deepest(objects, position, radius * (1.0 - GRAZE), NOBODY, ROOM)
@@ -74,8 +80,11 @@ def touched_in_many_points(objects: Any, radius: float, position: Vec3, budget: 
 
 @by_multipoint
 def raised(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> Any:
-    """A place (3,) m outside for a fingertip at `center`, which is inside, on the object with that place where it has
-    that normal; and whether there is one."""
+    """Return a position (3,) m outside for a fingertip that is inside at `center`, and True if one was found.
+
+    index   of an object that the fingertip touches there
+    normal  (3,)  of that object there
+    """
 
 
 @raised.otherwise
@@ -85,13 +94,13 @@ def raised_off_object(objects: Any, index: float, radius: float, center: Vec3, n
 
 @raised.of(WITH_MESH)
 def raised_off_facets(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
-    """The first place found along the normal that is outside of everything."""
+    """Return the first position along the normal that is outside of all objects."""
     height, step, left = 0.0, RISE * radius, ROOM
     for _ in range(RISES):
         place = vec3.add_scaled(center, height, normal)
         gap, _, after = deepest(objects, place, radius, NOBODY, min(left, BUDGET))
         left -= min(left, BUDGET) - max(after, 0)
-        if after >= 0 and gap >= radius * (1.0 - INSIDE):  # of no triangle; which side that is, only all of them tell
+        if after >= 0 and gap >= radius * (1.0 - INSIDE):  # cuts no triangle; the side needs a search of all
             gap, _, after = deepest(objects, place, EVERYWHERE, NOBODY, min(left, BUDGET))
             left -= min(left, BUDGET) - max(after, 0)
             if after >= 0 and gap >= radius * (1.0 - INSIDE):

@@ -1,9 +1,9 @@
-"""Contacts with several objects at once: what each hands on to the others as their shares of the load change.
+"""Transfer of deflection and wind-up between several contacts as their load shares change.
 
-Each object that holds the proxy has a contact of its own, with the share w of the coupling's and the torsional
-spring that it has of the load (the elastic normal forces). What one loses of its share another gains, and with the
-share goes what it holds: deflection and wind-up mix as the shares do, so the forces are continuous, and the springs'
-energy does not grow, since it is convex.
+Each object that supports the proxy has a separate contact. Its share w of the coupling and of the torsional spring is
+its share of the load, the sum of the elastic normal forces. When one contact loses share, another gains it, together
+with the deflection and wind-up of that share. They are mixed in proportion to the shares, so the forces are
+continuous, and the energy of the springs does not increase, because it is convex.
 """
 
 from typing import Any
@@ -22,7 +22,7 @@ Contacts = tuple[ContactState, ContactState, ContactState]
 
 @jit
 def contact_on(contacts: Contacts, body: float) -> ContactState:
-    """The contact on that object, or none."""
+    """Return the contact on that object, or NO_CONTACT."""
     if body >= 0.0:
         if contacts[0].body == body:
             return contacts[0]
@@ -35,7 +35,7 @@ def contact_on(contacts: Contacts, body: float) -> ContactState:
 
 @jit
 def load_shares(objects: Any, active: ActiveSet) -> Vec3:
-    """Shares of the load that the three bear; they sum to 1."""
+    """Return the load shares of the three constraints; they sum to 1."""
     one, two, three = loads_of(objects, active)
     load = one + two + three
     if load > 0.0:
@@ -45,7 +45,7 @@ def load_shares(objects: Any, active: ActiveSet) -> Vec3:
 
 @jit
 def load_share_on(active: ActiveSet, shares: Vec3, body: float) -> float:
-    """The share that the object with that place in the tuple has now."""
+    """Return the current load share of object `body`."""
     one, two, three = active
     if body == one.body:
         return shares[0]
@@ -58,7 +58,7 @@ def load_share_on(active: ActiveSet, shares: Vec3, body: float) -> float:
 
 @jit
 def load_share_lost(active: ActiveSet, shares: Vec3, contact: ContactState) -> float:
-    """How much of its share a contact loses in this tick."""
+    """Return the part of the load that a contact loses in this tick."""
     if contact.body < 0.0:
         return 0.0
     return max(contact.share - load_share_on(active, shares, contact.body), 0.0)
@@ -75,8 +75,11 @@ def largest_loser(contacts: Contacts, losses: Vec3) -> ContactState:
 
 @jit
 def merged(objects: Any, taker: ContactState, giver: ContactState, weight: float) -> Any:
-    """The contact with what `weight`, a share of its own, brings along from another: what lies in its plane, about its
-    normal. Wind-up about a stiffer spring is less: the moment is kept, and no energy comes of it."""
+    """Add the deflection and wind-up of `giver`, times `weight`, to a contact.
+
+    Vectors are projected onto the tangent plane of the receiver, and the spin onto its normal. On a stiffer torsional
+    spring the spin becomes smaller, so the moment is preserved, and no energy is generated.
+    """
     if weight == 0.0:
         return taker
     ease = torsional_stiffness(material_of(objects, giver.body).torsion)
@@ -91,9 +94,11 @@ def merged(objects: Any, taker: ContactState, giver: ContactState, weight: float
 
 @jit
 def handed_over(objects: Any, contacts: Contacts, losses: Vec3, constraint: Constraint, share: float) -> ContactState:
-    """The contact on an object with what it keeps of its own, and what comes with the share that it has gained.
+    """Return the contact of a constraint: the remainder of its last state, plus the state of the share it gained.
 
-    contacts, losses   of the last tick, carried; see `load_share_lost`
+    contacts    of the last tick, moved with their objects
+    losses      of these contacts, see `load_share_lost`
+    share       current load share of the constraint
     """
     body, normal, push = constraint
     if body < 0.0:
@@ -135,7 +140,7 @@ def handed_over(objects: Any, contacts: Contacts, losses: Vec3, constraint: Cons
 
 @jit
 def hand_over(objects: Any, contacts: Contacts, active: ActiveSet) -> Contacts:
-    """The contacts of this tick, one for each that holds the proxy now, before anything has moved them."""
+    """Return the contacts of this tick, one per constraint of the proxy, before they are moved."""
     shares = load_shares(objects, active)
     losses = (
         load_share_lost(active, shares, contacts[0]),

@@ -1,9 +1,10 @@
-"""Normal force f_N of one object against depth and speed.
+"""Normal force f_N of one object as a function of depth and speed.
 
-    press(law, depth, speed) -> N
+    normal_force_of(law, depth, speed) -> N
 
-`depth` delta, m, is how far the probe lies behind the proxy along the normal, `speed` v, m/s, that of the probe along
-it: positive where it leaves. f_N is 0 at no depth, so a touch does not jump, and never less: a contact does not pull.
+`depth` delta, m, is the distance of the probe behind the proxy along the normal. `speed` v, m/s, is that of the probe
+along the normal, positive when it moves out. f_N is 0 at depth 0, so it does not jump at a touch, and is never
+negative: a contact does not pull.
 """
 
 from typing import Any
@@ -19,12 +20,12 @@ def normal_force_of(law: Any, depth: float, speed: float) -> Any: ...
 
 @by_type
 def spring(law: Any, depth: float) -> Any:
-    """The elastic part, N: that of a press without speed."""
+    """Return the elastic part of the normal force, N: the force at speed 0."""
 
 
 @jit
 def bounded(elastic: float, damping: float, speed: float) -> float:
-    """elastic - B v, kept between 0 and twice the elastic force: damping never pulls, and at most doubles."""
+    """Return elastic - B v, at least 0 and at most 2 elastic: damping never pulls, and at most doubles the force."""
     return min(max(elastic - damping * speed, 0.0), max(2.0 * elastic, 0.0))
 
 
@@ -35,7 +36,7 @@ def linear_spring(law: LinearNormal, depth: float) -> float:
 
 @spring.of(PowerNormal)
 def power_spring(law: PowerNormal, depth: float) -> float:
-    """k delta^p (Hertz, 1882, p = 3/2; Xydas and Kao, 1999, for soft fingers)."""
+    """Return k delta^p (Hertz, 1882, p = 3/2; Xydas and Kao, 1999, for soft fingers)."""
     return law.coefficient * max(depth, 0.0) ** law.exponent
 
 
@@ -56,7 +57,7 @@ def normal_force_power(law: PowerNormal, depth: float, speed: float) -> float:
 
 @normal_force_of.of(HuntCrossley)
 def normal_force_hunt_crossley(law: HuntCrossley, depth: float, speed: float) -> float:
-    """k delta^p (1 - c v), not less than 0 where the probe leaves faster than 1 / c.
+    """Return k delta^p (1 - c v), clamped to 0 when the probe moves out faster than 1 / c.
 
     Source: Hunt and Crossley (1975); c is their lambda / k.
     """

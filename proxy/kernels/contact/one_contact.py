@@ -1,17 +1,14 @@
-"""A tick of a contact with one object, the only one of a scene or the only one that is touched."""
+"""Friction and result of a contact with one object: the only one of a scene, or the only one touched."""
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.contact.approach import Approach
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     Ground,
     Load,
-    ProbeMotion,
     after_friction,
-    apply_friction,
-    rough_ground_at,
 )
-from softfinger.proxy.kernels.contact.detection import Approach
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
 from softfinger.proxy.kernels.contact.outcome import Outcome
@@ -33,7 +30,7 @@ from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, SLIDING
 
 
 class Landing(NamedTuple):
-    """The proxy (3,) m after friction, what holds it there, and 1 if the search for its rest had to stop."""
+    """Proxy (3,) m after friction, its constraints, and 1 if the search for its rest position stopped early."""
 
     center: Vec3
     active: ActiveSet
@@ -41,34 +38,20 @@ class Landing(NamedTuple):
 
 
 @jit
-def rub_first(finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion) -> tuple[Ground, ContactForces]:
-    """Friction of the only contact, and its ground."""
-    ground = rough_ground_at(objects, approach.active[0].body, approach.active, approach.center)
-    return ground, apply_friction(finger, objects, ground, approach.predicted[0], 1.0, motion)
-
-
-@jit
-def slips(approach: Approach, forces: ContactForces) -> bool:
-    """Whether the proxy leaves the point where the only contact stuck."""
-    kept = forces.result
-    return kept.mode == SLIDING or kept.deflection != approach.predicted[0].deflection or approach.strays
-
-
-@jit
 def land_on_one(finger: Finger, shapes: Any, approach: Approach, forces: ContactForces, position: Vec3) -> Landing:
-    """The proxy follows a slip over the only object, and stays where it sticks."""
-    if not slips(approach, forces):
+    """Move the proxy with a slip over the only object; it does not move if it sticks."""
+    kept, predicted, held = forces.result, approach.predicted[0], approach.active[0]
+    if kept.mode != SLIDING and kept.deflection == predicted.deflection and not approach.strays:
         return Landing(approach.center, approach.active, 0.0)
-    held = approach.active[0]
     center, active, bounded = settle_on_one(
-        shapes, held.body, finger.radius, position, approach.center, forces.result.deflection, held.normal
+        shapes, held.body, finger.radius, position, approach.center, kept.deflection, held.normal
     )
     return Landing(center, active, bounded)
 
 
 @jit
 def contact_state(landing: Landing, predicted: Any, forces: ContactForces, position: Vec3) -> ContactState:
-    """State of the contact at the end of the tick; its deflection is that of the proxy from the probe."""
+    """Return the contact at the end of the tick; its deflection is the tangential part from probe to proxy."""
     held = landing.active[0]
     behind = vec3.sub(landing.center, position)
     return replace(
@@ -90,11 +73,12 @@ def outcome_of_one(
     load: Load,
     effects: Effects,
 ) -> Outcome:
-    """Forces of the only contact under `load` at its new place, and its state."""
+    """Compute the forces of the only contact under `load` at its new position, and its state."""
     kept, normal = forces.result, landing.active[0].normal
     tangential, moment, bending = vec3.reject(kept.force, normal), kept.moment, forces.bending
     if forces.load > load.size:
-        # Less normal force there: both stay within their limits, the torsional one growing by up to f_N^(4/3).
+        # The normal force is smaller there. This keeps both within their limits; the torsional one grows by up to
+        # f_N^(4/3).
         ease = load.size / forces.load
         tangential, moment = vec3.scale(ease, tangential), ease * ease * moment
         bending = vec3.scale(ease * ease, bending)

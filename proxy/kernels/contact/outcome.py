@@ -1,6 +1,6 @@
-"""The end of a tick: what the contact state keeps for the next one, and what is reported of this one.
+"""End of a tick: the state for the next tick, and the report of this one.
 
-A contact with one object and a contact with several end in the same `Outcome`, and from there go the same way.
+Contacts with one object and with several objects both result in an `Outcome`, from which `step` computes the two.
 """
 
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.detection import STUCK_TICKS
 from softfinger.proxy.kernels.contact.fingertip import point_on, point_under
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import same_for
+from softfinger.proxy.kernels.jit.tuples import first_of
 from softfinger.proxy.kernels.model import (
     NO_CONTACT,
     NO_OUTCOME,
@@ -23,10 +23,10 @@ from softfinger.proxy.record import CAUSE_NONE, CAUSE_RELEASE, CAUSE_RESTART, FR
 
 
 class Outcome(NamedTuple):
-    """A contact at the end of a tick.
+    """Contact at the end of a tick.
 
     mode, cause         of the first contact, and of its change in this tick
-    object              number in the scene file of what bears the first contact, -1 for none
+    object              index in the scene file of the object of the first contact, -1 for none
     normal              (3,)      of that object
     center              (3,) m    proxy
     contacts            ContactState of each contact
@@ -34,12 +34,12 @@ class Outcome(NamedTuple):
     pressing            (3,) N    sum of the normal forces
     normal_force        N         its magnitude
     tangential          (3,) N    sum of the friction forces
-    effects             (3,) N    force of the effects; `effect_states` is what they remember
+    effects             (3,) N    force of the effects; `effect_states` are their states for the next tick
     torque              (3,) N m  about the fingertip's centre
     torsion, spin                 moment about the normal, N m, and torsional wind-up, rad, of the first contact
     radius              m         of its contact patch
     rolled              rad       roll angle since touch
-    stuck                         ticks in a row without rest
+    stuck                         consecutive ticks without a rest position
     budget                        see `Contact.budget`
     """
 
@@ -66,7 +66,7 @@ class Outcome(NamedTuple):
 
 @jit
 def remember(probe: Probe, outcome: Outcome) -> FingerState:
-    """What the next tick needs of this one."""
+    """Return the state for the next tick."""
     return FingerState(
         started=1.0,
         probe=probe,
@@ -81,7 +81,10 @@ def remember(probe: Probe, outcome: Outcome) -> FingerState:
 
 @jit
 def report(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
-    """What telemetry says of this tick, and the wrench."""
+    """Return the result of this tick for telemetry, with the wrench on the hand."""
+    # On a curved surface, a proxy displaced by friction is below the tangent plane of its rest position: the depth is
+    # that of the rest position. It is 0 in the tick in which a slip moves the proxy to where the probe is outside.
+    depth = max(vec3.dot(vec3.sub(outcome.center, probe.position), outcome.normal), 0.0)
     to_fingertip, normal = rotations.conjugate(probe.orientation), outcome.normal
     inward = rotations.rotate(to_fingertip, normal)
     return Contact(
@@ -90,7 +93,7 @@ def report(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
         cause=outcome.cause,
         velocity=probe.velocity,
         center=outcome.center,
-        penetration=vec3.dot(vec3.sub(outcome.center, probe.position), normal),
+        penetration=depth,
         point=point_under(finger.form, finger.radius, probe.orientation, outcome.center, normal),
         normal=normal,
         finger_point=point_on(finger.form, finger.radius, inward),
@@ -111,13 +114,13 @@ def report(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
 
 @jit
 def remember_free(state: FingerState, probe: Probe, effect_states: Any, known: bool) -> FingerState:
-    """Free space; where it is not `known` whether a first pose touches, the next tick's pose is the first again."""
+    """Return the state in free space; if a touch of the first pose is not `known`, the next pose is the first again."""
     return FingerState(
         started=1.0 if known else state.started,
         probe=probe,
         mode=float(FREE),
         center=probe.position,
-        contacts=same_for(state.contacts, NO_CONTACT),
+        contacts=first_of(state.contacts, NO_CONTACT, NO_CONTACT),
         rolled=0.0,
         stuck=0.0,
         effects=effect_states,
@@ -126,7 +129,7 @@ def remember_free(state: FingerState, probe: Probe, effect_states: Any, known: b
 
 @jit
 def report_free(state: FingerState, probe: Probe, force: Vec3, budget: float) -> Contact:
-    """Free space; leaving a contact is a release, or a new start where the proxy was stuck in it."""
+    """Return the result in free space; the end of a contact is a release, or a restart if the proxy was stuck."""
     zero, cause = (0.0, 0.0, 0.0), float(CAUSE_NONE)
     if state.mode != FREE:
         cause = float(CAUSE_RESTART) if state.stuck >= STUCK_TICKS else float(CAUSE_RELEASE)
@@ -150,6 +153,6 @@ def report_free(state: FingerState, probe: Probe, force: Vec3, budget: float) ->
         patch_radius=0.0,
         patch_normal=zero,
         patch_stretch=zero,
-        contacts=same_for(state.contacts, NO_OUTCOME),
+        contacts=first_of(state.contacts, NO_OUTCOME, NO_OUTCOME),
         budget=budget,
     )

@@ -1,14 +1,14 @@
-"""Several contacts before friction: carried along by their objects, rolled and sheared, as if each stuck.
+"""Prediction of several contacts before friction: moved with their objects, rolled and sheared, as if each stuck.
 
-The proxy c is the point nearest to the displaced probe x + e, e the mean deflection of the contacts, that no object
-forbids. While all contacts stick, c is at rest on its objects, and the tangent planes there do not turn.
+The proxy c is the permitted point nearest to the displaced probe x + e, e the mean deflection of the contacts. While
+all contacts stick, c is at rest on its objects, and the tangent planes there do not rotate.
 """
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
 from softfinger.proxy.kernels.contact.carry import carried_direction, carried_point, carry, relative_rotation
 from softfinger.proxy.kernels.contact.contact_friction import Prediction, ProbeMotion
-from softfinger.proxy.kernels.contact.detection import NO_PREDICTION, Approach
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, hand_over
 from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
@@ -31,9 +31,9 @@ from softfinger.proxy.kernels.shapes.budget import BUDGET
 class Shear(NamedTuple):
     """Motion of all contacts in a tick.
 
-    turn           rotation of the fingertip
-    free     (3,)  m  way of the probe, displaced by what pushes more or less than before
-    blocked  (3,)  m  way of the probe that the proxy was kept from
+    turn              rotation of the fingertip
+    free     (3,)  m  motion of the probe, plus the change of its displacement by the pushes
+    blocked  (3,)  m  motion of the probe that the pushes kept the proxy from following
     center   (3,)  m  the proxy at the last tick
     """
 
@@ -44,8 +44,12 @@ class Shear(NamedTuple):
 
 
 class Lever(NamedTuple):
-    """By which shares a probe moves less than the proxy that rolls on a curved surface: `first` along the unit tangent
-    `along` (3,), `second` across it. In a hollow they are negative."""
+    """Fractions by which the probe moves less than a proxy that rolls on a curved surface; negative in a hollow.
+
+    first        along the unit tangent `along`
+    second       across it
+    along  (3,)
+    """
 
     first: float
     second: float
@@ -54,7 +58,7 @@ class Lever(NamedTuple):
 
 @jit
 def lag_of(contacts: Contacts) -> Vec3:
-    """Mean deflection (3,) m of the contacts, by their shares of the load."""
+    """Return the mean deflection (3,) m of the contacts, weighted by their load shares."""
     one, two, three = contacts
     lag = vec3.scale(one.share, one.deflection)
     return vec3.add_scaled(vec3.add_scaled(lag, two.share, two.deflection), three.share, three.deflection)
@@ -62,7 +66,7 @@ def lag_of(contacts: Contacts) -> Vec3:
 
 @jit
 def carried_contact(objects: Any, contact: ContactState) -> ContactState:
-    """The contact where its object has taken it."""
+    """Return the contact moved with its object."""
     if contact.body < 0.0:
         return contact
     moved = carry(objects, contact.body)
@@ -82,7 +86,7 @@ def carried_contacts(objects: Any, contacts: Any) -> Contacts:
 
 @jit
 def constraints_of_contacts(contacts: Contacts) -> ActiveSet:
-    """The constraints of contacts, pushing as they did."""
+    """Return the constraints of contacts, with the pushes of the last tick."""
     one, two, three = contacts
     return (
         Constraint(one.body, one.normal, one.push),
@@ -93,19 +97,19 @@ def constraints_of_contacts(contacts: Contacts) -> ActiveSet:
 
 @jit
 def displaced_by_push(before: Contacts, contact: ContactState) -> Vec3:
-    """Displacement (3,) m of the proxy in this tick since a contact pushes more or less than before."""
+    """Return the displacement (3,) m of the proxy in this tick because the push of a contact has changed."""
     return vec3.scale(contact.push - contact_on(before, contact.body).push, contact.normal)
 
 
 @jit
 def displaced_by_turning(before: ContactState, carried: ContactState) -> Vec3:
-    """Displacement (3,) m of the proxy in this tick since the object under a contact turns."""
+    """Return the displacement (3,) m of the proxy in this tick because the object of a contact rotates."""
     return vec3.scale(before.push, vec3.sub(carried.normal, before.normal))
 
 
 @jit
 def shear_of(state: FingerState, last: Contacts, contacts: Contacts, motion: ProbeMotion) -> Shear:
-    """Motion of the contacts; `last` are those of the last tick, carried along."""
+    """Return the motion of the contacts; `last` are those of the last tick, moved with their objects."""
     probe, before, _ = motion
     way = vec3.add(displaced_by_push(last, contacts[0]), displaced_by_push(last, contacts[1]))
     way = vec3.add(way, displaced_by_push(last, contacts[2]))
@@ -122,8 +126,10 @@ def shear_of(state: FingerState, last: Contacts, contacts: Contacts, motion: Pro
 
 @jit
 def lever_of(objects: Any, contact: ContactState, radius: float, center: Vec3) -> Lever:
-    """Depth times the curvature of the surface that the proxy, at `center` (3,) m, moves on; within 1, or a probe at
-    the middle of what it curves about would have no way."""
+    """Return depth times curvature of the surface on which the proxy, at `center` (3,) m, moves.
+
+    Neither product exceeds 1 in size. At 1, the probe is at the centre of curvature and does not move.
+    """
     k1, k2, along = curvature_of(objects, contact.body, radius, center, contact.normal)
     most = max(abs(k1), abs(k2)) * contact.push
     depth = contact.push / most if most > 1.0 else contact.push
@@ -132,7 +138,7 @@ def lever_of(objects: Any, contact: ContactState, radius: float, center: Vec3) -
 
 @jit
 def levered(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
-    """The tangent `v` (3,) at the proxy as it is at the probe: v - depth dn/dp v."""
+    """Convert a tangential motion `v` (3,) of the proxy to that of the probe: v - depth dn/dp v."""
     if lever.first == 0.0 and lever.second == 0.0:
         return v
     across = vec3.cross(normal, lever.along)
@@ -143,17 +149,19 @@ def levered(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
 @jit
 def predict(
     method: Any, objects: Any, radius: float, center: Vec3, contact: ContactState, shear: Shear
-) -> tuple[Prediction, float]:
-    """A contact that sticks, and how far it rolls, rad: its deflection after what probe, object and fingertip did.
+) -> tuple[Prediction, Vec3, float]:
+    """Compute the deflection of a sticking contact after the motions of probe, object and fingertip.
 
-    e <- e - (dx - do) + (1 - d W) r theta (a x n), all of it in the tangent plane: x the probe, displaced by what
-    pushes more or less than before, o the object at the probe, d the depth, W = dn/dp of the surface that the proxy
-    moves on. A proxy that rolls by u takes the probe along by (1 - d W) u: then nothing is wound.
-    Of the probe's way that the proxy was kept from, only what unwinds e counts: the hand gets no more work from
-    the contact than its spring gives, whatever the others do meanwhile.
+    returns  Prediction, motion (3,) m of the proxy by the roll, roll angle, rad
+
+    e <- e - (dx - do) + (1 - d W) r theta (a x n), all in the tangent plane: x the probe, including the change of its
+    displacement by the pushes, o the object at the probe, d the depth, W = dn/dp of the surface on which the proxy
+    moves. If the proxy rolls by u and the probe moves by (1 - d W) u, nothing is wound up.
+    The part of the probe's motion that the proxy was kept from following counts only if it unwinds e. So the contact
+    returns no more work to the hand than its spring stores, independent of the other contacts.
     """
     if contact.body < 0.0:
-        return NO_PREDICTION, 0.0
+        return NO_PREDICTION, (0.0, 0.0, 0.0), 0.0
     normal, carried = contact.normal, carry(objects, contact.body)
     rolled = roll_flat_on(method, objects, contact.body, radius, normal, relative_rotation(carried, shear.turn))
     rode = vec3.sub(carried_point(carried, shear.center), shear.center)
@@ -166,27 +174,28 @@ def predict(
         share = min(max(vec3.dot(deflection, blocked) / square, 0.0), 1.0)
         deflection = vec3.add_scaled(deflection, -share, blocked)
     wound_part = replace(contact, "rolled_part", vec3.add(contact.rolled_part, wound))
-    return Prediction(wound_part, deflection, rolled.spin, False), rolled.theta
+    return Prediction(wound_part, deflection, rolled.spin, False), rolled.motion, rolled.theta
 
 
 @jit
 def continue_several(
     scene: Scene, objects: Any, shapes: Any, radius: float, state: FingerState, motion: ProbeMotion
 ) -> Approach:
-    """All contacts of the last tick go on, each with its object."""
+    """Continue all contacts of the last tick, each moved with its object."""
     last = carried_contacts(shapes, state.contacts)
     center = carried_point(carry(shapes, last[0].body), state.center)
     base = vec3.add(motion.probe.position, lag_of(last))
-    active = pushed_at(shapes, radius, base, center, constraints_of_contacts(last))
+    active, _ = pushed_at(shapes, radius, base, center, constraints_of_contacts(last))
     contacts = hand_over(objects, last, active)
     shear = shear_of(state, last, contacts, motion)
-    one, theta = predict(scene.rolling, shapes, radius, center, contacts[0], shear)
-    two, _ = predict(scene.rolling, shapes, radius, center, contacts[1], shear)
-    three, _ = predict(scene.rolling, shapes, radius, center, contacts[2], shear)
+    one, roll1, theta = predict(scene.rolling, shapes, radius, center, contacts[0], shear)
+    two, roll2, _ = predict(scene.rolling, shapes, radius, center, contacts[1], shear)
+    three, roll3, _ = predict(scene.rolling, shapes, radius, center, contacts[2], shear)
+    rolled = vec3.add_scaled(vec3.add_scaled(center, contacts[0].share, roll1), contacts[1].share, roll2)
     return Approach(
         start=state.center,
         outside=center,
-        center=center,
+        center=vec3.add_scaled(rolled, contacts[2].share, roll3),
         active=active,
         predicted=(one, two, three),
         rolled=state.rolled + theta,

@@ -1,6 +1,8 @@
-"""Moment against rolling: a soft finger that rolls gets less work back behind the contact than it puts in before it.
+"""Rolling resistance: a soft finger recovers less work at the rear of a rolling contact than it spends at the front.
 
-resist(patch, carried, bent, probe, last, area) -> Resistance
+    resist(patch, carried, bent, probe, last, area) -> Resistance
+
+`contact_friction` calls it for each contact.
 """
 
 from math import sqrt
@@ -14,14 +16,14 @@ from softfinger.proxy.kernels.model import Probe, RollingLoss, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 
 NOTHING = (-0.0, -0.0, -0.0)
-"""What can be added to any number without a change, the sign of a zero included."""
+"""Zero that can be added to any number without a change, including the sign of a zero."""
 
 
 class ResistanceInput(NamedTuple):
-    """A patch as the resistance to rolling is to see it: see `ContactState` for the names.
+    """Contact input of the rolling resistance: see `ContactState` for the names.
 
-    bend      where the object has carried it
-    touches   a first touch: nothing has rolled
+    bend      moved with the object
+    touches   True at a first touch: nothing has rolled
     """
 
     normal: Vec3
@@ -31,7 +33,7 @@ class ResistanceInput(NamedTuple):
 
 
 class Resistance(NamedTuple):
-    """What a tick's roll leaves: wind-up (3,), see `ContactState.bend`, and the moment (3,) N m on the hand."""
+    """Result of a roll in a tick: wind-up (3,), see `ContactState.bend`, and moment (3,) N m on the hand."""
 
     bend: Vec3
     moment: Vec3
@@ -39,14 +41,17 @@ class Resistance(NamedTuple):
 
 @by_type
 def resist(patch: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch) -> Any:
-    """The moment after the fingertip's rotation against the object since the `last` probe, in the tangent plane."""
+    """Return the Resistance after the fingertip's rotation relative to the object since the `last` probe.
+
+    Only the rotation about an axis in the tangent plane counts.
+    """
 
 
 @by_type
 def resist_by_loss(
     rolling: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
 ) -> Any:
-    """`resist` of a patch that has lost share of elastic work, or None."""
+    """Return `resist` for a patch with `rolling`, a RollingLoss or None."""
 
 
 @resist.of(None)
@@ -74,10 +79,10 @@ def resist_without_loss(
 def resist_with_loss(
     rolling: RollingLoss, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
 ) -> Resistance:
-    """A spring against the roll whose anchor slips at 3/16 alpha a f_N, alpha the share of the work that is lost.
+    """Apply a spring against the roll; its anchor slips at 3/16 alpha a f_N, alpha the fraction of the work lost.
 
-    Source of the moment: Greenwood, Minshall, Tabor (1961); Johnson (1985), section 9.1. The spring, by which it holds
-    still at rest, is ours: it is wound after a way of the patch's radius.
+    Source of the moment: Greenwood, Minshall, Tabor (1961); Johnson (1985), section 9.1. The spring is not from these
+    sources. It holds a finger at rest, and reaches the limit after rolling by the patch's radius.
     """
     roll = (0.0, 0.0, 0.0)
     if not bent.touches:
@@ -89,7 +94,7 @@ def resist_with_loss(
 
 @jit
 def wind_resistance(loss: float, area: ContactPatch, share: float, bend: Vec3, roll: Vec3) -> Resistance:
-    """The wind-up keeps its energy while load and share change, as that of torsion does: see `winding_unit`."""
+    """Add a roll to the wind-up, whose energy is constant while load and share change: see `winding_unit`."""
     stiffness = max(loss * area.bending, LIMPEST)
     unit = sqrt(stiffness / max(share, LEAST_SHARE))
     wound = vec3.add(vec3.scale(1.0 / unit, bend), roll)

@@ -1,11 +1,12 @@
-"""What a texture makes of a contact: heights of the surface, and a friction that changes along it.
+"""Effect of a texture on a contact: surface heights, and friction that varies over the surface.
 
-Heights. The highest value of a texture is the shape's own surface; the others lie below it, h(u, v) <= 0. The probe
-lies delta behind the proxy and its surface depth is d = delta + h, with u, v under the probe. The force is that of
-the potential K d^2 / 2 where d > 0: K d m, with m = -grad d = n - grad h. It depends on where the probe is and on
-nothing else, so no way back to where one was gains or loses; damping acts along m too, and takes B (m . v)^2.
+Heights. The highest value of a texture is at the surface of the shape; all heights are h(u, v) <= 0. The probe is delta
+behind the proxy, and its surface depth is d = delta + h, with u, v under the probe. The force is that of the potential
+K d^2 / 2 for d > 0: K d m, with m = -grad d = n - grad h. It depends only on the position of the probe, so a closed
+path neither gains nor loses energy; damping also acts along m, and dissipates B (m . v)^2.
 
-Friction. The coefficients of the law at the contact point, and the torsional limit, times the texture's factor there.
+Friction. The coefficients of the law and the torsional limit are multiplied by the texture's factor at the contact
+point.
 
     texture_depth_on(objects, index, depth, normal, position)      -> d, m
     texture_friction(texture, body, index, active, center)         -> body  whose material has the friction there
@@ -28,7 +29,7 @@ from softfinger.proxy.kernels.shapes.charts import Chart, chart
 from softfinger.proxy.kernels.shapes.composite import shaded
 
 CELLS_CEILING = 1e15
-"""Past this many cells float64 has no fraction of a cell left, and farther out no whole number of them."""
+"""Limit of a coordinate in cells: beyond it, float64 resolves no fraction of a cell, and farther out no whole cells."""
 
 
 class Sample(NamedTuple):
@@ -41,7 +42,7 @@ class Sample(NamedTuple):
 
 @jit
 def weights(t: float) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
-    """Uniform cubic B-spline: what four neighbours count for at 0 <= t <= 1 between the middle two, and d/dt."""
+    """Return a uniform cubic B-spline's weights of four neighbours, at 0 <= t <= 1 between the middle two, and d/dt."""
     s = 1.0 - t
     tt, ss = t * t, s * s
     value = (ss * s / 6.0, (4.0 - 3.0 * tt * (2.0 - t)) / 6.0, (4.0 - 3.0 * ss * (2.0 - s)) / 6.0, tt * t / 6.0)
@@ -51,7 +52,7 @@ def weights(t: float) -> tuple[tuple[float, float, float, float], tuple[float, f
 
 @jit
 def wrapped(index: float, count: float, period: float) -> int:
-    """Place in an array of that `count`; a coordinate that is not finite gets one too."""
+    """Return the index in an array of that `count`; it is valid for a coordinate that is not finite, too."""
     if period != 0.0:
         index -= count * floor(index / count)
     if not index > 0.0:
@@ -61,7 +62,7 @@ def wrapped(index: float, count: float, period: float) -> int:
 
 @jit
 def line_at(texture: Texture, row: float, columns: Any, weight: Any, slope: Any) -> tuple[float, float]:
-    """Four neighbours of one row, weighted (4,), and their derivative along the row."""
+    """Return the weighted sum of four neighbours of one row, and its derivative along the row."""
     start = wrapped(row, texture.rows, texture.period_v) * int(texture.columns)
     z0, z1 = texture.values[start + columns[0]], texture.values[start + columns[1]]
     z2, z3 = texture.values[start + columns[2]], texture.values[start + columns[3]]
@@ -71,7 +72,7 @@ def line_at(texture: Texture, row: float, columns: Any, weight: Any, slope: Any)
 
 @jit
 def sample(texture: Texture, u: float, v: float) -> Sample:
-    """The spline at u, v (m). Its coefficients sit in the middles of the array's cells."""
+    """Return the spline at u, v (m); its coefficients are at the centres of the array's cells."""
     across = clamp(u * texture.per_u, CELLS_CEILING) + 0.5 * (texture.columns - 1.0)
     down = clamp(v * texture.per_v, CELLS_CEILING) + 0.5 * (texture.rows - 1.0)
     left, top = floor(across), floor(down)
@@ -94,7 +95,7 @@ def sample(texture: Texture, u: float, v: float) -> Sample:
 
 @jit
 def chart_at(body: Any, x: Vec3, normal: Vec3) -> Chart:
-    """`chart` of a point and a normal in the world."""
+    """Return `chart` for a point and a normal in the world frame."""
     return chart(body.shape, body.texture.fade, into(body.pose, x), turn_into(body.pose, normal))
 
 
@@ -103,7 +104,7 @@ def chart_at(body: Any, x: Vec3, normal: Vec3) -> Chart:
 
 @by_type
 def texture_depth(texture: Any, body: Any, depth: float, normal: Vec3, position: Vec3) -> Any:
-    """Surface depth d (m) and m (3,) on one object that the probe at `position` lies `depth` behind."""
+    """Return the surface depth d (m) and m (3,) on one object; the probe at `position` is `depth` behind the proxy."""
 
 
 @texture_depth.of(None)
@@ -133,7 +134,7 @@ def raise_by_nothing(
 def raise_by_relief(
     relief: Relief, texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3
 ) -> tuple[float, Vec3]:
-    """h = -H w (1 - z): z the texture's value, H its height, w the chart's `inside`."""
+    """Add h = -H w (1 - z): z the texture's value, H its height, w the chart's `inside`."""
     at = chart_at(body, position, normal)
     z = sample(texture, at.u, at.v)
     below = relief.height * (1.0 - z.value)
@@ -144,7 +145,7 @@ def raise_by_relief(
 
 @jit
 def texture_depth_on(objects: Any, index: float, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
-    """`texture_depth` on the object with that index."""
+    """Return `texture_depth` on object `index`."""
     body = object_at(objects, index)
     return texture_depth(body.texture, body, depth, normal, position)
 
@@ -154,7 +155,7 @@ def texture_depth_on(objects: Any, index: float, depth: float, normal: Vec3, pos
 
 @by_type
 def texture_friction(texture: Any, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
-    """The object with that place, with the friction that it has under the proxy's `center` if it holds it."""
+    """Return object `index`; if it supports the proxy, with its friction under the proxy's `center` (3,) m."""
 
 
 @texture_friction.of(None)
@@ -185,7 +186,7 @@ def scale_friction_by_grip(
     if texture.columns != 0.0 and (index == one.body or index == two.body or index == three.body):
         normal = one.normal if index == one.body else two.normal if index == two.body else three.normal
         at = chart_at(body, center, normal)
-        # At an edge of the object the texture ends at its highest value.
+        # At an edge of the object, the texture fades to its highest value.
         z = 1.0 - at.inside * (1.0 - sample(texture, at.u, at.v).value)
         factor = grip.low + (grip.high - grip.low) * z
     made_of = body.material

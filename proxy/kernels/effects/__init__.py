@@ -1,4 +1,4 @@
-"""Forces beside those of the contact: of the workspace, and of an object on what comes near it.
+"""Forces on the hand in addition to the contact force: effects of the workspace and of objects.
 
-What keeps the proxy outside is `contact`.
+Contains no contact force and no proxy (`contact`).
 """

@@ -1,12 +1,12 @@
-"""Forces on the hand beside those of the contact: fields in the workspace, and what an object does to its visitor.
+"""Forces on the hand in addition to the contact force: fields of the workspace, and effects of objects.
 
     apply_effects(effects, states, situation) -> force, states     all effects of the workspace or of one object
     effect_force(effect, state, situation)    -> force, state      one effect
-    reach(region, situation)                  -> 0 to 1            share of an effect here and now
-    start_states(effects)                  -> states            before the first tick, in Python only
+    reach(region, situation)                  -> 0 to 1            share of an effect at this position, in this tick
+    start_states(effects)                     -> states            before the first tick; Python only
 
-An effect without memory has the state None. No effects are an empty tuple, which compiles to nothing.
-Finite input gives finite force, however far out or fast: the products are kept below FORCE_CEILING_N.
+An effect without memory has the state None. Without effects the tuple is empty, and no code is compiled. Finite input
+gives finite force at any position and velocity: products are clamped to FORCE_CEILING_N.
 """
 
 from math import floor, pi, sin
@@ -37,25 +37,25 @@ from softfinger.proxy.kernels.numerics.frames import into, out_of
 from softfinger.proxy.kernels.numerics.scalars import clamp
 
 FORCE_CEILING_N = 1e6
-"""Only keeps products of absurd numbers finite; what reaches a hand is the guard's business."""
+"""Limit that only keeps products of absurd numbers finite; the guard limits the force on the hand."""
 TURNS_CEILING = 1e15
-"""Past this many turns float64 has no fraction of a turn left."""
+"""Number of turns above which float64 cannot represent a fraction of a turn."""
 NO_FORCE: Vec3 = (-0.0, -0.0, -0.0)
 """Negative zeros: adding them changes no bit of any number, so the compiler leaves the addition out."""
 NO_LENGTH_M = 1e-100
-"""A shorter vector has no direction: the squares of its components underflow."""
+"""Shorter vectors count as zero: the squares of their components underflow."""
 
 
 class Situation(NamedTuple):
-    """What an effect may ask about this tick; world frame.
+    """Inputs of an effect in one tick; world frame.
 
-    position      m    probe
-    velocity      m/s  probe, filtered; for an object's effects against the object's surface under it
-    dt            s    since the last tick
-    touched       1 in contact (with this object, for an object's effects), else 0
-    gap           m    from the fingertip's surface to this object's; ignored while touched, 0 for the workspace
-    normal             unit normal of the contact, or of this object's surface point nearest to the probe
-    carrier            Pose of a moving object, None for one that stands still and for the workspace
+    position  (3,)  m    probe
+    velocity  (3,)  m/s  probe, filtered; for an object's effects relative to the object at the probe
+    dt              s    since the last tick
+    touched              1 in contact (for an object's effects: with this object), otherwise 0
+    gap             m    from the fingertip's surface to that of this object; ignored while touched, 0 for the workspace
+    normal    (3,)       unit normal of the contact, or of this object's surface point nearest to the probe
+    carrier              Pose of an object that can move, None for a fixed object and for the workspace
     """
 
     position: Vec3
@@ -75,12 +75,12 @@ def effect_force(effect: Any, state: Any, situation: Situation) -> Any: ...
 def reach(region: Any, situation: Situation) -> Any: ...
 
 
-# --- where an effect acts ------------------------------------------------------------------------
+# --- regions -------------------------------------------------------------------------------------
 
 
 @jit
 def share_at(depth: float, edge: float) -> float:
-    """Share of an effect `depth` inside the border of its region, rising from 0 to 1 over `edge`."""
+    """Return the share of an effect at `depth` (m) inside its region; it rises from 0 to 1 over `edge` (m)."""
     if depth <= 0.0:
         return 0.0
     if depth < edge:
@@ -118,7 +118,7 @@ def reach_of_sphere(region: SphereRegion, situation: Situation) -> float:
 
 @jit
 def times(s: float, v: Vec3) -> Vec3:
-    """s v, each component within the ceiling."""
+    """Return s v, each component clamped to FORCE_CEILING_N."""
     return (
         clamp(s * v[0], FORCE_CEILING_N),
         clamp(s * v[1], FORCE_CEILING_N),
@@ -131,7 +131,7 @@ def times(s: float, v: Vec3) -> Vec3:
 
 @effect_force.of(Viscosity)
 def viscous_force(effect: Viscosity, state: None, situation: Situation) -> tuple[Vec3, None]:
-    """-B v: takes energy and never gives any, wherever its region ends."""
+    """Return -B v, scaled by the region's share: it dissipates energy everywhere, also at the edge of the region."""
     return times(-reach(effect.region, situation) * effect.damping, situation.velocity), None
 
 
@@ -142,7 +142,7 @@ def constant_force(effect: ConstantForce, state: None, situation: Situation) -> 
 
 @effect_force.of(Spring)
 def spring_force(effect: Spring, state: None, situation: Situation) -> tuple[Vec3, None]:
-    """Towards the anchor by K (d - rest length), pushing when nearer than that, at most `force_max`."""
+    """Return K (d - rest length) towards the anchor, at most `force_max`; negative (pushing) below the rest length."""
     towards = vec3.sub(effect.anchor, situation.position)
     length = vec3.norm(towards)
     if length < NO_LENGTH_M:
@@ -153,10 +153,12 @@ def spring_force(effect: Spring, state: None, situation: Situation) -> tuple[Vec
 
 @jit
 def wall_force(effect: Any, outward: Vec3, situation: Situation) -> Vec3:
-    """Spring-damper against a way past the boundary: `outward` (3,) m from it, zero inside.
+    """Return the force of a spring-damper at a boundary.
 
-    As in a contact, damping may stop the spring or double it, not turn it round, so it is zero at the
-    boundary itself and never pulls outward.
+    outward  (3,)  m  displacement beyond the boundary, zero inside
+
+    As in a contact, damping can cancel or double the spring's force, but not reverse it: the force is zero at the
+    boundary and never points outward.
     """
     depth = vec3.norm(outward)
     if depth < NO_LENGTH_M:
@@ -190,17 +192,17 @@ def sphere_boundary_force(effect: SphereBoundary, state: None, situation: Situat
 
 @jit
 def fraction(turns: float) -> float:
-    """Part of a turn in [0, 1)."""
+    """Return the fraction of a turn in [0, 1)."""
     turns = clamp(turns, TURNS_CEILING)
     return turns - floor(turns)
 
 
 @jit
 def oscillate(amplitude: float, frequency: float, share: float, state: Phase, dt: float) -> tuple[float, Phase]:
-    """One tick of a sine, and where the next one starts; out of reach it waits at its beginning.
+    """Return the force (N) of a sine in this tick, and the phase of the next; a share of 0 resets the phase.
 
-    The phase is counted up tick by tick instead of being computed from the time, so that a change of
-    frequency while running does not make the force jump.
+    The phase is accumulated tick by tick, not computed from the time, so that a change of the frequency causes no jump
+    of the force.
     """
     if share == 0.0:
         return 0.0, Phase(0.0)
@@ -226,10 +228,10 @@ def normal_vibration_force(effect: NormalVibration, state: Phase, situation: Sit
 
 @effect_force.of(Magnet)
 def magnet_force(effect: Magnet, state: None, situation: Situation) -> tuple[Vec3, None]:
-    """Towards the nearest point of the surface, F (1 - gap / range)^exponent.
+    """Return F (1 - gap / range)^exponent towards the nearest point of the surface.
 
-    Full strength while touched: the contact's spring then carries it, and the hand feels no step on
-    the way in. A function of the distance alone, so it gives back on leaving what it took on coming.
+    Full strength during contact: the contact's spring then balances it, without a step of the force at touchdown. The
+    force depends on the distance only, so it is conservative.
     """
     gap = 0.0 if situation.touched != 0.0 else max(situation.gap, 0.0)
     if gap >= effect.range:
@@ -239,11 +241,11 @@ def magnet_force(effect: Magnet, state: None, situation: Situation) -> tuple[Vec
 
 @effect_force.of(StickSlip)
 def stick_slip_force(effect: StickSlip, state: Anchor, situation: Situation) -> tuple[Vec3, Anchor]:
-    """A spring along the surface to a point that sticks to the object, until it would pull too hard.
+    """Return the force of a spring from the probe to an anchor on the object, along the surface.
 
-    The point then jumps under the probe and the force is zero: each jump loses the spring's energy,
-    so the texture takes F^2 / 2K per ridge and never gives any. As in CHAI3D, but along the surface
-    only: the depth of the press belongs to the contact.
+    When the force would exceed `force_max`, the anchor jumps to the probe and the force is zero. Each jump loses the
+    spring's energy, so the texture dissipates F^2 / 2K per ridge and never adds energy. As in CHAI3D, but along the
+    surface only: the contact handles the component along the normal.
     """
     zero = (0.0, 0.0, 0.0)
     if situation.touched == 0.0:
@@ -258,17 +260,17 @@ def stick_slip_force(effect: StickSlip, state: Anchor, situation: Situation) -> 
     return zero, here
 
 
-# --- all of them ---------------------------------------------------------------------------------
+# --- all effects ---------------------------------------------------------------------------------
 
 
 @jit
 def apply_effects(effects: Any, states: Any, situation: Situation) -> Any:
-    """Sum of the forces (3,) N of a tuple of effects, and their states after this tick."""
+    """Return the total force (3,) N of a tuple of effects, and their states after this tick."""
     forces, after = unzip(map_each(effect_force, (effects, states), situation))
     return fold_each(vec3.add, forces, NO_FORCE), after
 
 
 def start_states(effects: tuple[Any, ...]) -> tuple[Any, ...]:
-    """States of effects before the first tick."""
+    """Return the states of effects before the first tick."""
     starts = {StickSlip: Anchor((0.0, 0.0, 0.0), 0.0), Vibration: Phase(0.0), NormalVibration: Phase(0.0)}
     return tuple(starts.get(type(effect)) for effect in effects)

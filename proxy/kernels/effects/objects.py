@@ -1,4 +1,4 @@
-"""The effects of the objects: each is told how the fingertip stands to its own object."""
+"""Effects of all objects, each evaluated with the gap, normal and velocity relative to its object."""
 
 from typing import Any, NamedTuple
 
@@ -14,8 +14,11 @@ from softfinger.proxy.kernels.query.objects import closest_or_bound_on
 
 
 class Touched(NamedTuple):
-    """The up to three constraints that hold the proxy, by the numbers of their objects, -1 for none; where (3,) m the
-    probe was at the last tick."""
+    """Active constraints of the proxy, and the previous probe position.
+
+    one, two, three          constraints; their `body` is the scene index of the object, -1 for none
+    before           (3,) m  probe position at the last tick
+    """
 
     one: Constraint
     two: Constraint
@@ -25,8 +28,11 @@ class Touched(NamedTuple):
 
 @jit
 def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    """Sum of the forces (3,) N of all objects' effects, their states, and 1 where one of them was told a gap that may
-    be too large, because the search for it did not end; else 0.
+    """Return the total force (3,) N of the effects of all objects, their states, and a flag.
+
+    The flag is 1 if the gap of an object may be too large because the search for its nearest point did not finish,
+    otherwise 0.
+
 
     states  a tuple for each Carrier of the objects
     """
@@ -49,7 +55,7 @@ def effects_of(
     body = object_at(objects, carrier.row)
     gap, _, normal, unsearched = closest_or_bound_on(whole(objects, body), contact.position)
     is_touched = 1.0
-    # The contact's normal, not that of the nearest surface point: the probe may be through a thin body.
+    # The normal of the contact, not of the nearest surface point: the probe may have passed through a thin body.
     if body.number == touched.one.body:
         normal = touched.one.normal
     elif body.number == touched.two.body:
@@ -59,7 +65,7 @@ def effects_of(
     else:
         is_touched = 0.0
     frame, velocity = moving_pose(body.motion, body.pose), contact.velocity
-    if contact.dt > 0.0:  # against this object
+    if contact.dt > 0.0:  # relative to this object
         way = vec3.sub(carried_along(body, touched.before), touched.before)
         velocity = vec3.add_scaled(velocity, -1.0 / contact.dt, way)
     situation = Situation(
@@ -72,7 +78,7 @@ def effects_of(
 
 @by_type
 def whole(objects: Any, body: Any) -> Any:
-    """The object itself, not one of its triangles."""
+    """Return the object itself instead of one of its triangles."""
 
 
 @whole.of(Single)

@@ -1,4 +1,4 @@
-"""Sticking and slipping: the rolling / sliding machine, and the laws of friction and torsion it asks.
+"""Stick-slip with rolling and sliding, laws of friction and torsion, limit surface, and contact patch.
 
-Nothing of shapes or places: a contact, its normal force and what it has been wound by are all it sees.
+Nothing of shapes or poses: the input is one contact with its normal force and wind-up.
 """

@@ -1,10 +1,11 @@
-"""The fingertip's contact patch under a load: how large it is, and what torsion follows.
+"""Contact patch of the fingertip under a load: its size, and the torsion that follows from it.
 
     contact_patch(patch, radius, compliance, normal_force) -> ContactPatch
-    torsion_under(torsion, area) -> a torsion law of this tick
+    torsion_under(torsion, area) -> torsion law of this tick
     winding_unit(torsion, area, share) -> sqrt(N m/rad)
 
-Assumed: fingertip and object are incompressible and alike in nothing else, the object is flat beside the fingertip.
+Assumptions: fingertip and object are incompressible, with separate shear moduli, and the object is flat compared with
+the fingertip.
 """
 
 from math import pi, sqrt
@@ -15,21 +16,21 @@ from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import HertzPatch, LimitSurface, PatchTorsion, PowerPatch, SoftFingerProxy, Torsion
 
 HERTZ_LEVER = 3.0 * pi / 16.0
-"""Mean distance from the centre of Hertz's pressure, over the patch's radius."""
+"""Mean distance of Hertz's pressure from the centre, over the patch's radius."""
 LIMPEST = 1e-30
-"""N m/rad; a stiffness that is not zero, and holds nothing: an angle is divided by it."""
+"""Smallest stiffness, N m/rad: a divisor, so not zero, but without a noticeable moment."""
 LEAST_SHARE = 1e-30
-"""A share that is not zero, of a patch that bears nothing: its stiffness is divided by it."""
+"""Smallest share of the load by which a stiffness is divided, for a patch without load."""
 
 
 class ContactPatch(NamedTuple):
-    """The patch in a tick.
+    """Patch in a tick.
 
     radius     m        a
     torsional  N m/rad  k_z, its stiffness against spin
     lever      m        largest moment about the normal over friction's largest force
-    bending    N m/rad  stiffness against roll of a loss of 1
-    bend_max   rad      roll at which the resistance has built up
+    bending    N m/rad  stiffness against roll at a rolling loss of 1
+    bend_max   rad      roll angle at which the rolling resistance reaches its limit
     """
 
     radius: float
@@ -41,21 +42,22 @@ class ContactPatch(NamedTuple):
 
 @by_type
 def contact_patch(patch: Any, radius: float, compliance: Any, normal_force: float) -> Any:
-    """The patch of a fingertip of `radius`, m, on an object of the shear compliance 1/G, m^2/N; None: no patch."""
+    """Return the patch of a fingertip of `radius`, m, on an object of shear compliance 1/G, m^2/N; None: no patch."""
 
 
 @by_type
 def torsion_under(torsion: Any, contact_patch: ContactPatch) -> Any:
-    """The torsion law with the numbers of this tick."""
+    """Return the torsion law with the coefficients of this tick."""
 
 
 @by_type
 def winding_unit(torsion: Any, contact_patch: ContactPatch, share: float) -> Any:
-    """What a wind-up is multiplied by to be remembered: 1, or sqrt(k_z / w) where k_z changes with the load.
+    """Return the factor from a wind-up to its stored form: 1, or sqrt(k_z / w) if k_z changes with the load.
 
-    w is the patch's share of the load, 1 with one object. w / 2 times the square of phi sqrt(k_z / w) is the energy
-    stored. It stays what it is while the load changes, the moment going as sqrt(k_z): pressing harder on a wound finger
-    makes no energy, and none leaks away in a hand that trembles. Handed over with the share, it does not grow either.
+    w is the patch's share of the load, 1 with one object. The stored energy is w / 2 times the square of phi sqrt(k_z /
+    w). It is constant while the load changes, and the moment is proportional to sqrt(k_z): pressing harder on a
+    wound-up finger generates no energy, and a trembling hand loses none. Nor does it grow if it is transferred along
+    with the share.
     """
 
 
@@ -66,14 +68,14 @@ def no_contact_patch(patch: None, radius: float, compliance: Any, normal_force: 
 
 @jit
 def contact_patch_of(a: float, lever: float, radius: float, compliance: float, normal_force: float) -> ContactPatch:
-    """A patch of the radius a, at most the fingertip's.
+    """Return a patch of the radius a, at most the fingertip's.
 
     k_z = 16/3 a^3 / (1/G_f + 1/G_o): a disc stuck to two half-spaces in series (Reissner and Sagoci, 1944), and Hertz's
     contact before any slip (Lubkin, 1951; Mindlin and Deresiewicz, 1953).
     """
     a = min(a, radius)
     k_z = max(16.0 / 3.0 * a * a * a / compliance, LIMPEST)
-    # The moment 3/16 a f_N (Greenwood, Minshall, Tabor, 1961) after a way of the patch's own radius.
+    # Moment 3/16 a f_N (Greenwood, Minshall, Tabor, 1961), reached after rolling by the patch's radius.
     bending = max(3.0 / 16.0 * radius * normal_force, LIMPEST)
     return ContactPatch(radius=a, torsional=k_z, lever=lever * a, bending=bending, bend_max=a / radius)
 
@@ -88,7 +90,7 @@ def hertz_contact_patch(patch: HertzPatch, radius: float, compliance: float, nor
 
 @contact_patch.of(PowerPatch)
 def power_contact_patch(patch: PowerPatch, radius: float, compliance: float, normal_force: float) -> ContactPatch:
-    """a = c (f_N / 1 N)^gamma (Xydas and Kao, 1999)."""
+    """Return the patch with a = c (f_N / 1 N)^gamma (Xydas and Kao, 1999)."""
     a = patch.at_newton * normal_force**patch.exponent if normal_force > 0.0 else 0.0
     return contact_patch_of(a, patch.lever, radius, patch.compliance + compliance, normal_force)
 

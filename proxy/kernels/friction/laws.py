@@ -1,11 +1,11 @@
-"""Friction laws: how large the tangential force may be, and in which direction how much of it.
+"""Friction laws: limits of the tangential force, and their dependence on the direction.
 
-    cone(law, normal_force, slip_speed) -> static, kinetic     largest forces, N, where the scale is 1
+    cone(law, normal_force, slip_speed) -> static, kinetic     largest forces, N, in a direction of scale 1
     scales(law, normal, v, breaking) -> d1, d2, s1, s2         principal directions and their scales
-    load_size(law, normal, load) -> N                          what counts against the static cone
+    load_size(law, normal, load) -> N                          magnitude to compare with the static cone
     cut(law, normal, longest, breaking, deflection) -> deflection, slip, length
 
-`breaking` is 1 on the tick that leaves the static cone, else 0: the kinetic one counts.
+`breaking` is 1 in the tick of the exit from the static cone; otherwise 0, which selects the kinetic cone.
 """
 
 from math import exp, sqrt
@@ -29,7 +29,7 @@ Scales = tuple[Vec3, Vec3, float, float]
 Cut = tuple[Vec3, float, float]
 
 ALONG_NORMAL = 1e-6
-"""A direction whose part tangent to the surface is shorter than this gives none."""
+"""Length of a direction's tangential part below which it is considered parallel to the normal."""
 
 
 @by_type
@@ -50,12 +50,12 @@ def cut(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec
 
 @by_type
 def turned(law: Any, rotation: Quaternion) -> Any:
-    """The law with its directions turned along with the object."""
+    """Return the law with its directions rotated with the object."""
 
 
 @by_type
 def scaled(law: Any, factor: float) -> Any:
-    """The law with all its coefficients times `factor`."""
+    """Return the law with all its coefficients multiplied by `factor`."""
 
 
 # --- Coulomb ---------------------------------------------------------------------------------------
@@ -76,7 +76,7 @@ def isotropic_scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Scales
 
 @cut.of(Friction, SpeedFriction)
 def isotropic_cut(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
-    """Radial return to a circle, which is its nearest point; never extended, so friction only resists."""
+    """Project radially onto a circle, which is the nearest point; never extend, so friction only resists."""
     length = vec3.norm(deflection)
     slip = max(length - longest, 0.0)
     if slip > 0.0:
@@ -115,7 +115,7 @@ def paper_scaled(law: PaperFriction, factor: float) -> PaperFriction:
 
 @by_type
 def remaining(stribeck: Any, slip_speed: float) -> Any:
-    """Share of the fall from static to kinetic friction that is still to come at that speed."""
+    """Return the fraction of the drop from static to kinetic friction that remains at a slip speed."""
 
 
 @remaining.of(None)
@@ -156,7 +156,10 @@ def anisotropic_cone(law: Anisotropic, normal_force: float, slip_speed: float) -
 
 @jit
 def surface_direction(direction: Vec3, normal: Vec3) -> Vec3:
-    """Unit tangent under `direction`; where that stands on the surface, under the axis that lies flattest."""
+    """Return the unit tangent along the projection of `direction`.
+
+    If that is parallel to the normal, project the coordinate axis that is closest to the tangent plane.
+    """
     along = vec3.reject(direction, normal)
     length = vec3.norm(along)
     if length < ALONG_NORMAL:
@@ -189,7 +192,7 @@ def anisotropic_load_size(law: Anisotropic, normal: Vec3, load: Vec3) -> float:
 
 @cut.of(Anisotropic)
 def anisotropic_cut(law: Anisotropic, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
-    """Return to the nearest point of the ellipse: the slip is then along its normal (maximum dissipation)."""
+    """Project onto the nearest point of the ellipse: the slip is then along its normal (maximum dissipation)."""
     if longest <= 0.0:
         return (0.0, 0.0, 0.0), vec3.norm(deflection), 0.0
     along, across, s1, s2 = anisotropic_scales(law, normal, deflection, breaking)

@@ -1,6 +1,6 @@
-"""Friction and torsion with one limit or with two: what a slip leaves of deflection and wind-up.
+"""Slip of deflection and wind-up, with separate limits of friction and torsion or with a common one.
 
-room(torsion, spin, normal_force) -> 1                  share of the static cone that torsion leaves
+room(torsion, spin, normal_force) -> 1                  fraction of the static cone that torsion does not use
 slide(torsion, law, stiffness, limit, breaking, given) -> Slide
 """
 
@@ -16,15 +16,15 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.ellipsoid import multiplier, near, shrink
 
 WEIGHT_MAX = 1e24
-"""Ratio of the energies that the two springs store at their limits, beyond which one of them is rigid."""
+"""Largest ratio of the energies of the two springs at their limits; beyond it one of them is rigid."""
 
 
 class Slide(NamedTuple):
-    """What a tick of slip leaves, and how much it was.
+    """State after the slip of a tick, and the amount of slip.
 
     deflection    (3,) m
-    spin, twist   rad  phi before the tick and the part of the tick's rotation that is still to be wound
-    slip          m    way the skin slipped; with a limit surface the dissipated energy over the force limit
+    spin, twist   rad  phi before the tick, and the part of the tick's rotation that has still to be wound up
+    slip          m    slip of the skin; with a limit surface the dissipated energy over the force limit
     length        m    |e|; with a limit surface the deflection that would store the same energy
     """
 
@@ -37,7 +37,7 @@ class Slide(NamedTuple):
 
 @by_type
 def room(torsion: Any, spin: float, normal_force: float) -> Any:
-    """All of it, unless torsion and friction share one limit."""
+    """Return the fraction of the static cone available to friction: 1, unless torsion and friction share one limit."""
 
 
 @by_type
@@ -46,7 +46,7 @@ def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: floa
 
 @jit
 def slide_alone(law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput) -> Slide:
-    """Tangential slip that torsion has no part in: K |e| at most `limit`."""
+    """Limit the tangential force to K |e| <= `limit`, independent of torsion."""
     deflection, slip, length = cut(law, given.normal, limit / stiffness, breaking, given.deflection)
     return Slide(deflection, given.spin, given.twist, slip, length)
 
@@ -77,7 +77,7 @@ def slide_beside_torsion(
 
 @room.of(LimitSurface)
 def room_on_limit_surface(torsion: LimitSurface, spin: float, normal_force: float) -> float:
-    """sqrt(1 - (tau_n / tau_max)^2): all of the cone without torsion, none at the torsional limit."""
+    """Return sqrt(1 - (tau_n / tau_max)^2): 1 without torsion, 0 at the torsional limit."""
     limit = torsional_limit(torsion.law, normal_force)
     if limit <= 0.0:
         return 1.0
@@ -89,19 +89,19 @@ def room_on_limit_surface(torsion: LimitSurface, spin: float, normal_force: floa
 def slide_on_limit_surface(
     torsion: LimitSurface, law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput
 ) -> Slide:
-    """Bring (K e, k_z phi) back to (f_T / F)^2 + (tau_n / tau_max)^2 <= 1.
+    """Project (K e, k_z phi) onto (f_T / F)^2 + (tau_n / tau_max)^2 <= 1.
 
-    The nearest point, distance measured by the energy of the two springs: then what slips, (de, dphi), is along
-    the surface's normal, and dissipates the most that the surface allows.
+    The projection is the nearest point, with distance measured by the energy of the two springs: then the slip
+    (de, dphi) is along the surface's normal, and dissipates the most that the surface allows.
 
     Source: the limit surface of Goyal, Ruina, Papadopoulos (1991) as the ellipsoid of Howe and Cutkosky (1996);
-    as a god-object's, Frisoli, Barbagli, Ruffaldi, Salisbury, Bergamasco (2006), who move along a limit curve.
+    for a god-object, Frisoli, Barbagli, Ruffaldi, Salisbury, Bergamasco (2006), who move along a limit curve.
     """
     k_z = torsional_stiffness(torsion.law)
     longest, widest = limit / stiffness, torsional_limit(torsion.law, given.normal_force) / k_z
     spin = given.spin + given.twist
     if longest <= 0.0 or widest <= 0.0:
-        # A flat surface: each has its own limit, one of them none.
+        # A degenerate surface: two separate limits, one of them zero.
         deflection, slip, length = cut(law, given.normal, longest, breaking, given.deflection)
         return Slide(deflection, given.spin, given.twist, slip, length)
 

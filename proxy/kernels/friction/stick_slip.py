@@ -1,10 +1,10 @@
-"""Stick-slip: rolling while the contact sticks, sliding while it slips, and the passage between them.
+"""Stick-slip: rolling while the contact sticks, sliding while it slips, and the transitions.
 
-    stick_slip(law, torsion, coupling, k_tau, contact) -> FrictionResult
+    stick_slip(law, torsion, coupling, k_tau, given) -> FrictionResult
 
-One call resolves friction and torsion: `contact` is what the contact brings into this tick, among it the
-tangential deflection e of the proxy from the probe, the share p of it that rolling has wound, the
-wind-up phi, the normal force, and what the last tick left.
+One call resolves friction and torsion of a contact. `given` (FrictionInput) contains the tangential deflection e of the
+proxy from the probe, the part p of it wound up by rolling, the wind-up phi, the normal force, and the state of the last
+tick.
 """
 
 from typing import Any
@@ -29,16 +29,17 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.record import CAUSE_DRAG, CAUSE_NONE, CAUSE_REVERSE, CAUSE_STOP, CAUSE_THETA_MAX, ROLLING, SLIDING
 
 SLIP_TIME_CONSTANT_S = 0.010
-"""Low-pass of the plastic slip speed: shorter than a tremor's period, longer than an encoder's steps."""
+"""Time constant of the low-pass of the plastic slip speed: shorter than the period of a tremor, longer than that of the
+encoder steps."""
 STOP_SPEED_M_PER_S = 0.5e-3
-"""Below this slip speed a finger that does not slip in this tick has stopped."""
+"""Slip speed below which a finger that does not slip in this tick has stopped."""
 REVERSE_SHARE = 0.1
 """Share of the deflection that must be unwound before a slide counts as reversed."""
 REVERSE_STEPS = 3.0
-"""... and at least so many encoder steps, which a resting hand may flicker by."""
+"""Smallest unwinding for a reversal, in encoder steps: a resting hand may flicker by up to that."""
 ROUNDING = 1e-9
-"""Relative size of what is rounding and not motion: of the deflection for a slip, of the cone and of the
-radius for a load."""
+"""Relative size of rounding: of a slip, as a share of the deflection; of a load, as a share of the cone and of the
+radius."""
 
 
 @by_type
@@ -49,7 +50,7 @@ def stick_slip(law: Any, torsion: Any, coupling: Coupling, torque_stiffness: flo
 def slide_freely(
     law: None, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
-    """Without friction the proxy is the foot of the probe: no deflection, no state machine. It still winds."""
+    """Resolve torsion only: without friction, the proxy has no deflection from the probe, and there is no sticking."""
     zero = (0.0, 0.0, 0.0)
     wound = wind(
         torsion, given.spin, given.twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt
@@ -64,9 +65,9 @@ def slide_freely(
 
 @jit
 def split(deflection: Vec3, rolled_part: Vec3) -> tuple[Vec3, Vec3]:
-    """Shares of the deflection wound by dragging (l) and by rolling (p); opposite parts cancel.
+    """Return the parts of the deflection wound up by dragging (l) and by rolling (p); opposite parts cancel.
 
-    A finger that follows its roll drags back exactly what rolling winds, and then neither is left.
+    The hand that follows a roll drags back exactly the deflection that rolling winds up, and both parts are zero.
     """
     dragged = vec3.sub(deflection, rolled_part)
     square = vec3.dot(rolled_part, rolled_part)
@@ -79,10 +80,33 @@ def split(deflection: Vec3, rolled_part: Vec3) -> tuple[Vec3, Vec3]:
 
 @jit
 def limit_force(law: Any, normal: Vec3, force: Vec3, largest: float) -> Vec3:
-    """`force` with its magnitude, as the law measures it, brought down to `largest`."""
+    """Scale `force` (3,) N so that its magnitude, as measured by the law, is at most `largest` N."""
     size = load_size(law, normal, force)
     if size > largest:
         return vec3.scale(largest / size, force)
+    return force
+
+
+@by_type
+def within_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Any:
+    """Limit `force` (3,) N to the friction cone of that normal force, N, and slip speed, m/s."""
+
+
+@within_cone.of(None)
+def no_friction(law: None, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Vec3:
+    return (0.0, 0.0, 0.0)
+
+
+@within_cone.of(Friction, SpeedFriction, Anisotropic)
+def within_static_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Vec3:
+    static_limit, kinetic_limit = cone(law, normal_force, slip_speed)
+    return limit_force(law, normal, force, max(static_limit, kinetic_limit))
+
+
+@within_cone.of(PaperFriction)
+def unlimited_as_in_the_paper(
+    law: PaperFriction, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float
+) -> Vec3:
     return force
 
 
@@ -96,10 +120,13 @@ def start_of_sliding(
     rolled_part: Vec3,
     static_limit: float,
 ) -> float:
-    """CAUSE_DRAG or CAUSE_THETA_MAX where the load leaves the static cone, by which part is more; else CAUSE_NONE."""
+    """Return the cause of a transition to sliding, or CAUSE_NONE if the load is inside the static cone.
+
+    The larger part of the load determines the cause: CAUSE_DRAG for dragging, CAUSE_THETA_MAX for rolling.
+    """
     wound = vec3.add_scaled(vec3.scale(stiffness, dragged), torque_stiffness, rolled_part)
     load = load_size(law, given.normal, wound)
-    # More than rounding above the cone: a finger at rest on it, as after a slide with mu_d = mu_s, stays at rest.
+    # More than rounding above the cone: a finger at rest on it, as after a slide with mu_d = mu_s, remains at rest.
     if load > (1.0 + ROUNDING) * static_limit and load > ROUNDING * stiffness * given.radius:
         by_drag = stiffness * vec3.norm(dragged) >= torque_stiffness * vec3.norm(rolled_part)
         return float(CAUSE_DRAG) if by_drag else float(CAUSE_THETA_MAX)
@@ -116,12 +143,16 @@ def end_of_sliding(
     slip_deflection: float,
     length: float,
 ) -> float:
-    """CAUSE_STOP where the slip, m/s, has stopped, CAUSE_REVERSE where the deflection, `length` m now, has unwound from
-    that of the last slip; else CAUSE_NONE."""
+    """Return CAUSE_STOP if the slip has stopped, CAUSE_REVERSE if the deflection has unwound, otherwise CAUSE_NONE.
+
+    slip_speed       m/s  low-passed
+    slip_deflection  m    length of the deflection at the last slip
+    length           m    current length of the deflection
+    """
     stopped, unwound = slip_speed < STOP_SPEED_M_PER_S, slip_deflection - length
     if not stopped and unwound <= max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * given.resolution):
         return float(CAUSE_NONE)
-    # With viscous friction a fast slip may hold more than the static cone does: it cannot stick yet.
+    # With viscous friction the load of a fast slip may exceed the static cone: the contact cannot stick yet.
     may_stick = load_size(law, given.normal, load) <= (1.0 + ROUNDING) * static_limit
     if not may_stick:
         return float(CAUSE_NONE)
@@ -132,17 +163,17 @@ def end_of_sliding(
 def stick_slip_by_law(
     law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
-    """Friction with the rolling / sliding machine.
+    """Resolve friction with the state machine of rolling and sliding.
 
-    Rolling ends when the load K_t l + k_tau p leaves the static cone, which is the paper's sign rule
-    and its theta_max in one: a roll that the hand has not followed (p, theta = |p| / r) loads the cone
-    like a drag in the same direction, and a roll that it has followed does not load it at all.
-    While sliding the deflection is cut back to the kinetic cone, never extended, so friction opposes the
-    true slip. Sliding ends when the slip has stopped or turned back. With a limit surface the cone is
-    what the moment about the normal leaves of it, and a slip is one of both.
+    Rolling ends when the load K_t l + k_tau p leaves the static cone. This combines the paper's sign rule and its
+    theta_max: a roll that the hand has not followed (p, theta = |p| / r) loads the cone like a drag in the same
+    direction, and a roll that it has followed does not load it.
+    While sliding, the deflection is reduced to the kinetic cone, never extended, so friction opposes the true slip.
+    Sliding ends when the slip has stopped or reversed. With a limit surface, the moment about the normal reduces the
+    cone, and friction and torsion slip together.
 
-    Source: Salvietti et al. (2013), section 3.2, after Yin et al. (2005). Differs from its conditions
-    read literally, which a counter-tilt of a microradian defeats; see docs/decisions/0003-state-machine.md.
+    Source: Salvietti et al. (2013), section 3.2, after Yin et al. (2005). Differs from its literal conditions, which
+    fail after a counter-tilt of a microradian; see docs/decisions/0003-state-machine.md.
     """
     stiffness = coupling.stiffness
     whole_limit, kinetic_limit = cone(law, given.normal_force, given.slip_speed)

@@ -1,8 +1,8 @@
-"""The paper's rolling / sliding machine, read to the letter. For study: docs/model/friction.md lists what fails.
+"""State machine of rolling and sliding exactly as in the paper, for study: docs/model/friction.md lists its failures.
 
     stick_slip_to_the_letter(law, torsion, coupling, k_tau, given) -> FrictionResult
 
-Contact breaking is the contact's own, not the paper's f_N = 0.
+The end of a contact is that of our contact model, not the paper's f_N = 0.
 """
 
 from typing import Any
@@ -14,23 +14,23 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.record import CAUSE_DRAG, CAUSE_NONE, CAUSE_STOP, CAUSE_THETA_MAX, ROLLING, SLIDING
 
 ROUNDING = 1e-9
-"""Relative size of what is rounding: the letter's equalities are meant up to it."""
+"""Relative tolerance for rounding: the paper's equalities hold up to it."""
 
 
 @jit
 def stick_slip_to_the_letter(
     law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
-    """One tick by the sentences of section 3.2.
+    """Compute friction and torsion of one tick by the text of section 3.2.
 
     rolling to sliding   the tangential force of the hand, -K e, is outside the static cone and has the sign of the
-                         displacement P that rolling has produced since it last began; or |P| / r > theta_max
-    sliding kept         at exactly mu_d f_N, no spring-damper: e is scaled to it, down and up
+                         displacement P produced by rolling since rolling last began; or |P| / r > theta_max
+    while sliding        exactly mu_d f_N, no spring-damper: e is scaled to it, down and up
     sliding to rolling   inside the kinetic cone and no tangential velocity
 
-    `rolled_part` holds P: the whole roll, followed by the hand or not.
+    `rolled_part` is P: the total roll, whether the hand has followed it or not.
 
-    Source: Salvietti, Malvezzi, Prattichizzo (2013), section 3.2. The sign of no displacement at all is taken to
+    Source: Salvietti, Malvezzi, Prattichizzo (2013), section 3.2. The sign of a zero displacement is assumed to
     agree with any force, so that a finger that has never rolled can be dragged.
     """
     stiffness = coupling.stiffness

@@ -1,4 +1,4 @@
-"""Spin moment of a soft finger: a torsional spring whose anchor slips at the torsional limit.
+"""Spin moment of a soft finger: a torsional spring with an anchor that slips at the torsional limit.
 
     wind(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt) -> TorsionResult
 
@@ -20,19 +20,20 @@ from softfinger.proxy.kernels.model import (
 )
 
 SPIN_SLIP_TIME_CONSTANT_S = 0.010
-"""Low-pass of the anchor's slip, as that of the tangential slip."""
+"""Time constant of the low-pass of the anchor's slip, equal to that of the tangential slip."""
 STOP_SPIN_RAD_PER_S = 0.05
-"""Below this an anchor that does not slip in this tick has stopped: 0.5 mm/s at the skin of a 10 mm finger."""
+"""Slip speed below which an anchor that does not slip in this tick has stopped: 0.5 mm/s at the skin of a 10 mm
+finger."""
 SPIN_REVERSE_SHARE = 0.1
-"""Share of the wind-up that must be undone before a spinning slip counts as reversed."""
+"""Fraction of the wind-up that must be unwound before a spinning slip counts as reversed."""
 SPIN_ROUNDING = 1e-9
-"""Relative size of what is rounding and not slip."""
+"""Relative slip below which it is rounding."""
 SLOWEST = 1e-300
-"""A slip speed that is not zero: an anchor that slips, however slowly, is told from one that sticks."""
+"""Smallest slip speed of a slipping anchor: not zero, which is the slip speed of one that sticks."""
 
 
 class TorsionResult(NamedTuple):
-    """Wind-up phi, rad, moment about the normal on the hand, N m, and the anchor's slip (see `State`)."""
+    """Wind-up phi, rad, moment about the normal on the hand, N m, and the anchor's slip (see `ContactState`)."""
 
     spin: float
     moment: float
@@ -42,19 +43,19 @@ class TorsionResult(NamedTuple):
 
 @by_type
 def torsional_limit(torsion: Any, normal_force: float) -> Any:
-    """Largest moment about the normal, N m, under a normal force."""
+    """Return the largest moment about the normal, N m, under a normal force."""
 
 
 @by_type
 def torsional_stiffness(torsion: Any) -> Any:
-    """k_z, N m/rad; 1 without torsion, for what is to be compared."""
+    """Return k_z, N m/rad; 1 without torsion, for comparisons."""
 
 
 @by_type
 def wind(
     torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
 ) -> Any:
-    """The spring after a twist of `turn` rad."""
+    """Return the state of the spring after a rotation of `turn` rad about the normal."""
 
 
 @torsional_limit.of(Torsion)
@@ -64,7 +65,10 @@ def linear_limit(torsion: Torsion, normal_force: float) -> float:
 
 @torsional_limit.of(PowerTorsion)
 def power_limit(torsion: PowerTorsion, normal_force: float) -> float:
-    """A contact patch that grows with the load: radius ~ f_N^gamma (Xydas and Kao, 1999; gamma = 1/3 is Hertz's)."""
+    """Return the limit of a contact patch that grows with the load.
+
+    Radius ~ f_N^gamma (Xydas and Kao, 1999; gamma = 1/3 is Hertz's).
+    """
     return torsion.friction_length * normal_force * normal_force**torsion.exponent
 
 
@@ -81,7 +85,7 @@ def no_stiffness(torsion: None) -> float:
 
 @torsional_stiffness.of(PatchTorsion)
 def stiffness_in_winding_units(torsion: PatchTorsion) -> float:
-    """A wind-up is remembered with its stiffness in it: see `friction.contact_patch.winding_unit`."""
+    """Return 1: a stored wind-up includes the root of its stiffness, see `contact_patch.winding_unit`."""
     return 1.0
 
 
@@ -92,7 +96,7 @@ def stiffness_of_law(torsion: Any) -> float:
 
 @by_type
 def with_scaled_friction(torsion: Any, factor: float) -> Any:
-    """The law where friction is `factor` times what it is: so is the torsional limit, which friction makes."""
+    """Return the law for friction multiplied by `factor`: the torsional limit is due to friction."""
 
 
 @with_scaled_friction.of(None)
@@ -117,7 +121,7 @@ def grip_law(torsion: Any, factor: float) -> Any:
 
 @by_type
 def share_of(torsion: Any, share: float) -> Any:
-    """The law of a patch that has this share of the spring; its limit is that of its own normal force."""
+    """Return the law of a patch with this share of the spring; its limit follows from the patch's normal force."""
 
 
 @share_of.of(None)
@@ -132,7 +136,7 @@ def share_of_spring(torsion: Any, share: float) -> Any:
 
 @share_of.of(PatchTorsion)
 def share_of_patch(torsion: PatchTorsion, share: float) -> PatchTorsion:
-    """Its spring is that of its own normal force already."""
+    """Return the law unchanged: its spring follows from the patch's normal force."""
     return torsion
 
 
@@ -143,10 +147,10 @@ def share_of_law(torsion: Any, share: float) -> Any:
 
 @by_type
 def damped(torsion: Any, damping: float, moment: float, wound: float, given: FrictionInput) -> Any:
-    """The moment of the spring with that of a damper beside it, N m, both together within the torsional limit.
+    """Return the moment of spring and parallel damper, N m, clamped to the torsional limit.
 
     damping  N m s/rad
-    wound    rad        change of the wind-up in this tick: an anchor that slips damps nothing
+    wound    rad        change of the wind-up in this tick: a slipping anchor does not damp
     """
 
 
@@ -185,7 +189,7 @@ def no_torsion(
 def clamped(
     torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
 ) -> TorsionResult:
-    """tau_n = k_z phi, its magnitude at most the torsional limit; what is beyond it the anchor has slipped.
+    """Compute tau_n = k_z phi, its magnitude at most the torsional limit; the anchor slips by the excess.
 
     Source: Salvietti et al. (2013), eq. 1; the paper has no limit.
     """
@@ -212,7 +216,7 @@ def wind_limit_surface(
     slip_angle: float,
     dt: float,
 ) -> TorsionResult:
-    """Without a tangential load the limit surface is the torsional limit; with one, friction has cut phi before."""
+    """Clamp as `clamped`: the limit surface without a tangential load; with one, `slide` has already limited phi."""
     return clamped(torsion.law, spin, turn, normal_force, slip_speed, slip_angle, dt)
 
 
@@ -226,15 +230,15 @@ def wind_soft_finger(
     slip_angle: float,
     dt: float,
 ) -> TorsionResult:
-    """The proxy's fourth degree of freedom: its angle about the normal sticks, or slips behind the probe's.
+    """Compute the proxy's fourth degree of freedom: its angle about the normal sticks, or slips behind the probe's.
 
-    phi is the probe's angle less the proxy's. The proxy stays while k_z |phi| is within the static torsional
-    cone; outside it the proxy turns after the probe so that k_z |phi| is the kinetic limit, until the slip has
-    stopped or turned back. On the tick on which it breaks loose the moment is the static limit. The cone on
-    translation is another and knows nothing of this one.
+    phi is the probe's angle minus the proxy's. The proxy sticks while k_z |phi| is within the static torsional cone;
+    outside it the proxy follows the probe such that k_z |phi| is the kinetic limit, until the slip has stopped or
+    reversed. In the tick of the transition to slip the moment is the static limit. The cone of the translation is
+    separate and independent.
 
     Source: Barbagli, Frisoli, Salisbury, Bergamasco (2004). Differs from it in ending a slip as tangential
-    friction does here (band at standstill, share of unwinding) and not by the cone alone.
+    friction does here (band at standstill, fraction of unwinding) and not only by the cone.
     """
     stiffness = torsional_stiffness(torsion.law)
     static_limit = torsional_limit(torsion.law, normal_force) / stiffness

@@ -1,5 +1,4 @@
-"""What makes numba compile kernels as the loop needs: options and cache, dispatch, memory, arrays, atomics,
-a sequence lock, C calls.
+"""Compilation of kernels by numba: options, cache, dispatch, memory, arrays, atomics, sequence lock, C calls.
 
 Nothing of geometry or contact.
 """

@@ -1,14 +1,14 @@
-"""Read-only arrays that a node of a scene owns: the tree of a mesh, a height map.
+"""Read-only arrays that belong to a node of a scene: the tree of a mesh, a height map.
 
     class Relief(NamedTuple):
         spacing: float
         heights: ReadOnly        # in a kernel: shape.heights[i]
 
-A kernel reaches the numbers by their address: that alone is the leaf of the scene's tree, so parameters stay a few
-words however large the array is, and nothing of it is copied into a running loop. The numbers belong to the
-`ReadOnly`, the `ReadOnly` to the scene that was built. So whoever hands `flatten(scene)` to a kernel keeps the scene
-until that kernel has ended or has taken another one: the engine and the servo do, and a function that holds it in
-a variable. Where the array lies is in no type and in no compiled code.
+A kernel accesses the numbers by address. Only the address is a leaf of the scene's tree, so the size of the parameters
+does not depend on that of the array, and its numbers are not copied into a running loop. The `ReadOnly` owns the
+numbers, and the scene owns the `ReadOnly`. Therefore the caller of a kernel that received `flatten(scene)` has to keep
+a reference to the scene until that kernel has returned or has received another scene: the engine and the servo do, as
+does a function with the scene in a variable. Neither types nor compiled code depend on the address.
 """
 
 import operator
@@ -27,12 +27,21 @@ KINDS: Final = ("float64", "float32", "int64", "int32")
 
 
 class ReadOnly:
-    """Numbers of a node, copied once and never changed; indexed as a flat array, in kernels and in Python.
+    """Immutable numbers of a node; indexed as a flat array, in kernels and in Python.
 
-    values  array of any shape, row by row, of one of KINDS; TypeError for another
+    Parameters
+    ----------
+    values
+        Array of any shape with a dtype of KINDS; copied in row-major order.
 
-    A kernel that writes to it does not compile. As with all memory behind an address nothing checks the bounds there:
-    the node has the sizes as fields of its own.
+    Raises
+    ------
+    TypeError
+        If the dtype is not supported.
+
+    Notes
+    -----
+    A kernel that writes to it does not compile. Kernels do not check bounds: the node stores the sizes in other fields.
     """
 
     __slots__ = ("__weakref__", "address", "array")
@@ -40,20 +49,24 @@ class ReadOnly:
     def __init__(self, values: ArrayLike) -> None:
         array: NDArray[Any] = np.array(values, order="C").ravel()
         if array.dtype.name not in KINDS or not array.dtype.isnative:
-            raise TypeError(f"an array of {array.dtype}: a scene may own arrays of {', '.join(KINDS)}")
+            raise TypeError(f"an array of {array.dtype}: a scene may have arrays of {', '.join(KINDS)}")
         array.setflags(write=False)
         self.array = array
         self.address = int(array.ctypes.data)
 
     def __getitem__(self, index: int) -> Any:
-        return self.array.item(index)  # a number of Python: kernels that are plain Python count with those
+        return self.array.item(index)  # a Python number, for the arithmetic of kernels in plain Python
 
     def __len__(self) -> int:
         return len(self.array)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle the numbers: a copy has a different address."""
+        return ReadOnly, (self.array,)
+
 
 class ReadOnlyType(types.Type):  # type: ignore[misc]
-    """What `ReadOnly` is to the compiler: an address, and what kind of number is there."""
+    """numba type of `ReadOnly`: an address, with the type of the numbers stored there."""
 
     def __init__(self, dtype: types.Type) -> None:
         self.dtype = dtype
@@ -78,7 +91,7 @@ def _unbox(numba_type: ReadOnlyType, value: Any, c: Any) -> Any:
 
 
 def register_address(numba_type: type[ReadOnlyType]) -> None:
-    """Values of this type are the address of what they own."""
+    """Register a numba type with values that compile to the address of their memory."""
     register_model(numba_type)(_Address)
     unbox(numba_type)(_unbox)
 

@@ -1,7 +1,7 @@
-"""Atomic access to int64 array elements, and fences: what a thread may share with the servo loop.
+"""Atomic access to int64 array elements, and fences: for memory shared between the servo loop and other threads.
 
-A plain load in a loop is hoisted out of it, and plain stores may be reordered; on x86 the atomic forms
-compile to the same instructions, so they cost nothing.
+The compiler hoists a plain load out of a loop, and may reorder plain stores. On x86 the atomic forms compile to the
+same instructions, so they are free.
 """
 
 from typing import Any
@@ -43,37 +43,37 @@ def _fence(ordering: str) -> Any:
 
 @intrinsic
 def load_acquire(typing_context, array, index):  # type: ignore[no-untyped-def]
-    """array[index], int64: nothing after it in the program is read before it."""
+    """Return array[index], int64; later reads and writes are not moved before it."""
     return types.int64(array, types.intp), _load("acquire")
 
 
 @intrinsic
 def load_relaxed(typing_context, array, index):  # type: ignore[no-untyped-def]
-    """array[index], int64, read once from memory."""
+    """Return array[index], int64, loaded from memory exactly once."""
     return types.int64(array, types.intp), _load("monotonic")
 
 
 @intrinsic
 def store_release(typing_context, array, index, value):  # type: ignore[no-untyped-def]
-    """array[index] = value, int64: everything before it in the program is visible first."""
+    """Set array[index] = value, int64; earlier reads and writes are not moved after it."""
     return types.void(array, types.intp, types.int64), _store("release")
 
 
 @intrinsic
 def store_relaxed(typing_context, array, index, value):  # type: ignore[no-untyped-def]
-    """array[index] = value, int64, written once to memory."""
+    """Set array[index] = value, int64, stored to memory exactly once."""
     return types.void(array, types.intp, types.int64), _store("monotonic")
 
 
 @intrinsic
 def fence_acquire(typing_context):  # type: ignore[no-untyped-def]
-    """No read or write after it moves before a read that stands before it."""
+    """Prevent later reads and writes from moving before an earlier read."""
     return types.void(), _fence("acquire")
 
 
 @intrinsic
 def fence_release(typing_context):  # type: ignore[no-untyped-def]
-    """No read or write before it moves after a write that stands after it."""
+    """Prevent earlier reads and writes from moving after a later write."""
     return types.void(), _fence("release")
 
 

@@ -1,11 +1,11 @@
-"""Compiled kernels on disk: loaded only from a folder that nobody else can write to, and only whole.
+"""Compiled kernels on disk: loaded only if complete, and only from a folder that no other user can write to.
 
-A kept kernel is a pickle of machine code: whoever can write one runs code as whoever loads it, and a flipped
-bit is another force. So two things are asked before a byte is unpickled. The folder, every folder above it and
-the file belong to this user or to root and can be written by no other: that keeps attackers out. The file's
-checksum is right: that keeps damage out, and no more, for an attacker can compute one. What fails either is
-compiled anew. numba's own files are not used: it looks for other folders where the named one cannot be
-written to, trusts what it finds there, and ends the program when a file is damaged or the disk is full.
+A cached kernel is a pickle of machine code: an attacker with write access runs code as the user that loads it, and a
+flipped bit changes a force. So two conditions are checked before a byte is unpickled. The folder, every folder above it
+and the file belong to this user or to root, and no other user can write to them: this excludes attackers. The checksum
+of the file is correct: this excludes damage, and only damage, because an attacker can compute a checksum. If either
+check fails, the kernel is compiled again. numba's cache is not used: it falls back to other folders if the named one is
+not writable, trusts their content, and ends the program if a file is damaged or the disk is full.
 """
 
 from __future__ import annotations
@@ -26,36 +26,36 @@ from numba import types
 
 MAGIC: Final = b"softfinger kernel 1\n"
 LINKS_MAX: Final = 40
-OWN_FOLDER: Final = "set SOFTFINGER_CACHE_DIR to a folder of your own"
+OWN_FOLDER: Final = "set SOFTFINGER_CACHE_DIR to a folder that belongs to you"
 
 _PROGRAM: Final = f"{Path(__file__).parents[3]}{os.sep}"
 
 KERNEL_FOLDERS: Final = ("drivers", "proxy", "server/loop", "server/offline", "server/wire/native")
-"""Where kernels are written, with the constants that they read, but for those of `tools`: their sources name the
-cache's folder."""
+"""Folders with kernels and the constants that they read, except those of `tools`: a hash of their sources is part of
+the name of the cache folder."""
 
 log: Final = logging.getLogger(__name__)
 
 
 class Unsound(Exception):
-    """Why nothing is loaded from a folder; what to do is in the text."""
+    """Reason why a folder or a file is not used; the message includes the remedy."""
 
 
 class Folder:
-    """The folder `path` of kept kernels; None: there is none. It is made, and looked at, when first used.
+    """Folder of cached kernels at `path`, or no cache if that is None. It is created and checked on first use.
 
-    unkept  what it means that nothing can be kept there, for the log
+    unkept  consequence for the log if nothing can be stored
     """
 
     def __init__(
-        self, path: Path | None, unkept: str = "compiled kernels are not kept, so every start compiles them"
+        self, path: Path | None, unkept: str = "compiled kernels are not cached, so every start compiles them"
     ) -> None:
         self.path, self._unkept = path, unkept
         self._problem: str | None = None
         self._looked = self._said = False
 
     def problem(self) -> str | None:
-        """Why kernels are not kept and what to do, or None. What could not be written since counts, too."""
+        """Return why kernels are not cached, with the remedy; None if they are. Includes a write that has failed."""
         if not self._looked:
             try:
                 if self.path is None:
@@ -65,11 +65,11 @@ class Folder:
                 self._problem = str(error)
             except (OSError, ValueError) as error:
                 self._problem = f"{self.path} cannot be made: {_reason(error)}: {OWN_FOLDER}"
-            self._looked = True  # last: another thread that finds it set trusts the folder
+            self._looked = True  # last: another thread that reads True trusts the folder
         return self._problem
 
     def read(self, name: str) -> bytes | None:
-        """What was kept under a name; None if it is not there, or not sound."""
+        """Return the content of a cached file; None if it is missing or invalid."""
         if self.path is None or self.problem() is not None:
             return None
         try:
@@ -87,7 +87,10 @@ class Folder:
         return body
 
     def opened(self, name: str) -> IO[bytes]:
-        """What was kept under a name, to be read; FileNotFoundError, OSError, or Unsound if others can write to it."""
+        """Open a cached file for reading.
+
+        Raises FileNotFoundError, OSError, or Unsound if other users can write to it.
+        """
         why = self.problem()
         if why is not None or self.path is None:
             raise Unsound(why)
@@ -96,19 +99,19 @@ class Folder:
         found = os.fstat(fd)
         if not stat.S_ISREG(found.st_mode) or _complaint(found, path) is not None:
             os.close(fd)
-            raise Unsound("not a file of this user alone")
+            raise Unsound("not a file that only this user may write")
         return open(fd, "rb")
 
     def reject(self, name: str, why: Exception) -> None:
-        """Say that what is kept under a name is not used."""
-        log.warning("kept kernel %s is not used but compiled anew: %s", name, _reason(why))
+        """Log that a cached file is not used."""
+        log.warning("cached kernel %s is not used and is compiled again: %s", name, _reason(why))
 
     def write(self, name: str, body: bytes) -> None:
-        """Keep `body` under a name, for `read`."""
+        """Store `body` under a name, for `read`."""
         self.put(name, [MAGIC, hashlib.sha256(body).digest(), body])
 
     def put(self, name: str, parts: Iterable[Any]) -> None:
-        """Keep bytes under a name, whole or not at all, for `opened`. Where that cannot be it is said, once."""
+        """Store bytes under a name, completely or not at all, for `opened`. Log the first failure."""
         if self.problem() is None and self.path is not None:
             part = self.path / f".{secrets.token_hex(8)}.part"
             try:
@@ -125,9 +128,10 @@ class Folder:
 
 
 def make_private(folder: Path) -> None:
-    """Make a folder that no other user can change, its missing parents too; Unsound where it cannot be one.
+    """Create a folder that no other user can change, including missing parents.
 
-    From the top down: what has been checked nobody else can change, so what is below it stays what it was.
+    Raises Unsound if that is not possible. The path is checked from the root down: no other user can change a checked
+    folder, so the entries below it cannot be exchanged after their check.
     """
     at, ways, links = Path("/"), list(reversed(folder.absolute().parts[1:])), 0
     _check(os.lstat(at), at)
@@ -137,7 +141,7 @@ def make_private(folder: Path) -> None:
         try:
             found = os.lstat(at)
         except FileNotFoundError:
-            with contextlib.suppress(FileExistsError):  # another process has made it since
+            with contextlib.suppress(FileExistsError):  # another process has created it
                 os.mkdir(at, 0o700)
             found = os.lstat(at)
         _check(found, at)
@@ -155,7 +159,10 @@ def make_private(folder: Path) -> None:
 
 
 def _check(found: os.stat_result, path: Path) -> None:
-    """A part of a path. Others may write to a sticky folder: what is ours in it they can neither move nor remove."""
+    """Raise Unsound if another user could replace this part of a path.
+
+    Others may write to a sticky folder: they can neither move nor remove our entries in it.
+    """
     sticky = stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX
     why = _complaint(found, path, 0 if sticky or stat.S_ISLNK(found.st_mode) else stat.S_IWGRP | stat.S_IWOTH)
     if why is not None:
@@ -164,7 +171,7 @@ def _check(found: os.stat_result, path: Path) -> None:
 
 def _complaint(found: os.stat_result, path: Path, forbidden: int = stat.S_IWGRP | stat.S_IWOTH) -> str | None:
     if found.st_uid not in (0, os.geteuid()):
-        return f"{path} belongs to user {found.st_uid}, who could put any program there: {OWN_FOLDER}"
+        return f"{path} belongs to user {found.st_uid}, who could replace the kernels: {OWN_FOLDER}"
     if found.st_mode & forbidden:
         return f"{path} can be written by other users: chmod go-w it, or {OWN_FOLDER}"
     return None
@@ -175,14 +182,14 @@ def _reason(error: Exception) -> str:
 
 
 WRITTEN: Final[dict[Any, dict[str, str | None]]] = {}
-"""For each kind of node the files outside of this program that its kernels are written in, with their `sources_of`."""
+"""Source files outside of this program with the kernels of each kind of node, and their `sources_of`."""
 
 
 def written_in(kind: Any, file: str) -> None:
-    """A kernel of that kind is in a file: one kept for a scene of such nodes is not served after the file was edited.
+    """Record that a file has a kernel for a kind of node, so that an edit of the file invalidates cached kernels.
 
-    The file's package counts with it, and so does the module of the class. To be called as the kernel is defined,
-    when the file is what Python has read. Files of this program are in the name of the folder already.
+    The file's package counts too, and so does the module of the class. Call this when the kernel is defined, before the
+    file can differ from the imported code. Files of this program are ignored: the name of the cache folder covers them.
     """
     module = getattr(sys.modules.get(getattr(kind, "__module__", "")), "__file__", None)
     for name in {file, file if module is None else module}:
@@ -191,7 +198,7 @@ def written_in(kind: Any, file: str) -> None:
 
 
 def kinds_in(signature: Any) -> list[Any]:
-    """Classes of the named tuples in a signature, each once, in the order in which they appear."""
+    """Return the classes of the named tuples in a signature, each once, in order of appearance."""
     found: dict[Any, None] = {}
 
     def walk(each: Any) -> None:
@@ -200,9 +207,9 @@ def kinds_in(signature: Any) -> list[Any]:
                 found[each.instance_class] = None
             for part in each:
                 walk(part)
-        elif isinstance(each, types.TypeRef):  # a type that is given as an argument
+        elif isinstance(each, types.TypeRef):  # a type passed as an argument
             walk(each.instance_type)
-        elif (like := getattr(each, "like", None)) is not None:  # rows.py: many trees of that type
+        elif (like := getattr(each, "like", None)) is not None:  # rows.py: several trees of that type
             walk(like)
 
     for argument in signature if isinstance(signature, tuple) else signature.args:
@@ -211,11 +218,11 @@ def kinds_in(signature: Any) -> list[Any]:
 
 
 def sources_of(path: Path) -> str | None:
-    """A hash over the file of a kernel and what else it may inline: the package that it is in, or, of this program, its
-    own folder. None without a file.
+    """Return a hash over the file of a kernel and everything else that it may inline; None without a file.
 
-    The file is read again for each kernel: a module imported late may have been edited since the others were. What is
-    in one of KERNEL_FOLDERS is in the name of the cache's folder, wherever the program is installed.
+    That is its package or, within this program, its folder. The file is read again for each kernel: a module that is
+    imported late may have been edited since. Files in KERNEL_FOLDERS count only by themselves, because the name of the
+    cache folder covers them wherever the program is installed.
     """
     top = path.parent
     if not str(path).startswith(_PROGRAM):

@@ -1,14 +1,13 @@
-"""How kernels are compiled: one set of options, one cache that cannot serve stale code.
+"""Decorators that compile kernels: one set of options, and one cache that cannot return outdated code.
 
-A kernel inlines code from other files and reads their constants, so it has to be compiled anew after an edit
-of any of them. So the cache lives in a folder named by a hash over every source file of the folders that kernels are
-written in, numba's version and settings and the processor: any change means another folder. Kernels elsewhere, those of
-`tools`, take of their own folder and of those (`cache.py`). Where the cache cannot be used there is no other: kernels
-are compiled in memory.
+A kernel inlines code from other files and reads their constants, so it has to be compiled again after an edit of any of
+them. The cache is therefore in a folder named by a hash over every source file of the folders with kernels, numba's
+version and settings, and the processor: any change selects another folder. Kernels elsewhere, in `tools`, inline code
+only from their folder and from these (`cache.py`). If this cache cannot be used, kernels are compiled in memory.
 
-No `fastmath`: it makes `isnan` lie, and contraction would let the servo and the offline run round
-differently. `error_model="numpy"`: a division by zero gives inf or nan, which the guard refuses,
-rather than an exception, which would end the loop.
+No `fastmath`: it breaks `isnan`, and contraction would let the servo and the offline run round differently.
+`error_model="numpy"`: a division by zero gives inf or nan, which the guard rejects, instead of an exception, which
+would end the loop.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ import numba
 from numba.core import event
 
 from softfinger.proxy.kernels.jit.cache import KERNEL_FOLDERS, Folder
-from softfinger.proxy.kernels.jit.compiler.doing import DOING
 from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     FOR_KERNELS,
     WITHOUT_ALLOCATOR,
@@ -35,21 +33,22 @@ from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     Inlined,
     KernelCache,
 )
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 PLAIN: Final = bool(numba.config.DISABLE_JIT)
-"""numba's own switch, the environment's NUMBA_DISABLE_JIT=1: kernels are plain Python functions, for a debugger, a
-profiler or a measurement of coverage. `Engine` works so, bit for bit the same; what needs machine code does not."""
+"""numba's switch, the environment variable NUMBA_DISABLE_JIT=1: kernels are plain Python functions, for a debugger, a
+profiler or a coverage measurement. `Engine` then works with the same bits; functions that need machine code do not."""
 
 _PACKAGE: Final = Path(__file__).resolve().parents[3]
 _SOURCE_FOLDERS: Final = ("config", "drivers", "proxy", "server", "tools")
 _OWN_FILE: Final = "config/package.py"
-"""Elsewhere in a wheel, which is to find the kernels of a clone of the same version, and the other way round."""
+"""Excluded from hashes: a wheel has it at another path, but shares cached kernels with a clone of the same version."""
 
 
 def _cache_root() -> Path | None:
-    """None for a user whose home folder is not known."""
+    """Return the root of all cache folders; None if the user's home folder is unknown."""
     named = os.environ.get("SOFTFINGER_CACHE_DIR")
     if named:
         return Path(named).absolute()
@@ -69,7 +68,7 @@ def _source_hash(folders: Iterable[str]) -> str:
 
 
 SOURCE_HASH: Final = _source_hash(_SOURCE_FOLDERS)
-"""What tells this version of the program from others: a hash over every source file as it was at import."""
+"""Identity of this version of the program: a hash over every source file as it was at import."""
 
 
 def _fingerprint() -> str:
@@ -83,23 +82,23 @@ def _fingerprint() -> str:
 _ROOT: Final = _cache_root()
 
 CACHE_DIR: Final = None if _ROOT is None else _ROOT / _fingerprint()
-"""Where this version's compiled kernels are kept, None for nowhere; `SOFTFINGER_CACHE_DIR` moves it."""
+"""Cache folder of this version's compiled kernels, None without one; `SOFTFINGER_CACHE_DIR` moves it."""
 
 KEPT: Final = Folder(CACHE_DIR)
 
 OPTIONS: Final = {"error_model": "numpy", "nogil": True} | WITHOUT_ALLOCATOR | WITHOUT_WRAPPERS
-"""There is no allocator and no reference count: a kernel that would allocate does not compile. There are no C wrappers:
-`c_function` makes those that are called."""
+"""Options of all kernels. No allocator and no reference counts: a kernel that would allocate does not compile. No C
+wrappers: `c_function` generates those that are needed."""
 
 INLINED: Final = OPTIONS | FOR_KERNELS
-"""Options of a kernel that only kernels call: it has no wrapper for Python, and is compiled into its callers."""
+"""Options of a kernel that is called only by kernels: no Python wrapper, compiled into its callers."""
 
 
-class _Told(event.Listener):  # type: ignore[misc]
-    """numba says when it begins to compile a function, and when it has ended.
+class _CompileListener(event.Listener):  # type: ignore[misc]
+    """Listener for the start and end of each compilation by numba.
 
-    Until the outermost has ended Python does not look for cycles: numba makes millions of objects that live as long as
-    it compiles, and looking at them again and again takes a seventh of the time.
+    The garbage collector is off until the end of the outermost compilation: numba creates millions of objects that live
+    as long as it compiles, and scanning them repeatedly takes a seventh of the time.
     """
 
     def __init__(self) -> None:
@@ -110,20 +109,20 @@ class _Told(event.Listener):  # type: ignore[misc]
             self._collects = gc.isenabled()
             gc.disable()
         self._depth += 1
-        DOING.begin()
+        COMPILE_PROGRESS.begin()
 
     def on_end(self, event: Any) -> None:
-        DOING.end()
+        COMPILE_PROGRESS.end()
         self._depth -= 1
         if self._depth == 0 and self._collects:
             gc.enable()
 
 
-event.register("numba:compile", _Told())
+event.register("numba:compile", _CompileListener())
 
 
 def jit(function: Kernel) -> Kernel:
-    """Compile a kernel into its callers; `outlined` is for what is too large for that."""
+    """Compile a kernel into its callers; use `outlined` for one that is too large for that."""
     if PLAIN:
         return function
     compiled: Any = Inlined(function, INLINED, entry)
@@ -132,7 +131,7 @@ def jit(function: Kernel) -> Kernel:
 
 
 def entry(function: Kernel) -> Kernel:
-    """Compile a kernel that Python calls, and keep the result on disk."""
+    """Compile a kernel that is called from Python, and cache the result on disk."""
     if PLAIN:
         return function
     compiled: Any = numba.njit(**OPTIONS)(function)
@@ -141,13 +140,14 @@ def entry(function: Kernel) -> Kernel:
 
 
 def c_function(signature: Any, on_demand: bool = False) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a kernel with a C address (`.address`), and keep the result on disk.
+    """Compile a kernel with a C address (`.address`), and cache the result on disk.
 
-    on_demand  not before the address is asked for: where few who import a driver need it, and all before the first tick
+    on_demand  compile it on first access to the address, before the first tick: for kernels that few importers of a
+               driver need
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        # In plain Python none is loaded: else what asks for an address would work where a compiled run has kept it.
+        # Without a cache in plain Python: access to an address must fail, even with a cached function.
         compiled: Any = CFunction(function, signature, None if PLAIN else KernelCache(function, KEPT, "c"))
         if not on_demand and not PLAIN:
             compiled.compile()

@@ -1,9 +1,8 @@
-"""Functions chosen by the type of their first argument, compiled or in plain Python.
+"""Dispatch by the type of the first argument, compiled or in plain Python.
 
-A scene is a tree of named tuples. `@by_type` declares what every kind of node can do, `.of(Kind, ...)`
-says how some kinds do it, `.otherwise` how all those do it that have no own way. `.of(None)` is the case
-of a part the scene does not have; no default stands in for it. The choice is made while compiling, so a
-scene runs only the code of the parts it has.
+A scene is a tree of named tuples. `@by_type` declares an operation on nodes, `.of(Kind, ...)` implements it for some
+kinds, and `.otherwise` for all kinds without an implementation. `.of(None)` implements it for a missing part of the
+scene; no default replaces it. The choice is made at compile time, so a scene runs only the code of the parts it has.
 """
 
 import functools
@@ -20,7 +19,7 @@ _OTHERS: Final = object()
 
 
 def _kind_of(numba_type: types.Type) -> type | None:
-    # A named tuple whose fields all have one type is a NamedUniTuple, not a NamedTuple: ask for the class.
+    # A named tuple with fields of one type is a NamedUniTuple, not a NamedTuple: compare its class.
     if isinstance(numba_type, types.NoneType):
         return None
     return getattr(numba_type, "instance_class", None) or type(numba_type)
@@ -33,13 +32,14 @@ def _kind_of_class(kind: type) -> type | None:
 def by_type(declaration: Callable[..., Any]) -> Any:
     """Declare a kernel that each kind of node implements with `.of(Kind)`, or all others with `.otherwise`.
 
-    A kind is known by its class, wherever that is defined: a package of its own adds kinds by `.of(Kind)` alone.
+    A kind is identified by its class, wherever that is defined: another package adds kinds with `.of(Kind)`, without
+    further registration.
     """
     return chosen_by(declaration, type, _kind_of_class, _kind_of)
 
 
 def by_type_of(field: str) -> Callable[[Callable[..., Any]], Any]:
-    """`by_type`, by a field of the first argument, a named tuple."""
+    """Declare a kernel chosen as by `by_type`, by the type of a field of the first argument, a named tuple."""
     return lambda declaration: chosen_by(
         declaration,
         lambda node: type(getattr(node, field)),
@@ -54,13 +54,13 @@ def chosen_by(
     kind_of: Callable[[Any], Any],
     compiled_kind: Callable[[types.Type], Any],
 ) -> Any:
-    """A kernel chosen by its first argument.
+    """Return a kernel chosen by its first argument.
 
     `.has(kind)` tells whether a kind has a kernel of its own.
 
-    sort           what plain Python chooses by: the argument's type, or its length
-    kind_of        the kind for a sort
-    compiled_kind  the kind for numba's type of the argument
+    sort           property of the argument by which plain Python chooses: its type, or its length
+    kind_of        kind for a value of `sort`
+    compiled_kind  kind for numba's type of the argument
     """
     kernels: dict[Any, Callable[..., Any]] = {}
 
@@ -68,7 +68,7 @@ def chosen_by(
         return kernels.get(kind) if kind is None or kind in kernels else kernels.get(_OTHERS)
 
     class Chosen(dict[Any, Callable[..., Any]]):
-        """The kernel for each sort that was met: a scene in plain Python makes hundreds of choices a tick."""
+        """Cache of the kernel for each value of `sort`: a scene in plain Python makes hundreds of choices a tick."""
 
         def __missing__(self, of: Any) -> Callable[..., Any]:
             kernel = kernel_for(kind_of(of))

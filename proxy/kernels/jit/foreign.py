@@ -1,7 +1,7 @@
-"""C functions of a library that is loaded at run time, called by address.
+"""Calls, by address, of C functions of a library that is loaded at run time.
 
-numba can only name what the process was linked with; a vendor's library is found when its device is
-opened. Its addresses stand in the device's block, so kernels that call it still come from the cache.
+numba can name only symbols of libraries linked to the process; a vendor's library is found when its device is opened.
+Its addresses are stored in the device's block, so kernels that call it can still be cached.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ from numba.extending import intrinsic
 
 
 def _called(returns: Any) -> Any:
-    """A call of the function at `address` with what a tuple holds, that gives this type of LLVM."""
+    """Return a code generator that calls the function at an address with the elements of a tuple."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         values = cgutils.unpack_tuple(builder, args[1], len(signature.args[1]))
@@ -26,9 +26,9 @@ def _called(returns: Any) -> Any:
 
 @intrinsic
 def call_int32(typing_context, address, arguments):  # type: ignore[no-untyped-def]
-    """int32 f(...) at `address` (int64); `arguments` is a tuple of float64, int32, int64 and pointers, passed as is.
+    """Call int32 f(...) at `address` (int64) with a tuple of float64, int32, int64 and pointers, passed unchanged.
 
-    A C `char` or `bool` parameter takes an int32: the callee looks at the low byte, whatever its sign convention.
+    Pass an int32 for a C `char` or `bool` parameter: the callee reads only the low byte, whatever its sign convention.
     """
     if not isinstance(arguments, types.BaseTuple):
         return None
@@ -37,7 +37,7 @@ def call_int32(typing_context, address, arguments):  # type: ignore[no-untyped-d
 
 @intrinsic
 def call_void(typing_context, address, arguments):  # type: ignore[no-untyped-def]
-    """void f(...) at `address`, as `call_int32`."""
+    """Call void f(...) at `address`, as `call_int32`."""
     if not isinstance(arguments, types.BaseTuple):
         return None
     return types.void(types.int64, arguments), _called(ir.VoidType())
@@ -45,9 +45,9 @@ def call_void(typing_context, address, arguments):  # type: ignore[no-untyped-de
 
 @intrinsic
 def call_two_int64(typing_context, address, arguments):  # type: ignore[no-untyped-def]
-    """A struct of whole numbers, of 9 to 16 bytes, that f(...) at `address` gives by value: (int64, int64).
+    """Call f(...) at `address`, which returns a struct of integers by value, 9 to 16 bytes; return (int64, int64).
 
-    x86-64 and AArch64 both return such a struct in two registers. What it does not fill is not defined.
+    x86-64 and AArch64 both return such a struct in two registers. Bits beyond the struct are undefined.
     """
     if not isinstance(arguments, types.BaseTuple):
         return None

@@ -1,9 +1,9 @@
-"""Memory behind an address: how a C function called from the loop reaches the state of its device.
+"""Typed access to memory at an address: a C function called from the loop reaches the state of its device by it.
 
-A handle is one int64. These intrinsics turn it into typed pointers, which kernels index like
-arrays; nothing checks the bounds, and the object that owns the memory must outlive the handle. Or the other way round:
-the address of what an array holds, for a C function that takes it. Processors that store the lowest byte first only.
-As plain Python (`decorators.PLAIN`) the typed pointers are those of ctypes, for a debugger in a driver's packets.
+A handle is one int64. These intrinsics convert it to typed pointers, which kernels index like arrays; bounds are not
+checked, and the object that owns the memory must outlive the handle. `address_of` is the inverse, for a C
+function that takes the address of an array. Little-endian processors only. In plain Python (`decorators.PLAIN`) the
+typed pointers are ctypes pointers, so that a debugger can step through the packets of a driver.
 """
 
 import ctypes
@@ -30,7 +30,7 @@ def _pointer_to(element: Any) -> Any:
 
 
 def _pointer(element: Any, in_c: Any) -> Any:
-    """A function of an address: what numba compiles, or as plain Python a pointer of ctypes."""
+    """Return a function from an address to a typed pointer: an intrinsic, or in plain Python a ctypes cast."""
     if not PLAIN:
         return intrinsic(_pointer_to(element))
 
@@ -77,7 +77,8 @@ address_of: Any = intrinsic(_address_of)
 """address_of(array, index) -> address of that element, int64; the array is one-dimensional."""
 
 put_big_endian: Any = intrinsic(_put_big_endian)
-"""put_big_endian(array of bytes, index, value): a float64's or an int64's eight bytes from there on, highest first."""
+"""put_big_endian(array of bytes, index, value): store the eight bytes of a float64 or int64 from index on, highest
+first."""
 
 float64_at: Any = _pointer(types.float64, ctypes.c_double)
 """float64_at(address: int64) -> pointer to float64."""
@@ -95,4 +96,4 @@ uint8_at: Any = _pointer(types.uint8, ctypes.c_uint8)
 """uint8_at(address: int64) -> pointer to uint8."""
 
 exchange_int64: Any = intrinsic(_exchange)
-"""exchange_int64(address: int64, value: int64) -> the old value; atomic, sequentially consistent."""
+"""exchange_int64(address: int64, value: int64) -> previous value; atomic, sequentially consistent."""

@@ -1,8 +1,8 @@
-"""Kernels that are compiled once, kept by themselves, and called by their address.
+"""Kernels compiled to separate machine code, which is cached and called by address.
 
-Everything else is compiled into its callers (`jit`). What is large would be compiled at each place that asks it, and
-again for each scene. A kernel that is outlined has machine code of its own for each type of its arguments, which every
-kernel of every scene calls:
+All other kernels are compiled into their callers (`jit`). Inlining would compile a large kernel at every call site, and
+again for each scene. An outlined kernel is compiled once for each combination of argument types, and shared by the
+kernels of all scenes:
 
     @outlined
     def nearest_triangle(shape: Mesh, x: Vec3) -> Found: ...
@@ -11,11 +11,11 @@ kernel of every scene calls:
     def closest_on_mesh(shape, x):
         return nearest_triangle(shape, x)
 
-The return annotation says of which type the result is. Whoever calls the kernel needs to know no more, so what is on
-the disk is loaded without a look at the source. Where the annotation names no type (`Any`, or a tuple that has one),
-the compiler infers it. A call passes two addresses, of its arguments and of where the result goes: with the tuples of a
-whole contact that is some 40 ns, so what every tick calls for each contact is not outlined. The linker finds the code
-by a symbol, in which kernel, types and sources are hashed; before a kept kernel is loaded all that it calls is
+The return annotation defines the type of the result. A caller needs no other information, so a cached kernel is loaded
+without analysis of its source. If the annotation defines no type (`Any`, or a tuple that contains it), the compiler
+infers it. A call passes two addresses, of the arguments and of the result. With the tuples of a complete contact that
+takes some 40 ns, so kernels called in every tick for each contact are not outlined. The linker finds the code by a
+symbol that contains a hash of kernel, types and sources; all callees of a cached kernel are loaded before it
 (`numba_internals.load`).
 """
 
@@ -39,7 +39,7 @@ _ADDRESS: Final = ir.IntType(8).as_pointer()
 
 
 def _example(annotation: Any) -> Any:
-    """A value of the type that an annotation names, None where it names none."""
+    """Return a value of the annotated type; None if the annotation defines no type."""
     if annotation in (float, int, bool):
         return annotation(0)
     if annotation is Any:
@@ -55,12 +55,12 @@ def _example(annotation: Any) -> Any:
 
 
 def outlined(function: Kernel) -> Kernel:
-    """Compile a kernel once for each type of arguments, and call it from wherever it is asked."""
+    """Compile a kernel once for each combination of argument types; its callers call it by address."""
     return outlined_where(lambda *given: True)(function)
 
 
 def outlined_where(holds: Callable[..., bool]) -> Callable[[Kernel], Kernel]:
-    """`outlined` for arguments of those types that `holds` is true of; for others compiled into its callers (`jit`)."""
+    """Outline a kernel for argument types for which `holds` returns true; inline it for others (`jit`)."""
     return lambda function: function if PLAIN else _declare(function, holds)
 
 
@@ -88,14 +88,14 @@ def _declare(function: Kernel, holds: Callable[..., bool]) -> Any:
         symbol = symbol_for(given, result)
 
         def generate(context, builder, signature, values):  # type: ignore[no-untyped-def]
-            there = cgutils.alloca_once(builder, context.get_value_type(given))
-            back = cgutils.alloca_once(builder, context.get_value_type(result))
-            builder.store(context.make_tuple(builder, given, values), there)
+            arguments_slot = cgutils.alloca_once(builder, context.get_value_type(given))
+            result_slot = cgutils.alloca_once(builder, context.get_value_type(result))
+            builder.store(context.make_tuple(builder, given, values), arguments_slot)
             code = cgutils.get_or_insert_function(
                 builder.module, ir.FunctionType(ir.VoidType(), [_ADDRESS, _ADDRESS]), symbol
             )
-            builder.call(code, [builder.bitcast(each, _ADDRESS) for each in (there, back)])
-            return builder.load(back)
+            builder.call(code, [builder.bitcast(each, _ADDRESS) for each in (arguments_slot, result_slot)])
+            return builder.load(result_slot)
 
         return result(*args), generate
 
@@ -106,7 +106,7 @@ def _declare(function: Kernel, holds: Callable[..., bool]) -> Any:
 
 
 def in_and_out(inner: Any, given: types.Type, result: types.Type) -> Callable[[Any, Any], None]:
-    """A C function of two addresses: of the arguments, and of where the result goes."""
+    """Return a C function of two addresses, of the arguments and of the result, that calls `inner`."""
 
     @intrinsic
     def take(typing_context, address):  # type: ignore[no-untyped-def]
@@ -123,7 +123,7 @@ def in_and_out(inner: Any, given: types.Type, result: types.Type) -> Callable[[A
 
         return types.void(address, result), generate
 
-    def unit(arguments: Any, there: Any) -> None:
-        put(there, inner(*take(arguments)))
+    def unit(arguments: Any, result_address: Any) -> None:
+        put(result_address, inner(*take(arguments)))
 
     return unit

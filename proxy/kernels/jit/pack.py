@@ -1,9 +1,9 @@
-"""Trees of named tuples of float64 as flat arrays, and back.
+"""Conversion between trees of named tuples of float64 and flat arrays.
 
-Such a tree compiles to a structure of doubles without padding, so its memory is the flat list of its
-leaves in order. `unpack` reads the whole tree from an array at once and `pack` writes it: this is how
-parameters reach a running loop and how state outlives a call. A part that is absent (None) takes one
-slot, which is not used. A read-only array takes one too: the bits of its address, see `arrays`.
+Such a tree compiles to a structure of doubles without padding, so its memory is the flat list of its leaves in order.
+`unpack` reads a complete tree from an array, and `pack` writes one: this transfers parameters to a running loop, and
+preserves state between calls. A missing part (None) occupies one unused element. A read-only array occupies one, too:
+the bits of its address, see `arrays`.
 """
 
 from typing import Any, NamedTuple
@@ -19,7 +19,10 @@ from softfinger.proxy.kernels.jit.decorators import PLAIN
 
 
 def flatten(tree: Any) -> np.ndarray:
-    """Leaves of `tree` in order, as float64; None gives one 0, an array its address, which keeps no array alive."""
+    """Return the leaves of `tree` in order, as float64; None gives one 0, an array its address.
+
+    The result does not keep the arrays of the tree alive.
+    """
     leaves: list[float] = []
 
     def walk(node: Any) -> None:
@@ -36,7 +39,7 @@ def flatten(tree: Any) -> np.ndarray:
 
 
 def unflatten(like: Any, values: Any) -> Any:
-    """The tree whose leaves `flatten` has made `values` (n,): parts that are absent and arrays are those of `like`."""
+    """Return the tree with the leaves `values` (n,) from `flatten`; missing parts and arrays are taken from `like`."""
     leaves = iter(np.asarray(values).tolist())
 
     def build(node: Any) -> Any:
@@ -50,18 +53,30 @@ def unflatten(like: Any, values: Any) -> Any:
 
 
 class Packed(NamedTuple):
-    """A tree for a kernel, which `unpack` reads and `pack` writes to; other leaves compile nothing anew.
+    """Tree in the form of kernel arguments, which `unpack` reads and `pack` writes.
 
-    like    a tree of the same type
-    values  (n,) float64, its leaves as `flatten` gives them; (m, n) for m trees
+    like    tree of the same type
+    values  (n,) float64, its leaves as returned by `flatten`; (m, n) for m trees
+
+    Other values need no compilation.
     """
 
     like: Any
     values: np.ndarray
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle with the addresses of the copied arrays."""
+        return repacked, (self.like, self.values)
+
+
+def repacked(like: Any, values: np.ndarray) -> Packed:
+    """Return `values` as the leaves of `like`, with the addresses of its arrays."""
+    rows = [flatten(unflatten(like, row)) for row in np.atleast_2d(values)]
+    return Packed(like, np.reshape(rows, values.shape))
+
 
 def packed(tree: Any) -> Packed:
-    """The tree with its own leaves."""
+    """Return the tree packed with its present leaves."""
     return Packed(tree, flatten(tree))
 
 
@@ -80,7 +95,7 @@ def _data_pointer(context: Any, builder: Any, array_type: types.Type, array: Any
 
 @intrinsic
 def unpack(typing_context, like, values):  # type: ignore[no-untyped-def]
-    """The tree whose leaves are `values` (n,) float64, of the same type as `like`, or of the type that `like` is."""
+    """Return the tree with the leaves `values` (n,) float64; `like` is a tree of the same type, or the type."""
     tree = like.instance_type if isinstance(like, types.TypeRef) else like
     _check(tree)
 
@@ -93,7 +108,7 @@ def unpack(typing_context, like, values):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def unpack_at(typing_context, like, address):  # type: ignore[no-untyped-def]
-    """The tree of the same type as `like` whose leaves are the float64 at `address` (int64)."""
+    """Return the tree of the type of `like` stored as float64 leaves at `address` (int64)."""
     _check(like)
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -105,7 +120,7 @@ def unpack_at(typing_context, like, address):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def pack(typing_context, values, tree):  # type: ignore[no-untyped-def]
-    """Write the leaves of `tree` to `values` (n,) float64."""
+    """Store the leaves of `tree` in `values` (n,) float64."""
     _check(tree)
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]

@@ -1,14 +1,15 @@
-"""A call of a C library that may fail by ending the process: it comes back with a number instead.
+"""Calls of a C library that would end the process on an error: they return an error number instead.
 
-MuJoCo meets an error deep inside a step, tells a handler, and ends the process when that returns. So the handler does
-not return: it jumps back to before the call (setjmp, longjmp). What follows from that, and is nowhere else:
+MuJoCo reports an error deep inside a step to a handler, and ends the process when that returns. So the handler does not
+return: it jumps back to before the call (setjmp, longjmp). Consequences, all confined to this file:
 
-- A function in which setjmp returns twice is not optimised and not inlined, or a value that was kept in a register
-  would be lost. `_call_between` is that function, and nothing else is in it.
-- The handler is one for the process, a jump belongs to a thread: where to jump is a thread's own (a key of pthread).
-- The handler is kept on disk like every kernel, and the number of the key is of this process: the handler reads it
-  under a symbol, KEY_SYMBOL.
-- What the library had begun is not undone: after an error its data are to be reset or thrown away.
+- A function in which setjmp returns twice is neither optimised nor inlined: values in registers would be lost.
+  `_call_between` is that function and does nothing else.
+- There is one handler for the process, but a jump belongs to a thread: the target of the jump is thread-specific data
+  of pthread, found by a key.
+- The handler is cached on disk like every kernel, but the number of the key belongs to this process: the handler reads
+  it through a symbol, KEY_SYMBOL.
+- Incomplete work of the library is not undone: after an error its data must be reset or discarded.
 
 Sources: ISO C 7.13 (nonlocal jumps); POSIX pthread_getspecific.
 """
@@ -25,17 +26,17 @@ from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import int32_at, uint8_at
 
 JUMP_BYTES: Final = 1024
-"""Room for a jmp_buf: 200 bytes with glibc on x86-64, 312 on AArch64."""
+"""Size reserved for a jmp_buf: 200 bytes with glibc on x86-64, 312 on AArch64."""
 SAID_BYTES: Final = 256
 RESCUE_BYTES: Final = JUMP_BYTES + SAID_BYTES
 RESCUE_ALIGNMENT: Final = 16
-"""Memory of `rescued`: where to jump to, and then what the error said, up to a zero; its address is a multiple."""
+"""Alignment of the memory of `rescued`: the target of the jump, then the error message, zero-terminated."""
 
 KEY_SYMBOL: Final = "softfinger_rescue_key"
 LOG_ERROR: Final = 3
-"""Level of a message (mjtLogLevel), its first int32."""
+"""Level of an error message (mjtLogLevel); a message starts with its level, int32."""
 SUBJECT: Final = 8
-"""Where the words of a message (mjLogMessage) begin."""
+"""Offset of the text in a message (mjLogMessage)."""
 
 _key: Final = ctypes.c_uint32()
 if ctypes.CDLL(None).pthread_key_create(ctypes.byref(_key), None) != 0:
@@ -57,11 +58,11 @@ def _read_key(typing_context: Any) -> Any:
 
 
 _rescue_key: Any = intrinsic(_read_key)
-"""The key under which a thread has the memory of the call that it is in, 0 outside of `rescued`."""
+"""Key of the thread-specific address of the memory of the current call; the address is 0 outside of `rescued`."""
 
 
 def _between(module: Any) -> Any:
-    """int32 f(int64 address, int64 a, int64 b, int64 memory): 0 once the call is over, 1 where it was jumped out of."""
+    """Return int32 f(int64 address, int64 a, int64 b, int64 memory): 0 after a call, 1 after a jump out of it."""
     known = module.globals.get("rescue_call")
     if known is not None:
         return known
@@ -70,7 +71,7 @@ def _between(module: Any) -> Any:
     function.linkage = "internal"
     for attribute in ("noinline", "optnone"):
         function.attributes.add(attribute)
-    name = "_setjmp"  # it leaves the mask of signals as it is, which would be a system call
+    name = "_setjmp"  # it does not save the signal mask, which would be a system call
     setjmp = module.globals.get(name) or ir.Function(module, ir.FunctionType(status, [word]), name)
     setjmp.attributes.add("returns_twice")
     builder = ir.IRBuilder(function.append_basic_block("begin"))
@@ -96,9 +97,9 @@ _call_between: Any = intrinsic(_between_of)
 
 @jit
 def rescued(address: int, a: int, b: int, memory: int) -> int:
-    """void f(int64 a, int64 b) at `address`; 0, or 1 where it met an error, whose words are in `memory` then.
+    """Call void f(int64 a, int64 b) at `address`; return 0, or 1 after an error, with its message in `memory`.
 
-    memory  address of RESCUE_BYTES, of this call alone
+    memory  address of RESCUE_BYTES, used only by this call
     """
     _setspecific(_rescue_key(), memory)
     failed = _call_between(address, a, b, memory)
@@ -108,10 +109,10 @@ def rescued(address: int, a: int, b: int, memory: int) -> int:
 
 @c_function(types.void(types.int64), on_demand=True)
 def jump_on_error(message: int) -> None:
-    """Handler of MuJoCo's messages: warnings are passed over, for they are counted; behind an error it may not return.
+    """Handle MuJoCo's messages: ignore warnings, which are counted elsewhere, and do not return after an error.
 
-    An error outside of `rescued` has no way back: its thread sleeps for ever, rather than that the process ends with
-    whatever force a device displays.
+    After an error outside of `rescued` there is no target to jump to. Its thread then sleeps forever: ending the
+    process would leave the device with its present force.
     """
     if int32_at(message)[0] != LOG_ERROR:
         return
@@ -128,5 +129,5 @@ def jump_on_error(message: int) -> None:
 
 
 def words_in(memory: int) -> str:
-    """What the error said that a call was jumped out of, in one line."""
+    """Return the error message of an interrupted call, on one line."""
     return " ".join(ctypes.string_at(memory + JUMP_BYTES).decode("utf-8", "replace").split())

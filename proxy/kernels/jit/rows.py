@@ -1,9 +1,9 @@
-"""Trees of one type in memory, one behind the other, of which a kernel reads one by its index.
+"""Trees of one type in consecutive memory, which a kernel reads by index.
 
     entries: Rows        # in a kernel: entries[i]
 
-In a tuple every tree is code of its own; in rows the code is that of one tree. Their number is no part of the type, so
-kernels get it as a number. Memory and lifetime are those of `arrays`.
+Each tree of a tuple is compiled separately. Rows are compiled once, for one tree, and their number costs only run time.
+It is not part of the type, so kernels receive it separately. Memory and lifetime are as in `arrays`.
 """
 
 import operator
@@ -23,11 +23,16 @@ from softfinger.proxy.kernels.jit.pack import flatten
 
 
 class Rows(ReadOnly):
-    """One or more trees of one type, copied once and never changed.
+    """One or more trees of one type, copied once and immutable.
 
-    They are copied when a kernel first needs them: the address of a tree's own kernels may compile these.
+    Raises
+    ------
+    TypeError
+        If the trees differ in type.
 
-    Raises TypeError for trees of several types.
+    Notes
+    -----
+    They are copied when a kernel first needs them, since the kernel table of a tree is compiled for its address.
     """
 
     def __init__(self, trees: Sequence[Any]) -> None:
@@ -53,9 +58,12 @@ class Rows(ReadOnly):
     def __len__(self) -> int:
         return len(self.trees)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Rows, (self.trees,)
+
 
 class RowsType(ReadOnlyType):
-    """Compiler's type of `Rows`: an address, and the type of the trees there."""
+    """numba type of `Rows`: an address, with the type of the trees stored there."""
 
     instance_class = Rows
 

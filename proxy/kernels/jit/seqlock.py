@@ -1,7 +1,7 @@
-"""Numbers into the running servo, and out of it: a sequence lock with one writer, which readers never hold up.
+"""Numbers sent to the running servo and back: a sequence lock with one writer, which never waits for readers.
 
-The counter is odd while the writer is at work. A reader that meets a write, or is overtaken by one,
-keeps what it had and tries again at its next tick.
+The counter is odd during a write. A reader that meets a write, or is overtaken by one, continues with its previous
+numbers and retries in its next tick.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from softfinger.proxy.kernels.jit.decorators import entry, jit
 
 
 class Slot(NamedTuple):
-    """sequence (8,) int64, word 0 counts; values (n,) float64."""
+    """Shared memory of a sequence lock: sequence (8,) int64, word 0 is the counter; values (n,) float64."""
 
     sequence: NDArray[np.int64]
     values: NDArray[np.float64]
 
 
 def make_slot(values: NDArray[np.float64]) -> Slot:
-    """A slot that holds `values`."""
+    """Return a slot that contains `values`."""
     return Slot(np.zeros(8, np.int64), values.copy())
 
 
 @jit
 def store(slot: Slot, values: NDArray[np.float64]) -> None:
-    """Replace the slot's values (n,), from a kernel. One thread only."""
+    """Replace the values (n,) of a slot, from a kernel. For one thread only."""
     sequence = load_relaxed(slot.sequence, 0)
     store_relaxed(slot.sequence, 0, sequence + 1)
     fence_release()
@@ -47,13 +47,13 @@ def store(slot: Slot, values: NDArray[np.float64]) -> None:
 
 @entry
 def publish(slot: Slot, values: NDArray[np.float64]) -> None:
-    """`store` for Python."""
+    """Replace the values of a slot from Python, as `store`."""
     store(slot, values)
 
 
 @entry
 def read(slot: Slot, seen: int, values: NDArray[np.float64]) -> int:
-    """`refresh` for Python."""
+    """Copy a slot from Python, as `refresh`."""
     return refresh(slot, seen, values)
 
 
@@ -61,8 +61,8 @@ def read(slot: Slot, seen: int, values: NDArray[np.float64]) -> int:
 def refresh(slot: Slot, seen: int, values: NDArray[np.float64]) -> int:
     """Copy the slot to `values` (n,) if it changed since sequence `seen`.
 
-    returns  the sequence now held in `values`: `seen` when nothing is new or a write was under way, and
-             then `values` must not be used, since it may hold a torn copy
+    returns  the sequence of `values`: equal to `seen` if there was no change or a write was in progress; then `values`
+             must not be used, because it may contain parts of two writes
     """
     before = load_acquire(slot.sequence, 0)
     if before == seen or before & 1:

@@ -1,4 +1,7 @@
-"""Tuples as long as others, and named tuples with some of their fields changed."""
+"""Operations on tuples that numba lacks: replace fields of a named tuple, fill a tuple, and map or reduce one.
+
+Kernels and the servo loop call them; in plain Python they are ordinary functions.
+"""
 
 import operator
 from typing import Any
@@ -13,10 +16,13 @@ from softfinger.proxy.kernels.jit.decorators import PLAIN
 
 @intrinsic(prefer_literal=True)
 def replace(typing_context, given, *changes):  # type: ignore[no-untyped-def]
-    """The named tuple `given` with other values, of other types, too, in some fields: a field's name and its value,
-    again and again."""
+    """Return the named tuple with some fields replaced, as `_replace` does; the new values may have other types.
+
+    given    named tuple
+    changes  name and new value of each field, alternating; names are literals
+    """
     names = [getattr(each, "literal_value", None) for each in changes[::2]]
-    if not set(names) <= set(given.fields):  # numba asks once more then, without the literals
+    if not set(names) <= set(given.fields):  # numba then tries again without literals
         raise TypingError(f"{given.instance_class.__name__} has no fields of these names: {changes[::2]}")
     at, kinds = [given.fields.index(name) for name in names], dict(zip(given.fields, given.types, strict=True))
     kinds |= {given.fields[place]: types.unliteral(kind) for place, kind in zip(at, changes[1::2], strict=True)}
@@ -41,7 +47,7 @@ if PLAIN:
 
 @intrinsic
 def same_for(typing_context, each, thing):  # type: ignore[no-untyped-def]
-    """A tuple of the same thing for each in another."""
+    """Return a tuple of the length of `each`, with `thing` in every element."""
     result = types.UniTuple(types.unliteral(thing), len(each))
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -52,7 +58,7 @@ def same_for(typing_context, each, thing):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def first_of(typing_context, each, thing, others):  # type: ignore[no-untyped-def]
-    """A tuple as long as another, of a thing and, behind it, the same other thing for each that follows."""
+    """Return a tuple of the length of `each`: `thing` first, then `others` in every other element."""
     result = types.UniTuple(thing, len(each))
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -63,7 +69,7 @@ def first_of(typing_context, each, thing, others):  # type: ignore[no-untyped-de
 
 @intrinsic
 def rows_of(typing_context, each, table, first):  # type: ignore[no-untyped-def]
-    """A tuple of the rows of `table` from `first` on, one for each in another."""
+    """Return a tuple of the rows `first`, `first + 1`, ... of `table`, one for each element of `each`."""
     get = typing_context.resolve_function_type(operator.getitem, (table, types.int64), {})
     result = types.UniTuple(get.return_type, len(each))
 
@@ -77,7 +83,7 @@ def rows_of(typing_context, each, table, first):  # type: ignore[no-untyped-def]
 
 @intrinsic(prefer_literal=True)
 def field_of_each(typing_context, each, name):  # type: ignore[no-untyped-def]
-    """A tuple of one field, given by its name, of each named tuple in another."""
+    """Return a tuple of one field of each named tuple in `each`; `name` is a literal."""
     at = [one.fields.index(name.literal_value) for one in each]
     result = types.Tuple([one[place] for one, place in zip(each, at, strict=True)])
 
@@ -91,10 +97,11 @@ def field_of_each(typing_context, each, name):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def map_each(typing_context, kernel, each, *rest):  # type: ignore[no-untyped-def]
-    """A tuple of what a kernel returns for the elements of tuples of the same length.
+    """Return a tuple of the results of a kernel, called once for each index of tuples of equal length.
 
-    kernel  called with an element of each tuple, and with the rest
-    each    tuple of the tuples
+    kernel  called with the elements of that index, then with `rest`
+    each    the tuples, a tuple of them
+    rest    further arguments, the same in every call
     """
     given = [tuple(of[i] for of in each) + rest for i in range(len(each[0]))]
     made = [kernel.get_call_type(typing_context, tuple(map(types.unliteral, one)), {}) for one in given]
@@ -112,7 +119,7 @@ def map_each(typing_context, kernel, each, *rest):  # type: ignore[no-untyped-de
 
 @intrinsic
 def fold_each(typing_context, kernel, each, start):  # type: ignore[no-untyped-def]
-    """What a kernel of two arguments makes of the elements of a tuple, the last with `start`, the others with that."""
+    """Reduce a tuple from its last element to the first: `start = kernel(element, start)`; return the last result."""
     start = types.unliteral(start)
     made = [kernel.get_call_type(typing_context, (one, start), {}) for one in each]
 
@@ -127,7 +134,7 @@ def fold_each(typing_context, kernel, each, start):  # type: ignore[no-untyped-d
 
 @intrinsic(prefer_literal=True)
 def padded(typing_context, each, filler, length):  # type: ignore[no-untyped-def]
-    """A tuple of that length, which is a constant: another, and `filler` in the places behind it."""
+    """Return `each` extended with `filler` to `length` elements; `length` is a literal."""
     result = types.UniTuple(types.unliteral(filler), length.literal_value)
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -139,7 +146,7 @@ def padded(typing_context, each, filler, length):  # type: ignore[no-untyped-def
 
 @intrinsic
 def unzip(typing_context, pairs):  # type: ignore[no-untyped-def]
-    """Two tuples of the first and of the second elements of a tuple of pairs."""
+    """Return two tuples, of the first and of the second elements of a tuple of pairs."""
     sides = [types.Tuple([pair[side] for pair in pairs]) for side in (0, 1)]
     result = types.Tuple(sides)
 

@@ -1,7 +1,7 @@
-"""What a scene is made of, as named tuples of float64: the parts, the state of a contact, the outcome of a step.
+"""Model of a scene as named tuples of float64: its parts, the state of a contact, and the result of a step.
 
-A part that a scene does not have is None, and the kernel for None does nothing: it is not compiled.
-Lengths m, forces N, angles rad; vectors (3,) in the world frame unless said; quaternions w, x, y, z.
+A missing part is None; the kernel for None does nothing, so the part costs no code.
+Lengths m, forces N, angles rad; vectors (3,) in the world frame unless stated; quaternions w, x, y, z.
 """
 
 from softfinger.proxy.kernels.model.effects import (

@@ -1,4 +1,4 @@
-"""Effects of the workspace and of objects, the regions they act in, and what they remember."""
+"""Effects of the workspace and of objects: parameters, regions, and states between ticks."""
 
 from typing import Any, NamedTuple
 
@@ -6,7 +6,10 @@ from softfinger.proxy.kernels.model.vectors import Vec3
 
 
 class BoxRegion(NamedTuple):
-    """Where an effect acts: a box along the axes of the world; `edge` is the depth at which it is whole, m."""
+    """Region of an effect: a box aligned with the world axes.
+
+    edge  m  depth inside the box at which the effect reaches its full strength
+    """
 
     center: Vec3
     half_extents: Vec3
@@ -14,7 +17,7 @@ class BoxRegion(NamedTuple):
 
 
 class SphereRegion(NamedTuple):
-    """Where an effect acts: a ball; `edge` as in BoxRegion."""
+    """Region of an effect: a ball; `edge` as in BoxRegion."""
 
     center: Vec3
     radius: float
@@ -22,7 +25,7 @@ class SphereRegion(NamedTuple):
 
 
 class Touching(NamedTuple):
-    """When an effect acts: while the object is touched, and by how much of itself."""
+    """Condition of an effect: it acts with `share` (0 to 1) of its strength while the object is touched."""
 
     share: float
 
@@ -35,14 +38,14 @@ class Viscosity(NamedTuple):
 
 
 class ConstantForce(NamedTuple):
-    """The same force everywhere in a region, N, world frame."""
+    """Uniform force in a region (None: everywhere), N, world frame."""
 
     force: Vec3
     region: Any
 
 
 class Spring(NamedTuple):
-    """Spring to a point of the world: m, N/m, m, and the largest force, N."""
+    """Spring to a point of the world: anchor m, stiffness N/m, rest length m, and the largest force, N."""
 
     anchor: Vec3
     stiffness: float
@@ -52,7 +55,7 @@ class Spring(NamedTuple):
 
 
 class BoxBoundary(NamedTuple):
-    """Spring-damper towards the inside of a box along the axes of the world, at most `force_max`, N."""
+    """Spring-damper towards the inside of a box aligned with the world axes, at most `force_max`, N."""
 
     center: Vec3
     half_extents: Vec3
@@ -72,7 +75,7 @@ class SphereBoundary(NamedTuple):
 
 
 class Vibration(NamedTuple):
-    """Sine of an amplitude, N, and a frequency, Hz, along a unit vector."""
+    """Sinusoidal force of an amplitude, N, and a frequency, Hz, along a unit vector."""
 
     amplitude: float
     frequency: float
@@ -81,14 +84,19 @@ class Vibration(NamedTuple):
 
 
 class NormalVibration(NamedTuple):
-    """Sine along the normal of the touched surface."""
+    """Sinusoidal force of an amplitude, N, and a frequency, Hz, along the normal of the touched surface."""
 
     amplitude: float
     frequency: float
 
 
 class Magnet(NamedTuple):
-    """Attraction to an object: N at its surface, none beyond `range`, m; exponent of the fall between."""
+    """Attraction to an object.
+
+    force     N  at its surface
+    range     m  gap beyond which there is no force
+    exponent     shape of the decrease in between
+    """
 
     force: float
     range: float
@@ -96,20 +104,20 @@ class Magnet(NamedTuple):
 
 
 class StickSlip(NamedTuple):
-    """Texture of points that hold, N/m, up to a force, N."""
+    """Texture of points where the fingertip sticks: spring of a stiffness, N/m, that breaks at a force, N."""
 
     stiffness: float
     force_max: float
 
 
 class Anchor(NamedTuple):
-    """Memory of StickSlip: the point that holds, in the object's frame, and 1 if there is one."""
+    """State of StickSlip: the point where the fingertip sticks, in the object's frame, and 1 if there is one."""
 
     point: Vec3
     held: float
 
 
 class Phase(NamedTuple):
-    """Memory of a vibration: turns since its start, in [0, 1)."""
+    """State of a vibration: turns since its start, in [0, 1)."""
 
     turns: float

@@ -1,4 +1,4 @@
-"""Friction and torsion laws: their coefficients. What a material does not have is None."""
+"""Friction and torsion laws: their coefficients. A law that a material does not have is None."""
 
 from typing import Any, NamedTuple
 
@@ -13,13 +13,13 @@ class Friction(NamedTuple):
 
 
 class Stribeck(NamedTuple):
-    """Slip speed, m/s, over which friction falls from its static to its kinetic value; 0: at once."""
+    """Slip speed, m/s, over which friction decreases from its static to its kinetic value; 0: instantly."""
 
     speed: float
 
 
 class SpeedFriction(NamedTuple):
-    """Friction that changes with the slip speed: Stribeck or None, and a viscous coefficient, s/m."""
+    """Friction that depends on the slip speed: Stribeck or None, and a viscous coefficient, s/m."""
 
     static: float
     kinetic: float
@@ -28,11 +28,11 @@ class SpeedFriction(NamedTuple):
 
 
 class Anisotropic(NamedTuple):
-    """A friction law whose coefficients are scaled along a direction of the surface and across it.
+    """Friction law with coefficients scaled along a direction of the surface and across it.
 
     law        Friction or SpeedFriction
-    direction  (3,)  in the frame of the object's pose, where that turns it, else in the world; its part tangent
-                     to the surface counts
+    direction  (3,)  in the frame of the object's pose if that has a rotation, otherwise in the world; only its part
+                     tangential to the surface counts
     """
 
     law: Any
@@ -44,21 +44,21 @@ class Anisotropic(NamedTuple):
 
 
 class PaperFriction(NamedTuple):
-    """Coulomb friction under the paper's switching rule read to the letter, for study."""
+    """Coulomb friction with the paper's switching rule taken literally, for study."""
 
     static: float
     kinetic: float
 
 
 class Torsion(NamedTuple):
-    """Torsional spring about the normal, N m/rad, and the length whose product with f_N is its limit, m."""
+    """Torsional spring about the normal, N m/rad; its limit is friction_length (m) times the normal force f_N."""
 
     stiffness: float
     friction_length: float
 
 
 class PowerTorsion(NamedTuple):
-    """As Torsion, with the limit friction_length f_N (f_N / 1 N)^exponent; exponent 0 to 1/3."""
+    """Torsion with the limit friction_length f_N (f_N / 1 N)^exponent; exponent 0 to 1/3."""
 
     stiffness: float
     friction_length: float
@@ -66,14 +66,16 @@ class PowerTorsion(NamedTuple):
 
 
 class LimitSurface(NamedTuple):
-    """Tangential force and moment share one limit; `law` (Torsion or PowerTorsion) is its torsional axis."""
+    """Tangential force and moment that share one limit; `law` (Torsion or PowerTorsion) is its torsional axis."""
 
     law: Any
 
 
 class SoftFingerProxy(NamedTuple):
-    """A proxy that also turns, with a torsional cone of its own: it sticks below the limit of `law` (Torsion
-    or PowerTorsion), and slips at `kinetic_share` (0 to 1) of it."""
+    """Proxy that also rotates, with a separate torsional friction cone.
+
+    It sticks below the limit of `law` (Torsion or PowerTorsion), and slips at `kinetic_share` (0 to 1) of it.
+    """
 
     law: Any
     kinetic_share: float

@@ -1,18 +1,18 @@
-"""Rolling methods: how a tick's rotation is turned into a roll of the contact."""
+"""Rolling methods: algorithms that convert the rotation in a tick to a displacement of the contact."""
 
 from typing import NamedTuple
 
 
 class EulerZxz(NamedTuple):
-    """Rolling by the ZXZ Euler angles of each tick's rotation."""
+    """Rolling by the ZXZ Euler angles of the rotation in a tick."""
 
 
 class EulerZyx(NamedTuple):
-    """Rolling by the roll, pitch and yaw of each tick's rotation."""
+    """Rolling by roll, pitch and yaw of the rotation in a tick."""
 
 
 class RotationVector(NamedTuple):
-    """Rolling in closed form, for a constant rate within a tick."""
+    """Rolling in closed form, for a constant angular velocity within a tick."""
 
 
 class Midpoint(NamedTuple):
@@ -20,13 +20,13 @@ class Midpoint(NamedTuple):
 
 
 class MontanaRk4(NamedTuple):
-    """Rolling integrated by one step of the classical Runge-Kutta rule."""
+    """Rolling integrated by one step of the classical fourth-order Runge-Kutta method."""
 
 
 class MontanaRk45(NamedTuple):
-    """Rolling integrated with step control.
+    """Rolling integrated with step size control.
 
-    tolerance  error allowed for each part of the step, relative to the fingertip's radius
+    tolerance  largest error of each partial step, relative to the fingertip's radius
     """
 
     tolerance: float

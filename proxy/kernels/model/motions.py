@@ -1,4 +1,4 @@
-"""Where a body is, and how it moves by itself."""
+"""Poses of objects, and their prescribed or simulated motions."""
 
 from typing import Any, NamedTuple
 
@@ -10,20 +10,20 @@ STILL, DRIVEN, SINUSOID, TURNTABLE, SIMULATED = 0.0, 1.0, 2.0, 3.0, 4.0
 
 
 class Place(NamedTuple):
-    """Where a body is that is not turned: its origin, m."""
+    """Pose of an object without rotation: its origin, m."""
 
     position: Vec3
 
 
 class Pose(NamedTuple):
-    """Where a body is: its origin, m, and its rotation, body to world."""
+    """Pose of an object: its origin, m, and its rotation, object to world."""
 
     position: Vec3
     orientation: Quaternion
 
 
 class Sinusoid(NamedTuple):
-    """Motion to and fro, in the object's frame at rest: amplitude (3,) m, and rad about a unit axis; Hz, rad."""
+    """Sinusoidal motion in the object's frame at rest: amplitudes (3,) m, and rad about a unit axis; Hz, rad."""
 
     translation: Vec3
     axis: Vec3
@@ -33,7 +33,7 @@ class Sinusoid(NamedTuple):
 
 
 class Turntable(NamedTuple):
-    """Steady rotation, in the object's frame at rest: rad/s about a unit axis through the pivot, m."""
+    """Constant rotation in the object's frame at rest: rad/s about a unit axis through the pivot, m."""
 
     axis: Vec3
     rate: float
@@ -41,7 +41,7 @@ class Turntable(NamedTuple):
 
 
 class Driven(NamedTuple):
-    """Moved from outside: its pose is changed while running, by a command or a script."""
+    """External motion: a command or a script changes the pose at run time."""
 
 
 class Motion(NamedTuple):
@@ -68,10 +68,10 @@ class Motion(NamedTuple):
 
 
 class Simulated(NamedTuple):
-    """Moved by forces: rides on a body of a simulation.
+    """Motion by forces: the object is attached to a body of a simulation.
 
-    block  ReadOnly  of the simulation's addresses (query.bodies)
-    body             number of the body in it
+    block  ReadOnly  addresses of the simulation (query.bodies)
+    body             number of the body in the simulation
     """
 
     block: Any

@@ -1,4 +1,4 @@
-"""Laws of the normal force against depth and speed: their coefficients."""
+"""Laws of the normal force as a function of depth and speed: their coefficients."""
 
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ class PowerNormal(NamedTuple):
 
 
 class HuntCrossley(NamedTuple):
-    """The force of `law` (LinearNormal or PowerNormal) and a damping in proportion to it: c, s/m."""
+    """Normal force of `law` (LinearNormal or PowerNormal), and damping proportional to it: c, s/m."""
 
     law: Any
     damping: float

@@ -1,10 +1,10 @@
-"""The fingertip's contact patch: what it grows by, and what follows from it."""
+"""Parameters of the fingertip's contact patch, and of the laws that depend on its size."""
 
 from typing import Any, NamedTuple
 
 
 class HertzPatch(NamedTuple):
-    """Patch of an elastic sphere on a flat.
+    """Patch of an elastic sphere on a plane.
 
     compliance  m^2/N  1/G, G the fingertip's shear modulus
     rolling            RollingLoss or None
@@ -15,9 +15,9 @@ class HertzPatch(NamedTuple):
 
 
 class PowerPatch(NamedTuple):
-    """Patch of the radius `at_newton` (f_N / 1 N)^exponent.
+    """Patch with the radius `at_newton` (f_N / 1 N)^exponent.
 
-    at_newton   m      radius under 1 N
+    at_newton   m      radius at 1 N
     exponent           0 to 1/3
     lever              mean distance of the pressure from the centre, over the patch's radius
     compliance  m^2/N  1/G, G the fingertip's shear modulus
@@ -32,12 +32,12 @@ class PowerPatch(NamedTuple):
 
 
 class RollingLoss(NamedTuple):
-    """Share of the elastic work that a roll loses, 0 to 1."""
+    """Fraction of the elastic work that rolling dissipates, 0 to 1."""
 
     share: float
 
 
 class PatchTorsion(NamedTuple):
-    """Torsion that follows from the fingertip's patch; `friction` is mu_s of the object."""
+    """Torsion computed from the fingertip's patch; `friction` is mu_s of the object."""
 
     friction: float

@@ -1,4 +1,4 @@
-"""What a scene is made of: objects with their material, and all that the contact step is compiled for."""
+"""Scene and its parts: objects with materials, fingers, bodies. The contact step is compiled for a type of Scene."""
 
 from typing import Any, NamedTuple
 
@@ -9,9 +9,9 @@ from softfinger.proxy.kernels.model.vectors import Quaternion, Vec3
 
 
 class Material(NamedTuple):
-    """A law of the normal force, a friction law or None, a torsion law or None.
+    """Law of the normal force, friction law or None, torsion law or None.
 
-    compliance  m^2/N  1/G, G its shear modulus; None in a scene whose fingertips have no patch
+    compliance  m^2/N  1/G, G its shear modulus; None in a scene without contact patches
     """
 
     normal: Any
@@ -21,15 +21,15 @@ class Material(NamedTuple):
 
 
 class Object(NamedTuple):
-    """One shape to touch.
+    """Element of a scene: one shape with pose, material and effects.
 
     shape     in the frame of `pose`
-    pose      None (in the world), Place or Pose; Pose if it moves
-    motion    None, or how it moves
-    material  Material, of the same parts for all objects of a scene
-    number    of the object in the scene file; several shapes may make one object
-    was       Pose at the last tick of an object that can move; None for one that cannot, and in a scene
-    texture   Texture or None; its coordinates are those of the frame of `pose`
+    pose      None (shape in the world), Place or Pose; Pose if it moves
+    motion    None, or the law of its motion
+    material  Material, with the same types of laws for all objects of a scene
+    number    index of its entry in the scene file; several shapes may form one object
+    was       Pose at the last tick of an object that can move; None otherwise, and in a Scene (set in each tick)
+    texture   Texture or None; its coordinates are in the frame of `pose`
     """
 
     shape: Any
@@ -143,7 +143,7 @@ class Coupling(NamedTuple):
 
 
 class EllipsoidTip(NamedTuple):
-    """The form of a fingertip that is an ellipsoid about the probe.
+    """Shape of an ellipsoidal fingertip, centred at the probe.
 
     semi_axes    (3,)  m
     orientation  (4,)     of its axes in the fingertip's frame
@@ -154,12 +154,12 @@ class EllipsoidTip(NamedTuple):
 
 
 class Finger(NamedTuple):
-    """A fingertip and the probe that moves it.
+    """Fingertip and its probe.
 
     radius                  m    r; of an ellipsoid the shortest semi-axis
     coupling                     Coupling
     torque_stiffness        N/m  k_tau: force per length of roll that the hand has not followed
-    velocity_time_constant  s    low-pass of the probe velocity, 0 for the plain difference
+    velocity_time_constant  s    of the probe's velocity filter, 0 for the unfiltered difference
     position_resolution     m    encoder step of the probe
     patch                        HertzPatch, PowerPatch or None
     form                         EllipsoidTip, or None for a ball
@@ -175,11 +175,11 @@ class Finger(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """A simulation of rigid bodies, and which objects ride on them.
+    """Simulation of rigid bodies, and the objects attached to them.
 
-    block   ReadOnly  of the simulation's addresses (query.bodies)
+    block   ReadOnly  addresses of the simulation (query.bodies)
     moving  ReadOnly  numbers of the bodies that can move
-    riders  ReadOnly  for each object of the scene file the number of its body, 0 for one that rides on none
+    riders  ReadOnly  number of the attached body for each object of the scene file, 0 if it is not attached to one
     objects           number of objects in the scene file
     """
 
@@ -190,13 +190,13 @@ class Bodies(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Everything the contact step is compiled for.
+    """Scene, the type for which the contact step is compiled.
 
     fingers   tuple of Finger, one or more
     objects   Single or Many
-    rolling   a rolling method or None
+    rolling   rolling method or None
     effects   tuple of effects of the workspace
-    bodies    Bodies that move by themselves, or None
+    bodies    Bodies, or None without a simulation
     """
 
     fingers: Any

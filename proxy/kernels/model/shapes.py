@@ -1,4 +1,4 @@
-"""Surfaces that a fingertip can touch: their sizes, m, each in the frame of its shape."""
+"""Shapes that a fingertip can touch: their sizes, m, each in its local frame."""
 
 from typing import Any, NamedTuple
 
@@ -15,28 +15,28 @@ class Plane(NamedTuple):
 
 
 class Sphere(NamedTuple):
-    """Sphere about the origin of its frame; `side` is +1 touched from outside, -1 from inside."""
+    """Sphere about the origin of its frame; `side` is +1 if touched from outside, -1 from inside."""
 
     radius: float
     side: float
 
 
 class Cylinder(NamedTuple):
-    """Endless cylinder about the z axis; `side` as for Sphere."""
+    """Infinite cylinder about the z axis; `side` as for Sphere."""
 
     radius: float
     side: float
 
 
 class CappedCylinder(NamedTuple):
-    """Solid cylinder about the z axis with flat ends at z = +-half_length, sharp rims, touched from outside."""
+    """Solid cylinder about the z axis with flat ends at z = +-half_length and sharp rims, touched from outside."""
 
     radius: float
     half_length: float
 
 
 class Capsule(NamedTuple):
-    """Cylinder about the z axis with round ends, whose centres are at z = +-half_length; `side` as for Sphere."""
+    """Cylinder about the z axis with hemispherical ends centred at z = +-half_length; `side` as for Sphere."""
 
     radius: float
     half_length: float
@@ -57,7 +57,7 @@ class Ellipsoid(NamedTuple):
 
 
 class MinkowskiSum(NamedTuple):
-    """A shape as the centre of an ellipsoidal fingertip sees it, which is then taken for a ball of `radius`.
+    """Minkowski sum of a shape and an ellipsoidal fingertip, for which the fingertip acts as a ball of `radius`.
 
     shape              Plane, Sphere or Cylinder, touched from outside
     semi_axes    (3,)  of the fingertip
@@ -72,7 +72,7 @@ class MinkowskiSum(NamedTuple):
 
 
 class Torus(NamedTuple):
-    """Ring of tube radius `minor` about the circle of radius `major` > `minor` in z = 0; `side` as for Sphere."""
+    """Torus of tube radius `minor` about the circle of radius `major` > `minor` in z = 0; `side` as for Sphere."""
 
     major: float
     minor: float
@@ -80,14 +80,14 @@ class Torus(NamedTuple):
 
 
 class Heightmap(NamedTuple):
-    """z = h(x, y), the solid below: a bicubic spline through heights about the origin, level beyond its rim.
+    """Solid below z = h(x, y): a bicubic spline through heights centred at the origin, level beyond its rim.
 
-    pitch           m      between two heights
-    columns, rows          cells, of one pitch each, the three of the rim that it takes to level off included
-    levels                 of tiles: see surfaces/tiles
-    coefficients           of the spline, in pitches, row by row: one for each corner of a cell, and one more all round
+    pitch           m      distance between two heights
+    columns, rows          numbers of cells, of one pitch each, including the three on each side where it levels off
+    levels                 number of levels of tiles: see shapes/heightmap/tiles
+    coefficients           of the spline, in pitches, row by row: one for each corner of a cell, one more on each side
     facets                 a, b1, b2, thick, valley, ridge of each tile, in pitches, level by level, row by row
-    starts                 number of the first tile of each level
+    starts                 index of the first tile of each level
     """
 
     pitch: float
@@ -100,25 +100,26 @@ class Heightmap(NamedTuple):
 
 
 class Triangles(NamedTuple):
-    """Triangles in the frame of the object, in the order of the tree that finds the nearest one.
+    """Triangles in the object's frame, in the order of the tree for nearest-point queries.
 
-    A node of the tree has eight lanes. What a lane holds, a node of its own or a triangle, lies within a box, one of
-    its axes along the mean normal of what is in it, so that a patch of a smooth surface makes a thin one.
+    A node of the tree has eight lanes. A lane is a child node or a triangle, enclosed by an oriented box. One axis of
+    the box is the mean normal of its content, so that a patch of a smooth surface has a thin box.
 
-    nodes      (nodes * 12 * 8,) float32: x, y, z of the boxes' middles from `center`, m, of their normals, of the axes
-                                 along their first sides, and halves of the sides, the normal's last, m; each of the
-                                 eight lanes after another
-    first      (nodes,)          int32: first child, the others behind it; ~ first triangle where lanes are those
+    nodes      (nodes * 12 * 8,) float32: x, y, z of the box centres relative to `center`, m, of the normals, of the
+                                     axes along the first sides, and half sides, the one along the normal last, m; each
+                                     for the eight lanes in turn
+    first      (nodes,)          int32: index of the first child, followed by the others; ~ index of the first triangle
+                                     if the lanes are triangles
     vertices   (vertices * 3,)   m, float64
-    corners    (triangles * 3,)  int32: vertices of a triangle, counter-clockwise as seen from outside
-    across     (triangles * 3,)  int32: the triangle beyond each edge, edge i from corner i to the next; -1 for none
-    upward     (vertices * 3,)   normals at the vertices, each triangle counting as its angle there does
-    number                       of triangles
-    center     (3,) m            middle of the box round it
-    size       m                 diagonal of that box
+    corners    (triangles * 3,)  int32: vertices of a triangle, counter-clockwise seen from outside
+    across     (triangles * 3,)  int32: neighbouring triangle at each edge, edge i from corner i to the next; -1 if none
+    upward     (vertices * 3,)   normals at the vertices, the mean of the triangles weighted by their angles there
+    number                       number of triangles
+    center     (3,) m            centre of the bounding box
+    size       m                 diagonal of the bounding box
     side                         1 for a closed surface touched from outside, -1 from inside; 0 for an open one, which
-                                 is touched on the side where the fingertip is
-    shade                        1 where forces are along normals that vary over a triangle, 0 where along its own
+                                     is touched from the side of the fingertip
+    shade                        1 if forces act along normals interpolated over a triangle, 0 along the face normal
     """
 
     nodes: ReadOnly
@@ -135,7 +136,7 @@ class Triangles(NamedTuple):
 
 
 class Mesh(NamedTuple):
-    """A mesh: its Triangles in a row of one, so that what a kernel carries along is where they are and no more."""
+    """Mesh: its Triangles as the only row of `Rows`, so that kernels pass an address instead of the tuple."""
 
     row: Rows
 
@@ -164,7 +165,7 @@ SMOOTH, FACETED, CREASED, FLAT = 0.0, 1.0, 2.0, 3.0
 
 
 class Facet(NamedTuple):
-    """One triangle of a mesh, as an object of its own."""
+    """One triangle of a mesh, as a shape."""
 
     mesh: Mesh
     number: float

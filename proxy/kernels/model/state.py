@@ -1,4 +1,4 @@
-"""What the world and each finger's contact remember, what passes through a tick, and what comes out of it."""
+"""State of the world and of each finger's contact, intermediate values of a tick, and the result of a step."""
 
 from typing import Any, NamedTuple
 
@@ -6,12 +6,13 @@ from softfinger.proxy.kernels.model.vectors import Quaternion, Vec3
 
 
 class World(NamedTuple):
-    """What is there whoever touches it: the time, and where the bodies are.
+    """State of the world, independent of the fingers.
 
     started  0 before the first tick, then 1
     time     s, the sum of all time steps
-    poses    Pose of the only object now, None if it cannot move; of many objects memory of their poses (`query.world`)
-    was      Pose of the only object at the last tick; None for many
+    poses    current pose of the only object, None if it cannot move; of several objects the memory of their poses
+             (`query.world`)
+    was      pose of the only object at the last tick, None for several
     """
 
     started: float
@@ -21,7 +22,7 @@ class World(NamedTuple):
 
 
 class Probe(NamedTuple):
-    """A fingertip's pose in a tick, fingertip to world, and its filtered velocity, m/s."""
+    """Fingertip's pose in a tick, fingertip to world, and its filtered velocity, m/s."""
 
     position: Vec3
     orientation: Quaternion
@@ -29,15 +30,16 @@ class Probe(NamedTuple):
 
 
 NONE = -1.0
-"""The place of an object that is not there."""
+"""Flat object index of no object, see `Constraint`."""
 
 
 class Constraint(NamedTuple):
-    """A tangent plane of an object, a fingertip's radius away, in front of which the proxy is held.
+    """Tangent plane of an object, offset by the fingertip's radius, that the proxy may not cross.
 
-    body    place of the object in the scene's tuple, -1 for none
+    body    flat index of the object, -1 for none: it counts through the scene's tuple, its rows and mesh triangles
     normal  (3,) 1
-    depth   m, how far the probe lies behind the proxy along the normal: the normals, weighted by it, lead to the proxy
+    depth   m, of the probe behind the proxy along the normal: the sum of the normals, weighted by it, points from the
+            probe to the proxy
     """
 
     body: float
@@ -46,25 +48,25 @@ class Constraint(NamedTuple):
 
 
 ActiveSet = tuple[Constraint, Constraint, Constraint]
-"""The constraints that hold the proxy, those of no object last; the first is of the object that is rolled on. While its
-rest is searched a height map may have several of them, one for each foot."""
+"""Constraints that support the proxy, unused ones last; the first belongs to the object on which the finger rolls.
+During the search for the rest position, a height map may have several of them, one for each support point."""
 
 
 class ContactState(NamedTuple):
-    """What one contact remembers from one tick to the next.
+    """State of one contact between ticks.
 
-    body             place in the scene's tuple of the object that it is on, -1 for no contact
-    normal           n: outward unit normal under it
-    push             m, how far the object keeps the proxy from the probe along n
+    body             flat index of the touched object as in `Constraint`, -1 for no contact
+    normal           n: outward unit normal of the object at the contact point
+    push             m, distance along n by which the object separates the proxy from the probe
     share            of the load, 0 to 1: the contact has this share of the coupling and of the torsional spring
     mode             FREE, ROLLING or SLIDING
-    deflection       e: tangential, from the probe to where the contact sticks
-    rolled_part      p: the share of e that rolling has wound
-    spin             phi: torsional wind-up, rad; under a contact patch in the unit of `contact_patch.winding_unit`
+    deflection       e: tangential, from the probe to the point where the contact sticks
+    rolled_part      p: the part of e wound up by rolling
+    spin             phi: torsional wind-up, rad; with a contact patch in the unit of `contact_patch.winding_unit`
     slip_speed       low-passed plastic slip, m/s
     slip_deflection  |e| at the last tick that slipped, m
     spin_slip_speed  low-passed slip of the torsional anchor, rad/s; 0 while it sticks (soft-finger proxy only)
-    spin_slip_angle  |phi| at the last tick whose anchor slipped, as `spin` (soft-finger proxy only)
+    spin_slip_angle  |phi| at the last tick in which the anchor slipped, as `spin` (soft-finger proxy only)
     bend             wind-up against rolling, tangential: rad times the root of its stiffness per share
     """
 
@@ -98,21 +100,21 @@ NO_CONTACT = ContactState(
     spin_slip_angle=0.0,
     bend=(0.0, 0.0, 0.0),
 )
-"""A place for a contact, with none in it."""
+"""State of an unused contact."""
 
 
 class FingerState(NamedTuple):
-    """What the contact of one finger remembers from one tick to the next.
+    """State of one finger between ticks.
 
     started          0 before the finger's first pose, then 1
     probe            at the last tick
     mode             FREE, or the mode of its first contact
-    center           the proxy; among several objects the one that friction has not displaced
-    contacts         tuple of ContactState: one in a scene of one object, else three, the most loaded first
+    center           the proxy; with several objects the one not displaced by friction
+    contacts         tuple of ContactState: one in a scene of one object, otherwise three, the most loaded first
     rolled           roll angle since touch, rad
-    stuck            ticks in a row in which the proxy found no rest and stood still
-    effects          states of the effects of the workspace and of every object: what they remember is about this
-                     visitor, a vibration's phase too, which waits at its beginning while the finger is out of reach
+    stuck            consecutive ticks in which the proxy found no rest position and did not move
+    effects          states of the effects of the workspace and of every object. They are separate for each finger,
+                     including the phase of a vibration, which remains at its start while the finger is out of reach
     """
 
     started: float
@@ -126,14 +128,14 @@ class FingerState(NamedTuple):
 
 
 class State(NamedTuple):
-    """Everything a step leaves for the next: one world, and a FingerState for each of the scene's fingers."""
+    """Complete state between steps: one world, and a FingerState for each finger of the scene."""
 
     world: World
     fingers: Any
 
 
 class FrictionInput(NamedTuple):
-    """What a contact brings to friction and torsion in a tick: see `ContactState` for the names.
+    """Input of friction and torsion from one contact in a tick: see `ContactState` for the names.
 
     deflection         e after this tick's motion and roll; with deflection_before and rolled_part in the
                        tangent plane of `normal`
@@ -158,7 +160,7 @@ class FrictionInput(NamedTuple):
 
 
 class FrictionResult(NamedTuple):
-    """What friction and torsion make of a tick: the new mode and why, what is kept, and the reaction on the hand.
+    """Result of friction and torsion in a tick: new mode with its cause, new state, and reaction on the hand.
 
     force   (3,) N    tangential force
     moment  N m       about the normal
@@ -178,11 +180,11 @@ class FrictionResult(NamedTuple):
 
 
 class ContactOutcome(NamedTuple):
-    """The outcome of one step for one contact; zeros, and -1 for the object, where there is none.
+    """Result of a step for one contact; zeros, and -1 for the object, if there is none.
 
-    object  its number in the scene
-    point   m, where the contact is on it
-    normal  of the object there
+    object  its index in the scene file
+    point   m, contact point on the object
+    normal  of the object at that point
     force   N, on the hand
     spin    rad, torsional wind-up
     torque  N m, on the hand about the fingertip's centre
@@ -209,18 +211,18 @@ NO_OUTCOME = ContactOutcome(
 
 
 class Contact(NamedTuple):
-    """The outcome of one step for one finger.
+    """Result of a step for one finger.
 
-    force, torque    on the hand, world frame, torque about the fingertip centre
+    force, torque    on the hand, world frame, torque about the fingertip's centre
     finger_point     contact point in the fingertip frame
-    cause            of the mode change in this tick, CAUSE_NONE if it did not change
+    cause            of the mode change in this tick, CAUSE_NONE if the mode did not change
     torsion          N m, moment about the normal on the hand
     patch_radius     m, 0 for a fingertip without a patch
     patch_normal     of the object, in the fingertip frame
-    patch_stretch    m, of the skin against the fingertip along the surface, in the fingertip frame
-    contacts         tuple of ContactOutcome, as many as FingerState has contacts, in their order
-    budget           1 if a mesh or height map could not be searched to the end: the proxy stays where it was, or it is
-                     not known whether a first pose touches
+    patch_stretch    m, displacement of the skin relative to the fingertip along the surface, in the fingertip frame
+    contacts         tuple of ContactOutcome, as many as FingerState has contacts, in the same order
+    budget           1 if the search of a mesh or height map was not completed: the proxy did not move, or it is unknown
+                     whether a first pose touches; 2 if the proxy has not yet come to rest (contact.budget of a record)
     """
 
     mode: float

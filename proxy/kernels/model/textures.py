@@ -1,4 +1,4 @@
-"""Textures: what is fine about a surface."""
+"""Textures: height and friction variations of a surface, too fine for its shape."""
 
 from typing import Any, NamedTuple
 
@@ -6,7 +6,7 @@ from softfinger.proxy.kernels.jit.arrays import ReadOnly
 
 
 class Relief(NamedTuple):
-    """Heights of a texture: how far its lowest value lies below its highest, m, which is the surface."""
+    """Heights of a texture: depth, m, of its lowest value below its highest, which is at the surface."""
 
     height: float
 
@@ -19,14 +19,14 @@ class Grip(NamedTuple):
 
 
 class Texture(NamedTuple):
-    """Values in [0, 1] over the coordinates of a surface: a bicubic B-spline about its origin.
+    """Values in [0, 1] over the coordinates of a surface: a bicubic B-spline centred at its origin.
 
     values           (rows * columns,)  its coefficients, row by row
-    columns, rows                       how many
+    columns, rows                       their numbers
     per_u, per_v     1/m                columns and rows per length
-    period_u         1 if the array repeats along u, 0 if its border goes on
+    period_u         1 if the array repeats along u, 0 if its border values continue
     period_v         the same along v
-    fade             m                  over which the texture ends before an edge of the object
+    fade             m                  distance to an edge of the object over which the texture fades out
     relief           Relief or None
     grip             Grip or None
     """

@@ -1,4 +1,4 @@
-"""Vectors and rotations as tuples of float64: m, N, rad; quaternions w, x, y, z."""
+"""Types of vectors and rotations, as tuples of float64: m, N, rad; quaternions w, x, y, z."""
 
 Vec3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

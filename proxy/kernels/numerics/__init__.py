@@ -1,4 +1,4 @@
-"""Mathematics of space and small solvers: vectors, rotations, frames, projections onto half-spaces and an ellipsoid.
+"""Geometry and small solvers: vectors, rotations, frames, projections onto half-spaces and an ellipsoid.
 
-No shape, no contact: what is here could serve any program.
+Independent of shapes and contacts.
 """

@@ -1,8 +1,8 @@
-"""The nearest point of an ellipsoid to a point outside, by its Lagrange multiplier.
+"""Projection of a point onto an ellipsoid by a Lagrange multiplier, for the limits of friction.
 
-A point is given by its components over the semi-axes, y, so that |y| = 1 is the surface. The nearest
-point, distance weighted by 1/w_i for component i, has the components y_i / (1 + w_i m) with the multiplier
-m >= 0 for which they are on the surface; the way back is then along the surface's normal.
+Points are scaled by the semi-axes: y are the components divided by them, and |y| = 1 is the surface. With the squared
+distance of component i weighted by 1/w_i, the nearest point has the components y_i / (1 + w_i m), where the multiplier
+m >= 0 puts them on the surface. In this metric, the displacement from y to that point is along the surface normal.
 """
 
 from math import sqrt
@@ -12,19 +12,21 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
 ITERATIONS = 32
-"""Bound of Newton's method; near the surface two or three do, at weights 1e24 apart fifteen."""
+"""Limit of Newton's iterations: two or three are enough near the surface, fifteen for weights 1e24 apart."""
 CONVERGED = 4e-16
-"""How far outside the surface, in semi-axes, is on it."""
+"""Distance outside the surface, in semi-axes, below which a point counts as on it."""
 LAST_STEP = 1e-9
-"""How far outside the surface a step of Newton's method is the last. It never oversteps, so what is left is less; it is
-rounding, but where components that hardly change beside others are just inside the surface by themselves."""
+"""Distance outside the surface, in semi-axes, below which the next Newton step is the last. The method never
+oversteps, so the remaining error is smaller. It is rounding, except if components that hardly change with m are just
+inside the surface by themselves."""
 FARTHEST = 1e8
-"""Points farther out, in semi-axes, are brought here first: squares stay finite, and only the direction counts."""
+"""Points farther out, in semi-axes, are first scaled to this distance, where only the direction matters, so that
+squares remain finite."""
 
 
 @jit
 def shrink(y: Vec3, weight: Vec3, m: float) -> Vec3:
-    """Components of the point that the multiplier m belongs to, none of it outside the surface."""
+    """Return the scaled components of the point for the multiplier m, scaled down if they are outside the surface."""
     p = (y[0] / (1.0 + weight[0] * m), y[1] / (1.0 + weight[1] * m), y[2] / (1.0 + weight[2] * m))
     size = vec3.norm(p)
     if size > 1.0:
@@ -34,7 +36,7 @@ def shrink(y: Vec3, weight: Vec3, m: float) -> Vec3:
 
 @jit
 def near(y: Vec3) -> Vec3:
-    """`y`, or a point in its direction near enough to be squared."""
+    """Return `y`, scaled down to FARTHEST if a component exceeds it, so that its square is finite."""
     largest = max(abs(y[0]), abs(y[1]), abs(y[2]))
     if largest > FARTHEST:
         return vec3.scale(FARTHEST / largest, y)
@@ -43,13 +45,13 @@ def near(y: Vec3) -> Vec3:
 
 @jit
 def multiplier(y: Vec3, weight: Vec3) -> float:
-    """Multiplier m >= 0 of the nearest point; 0 for a point that is not outside.
+    """Return the multiplier m >= 0 of the nearest point; 0 if `y` is not outside.
 
     y        (3,)  components over the semi-axes, magnitude at most about FARTHEST (see `near`)
     weight   (3,)  positive
 
-    Newton's method on 1 / |p(m)| = 1, which is concave in m and almost straight: from m = 0 it never
-    oversteps, and a ball takes one iteration. Known from trust regions (More and Sorensen, 1983).
+    Newton's method on 1 / |p(m)| = 1, which is concave in m and almost straight: from m = 0 it never oversteps, and a
+    ball takes one iteration. Known from trust regions (More and Sorensen, 1983).
     """
     m = 0.0
     for _ in range(ITERATIONS):
@@ -60,7 +62,7 @@ def multiplier(y: Vec3, weight: Vec3) -> float:
         size = sqrt(square)
         if size <= 1.0 + CONVERGED:
             break
-        # The error is squared: what one more step leaves, `shrink` takes off, and it need not be looked at.
+        # Convergence is quadratic: `shrink` removes the error that remains after one more step, without another check.
         last = size < 1.0 + LAST_STEP
         slope = weight[0] * d0 * p0 + weight[1] * d1 * p1 + weight[2] * d2 * p2
         m += (size - 1.0) * square / slope

@@ -1,4 +1,7 @@
-"""Between the world and the frame of a pose: None (the world itself), a Place (moved) or a Pose (moved and turned)."""
+"""Transformations between the world frame and the frame of a pose.
+
+A pose is None (the world frame itself), a Place (translation) or a Pose (translation and rotation).
+"""
 
 from typing import Any
 
@@ -9,22 +12,22 @@ from softfinger.proxy.kernels.numerics import rotations, vec3
 
 @by_type
 def into(pose: Any, x: Vec3) -> Any:
-    """World point to the object's frame."""
+    """Transform a point from the world frame to the object's frame."""
 
 
 @by_type
 def out_of(pose: Any, x: Vec3) -> Any:
-    """Point of the object's frame to the world."""
+    """Transform a point from the object's frame to the world frame."""
 
 
 @by_type
 def turn_into(pose: Any, v: Vec3) -> Any:
-    """World direction to the object's frame."""
+    """Rotate a direction from the world frame to the object's frame."""
 
 
 @by_type
 def turn_out_of(pose: Any, v: Vec3) -> Any:
-    """Direction of the object's frame to the world."""
+    """Rotate a direction from the object's frame to the world frame."""
 
 
 @into.of(None)
@@ -89,7 +92,7 @@ def turn_out_of_pose(pose: Pose, v: Vec3) -> Vec3:
 
 @by_type
 def pose_values(pose: Any) -> Any:
-    """Any pose as a Pose."""
+    """Convert any pose to a Pose."""
 
 
 @pose_values.of(None)

@@ -1,8 +1,8 @@
-"""The smallest displacement that satisfies up to three half-spaces at once.
+"""Smallest displacement that satisfies up to three half-space constraints.
 
-This is the whole of the multi-contact solve where bodies leave room: the proxy is the point nearest the probe that
-satisfies every constraint, so the displacement from the probe is a combination of at most three normals with weights
-that are not negative. All sets of one to three normals are tried; there are seven.
+This solves the contact with several objects, unless they leave no room: the proxy is the point closest to the probe
+that satisfies every constraint, so its displacement from the probe is a combination of at most three normals with
+non-negative weights. The solver tries all seven active sets of one to three normals.
 """
 
 from math import sqrt
@@ -13,16 +13,16 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
 PARALLEL = 1e-9
-"""Squared sine below which two normals count as one."""
+"""Squared sine of the angle between two normals below which they count as one."""
 SLACK = 1e-12
-"""Share of the largest demand by which a constraint may be missed: rounding of the solve."""
+"""Violation of a constraint that counts as rounding of the solve, as a share of the demands' sum."""
 FACING = -0.98
-"""Cosine between two normals below which the walls face each other, 11 degrees from parallel at the most. Between them
-a fingertip is pinched, not pushed out of the wedge: friction holds it there from a coefficient of 0.1 on."""
+"""Cosine between two normals below which their walls face each other (at most 11 degrees from parallel). The fingertip
+is then pinched between them, not pushed out of the wedge: a friction coefficient of 0.1 is enough to hold it."""
 
 
 class Depths(NamedTuple):
-    """Weights of the three normals, not negative; the displacement is their combination."""
+    """Non-negative weights of the three normals, m; the displacement is the sum of the weighted normals."""
 
     first: float
     second: float
@@ -31,12 +31,12 @@ class Depths(NamedTuple):
 
 @jit
 def displacement(push: Depths, n1: Vec3, n2: Vec3, n3: Vec3) -> Vec3:
-    """first n1 + second n2 + third n3."""
+    """Return first n1 + second n2 + third n3."""
     return vec3.add_scaled(vec3.add_scaled(vec3.scale(push.first, n1), push.second, n2), push.third, n3)
 
 
 class Cosines(NamedTuple):
-    """Between the three normals."""
+    """Cosines of the angles between the three normals."""
 
     c12: float
     c13: float
@@ -62,9 +62,10 @@ def _misses(push: Depths, c: Cosines, b1: float, b2: float, b3: float, slack: fl
 
 @jit
 def _pair(c: float, b1: float, b2: float) -> tuple[float, float]:
-    """Weights that meet two demands exactly; `c` is the cosine between the normals.
+    """Return the weights that satisfy two demands with equality; `c` is the cosine between the normals.
 
-    The first by what the second leaves of it: nearly parallel normals have weights of few digits, and a sum of many.
+    The first weight is computed from the second: with nearly parallel normals the weights have few correct digits, but
+    the weighted sum has nearly all.
     """
     two = (b2 - c * b1) / (1.0 - c * c)
     return b1 - c * two, two
@@ -72,12 +73,13 @@ def _pair(c: float, b1: float, b2: float) -> tuple[float, float]:
 
 @jit
 def _meet(count: int, c: Cosines, b1: float, b2: float, b3: float) -> tuple[Depths, bool]:
-    """The first set of normals whose exact solution has no negative weight and satisfies the others; False for none.
+    """Return the weights of the first active set that has no negative weight and satisfies all demands, and True.
 
-    The problem is convex, so it is the answer. With two, the third is a copy of the second.
+    The problem is convex, so that set is the solution. False if no set satisfies them. With `count` 2, the third
+    normal and demand are copies of the second.
     """
     slack = SLACK * (abs(b1) + abs(b2) + abs(b3))
-    # All of them together first: it is what holds a proxy that rests, and then nothing else has to be tried.
+    # The full set first: it is the active set of a proxy at rest, and no other has to be tried then.
     c12, c13, c23 = c
     if count == 3:
         # Cramer's rule on the Gram matrix.
@@ -107,7 +109,8 @@ def _meet(count: int, c: Cosines, b1: float, b2: float, b3: float) -> tuple[Dept
             push = Depths(0.0, two, three)
             if not _misses(push, c, b1, b2, b3, slack):
                 return push, True
-    # Alone only the strongest can do; of nearly parallel ones the others would do too, to rounding, but tilted.
+    # A single normal is enough only if its demand is the largest. With nearly parallel normals, another one would be
+    # within rounding, too, but its push would be tilted.
     push = Depths(max(b1, 0.0), 0.0, 0.0)
     if b2 > b1:
         push = Depths(0.0, max(b2, 0.0), 0.0)
@@ -117,10 +120,11 @@ def _meet(count: int, c: Cosines, b1: float, b2: float, b3: float) -> tuple[Dept
 
 
 class Solution(NamedTuple):
-    """What constraints do to a proxy: what each of them bears, and where together they put it.
+    """Loads of the constraints, and the displacement of the proxy.
 
-    push     m     depth that each one's spring bears
-    place    m     weights of the normals whose combination is the proxy's way from the probe: the push, but in a pinch
+    push     m     depth that the spring of each constraint bears
+    place    m     weights of the normals; their weighted sum is the displacement from probe to proxy. Equal to `push`
+                   unless pinched
     """
 
     push: Depths
@@ -129,13 +133,13 @@ class Solution(NamedTuple):
 
 @jit
 def _apart(c: float) -> float:
-    """The cosine, 0 between walls that face each other: neither takes load from the other."""
+    """Return the cosine, or 0 if the walls face each other: neither bears any of the other's load."""
     return 0.0 if c < FACING else c
 
 
 @jit
 def _between(c: float, first: float, second: float, b1: float, b2: float) -> tuple[float, float]:
-    """Weights of two of the normals in `place`: half way where walls that face each other leave no room."""
+    """Return the weights of two normals in `place`: halfway between walls that face each other and leave no room."""
     if c < FACING and b1 + b2 > 0.0:
         return 0.5 * b1, 0.5 * b2
     return first, second
@@ -143,7 +147,10 @@ def _between(c: float, first: float, second: float, b1: float, b2: float) -> tup
 
 @jit
 def _eased(c: float, b1: float, b2: float) -> tuple[float, float]:
-    """Two demands, the lesser of them met by the other one where their normals are nearly parallel, c their cosine."""
+    """Return two demands, the smaller reduced until the larger also satisfies it if their normals are nearly parallel.
+
+    `c` is the cosine between the normals.
+    """
     if c < 0.0 or 1.0 - c * c > PARALLEL:
         return b1, b2
     if b1 >= b2:
@@ -153,13 +160,14 @@ def _eased(c: float, b1: float, b2: float) -> tuple[float, float]:
 
 @jit
 def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: float, b3: float) -> Solution:
-    """Weights of the smallest d with n_i . d >= b_i (m) for the first `count` unit normals (1 to 3); where bodies
-    leave no room, springs of their own.
+    """Return the weights of the smallest displacement d with n_i . d >= b_i (m), for 1 to 3 unit normals.
 
-    Walls that face each other bear what the probe is deep in each, and the proxy is half way between them. Three
-    that close in on it from all sides, no two of them facing, leave it inside each of them by the same t: they bear
-    that and, beside it, what the smallest push with demands b_i - t asks for. Both go over into the push without
-    contradiction as t goes to 0.
+    count  number of constraints; further normals and demands are ignored
+
+    Two walls that face each other and leave no room each bear the depth of the probe in them, and the proxy is halfway
+    between them. Three walls that enclose it, no two of them facing, leave it inside each by the same depth t: each
+    bears t plus its weight in the smallest push for the demands b_i - t. As t approaches 0, so does the difference from
+    the push of constraints that can be satisfied.
     """
     single = Depths(max(b1, 0.0), 0.0, 0.0)
     if count == 1:
@@ -169,13 +177,13 @@ def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: f
     true = cosines(n1, n2, n3)
     c = Cosines(_apart(true.c12), _apart(true.c13), _apart(true.c23))
     push, met = _meet(count, c, b1, b2, b3)
-    if not met:  # of nearly parallel normals the one that asks for more asks for both
+    if not met:  # the larger demand of two nearly parallel normals satisfies both
         one, two = _eased(c.c12, b1, b2)
         one, three = _eased(c.c13, one, b3)
         two, three = _eased(c.c23, two, three)
         push, met = _meet(count, c, one, two, three)
     if not met:
-        # At t the demands are coplanar with the normals: sum nu_i (b_i - t) = 0 where sum nu_i n_i = 0.
+        # The normals are coplanar, sum nu_i n_i = 0; the demands b_i - t can be satisfied if sum nu_i (b_i - t) = 0.
         v1, v2, v3 = sqrt(1.0 - c.c23 * c.c23), sqrt(1.0 - c.c13 * c.c13), sqrt(1.0 - c.c12 * c.c12)
         t = (v1 * b1 + v2 * b2 + v3 * b3) / (v1 + v2 + v3)
         place, _ = _meet(count, c, b1 - t, b2 - t, b3 - t)

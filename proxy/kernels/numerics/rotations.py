@@ -1,4 +1,4 @@
-"""Rotations as unit quaternions (w, x, y, z), body to world, and their split about an axis."""
+"""Rotations as unit quaternions (w, x, y, z), body to world, and their decomposition into twist and tilt."""
 
 from math import atan2, copysign, cos, hypot, sin, sqrt
 
@@ -7,19 +7,21 @@ from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
 SMALL = 0.1
-"""Below this a tangent or an angle (rad) is put into a power series, a fifth of the time of the library's call. The
-first term left out is below 1e-17 of the sum; the rotation of one tick is hardly ever larger."""
+"""Angles (rad) and tangents below this use a power series, which takes a fifth of the time of the library function. The
+first omitted term is below 1e-17 of the sum. The rotation of one tick is rarely larger."""
 
 UNIT_TO_ROUNDING = 8.0 * 2.0**-52
-"""How far from 1 the sum of the squares of a quaternion that was normalised may be computed: else a recorded one would
-be changed by a bit when it is read. With u = 2^-53: the sum is wrong by 4 u at most, the root of that and its own
-rounding make 3 u, the quotient 4 u, the product 5 u of each component, so 10 u of the square; and it is summed again:
-14 u = 7 eps, and one more for terms of second order."""
+"""Largest computed deviation from 1 of the squared norm of a normalised quaternion.
+
+Within it, a quaternion is not normalised again: reading a recorded one must not change a bit. With u = 2^-53, the sum
+of squares has a relative error of at most 4 u; its root 3 u, with the root's rounding; the quotient 4 u; each component
+5 u after the product, hence 10 u in the square; summed again 14 u = 7 eps, and one eps for terms of second order.
+"""
 
 
 @jit
 def sinc(x: float) -> float:
-    """sin(x) / x, and 1 at 0."""
+    """Return sin(x) / x, and 1 at 0."""
     if abs(x) < SMALL:
         y = x * x
         return 1.0 - y * (1.0 / 6.0 - y * (1.0 / 120.0 - y * (1.0 / 5040.0 - y * (1.0 / 362880.0))))
@@ -28,7 +30,7 @@ def sinc(x: float) -> float:
 
 @jit
 def angle_of(s: float, c: float) -> float:
-    """Angle (rad) of a rotation from the sine and the cosine of its half: 2 atan2(s, c), for c >= 0."""
+    """Return the angle (rad) of a rotation from sine and cosine of its half: 2 atan2(s, c), for c >= 0."""
     if abs(s) < SMALL * c:
         t = s / c
         y = t * t
@@ -44,7 +46,7 @@ def conjugate(q: Quaternion) -> Quaternion:
 
 @jit
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product: `b` first, then `a`."""
+    """Return the Hamilton product a b: rotation `b` first, then `a`."""
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -70,7 +72,7 @@ def about_z(angle: float) -> Quaternion:
 
 @jit
 def rotate(q: Quaternion, v: Vec3) -> Vec3:
-    """Coordinates of `v` after the rotation `q`: v + 2 w (u x v) + 2 u x (u x v), u the vector part."""
+    """Rotate `v` by `q`: v + 2 w (u x v) + 2 u x (u x v), u the vector part."""
     u = (q[1], q[2], q[3])
     t = vec3.scale(2.0, vec3.cross(u, v))
     return vec3.add(vec3.add_scaled(v, q[0], t), vec3.cross(u, t))
@@ -78,15 +80,17 @@ def rotate(q: Quaternion, v: Vec3) -> Vec3:
 
 @jit
 def normalize(q: Quaternion) -> Quaternion:
-    """Unit quaternion along `q`; `q` must not be zero."""
+    """Return the unit quaternion along `q`, which must not be zero."""
     s = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return (s * q[0], s * q[1], s * q[2], s * q[3])
 
 
 @jit
 def as_unit(q: Quaternion) -> Quaternion:
-    """`normalize` of what is read: a quaternion that is unit to rounding stays as it is, to the bit. Not for a product
-    of rotations, whose rounding would come together over many."""
+    """Normalise an input quaternion; return it unchanged, to the bit, if it is unit to rounding.
+
+    Do not use it for products of rotations: their rounding errors would accumulate.
+    """
     if abs(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] - 1.0) <= UNIT_TO_ROUNDING:
         return q
     return normalize(q)
@@ -94,11 +98,11 @@ def as_unit(q: Quaternion) -> Quaternion:
 
 @jit
 def from_matrix(m: tuple[Vec3, Vec3, Vec3]) -> Quaternion:
-    """Unit quaternion, w >= 0, of the rotation matrix with rows `m`; rounding in the matrix is taken out.
+    """Return the unit quaternion, w >= 0, of the rotation matrix with rows `m`.
 
-    Source: Shepperd (1978): the largest of the four components is found by a root, the others by division, so that
-    none is lost to cancellation. A matrix that is no rotation, NaN included, gives a quaternion of NaN or one that
-    turns something else; it never fails.
+    Source: Shepperd (1978): the case of the largest component is used, so that no digits are lost by cancellation. Each
+    case computes 4 q_max q; its normalisation also removes rounding errors of the matrix. A matrix that is not a
+    rotation, NaN included, gives NaN or an unrelated rotation, never an error.
     """
     trace = m[0][0] + m[1][1] + m[2][2]
     if trace >= m[0][0] and trace >= m[1][1] and trace >= m[2][2]:
@@ -116,7 +120,7 @@ def from_matrix(m: tuple[Vec3, Vec3, Vec3]) -> Quaternion:
 
 @jit
 def relative(q: Quaternion, q_before: Quaternion) -> Quaternion:
-    """Rotation from `q_before` to `q` in world coordinates, dR = R R_before^T, the short way (w >= 0)."""
+    """Return the shortest rotation (w >= 0) from `q_before` to `q` in world coordinates, dR = R R_before^T."""
     d = multiply(q, conjugate(q_before))
     if d[0] < 0.0:
         return (-d[0], -d[1], -d[2], -d[3])
@@ -125,16 +129,16 @@ def relative(q: Quaternion, q_before: Quaternion) -> Quaternion:
 
 @jit
 def twist(q: Quaternion, n: Vec3) -> float:
-    """Angle (rad, within +-pi) of the part of the rotation `q`, w >= 0, about the unit axis `n`.
+    """Return the twist of the rotation `q`, w >= 0, about the unit axis `n`: rad, within +-pi.
 
-    The sum phi + psi of the ZXZ Euler angles of `q` in any frame whose z axis is `n`.
+    It is the sum phi + psi of the ZXZ Euler angles of `q` in any frame whose z axis is `n`.
     """
     return angle_of(q[1] * n[0] + q[2] * n[1] + q[3] * n[2], q[0])
 
 
 @jit
 def tilt(q: Quaternion, n: Vec3) -> tuple[float, Vec3]:
-    """Roll of the rotation `q` (w >= 0) over a tangent plane.
+    """Return the tilt of the rotation `q` (w >= 0) over a tangent plane: the part that rolls.
 
     n        (3,)  1    unit normal of the tangent plane
     returns  rad, (3,)  tilt angle theta in [0, pi] and its unit axis in the tangent plane
@@ -142,8 +146,8 @@ def tilt(q: Quaternion, n: Vec3) -> tuple[float, Vec3]:
 
     With (w, v) the quaternion and z = v . n, the ZXZ angles of `q` in the contact frame satisfy
     |v - z n| = sin(theta / 2), sqrt(w^2 + z^2) = cos(theta / 2), and v - z n points along the heading
-    (phi - psi) / 2, which is the axis half way through the step. No frame has to be chosen, and theta = 0
-    is not singular.
+    (phi - psi) / 2, which is the axis halfway through the step. The result does not depend on the choice of a contact
+    frame, and theta = 0 is not singular.
     """
     v = (q[1], q[2], q[3])
     z = vec3.dot(v, n)
@@ -157,7 +161,7 @@ def tilt(q: Quaternion, n: Vec3) -> tuple[float, Vec3]:
 
 @jit
 def exp(w: Vec3) -> Quaternion:
-    """Unit quaternion of the rotation vector `w` (3,) rad."""
+    """Return the unit quaternion of the rotation vector `w` (3,) rad."""
     half = 0.5 * vec3.norm(w)
     s = 0.5 * sinc(half)
     return (cos(half), s * w[0], s * w[1], s * w[2])
@@ -165,7 +169,7 @@ def exp(w: Vec3) -> Quaternion:
 
 @jit
 def log(q: Quaternion) -> Vec3:
-    """Rotation vector (3,) rad of the unit quaternion `q` with w >= 0; its length is at most pi."""
+    """Return the rotation vector (3,) rad, at most pi long, of the unit quaternion `q` with w >= 0."""
     v = (q[1], q[2], q[3])
     s = vec3.norm(v)
     return vec3.scale(angle_of(s, q[0]) / s if s > 0.0 else 2.0, v)
@@ -173,11 +177,11 @@ def log(q: Quaternion) -> Vec3:
 
 @jit
 def tangent_frame(n: Vec3) -> tuple[Vec3, Vec3]:
-    """Unit vectors x, y with x, y, n right-handed; for n along +z the axes x and y themselves.
+    """Return unit vectors x, y such that x, y, n are right-handed; the world's x and y axes for n along +z.
 
-    The world's axes turned with ez to n the short way; where n points down, the axes x, -y, -z turned with
-    -ez to n. Continuous in each half-space, with a jump at n_z = 0. Source: Duff et al. (2017), Building an
-    Orthonormal Basis, Revisited.
+    They are the world's axes after the smallest rotation from ez to n; for n_z < 0, the axes x, -y, -z after the
+    smallest rotation from -ez to n. Continuous in each half-space, with a jump at n_z = 0.
+    Source: Duff et al. (2017), Building an Orthonormal Basis, Revisited.
     """
     sign = copysign(1.0, n[2])
     a = -1.0 / (sign + n[2])
@@ -187,17 +191,17 @@ def tangent_frame(n: Vec3) -> tuple[Vec3, Vec3]:
 
 @jit
 def euler_zyx(q: Quaternion) -> Vec3:
-    """Roll, pitch, yaw of the unit quaternion `q`: R = Rz(yaw) Ry(pitch) Rx(roll).
+    """Return roll, pitch and yaw of the unit quaternion `q`: R = Rz(yaw) Ry(pitch) Rx(roll).
 
     returns  (3,)  rad  (psi about x, theta about y within +-pi/2, phi about z)
 
-    At pitch +-pi/2 roll and yaw are one angle; all of it is then given to the roll.
+    At pitch +-pi/2 only the sum or difference of roll and yaw is defined; the yaw is then 0.
     """
     w, x, y, z = q
     r11, r21, r31 = w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)
     r32, r33 = 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z
     cosine = hypot(r11, r21)
-    # Below rounding r11 and r21 are noise, and their direction would be a random yaw.
+    # r11 and r21 below rounding are noise: they would give a random yaw.
     if cosine < 1e-15:
         r12, r22 = 2.0 * (x * y - w * z), w * w - x * x + y * y - z * z
         return (atan2(copysign(1.0, -r31) * r12, r22), atan2(-r31, 0.0), 0.0)

@@ -1,4 +1,4 @@
-"""Numbers: kept within bounds."""
+"""Helpers for scalars."""
 
 from softfinger.proxy.kernels.jit.decorators import jit
 

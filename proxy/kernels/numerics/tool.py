@@ -1,10 +1,10 @@
-"""A tool on the device's handle, such as a stylus: from the handle's pose to the tip's, and a wrench back.
+"""Tool on the device's handle, such as a stylus: transforms the handle's pose to the tip, and a wrench back.
 
-The fingertip is the tool's tip. With d the way from the handle to the tip, in the world, the handle's torque is that
-about the tip plus d x F: then F . v + tau . w is the same power at either end, whatever the hand does.
+The fingertip is the tool's tip. With d the displacement from the handle to the tip, world frame, the torque about the
+handle is that about the tip plus d x F: the power F . v + tau . w is then the same at both ends for any motion.
 
-It stands between the device and the contact, so every driver has it, and before the guard, which limits what the
-device is given: the torque of a long tool is clamped where it acts. Without a tool (None) nothing of it is compiled.
+The servo loop applies the tool between device and contact, so that it works with every driver, and before the guard, so
+that the torque of a long tool is clamped where the device exerts it. Without a tool (None) no code is compiled for it.
 """
 
 from typing import Any, NamedTuple
@@ -16,9 +16,9 @@ from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, nor
 
 
 class Tool(NamedTuple):
-    """Where the tip is on the handle.
+    """Pose of the tip relative to the handle.
 
-    lever  (3,) m  from handle to tip, in the tip's frame, which alone the contact remembers
+    lever  (3,) m  from handle to tip, in the tip's frame: the contact stores only the tip's orientation
     turn           unit quaternion, tip to handle
     """
 
@@ -28,17 +28,20 @@ class Tool(NamedTuple):
 
 @by_type
 def tip_of(tool: Any, handle: Pose) -> Any:
-    """Pose of the tip."""
+    """Return the pose of the tip, world frame."""
 
 
 @by_type
 def about_handle(tool: Any, tip: Quaternion, force: Vec3, torque: Vec3) -> Any:
-    """Torque (3,) N m about the handle of a wrench at the tip, whose orientation is `tip`; world frame."""
+    """Return the torque (3,) N m about the handle of a wrench at the tip.
+
+    All vectors are in the world frame; `tip` is the tip's orientation.
+    """
 
 
 @by_type
 def about_tip(tool: Any, tip: Quaternion, force: Vec3, torque: Vec3) -> Any:
-    """Torque (3,) N m about the tip of a wrench at the handle."""
+    """Return the torque (3,) N m about the tip of a wrench at the handle: the inverse of `about_handle`."""
 
 
 @tip_of.of(None)
@@ -73,7 +76,7 @@ def about_tip_of_tool(tool: Tool, tip: Quaternion, force: Vec3, torque: Vec3) ->
 
 
 def handle_of(tool: Tool | None, tip: Pose) -> Pose:
-    """Pose of the handle whose tip is there: the inverse of `tip_of`."""
+    """Return the pose of the handle from that of the tip: the inverse of `tip_of`."""
     if tool is None:
         return tip
     turn = multiply(tip.orientation, conjugate(tool.turn))
@@ -81,6 +84,10 @@ def handle_of(tool: Tool | None, tip: Pose) -> Pose:
 
 
 def make_tool(offset: Vec3, orientation: Quaternion) -> Tool:
-    """The tool whose tip is at `offset` (3,) m on the handle, turned by `orientation` (not zero), tip to handle."""
+    """Return a tool from the pose of its tip in the handle's frame.
+
+    offset       (3,)  m  position of the tip
+    orientation  (4,)     quaternion, tip to handle; not zero, normalised here
+    """
     turn = normalize(orientation)
     return Tool(rotate(conjugate(turn), offset), turn)

@@ -1,4 +1,4 @@
-"""Vectors in space as 3-tuples of float64; they live in registers and allocate nothing."""
+"""Vectors in space as 3-tuples of float64, which the compiler puts into registers: no allocation."""
 
 from math import sqrt
 
@@ -23,18 +23,22 @@ def scale(s: float, a: Vec3) -> Vec3:
 
 @jit
 def add_scaled(a: Vec3, s: float, b: Vec3) -> Vec3:
-    """a + s b."""
+    """Return a + s b."""
     return (a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2])
 
 
 LEAST = 1e-300
-"""Below this what fades away is nothing. A tick with a denormal number, below 2e-308, takes 1.3 to 2 times as long."""
+"""Smaller components of a decaying vector become 0. A tick with a denormal number (below 2e-308) takes 1.3 to 2 times
+as long."""
 
 
 @jit
 def faded(s: float, a: Vec3) -> Vec3:
-    """s a, and 0 for what of `a` is below LEAST: what falls by a share in each tick would end as a denormal number, for
-    good. A branch, which is foreseen, and not three choices: ticks wait for this number."""
+    """Return s a, with 0 for components of `a` below LEAST.
+
+    A component that decays by a factor in each tick would otherwise become denormal and remain so. A single branch,
+    which the processor predicts, rather than three selects: the tick waits for this value.
+    """
     if abs(a[0]) < LEAST or abs(a[1]) < LEAST or abs(a[2]) < LEAST:
         return (
             0.0 if abs(a[0]) < LEAST else s * a[0],
@@ -61,5 +65,5 @@ def norm(a: Vec3) -> float:
 
 @jit
 def reject(a: Vec3, n: Vec3) -> Vec3:
-    """Part of `a` normal to the unit vector `n`."""
+    """Return the component of `a` normal to the unit vector `n`."""
     return add_scaled(a, -dot(a, n), n)

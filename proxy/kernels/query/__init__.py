@@ -1,4 +1,4 @@
-"""All objects of a scene: where they are, what is nearest, and what is met first on a way.
+"""Queries over all objects of a scene: poses, nearest object, and first object hit on a path.
 
-No contact, no force, and nothing that lasts from tick to tick.
+No contact model, no forces, and no state between ticks, except in the simulation of rigid bodies (`bodies`).
 """

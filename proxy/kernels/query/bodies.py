@@ -1,12 +1,12 @@
-"""Rigid bodies that a simulation moves: where they are, what the fingers do to them, and its next step.
+"""Simulation of rigid bodies with MuJoCo: poses, reactions of the fingers, and the next step.
 
-The simulation is MuJoCo's, called by the addresses of its C functions on the memory of its model and its data: no
-interpreter lock, and no allocation. A tick goes: poses as they are now; contact of all fingers; minus each contact's
-wrench onto the body that it is on; then, behind the devices' writes, the step. So poses are fresh and nothing is a
-step late, which bodies of less than 100 g would not bear.
+MuJoCo's C functions are called by address, on the memory of its model and data: without the interpreter lock and
+without allocation. A tick has four stages: read the current poses; compute the contacts of all fingers; apply the
+negative wrench of each contact to the touched body; and, after the output to the devices, step the simulation. So no
+pose and no wrench is a step late. A delay of one step would make bodies of less than 100 g unstable.
 
-A step that fails is a fault of the bodies, not of the run: they stand still, and nothing is touched, until they begin
-again.
+A failed step is a fault of the bodies and does not end the run: the bodies do not move, and the fingers touch nothing,
+until the simulation is reset.
 """
 
 from typing import Any, Final
@@ -20,69 +20,70 @@ from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import Bodies, Contact, ContactOutcome, FingerState, Pose, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
-# Words of a block (int64): handles and functions, then addresses of what the simulation has for each body.
+# Elements of a block (int64): handles and functions, then addresses of the arrays of the simulation.
 MODEL: Final = 0
 DATA: Final = 1
 FIRST_HALF: Final = 2
-"""mj_step1: positions, velocities and what follows from them."""
+"""Address of mj_step1: positions, velocities, and all quantities that depend on them."""
 SECOND_HALF: Final = 3
-"""mj_step2: forces, accelerations and the next state."""
+"""Address of mj_step2: forces, accelerations, and the next state."""
 POSITION: Final = 4
-"""xpos (bodies, 3) m and xquat (bodies, 4): its frame in the world."""
+"""xpos (bodies, 3) m; ORIENTATION is xquat (bodies, 4): frame of a body in the world."""
 ORIENTATION: Final = 5
 MASS_CENTER: Final = 6
 """xipos (bodies, 3) m."""
 WRENCH: Final = 7
-"""xfrc_applied (bodies, 6): force, N, and torque about the centre of mass, N m, in the world's frame."""
+"""xfrc_applied (bodies, 6): force, N, and torque about the centre of mass, N m, in the world frame."""
 WARNINGS: Final = 8
-"""The first of WARNING_COUNT counters (int32), each WARNING_BYTES behind the one before."""
+"""First of WARNING_COUNT counters (int32), at intervals of WARNING_BYTES."""
 WARNING_COUNT: Final = 9
 WARNING_BYTES: Final = 10
 SUBSTEPS: Final = 11
-"""Steps in a tick."""
+"""Number of simulation steps in a tick."""
 VELOCITY: Final = 12
-"""cvel (bodies, 6): rad/s, and m/s of the point of the body at TREE_CENTER."""
+"""cvel (bodies, 6): angular velocity, rad/s, and velocity of the body's point at TREE_CENTER, m/s."""
 TREE_CENTER: Final = 13
-"""subtree_com (bodies, 3) m; TREE_ROOT, body_rootid (bodies,) int32, is the row that is a body's."""
+"""subtree_com (bodies, 3) m; TREE_ROOT, body_rootid (bodies,) int32, is the row of a body's tree."""
 TREE_ROOT: Final = 14
 MOVING: Final = 15
-"""How many bodies can move."""
+"""Number of bodies that can move."""
 FAULT: Final = 16
-"""Two int64 that change: the fault, NO_FAULT to SLOW, and by how many more steps took too long than did not."""
+"""Two int64 that change: the fault, NO_FAULT to SLOW, and the excess of slow steps over fast ones, at least 0."""
 RESCUE: Final = 17
 """Memory of `rescued`."""
 BUDGET_NS: Final = 18
-"""How long a step may take, ns; 0 for any time."""
+"""Largest duration of a step, ns; 0 for no limit."""
 LAST_POSITION: Final = 19
 LAST_ORIENTATION: Final = 20
-"""POSITION and ORIENTATION before the last step, of the bodies that can move."""
+"""xquat before the last step, and LAST_POSITION is xpos, of the bodies that can move."""
 BLOCK_SIZE: Final = 21
 
 SLOW_STEPS: Final = 20
-"""A step that was interrupted comes alone; a model that is too large takes too long in more than half of its steps."""
+"""Excess of slow steps over fast ones that is a fault. An interruption makes a single step slow; a model that is too
+large makes more than half of the steps slow."""
 
 MOTION_SIZE: Final = 13
-"""Numbers that tell of a body's motion: position (3,) m, orientation w, x, y, z, velocity (3,) m/s, rate (3,) rad/s."""
+"""Values of a body's motion: position (3,) m, quaternion, velocity (3,) m/s, angular velocity (3,) rad/s."""
 
 
 NO_FAULT: Final = 0
 WARNED: Final = 1
-"""MuJoCo has warned since it began: of numbers that are none, of memory that is full."""
+"""MuJoCo has issued a warning since the last reset: a value is not finite, or its memory is full."""
 ERROR: Final = 2
-"""MuJoCo met an error, which would have ended the process; its words are in the memory of RESCUE."""
+"""MuJoCo had an error, which would have ended the process; its message is in the memory of RESCUE."""
 SLOW: Final = 3
-"""Steps took more time than they may."""
+"""The steps take longer than BUDGET_NS."""
 
 
 @jit
 def pose_of_body(block: Any, body: float) -> Pose:
-    """Frame of a body in the world, now."""
+    """Return the current frame of a body in the world."""
     return frame_in(float64_at(block[POSITION]), float64_at(block[ORIENTATION]), int(body))
 
 
 @jit
 def last_pose_of_body(block: Any, body: float) -> Pose:
-    """Frame of a body in the world before the last step; only of one that can move."""
+    """Return the frame of a body in the world before the last step; only for a body that can move."""
     return frame_in(float64_at(block[LAST_POSITION]), float64_at(block[LAST_ORIENTATION]), int(body))
 
 
@@ -94,10 +95,10 @@ def frame_in(x: Any, q: Any, body: int) -> Pose:
 
 @jit
 def push_bodies(bodies: Bodies, contacts: Any, fingers: Any) -> None:
-    """Let minus the wrenches of all contacts act on the bodies, in place of those of the last step.
+    """Apply the negative wrenches of all contacts to the bodies, instead of those of the last step.
 
     contacts  a Contact for each finger
-    fingers   a FingerState for each
+    fingers   a FingerState for each finger
     """
     wrench = float64_at(bodies.block[WRENCH])
     for k in range(int(bodies.objects)):
@@ -123,7 +124,7 @@ def push_by_contact(contact: ContactOutcome, center: Vec3, bodies: Bodies) -> No
 
 @jit
 def push(block: Any, body: int, force: Vec3, torque: Vec3, center: Vec3) -> None:
-    """Take a wrench about `center` (3,) m, that a body exerts, from what acts on it."""
+    """Subtract the wrench about `center` (3,) m that a body exerts from the wrench applied to it."""
     wrench, mass = float64_at(block[WRENCH]), float64_at(block[MASS_CENTER])
     origin = (mass[3 * body], mass[3 * body + 1], mass[3 * body + 2])
     about = vec3.add(torque, vec3.cross(vec3.sub(center, origin), force))
@@ -135,9 +136,9 @@ def push(block: Any, body: int, force: Vec3, torque: Vec3, center: Vec3) -> None
 
 @by_type
 def tell_motion(bodies: Any, tick: int, slot: Slot, scratch: Any) -> None:
-    """Let others read where the bodies that can move are, and how fast: after the tick's number MOTION_SIZE each.
+    """Publish the motion of the bodies that can move: the number of the tick, then MOTION_SIZE values for each body.
 
-    scratch  (1 + MOTION_SIZE * n,)
+    scratch  (1 + MOTION_SIZE * n,)  work array, n the number of bodies that can move
     """
 
 
@@ -169,7 +170,7 @@ def tell_motion_of_bodies(bodies: Bodies, tick: int, slot: Slot, scratch: Any) -
 
 @by_type
 def step_bodies(bodies: Any) -> Any:
-    """The next state of all bodies; returns their fault, NO_FAULT while there is none. With one they stand still."""
+    """Advance all bodies by one step and return their fault, or NO_FAULT. With a fault, the bodies do not move."""
 
 
 @step_bodies.of(None)
@@ -191,7 +192,7 @@ def step_all_bodies(bodies: Bodies) -> int:
 
 @jit
 def keep_poses(bodies: Bodies) -> None:
-    """Frames of now become those before the last step."""
+    """Store the current frames as those before the last step."""
     block = bodies.block
     x, q = float64_at(block[POSITION]), float64_at(block[ORIENTATION])
     last_x, last_q = float64_at(block[LAST_POSITION]), float64_at(block[LAST_ORIENTATION])
@@ -205,7 +206,7 @@ def keep_poses(bodies: Bodies) -> None:
 
 @jit
 def step_half(block: Any, half: int) -> int:
-    """FIRST_HALF or SECOND_HALF of a step; returns the fault that it met."""
+    """Compute FIRST_HALF or SECOND_HALF of a step and return its fault, or NO_FAULT."""
     if call_half(block, half) != 0:
         return ERROR
     for i in range(block[WARNING_COUNT]):
@@ -215,7 +216,7 @@ def step_half(block: Any, half: int) -> int:
 
 
 def _call_by_binding(block: Any, half: int) -> int:
-    """As plain Python: MuJoCo's own package has a way back of its own."""
+    """Call MuJoCo in plain Python: its package converts an error to an exception."""
     return int(block.owner.step_half(half))
 
 
@@ -224,20 +225,20 @@ def _call_by_address(block: Any, half: int) -> int:
 
 
 call_half: Any = _call_by_binding if PLAIN else jit(_call_by_address)
-"""Call a half of a step; 0, or 1 where MuJoCo met an error."""
+"""Call one half of a step; return 1 if MuJoCo had an error, otherwise 0."""
 
 
 @jit
 def faulty(bodies: Bodies) -> bool:
-    """Whether the bodies have a fault, and stand still until they begin again."""
+    """Return True if the bodies have a fault: they do not move until the simulation is reset."""
     return bool(int64_at(bodies.block[FAULT])[0] != NO_FAULT)
 
 
 @jit
 def keep_to_budget(bodies: Bodies, took_ns: int) -> None:
-    """Let the bodies have the fault SLOW once SLOW_STEPS more steps took longer than they may than did not.
+    """Set the fault SLOW if slow steps, longer than BUDGET_NS, exceed fast ones by SLOW_STEPS.
 
-    took_ns  of one step
+    took_ns  duration of one step
     """
     block = bodies.block
     if block[BUDGET_NS] > 0:

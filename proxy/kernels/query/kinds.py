@@ -1,4 +1,7 @@
-"""Which objects may be touched in many places: what a scene without any leaves out, known when it is compiled."""
+"""Selection of code by the kinds of objects in a scene, at compile time.
+
+Only meshes and height maps can touch a fingertip at several points. A scene without them is compiled without that code.
+"""
 
 from collections.abc import Callable
 from typing import Any, Final
@@ -12,13 +15,19 @@ from softfinger.proxy.kernels.shapes.composite import has_creases, is_mesh_shape
 
 
 def moves_by_itself(*given: Any) -> bool:
-    """Return whether there are bodies of a simulation among arguments of those types: such a tick takes microseconds,
-    and the code of each finger, compiled into each of its callers, would take a minute."""
+    """Return True if one of the arguments contains an object attached to a body of a simulation.
+
+    A tick of a simulation takes microseconds, so a call by address costs little. Inlining the code of each finger into
+    each of its callers would take a minute to compile.
+    """
     return Bodies in kinds_in(given)
 
 
 def takes_long(*given: Any) -> bool:
-    """Return whether queries of objects of those types take long enough for a call by address not to count."""
+    """Return True if one of the arguments contains several objects, a mesh or a height map.
+
+    Queries of them take so long that the cost of a call by address is negligible.
+    """
     return not {Many, Mesh, Heightmap}.isdisjoint(kinds_in(given))
 
 
@@ -34,11 +43,11 @@ def _kind_among(kinds: Any) -> str:
 
 
 def by_multipoint(declaration: Callable[..., Any]) -> Any:
-    """Declare a kernel chosen by the objects of a scene; of the others nothing is compiled.
+    """Declare a kernel chosen by the objects of a scene; only the chosen implementation is compiled.
 
-    .of(WITH_HEIGHTMAP)  one is a height map
-    .of(WITH_MESH)       one is a mesh, and none a height map
-    .of(SINGLE_POINT)    none is either: each is touched in one point
+    .of(WITH_HEIGHTMAP)  at least one is a height map
+    .of(WITH_MESH)       at least one is a mesh, and none a height map
+    .of(SINGLE_POINT)    no mesh and no height map: each object touches a fingertip at one point
     """
 
     def sort(objects: Any) -> str:
@@ -69,7 +78,7 @@ def by_patches(declaration: Callable[..., Any]) -> Any:
 
 @by_multipoint
 def any_mesh(objects: Any) -> Any:
-    """Return whether there is a mesh among them."""
+    """Return True if one of the objects is a mesh."""
 
 
 @any_mesh.of(SINGLE_POINT)
@@ -104,7 +113,7 @@ def many_have_meshes(objects: Many) -> bool:
 
 @by_multipoint
 def any_creases(objects: Any) -> Any:
-    """Return whether there is a height map among them."""
+    """Return True if one of the objects is a height map."""
 
 
 @any_creases.of(WITH_HEIGHTMAP)
@@ -119,13 +128,13 @@ def no_creases(objects: Any) -> bool:
 
 @jit
 def any_multipoint(objects: Any) -> bool:
-    """Whether there is one of either."""
+    """Return True if one of the objects is a mesh or a height map."""
     return any_mesh(objects) or any_creases(objects)
 
 
 @by_multipoint
 def kind_at(objects: Any, index: float) -> Any:
-    """Return 1 for a triangle of a mesh, 2 for a height map, 0 for another object or an index below 0."""
+    """Return 1 if object `index` is a triangle of a mesh, 2 if it is a height map, 0 for any other object or none."""
 
 
 @kind_at.of(SINGLE_POINT)
@@ -143,11 +152,11 @@ def kind_of_surface(objects: Any, index: float) -> float:
 
 @jit
 def is_mesh_at(objects: Any, index: float) -> bool:
-    """Whether the object with that index is a triangle of a mesh."""
+    """Return True if object `index` is a triangle of a mesh."""
     return kind_at(objects, index) == 1.0
 
 
 @jit
 def has_creases_at(objects: Any, index: float) -> bool:
-    """Whether the object with that index is a height map."""
+    """Return True if object `index` is a height map."""
     return kind_at(objects, index) == 2.0

@@ -1,10 +1,10 @@
-"""Objects that move by themselves: their pose, in closed form of the time.
+"""Poses of moving objects, as a function of time.
 
-    pose_at(motion, pose, time) -> Pose       where the object is; `pose` is where it rests
+    pose_at(motion, pose, time) -> Pose       pose of the object; `pose` is its base pose
 
-A motion is given in the object's own frame at rest: pose(t) = pose * motion(t). Changing the pose of
-rest while running carries the motion along. Without a motion (None), and for an object driven from
-outside, the pose is the one at rest; the rate of a driven object is known to its driver only.
+A motion is relative to the base pose: pose(t) = pose * motion(t), so a change of the base pose during a run moves the
+path, too. Without a motion (None), and for an object driven from outside (Driven), the pose is the base pose; the
+velocity of a driven object is unknown here. The pose of a Simulated object depends on its body, not on time.
 """
 
 from math import cos, floor, pi, sin
@@ -31,7 +31,7 @@ from softfinger.proxy.kernels.numerics.frames import into, out_of
 from softfinger.proxy.kernels.query.bodies import pose_of_body
 
 TURNS_CEILING = 1e15
-"""Past this many turns float64 has no fraction of a turn left."""
+"""Number of turns beyond which float64 cannot represent a fraction of a turn."""
 
 
 @by_type
@@ -40,28 +40,28 @@ def pose_at(motion: Any, pose: Pose, time: float) -> Any: ...
 
 @jit
 def angle_after(turns: float) -> float:
-    """Angle in [0, 2 pi) of so many turns; whole ones are dropped first, lest the sine lose them."""
+    """Return the angle in [0, 2 pi) of a number of turns; the sine of an unreduced angle would be inexact."""
     turns = min(max(turns, -TURNS_CEILING), TURNS_CEILING)
     return 2.0 * pi * (turns - floor(turns))
 
 
 @jit
 def turned(axis: Vec3, angle: float) -> Quaternion:
-    """Rotation by `angle` rad about the unit vector `axis`."""
+    """Return the rotation by `angle` rad about the unit vector `axis`."""
     s = sin(0.5 * angle)
     return (cos(0.5 * angle), s * axis[0], s * axis[1], s * axis[2])
 
 
 @jit
 def carried(pose: Pose, position: Vec3, turn: Quaternion) -> Pose:
-    """Pose in the world of what has a position (3,) m and rotation in the frame `pose`."""
+    """Return the pose in the world of a position (3,) m and a rotation in the frame `pose`."""
     moved = vec3.add(pose.position, rotations.rotate(pose.orientation, position))
     return Pose(moved, rotations.multiply(pose.orientation, turn))
 
 
 @by_type
 def moving_pose(motion: Any, pose: Any) -> Any:
-    """Pose of an object that can move, None of one that cannot."""
+    """Return the pose of an object that can move, None for one that cannot."""
 
 
 @moving_pose.of(None)
@@ -81,27 +81,27 @@ def pose_at_rest(motion: None, pose: Pose, time: float) -> Pose:
 
 @pose_at.of(Driven)
 def pose_of_driven(motion: Driven, pose: Pose, time: float) -> Pose:
-    """The pose of rest is set anew by whoever drives it."""
+    """Return the base pose, which commands from outside set."""
     return pose
 
 
 @pose_at.of(Sinusoid)
 def pose_of_sinusoid(motion: Sinusoid, pose: Pose, time: float) -> Pose:
-    """To and fro by s = sin(2 pi f t + phase): s A along, s alpha about the axis through the origin."""
+    """Translate by s A and rotate by s alpha about the axis through the origin, with s = sin(2 pi f t + phase)."""
     s = sin(angle_after(motion.frequency * time) + motion.phase)
     return carried(pose, vec3.scale(s, motion.translation), turned(motion.axis, s * motion.angle))
 
 
 @pose_at.of(Turntable)
 def pose_of_turntable(motion: Turntable, pose: Pose, time: float) -> Pose:
-    """Turned by rate * t about the axis through the pivot, a point of the object that stays."""
+    """Rotate by rate * t about the axis through the pivot, the point of the object that does not move."""
     turn = turned(motion.axis, angle_after(motion.rate * time / (2.0 * pi)))
     return carried(pose, vec3.sub(motion.pivot, rotations.rotate(turn, motion.pivot)), turn)
 
 
 @pose_at.of(Simulated)
 def pose_of_simulated(motion: Simulated, pose: Pose, time: float) -> Pose:
-    """The pose of rest is that in the body's frame."""
+    """Return the pose of an object attached to a body; its base pose is in the frame of the body."""
     return carried(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
 
 
@@ -145,7 +145,7 @@ def moves(motion: Any) -> float:
 
 @by_type_of("was")
 def carried_along(body: Any, x: Vec3) -> Any:
-    """Return where a point `x` (3,) m of the last tick is now if it rode on the object."""
+    """Return the current position of a point that was at `x` (3,) m at the last tick and moved with the object."""
 
 
 @carried_along.of(None)

@@ -1,4 +1,4 @@
-"""Queries of one object of a scene by its index (`container`), and of the nearest of all, in the world's frame."""
+"""Queries of one object of a scene by its index (`container`), and of the nearest of all, in the world frame."""
 
 from typing import Any
 
@@ -20,30 +20,31 @@ from softfinger.proxy.kernels.shapes import (
 from softfinger.proxy.kernels.shapes.composite import Deepest, has_creases, nearest_of_shape, neighbour_of, raised_clear
 
 NOBODY: Vec3 = (-1.0, -1.0, -1.0)
-"""Indices of no objects."""
+"""Three indices of no object."""
 NOWHERE = 1e300
-"""Gap, m, of no object."""
+"""Gap, m, without an object."""
 SWING = 0.2
-"""Turn of the contact round a hollow in a tick, rad, past which it slides: no hand follows it thirty times a second."""
+"""Largest angle of the contact round a hollow in a tick, rad; beyond it the contact slides. At 1 kHz that is thirty
+turns per second, which no hand follows."""
 
 
 @jit
 def closest_on(shape: Any, pose: Any, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """`closest` of a shape with that pose, in the world."""
+    """Return `closest` of a shape with that pose, in the world frame."""
     gap, point, normal = closest(shape, into(pose, x))
     return gap, out_of(pose, point), turn_out_of(pose, normal)
 
 
 @jit
 def closest_or_bound_on(body: Any, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
-    """`closest_or_bound` of one object in the world."""
+    """Return `closest_or_bound` of one object in the world frame."""
     gap, point, normal, unsearched = closest_or_bound(body.shape, into(body.pose, x))
     return gap, out_of(body.pose, point), turn_out_of(body.pose, normal), unsearched
 
 
 @jit
 def closest_to_within(objects: Any, index: float, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
-    """`closest_within` of the object with that index."""
+    """Return `closest_within` of object `index` in the world frame."""
     body = object_at(objects, index)
     gap, foot, up, budget = closest_within(body.shape, into(body.pose, x), budget)
     return gap, out_of(body.pose, foot), turn_out_of(body.pose, up), budget
@@ -53,7 +54,7 @@ def closest_to_within(objects: Any, index: float, x: Vec3, budget: int) -> tuple
 def constraint_of(
     objects: Any, index: float, center: Vec3, radius: float, normal: Vec3, budget: int
 ) -> tuple[Vec3, Vec3, int]:
-    """`constraint_at` of the object with that index, in the world."""
+    """Return `constraint_at` of object `index` in the world frame."""
     body = object_at(objects, index)
     pose = body.pose
     foot, up, budget = constraint_at(body.shape, into(pose, center), radius, turn_into(pose, normal), budget)
@@ -62,34 +63,34 @@ def constraint_of(
 
 @jit
 def normal_law_of(objects: Any, index: float) -> Any:
-    """Law of the normal force of the object with that index; bare objects have no more of a material (`all_bare`)."""
+    """Return the law of the normal force of object `index`; the only part of a material that bare objects have."""
     return object_at(objects, index).material.normal
 
 
 @jit
 def material_of(objects: Any, index: float) -> Material:
-    """Material of the object with that index, of whole objects: all of a scene have the same parts."""
+    """Return the material of object `index`. All materials of a scene have the same types; not for bare objects."""
     return object_at(objects, index).material
 
 
 @jit
 def number_of(objects: Any, index: float) -> float:
-    """Number in the scene file of the object with that index, -1 for none; several may make one object."""
+    """Return the scene file's index of object `index`, -1 for none; several may form one object of the file."""
     return object_at(objects, index).number if index >= 0.0 else -1.0
 
 
 @jit
 def is_inside(objects: Any, index: float) -> bool:
-    """Whether the object with that index is touched from inside."""
+    """Return True if object `index` is touched from inside."""
     return index >= 0.0 and is_hollow(object_at(objects, index).shape)
 
 
 @jit
 def slides_round_hollow(body: Any, radius: float, center: Vec3, normal: Vec3, theta: float) -> bool:
-    """Whether a roll by `theta` rad takes the contact round a hollow so far that its way cannot be followed.
+    """Return True if a roll by `theta` rad moves the contact too far round a hollow to roll there.
 
-    The contact turns by k r theta, k the curvature of the surface that the centre moves on: any number of times the
-    roll in a hollow that the fingertip nearly fills.
+    The contact turns by k r theta, with k the curvature of the offset surface. In a hollow that the fingertip nearly
+    fills, that is many times theta.
     """
     point = into(body.pose, vec3.add_scaled(center, -radius, normal))
     return bend(body.shape, radius, point, turn_into(body.pose, normal)) * radius * theta > SWING
@@ -97,8 +98,10 @@ def slides_round_hollow(body: Any, radius: float, center: Vec3, normal: Vec3, th
 
 @jit
 def curvature_of(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    """`curvature` of the object with that index, in the world; 0 of a height map, which may be touched on both sides of
-    a valley at once."""
+    """Return `curvature` of object `index` in the world frame.
+
+    0 for a height map, which may be touched on both sides of a valley at once.
+    """
     body = object_at(objects, index)
     if has_creases(body.shape) != 0.0:
         return 0.0, 0.0, normal
@@ -109,7 +112,7 @@ def curvature_of(objects: Any, index: float, radius: float, center: Vec3, normal
 
 @jit
 def neighbour_on(objects: Any, index: float, x: Vec3) -> float:
-    """Return the index of the triangle closer to `x` (3,) m than that one, beyond one of its edges; else `index`."""
+    """Return the index of the neighbouring facet if it is closer to `x` (3,) m than object `index`, else `index`."""
     if index < 0.0:
         return index
     body = object_at(objects, index)
@@ -118,12 +121,11 @@ def neighbour_on(objects: Any, index: float, x: Vec3) -> float:
 
 @by_type
 def deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Any:
-    """Smallest gap of `x` (3,) m over all objects.
+    """Return the object nearest to `x` (3,) m, with its gap.
 
-    within        m  gaps beyond it may be left out; of no object, then, is the gap 1e300
-    known   (3,)     indices of up to three objects, -1 for none, to which no equally near triangle of their mesh is
-                     preferred
-    budget           nodes and triangles of meshes, and tiles of height maps, that may be asked
+    within        m  search distance: objects beyond it may be omitted; the gap is 1e300 if none is found
+    known   (3,)     indices of up to three objects, -1 for none, preferred to equally near triangles of their mesh
+    budget           nodes and triangles of meshes, and tiles of height maps, that may be visited
     """
 
 
@@ -170,6 +172,6 @@ def facet_in(row: int, index: float) -> float:
 
 @jit
 def raised_clear_of(objects: Any, index: float, center: Vec3, radius: float) -> Vec3:
-    """`raised_clear` of the object with that index, in the world."""
+    """Return `raised_clear` of object `index` in the world frame."""
     body = object_at(objects, index)
     return out_of(body.pose, raised_clear(body.shape, into(body.pose, center), radius))

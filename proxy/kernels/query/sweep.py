@@ -1,6 +1,7 @@
-"""Which object a fingertip meets first on its way: nothing thin is jumped over in a tick, whoever moves.
+"""First object that a fingertip hits on its path in a tick, so that neither can pass through the other.
 
-The way is the one that the object sees: straight, in its own frame, from where the fingertip was to where it is.
+The path is straight in the frame of each object, from the fingertip's last position to its current one. So a thin
+object that moves is detected, too.
 """
 
 from typing import Any
@@ -18,14 +19,18 @@ from softfinger.proxy.kernels.shapes.protocol import meets
 
 @by_type
 def first_hit(objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int) -> Any:
-    """Index of the first object met, -1 for none, where (3,) m its surface and the fingertip meet, and what is left of
-    the budget; where that is used up on a mesh or a height map it counts as met.
+    """Find the first object that the fingertip hits.
 
-    start   (3,) m  where the way begins, at the last tick: an object that has moved since has taken it along
-    end     (3,) m  where the way ends now
+    returns  index of the object, -1 for none, the fingertip's centre (3,) m there, and the remaining budget
+
+    If the budget runs out on a mesh or a height map, that counts as a hit.
+
+
+    start   (3,) m  start of the path, at the last tick; it moves along with an object that has moved since
+    end     (3,) m  end of the path
     leaves          see `travel`
-    skip            indices of up to three objects that are left out
-    budget          nodes and triangles of meshes, and tiles of height maps, that may be asked
+    skip            indices of up to three objects to be ignored
+    budget          maximum number of nodes and triangles of meshes, and tiles of height maps, to be queried
     """
 
 
@@ -33,7 +38,7 @@ def first_hit(objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool,
 def meets_it(
     body: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
 ) -> tuple[float, float, Vec3, int]:
-    """Share of the way at which an object is met, the index of its triangle, where (3,) m, and the budget left."""
+    """Return the share of the path at the hit, the triangle, the centre (3,) m there, and the remaining budget."""
     begin = carried_along(body, start)
     met, facet, budget = meets(body.shape, into(body.pose, begin), into(body.pose, end), radius, leaves, budget)
     return met, facet, vec3.add_scaled(begin, met, vec3.sub(end, begin)), budget

@@ -1,7 +1,7 @@
-"""The world in a tick: advanced once, whatever the number of fingers, and then read by each of them.
+"""Poses of all objects in a tick, computed once by `step` and read by every finger.
 
-An object is where the World says. How it got there, by a law of the time, driven from outside or by
-forces, is known here only.
+An object moves by a function of time, by commands from outside, or by the forces of a simulation. Other modules only
+read the resulting poses from the World; the kind of motion makes no difference to them.
 """
 
 from typing import Any
@@ -18,7 +18,7 @@ from softfinger.proxy.kernels.query.motion import carried, moving_pose, pose_at
 
 @by_type
 def advance(objects: Any, world: World, dt: float) -> Any:
-    """Return the world a tick of dt (s) later: every object that can move where its motion has brought it."""
+    """Return the world after a tick of `dt` s, with the new pose of every object that can move."""
 
 
 @advance.of(Single)
@@ -54,7 +54,10 @@ def move_one(entry: Entry, world: World, memory: Mutable, at: int, time: float) 
 
 @by_type
 def since(was: Any, started: float, pose: Any) -> Any:
-    """Return the pose of the last tick, before the first tick that of now; None for an object that cannot move."""
+    """Return the pose of an object at the last tick, None if it cannot move.
+
+    In the first tick this is the current pose: the object counts as not having moved.
+    """
 
 
 @since.of(None)
@@ -69,7 +72,7 @@ def since_last_tick(was: Pose, started: float, pose: Pose) -> Pose:
 
 @by_type
 def standing(pose: Any, rest: Any) -> Any:
-    """Return the pose in the world; of an object that cannot move (None) the one at rest."""
+    """Return the pose in the world: `pose`, or the base pose `rest` if the object cannot move (None)."""
 
 
 @standing.of(None)
@@ -84,7 +87,7 @@ def standing_where_it_moved(pose: Pose, rest: Any) -> Pose:
 
 @by_type
 def place_all(objects: Any, world: World) -> Any:
-    """Return the objects where the world has them."""
+    """Return all objects with their poses of this tick and the last: `poses` and `was` of the World."""
 
 
 @place_all.of(Single)
@@ -100,9 +103,9 @@ def place_many(objects: Many, world: World) -> Many:
 
 @by_type
 def all_bare(objects: Any) -> Any:
-    """Return the objects without what their geometry and their normal force do not depend on.
+    """Return the objects without friction, torsion, effects and texture: geometry and normal force do not need them.
 
-    Kernels that are given no more are compiled once for all scenes with objects of this type, and are kept.
+    Kernels for bare objects are compiled once for all scenes with objects of this type, and cached.
     """
 
 

@@ -1,7 +1,7 @@
-"""Geometry of each shape: the only folder to extend for a new surface, with one file per family of
-convex shapes and one folder for each that has its own search. The line that imports them is the table of shapes.
+"""Geometry of the shapes: a file for each family of simple shapes, a folder for each shape that needs a search.
 
-See `protocol` for what a shape has to give. A package of its own may give the same for shapes of its own.
+A new shape is added in this folder only: importing its module registers it. `protocol` lists the functions that a
+shape implements; another package can implement them for its shapes, too.
 """
 
 from softfinger.proxy.kernels.shapes import ellipsoid, heightmap, mesh, minkowski, plane, round, sharp, torus

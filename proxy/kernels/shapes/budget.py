@@ -1,17 +1,17 @@
-"""How much of a mesh or a height map a tick may search, and how far a step may go: one budget for every shape."""
+"""Limits of the searches of a tick on meshes and height maps, and of the length of a step."""
 
 BUDGET = 1536
-"""Nodes and triangles that a fingertip may ask in a tick to come to rest: some fifty microseconds at the worst, and
-many times what it needs on a scan. Half as many may be asked on the way to a first touch."""
+"""Nodes and triangles that a fingertip may visit in a tick to find its rest position: at worst about 50 us, and many
+times the number needed on a scanned mesh. The path to a first contact may use half of it."""
 
 
 SPENT = -1
-"""What is left of a budget that was used up."""
+"""Remaining budget after it was exhausted."""
 
 
 STRIDE = 0.9
-"""Share of its radius that a fingertip's centre goes between two looks at what is around it."""
+"""Largest distance, as a share of its radius, that a fingertip's centre moves between two searches around it."""
 
 
 ROOM = 4096
-"""Lanes that a query may have waiting; the most that a budget can be."""
+"""Capacity of a query's queue of lanes; the largest possible budget."""

@@ -1,10 +1,10 @@
-"""Coordinates on a surface, for what lies along it.
+"""Surface coordinates, for textures.
 
-    chart(shape, fade, x, normal) -> Chart    of the surface point under x
+    chart(shape, fade, x, normal) -> Chart    at the surface point under x
 
-A flat face has the two other coordinates of the shape's frame, in the order x, y, z: the plane and the ends of a
-cylinder x and y, the faces of a box x and y, x and z, or y and z. A cylinder has the arc length round its axis, zero
-towards x, and z. Which face counts is what `normal` says.
+The coordinates of a flat face are two of the shape's frame, in the order x, y, z: x and y on the plane and on the ends
+of a cylinder; x and y, x and z, or y and z on the faces of a box. Those of the side of a cylinder are the arc length
+round its axis, zero towards x, and z. `normal` selects the face.
 """
 
 from math import atan2, sqrt
@@ -16,15 +16,15 @@ from softfinger.proxy.kernels.model import Box, CappedCylinder, Cylinder, Plane,
 from softfinger.proxy.kernels.shapes.protocol import FAN
 
 ENDLESS = 1e300
-"""m to the edge of a surface without one."""
+"""Distance to the edge of a surface that has no edge, m."""
 
 
 class Chart(NamedTuple):
-    """Coordinates of the surface point under x, and how they change with x.
+    """Coordinates of the surface point under x, and their gradients with respect to x.
 
-    u, v             m
+    u, v                m         coordinates
     along_u, along_v    (3,) 1    their gradients
-    inside              1      0 at the edge of the face, 1 from `fade` within it on, smooth between
+    inside              1         0 at the edge of the face, 1 at the distance `fade` from it and beyond, smooth between
     inward              (3,) 1/m  gradient of `inside`
     """
 
@@ -42,21 +42,21 @@ def chart(shape: Any, fade: float, x: Vec3, normal: Vec3) -> Any: ...
 
 @jit
 def ease(margin: float, fade: float) -> tuple[float, float]:
-    """3 s^2 - 2 s^3 of s = margin / fade between 0 and 1, and its derivative, 1/m."""
+    """Return 3 s^2 - 2 s^3, with s = margin / fade clamped to [0, 1], and its derivative, 1/m."""
     s = min(max(margin / fade, 0.0), 1.0)
     return s * s * (3.0 - 2.0 * s), 6.0 * s * (1.0 - s) / fade
 
 
 @jit
 def within(margin: float, fade: float, coordinate: float) -> tuple[float, float]:
-    """`ease` of |coordinate| that ends `margin` on, and its derivative by the coordinate."""
+    """Return `ease` at the distance `margin` from the edge, and its derivative with respect to the coordinate."""
     share, slope = ease(margin, fade)
     return share, -slope if coordinate > 0.0 else slope
 
 
 @jit
 def flat(fade: float, x: Vec3, normal: Vec3, half: Vec3) -> Chart:
-    """A face at right angles to an axis, |x_i| <= half_i."""
+    """Return the chart of a face normal to an axis, |x_i| <= half_i."""
     a, b, c = abs(normal[0]), abs(normal[1]), abs(normal[2])
     i, di = within(half[0] - abs(x[0]), fade, x[0])
     j, dj = within(half[1] - abs(x[1]), fade, x[1])
@@ -70,8 +70,8 @@ def flat(fade: float, x: Vec3, normal: Vec3, half: Vec3) -> Chart:
 
 @jit
 def round_z(radius: float, x: Vec3, share: float, slope: float) -> Chart:
-    """The side of a cylinder; `share` and `slope` are what ends it along z."""
-    # Nearer to the axis than rounding there is no way round it.
+    """Return the chart of the side of a cylinder; `share` and `slope` are `inside` and its derivative along z."""
+    # Lower bound: on the axis the arc length has no finite gradient.
     away = max(sqrt(x[0] * x[0] + x[1] * x[1]), FAN * radius)
     turned = radius / (away * away)
     around = (-turned * x[1], turned * x[0], 0.0)

@@ -1,13 +1,14 @@
-"""What a shape can do that is touched in several places at once: a mesh, whose triangles are objects of their own, or a
-height map. Every other shape takes the defaults.
+"""Functions of shapes that can touch a fingertip at several points: meshes and height maps.
 
-    is_mesh_shape(shape)                     -> 0 or 1           whether it is a triangle of a mesh
-    has_creases(shape)                       -> 0 or 1           whether it may hold a fingertip in several places
-    nearest_of_shape(shape, x, within, ...)  -> Deepest          the nearest of its objects
-    neighbour_of(shape, x)                   -> number           of the object beyond an edge, counted from this one
-    element_of_shape(shape, facet)           -> shape            the object that is one of its triangles
-    raised_clear(shape, x, radius)           -> (3,) m           a place outside for certain
-    shaded(shape, pose, normal, position)    -> (3,)             the direction in which it presses
+Each triangle of a mesh counts as an object. Every other shape uses the defaults.
+
+    is_mesh_shape(shape)                     -> 0 or 1           1 if each triangle is an object
+    has_creases(shape)                       -> 0 or 1           1 if it can touch a fingertip at several points
+    nearest_of_shape(shape, x, within, ...)  -> Deepest          nearest of its objects
+    neighbour_of(shape, x)                   -> number           of the object across an edge, relative to this one
+    element_of_shape(shape, facet)           -> shape            one of its triangles
+    raised_clear(shape, x, radius)           -> (3,) m           a point that is certainly outside
+    shaded(shape, pose, normal, position)    -> (3,)             direction of the force
 """
 
 from typing import Any, NamedTuple
@@ -17,15 +18,15 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.shapes.protocol import closest
 
 EVERYWHERE = 1e300
-"""Farther, m, than any gap."""
+"""Search distance without a limit, m."""
 ENOUGH = 1.0 - 1e-6
-"""Share of the gap that is asked about, below which a triangle of a mesh need not be the very nearest: it is in the
-way, and not by a rounding error."""
+"""Share of the search distance below which any triangle of a mesh is accepted, nearest or not: it obstructs the
+fingertip by more than rounding."""
 
 
 @by_type
 def is_mesh_shape(shape: Any) -> Any:
-    """1 for a triangle of a mesh."""
+    """Return 1 if each triangle of the shape is an object, otherwise 0."""
 
 
 @is_mesh_shape.otherwise
@@ -35,7 +36,7 @@ def is_no_mesh(shape: Any) -> float:
 
 @by_type
 def has_creases(shape: Any) -> Any:
-    """1 for a shape that may hold a fingertip in several places, as one body."""
+    """Return 1 if the shape is one object that can touch a fingertip at several points, otherwise 0."""
 
 
 @has_creases.otherwise
@@ -44,8 +45,12 @@ def has_no_creases(shape: Any) -> float:
 
 
 class Deepest(NamedTuple):
-    """The object nearest to a point: the gap (m), its place, -1 for none, and what is left of the budget; below 0 it
-    was used up on a mesh or a height map, and the gap may be only a bound below which nothing is."""
+    """Object nearest to a point.
+
+    gap     m  signed distance; only a lower bound if the budget was exhausted
+    place      index of the object, -1 for none
+    budget     remaining budget, below 0 if a mesh or a height map exhausted it
+    """
 
     gap: float
     place: float
@@ -54,7 +59,10 @@ class Deepest(NamedTuple):
 
 @by_type
 def nearest_of_shape(shape: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Any:
-    """`query.objects.deepest` of one shape, in its frame; `place` and `known` are indices of triangles, 0 of others."""
+    """Return `query.objects.deepest` for the objects of one shape, in its frame.
+
+    at      index of its first object; the returned place is relative to it
+    """
 
 
 @nearest_of_shape.otherwise
@@ -65,7 +73,7 @@ def gap_of_it(shape: Any, x: Vec3, within: float, known: Vec3, budget: int) -> D
 
 @by_type
 def neighbour_of(shape: Any, x: Vec3) -> Any:
-    """How far on in the tuple the object is that lies beyond the edge of this one at which `x` is; 0 for itself."""
+    """Return the index, relative to this object, of the object across the edge closest to `x`; 0 for this object."""
 
 
 @neighbour_of.otherwise
@@ -85,7 +93,7 @@ def shape_itself(shape: Any, facet: float) -> Any:
 
 @by_type
 def raised_clear(shape: Any, x: Vec3, radius: float) -> Any:
-    """Where a fingertip at `x` (3,) m that is not known to be outside is for certain."""
+    """Return a point where a fingertip, perhaps inside at `x` (3,) m, is certainly outside."""
 
 
 @raised_clear.otherwise
@@ -95,7 +103,7 @@ def raised_not_at_all(shape: Any, x: Vec3, radius: float) -> Vec3:
 
 @by_type
 def shaded(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Any:
-    """Unit vector (3,) along which a shape without a texture presses on the probe at `position` (3,) m."""
+    """Return the unit vector (3,) of the normal force of a shape without texture, for a probe at `position` (3,) m."""
 
 
 @shaded.otherwise

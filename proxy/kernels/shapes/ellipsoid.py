@@ -1,16 +1,16 @@
-"""The ellipsoid, of any proportions.
+"""Ellipsoid of any proportions.
 
-The nearest point p to x has x - p along the gradient: p_i = a_i^2 x_i / (a_i^2 + t), with t such that p lies on
-the surface. With c the shortest semi-axis, s = t + c^2 >= 0 and e_i = a_i^2 - c^2, that is
+For the point p nearest to x, x - p is along the gradient: p_i = a_i^2 x_i / (a_i^2 + t), with t such that p is on
+the surface. With c the shortest semi-axis, s = t + c^2 >= 0 and e_i = a_i^2 - c^2, this is
 
     sum q_i^2 = 1,  q_i = a_i |x_i| / (s + e_i),  p_i = a_i q_i
 
-where no two close numbers are subtracted, so that flat and needle-like ellipsoids lose nothing. Lengths are in
-units of c. The sum is steep, but 1 / sqrt(sum) is concave and nearly straight in s: Newton's method on it climbs to
-the root from any point to the left of it, and from the right comes down to the left in one step.
+No close numbers are subtracted, so flat and needle-like ellipsoids lose no digits. Lengths are in units of c. The sum
+is steep, but 1 / sqrt(sum) is concave and nearly straight in s: Newton's method on it increases s monotonically to the
+root from any point to the left of it, and steps from the right to the left at once.
 
-Sources: the equation is in Eberly, Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid (2013), who
-bisects it; the step is that of Hebden (1973) and More (1978) for trust regions, where the same sum arises.
+Sources: the equation is in Eberly, Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid (2013), with
+bisection as solver; the step is that of Hebden (1973) and More (1978) for trust regions, where the same sum arises.
 """
 
 from math import sqrt
@@ -28,25 +28,26 @@ from softfinger.proxy.kernels.shapes.protocol import (
 )
 
 _STEPS = 128
-"""Close to the surface three or four are taken. The cap is for points where the medial surface ends, off it by the
-least there is: there s grows by half a step, from 1e-60 to 1e-40 at the worst."""
+"""Limit of Newton's iterations; close to the surface three or four are enough. It is needed at the rim of the medial
+surface, off it by the smallest representable distance: there s grows by half per step, at worst from 1e-60 to 1e-40."""
 
 _CONVERGED = 1e-8
-"""Relative step after which the next would be below rounding: the convergence is quadratic."""
+"""Relative step below which the next would be below rounding: the convergence is quadratic."""
 
 _NOTHING = 1e-60
-"""A coordinate below this many shortest axes is zero: it moves the point by its cube root at the most."""
+"""A coordinate below this multiple of the shortest semi-axis counts as zero: it moves the nearest point by at most its
+cube root."""
 
 
 @jit
 def inverse(weight: float, s: float) -> float:
-    """1 / s; nothing where the weight it is for is zero, as s may be zero there."""
+    """Return 1 / s; 0 if its weight is zero, since s may then be zero."""
     return 1.0 / s if weight > 0.0 else 0.0
 
 
 @jit
 def times(a: Vec3, b: Vec3) -> Vec3:
-    """The products of the components."""
+    """Return the componentwise product."""
     return (a[0] * b[0], a[1] * b[1], a[2] * b[2])
 
 
@@ -57,19 +58,19 @@ def inverses(w: Vec3, s: float, e: Vec3) -> Vec3:
 
 @jit
 def weight(ratio: float, x: float) -> float:
-    """ratio x, or nothing where x is next to nothing."""
+    """Return ratio x; 0 if x counts as zero."""
     return ratio * x if x > _NOTHING else 0.0
 
 
 @jit
 def on_ellipsoid(axes: Vec3, shortest: float, x: Vec3) -> Vec3:
-    """The q (3,) of the nearest point, on the unit sphere, for `x` with no negative coordinate."""
+    """Return q (3,) of the nearest point, on the unit sphere, for `x` without negative coordinates."""
     a = (axes[0] / shortest, axes[1] / shortest, axes[2] / shortest)
     weights = (weight(a[0], x[0] / shortest), weight(a[1], x[1] / shortest), weight(a[2], x[2] / shortest))
     e = ((a[0] - 1.0) * (a[0] + 1.0), (a[1] - 1.0) * (a[1] + 1.0), (a[2] - 1.0) * (a[2] + 1.0))
-    # No q_i may exceed 1: the root is not to the left of this.
+    # Lower bound of the root: no q_i exceeds 1.
     least = max(0.0, weights[0] - e[0], weights[1] - e[1], weights[2] - e[2])
-    # s = 1 is t = 0, where x is on the surface; outside it the root is to the right.
+    # s = 1 is t = 0, the root for x on the surface; for x outside, the root is larger.
     s = max(least, 1.0)
     for count in range(_STEPS):
         inverted = inverses(weights, s, e)
@@ -82,13 +83,13 @@ def on_ellipsoid(axes: Vec3, shortest: float, x: Vec3) -> Vec3:
         square = squares[0] + squares[1] + squares[2]
         advance = square * (sqrt(square) - 1.0) / slope
         s = max(least, s + advance)
-        # Only the first step goes back; a later one is rounding, which deep inside may exceed the tolerance.
+        # Only the first step may be negative; a later one is rounding, which deep inside may exceed the tolerance.
         if abs(advance) <= _CONVERGED * s or (count > 0 and advance <= 0.0):
             break
     q = times(weights, inverses(weights, s, e))
     if s > 0.0:
         return vec3.scale(1.0 / vec3.norm(q), q)
-    # x lies in the plane of symmetry across the shortest axis, and too deep for the others to reach the surface.
+    # x is in the plane of symmetry normal to the shortest axis, so deep that the other two components are inside.
     rest = sqrt(max(1.0 - vec3.dot(q, q), 0.0))
     if axes[0] == shortest:
         return (rest, q[1], q[2])
@@ -102,7 +103,7 @@ may_be_hollow(Ellipsoid)
 
 @closest.of(Ellipsoid)
 def closest_on_ellipsoid(shape: Ellipsoid, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """Where several points are nearest, as at the centre, that on the positive side of the shortest axis is taken."""
+    """Of several nearest points, as at the centre, return the one on the positive side of the shortest axis."""
     a = shape.semi_axes
     sign = (
         1.0 if x[0] >= 0.0 else -1.0,
@@ -113,7 +114,7 @@ def closest_on_ellipsoid(shape: Ellipsoid, x: Vec3) -> tuple[float, Vec3, Vec3]:
     q = on_ellipsoid(a, shortest, (abs(x[0]), abs(x[1]), abs(x[2])))
     q = (sign[0] * q[0], sign[1] * q[1], sign[2] * q[2])
     point = (a[0] * q[0], a[1] * q[1], a[2] * q[2])
-    # The gradient, in units of the shortest axis.
+    # The gradient, in units of the shortest semi-axis.
     _, outward = direction((q[0] * (shortest / a[0]), q[1] * (shortest / a[1]), q[2] * (shortest / a[2])), q)
     gap = shape.side * vec3.dot(vec3.sub(x, point), outward)
     return gap, point, vec3.scale(shape.side, outward)
@@ -121,11 +122,11 @@ def closest_on_ellipsoid(shape: Ellipsoid, x: Vec3) -> tuple[float, Vec3, Vec3]:
 
 @curvature.of(Ellipsoid)
 def curvature_of_ellipsoid(shape: Ellipsoid, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    """Principal curvatures from the normal alone.
+    """Compute the principal curvatures from the normal only.
 
     W = h P diag(1 / a_i^2) P with P the projection to the tangent plane and h = sqrt(sum (a_i n_i)^2) the
-    distance of the tangent plane from the centre; k1 >= k2 > 0, and k2 from the product h^4 / (a b c)^2, as the
-    difference that gives it otherwise would be all rounding on a needle.
+    distance of the tangent plane from the centre; k1 >= k2 > 0, and k2 from the product h^4 / (a b c)^2, because
+    on a needle the difference that gives it otherwise would consist of rounding.
     """
     a = shape.semi_axes
     h = vec3.norm((a[0] * normal[0], a[1] * normal[1], a[2] * normal[2]))
@@ -139,7 +140,7 @@ def curvature_of_ellipsoid(shape: Ellipsoid, radius: float, point: Vec3, normal:
     k1 = 0.5 * (uu + vv) + spread
     product = h / a[0] * (h / a[1]) * (h / (a[2] * a[0])) * (h / (a[1] * a[2]))
     k2 = product / k1
-    # The eigenvector of k1 from whichever row does not cancel; any tangent where the two are equal.
+    # The eigenvector of k1 from the row that does not cancel; any tangent if the two are equal.
     along = (half + spread, uv, 0.0) if half >= 0.0 else (uv, spread - half, 0.0)
     _, turned = direction(along, (1.0, 0.0, 0.0))
     first = vec3.add_scaled(vec3.scale(turned[0], u), turned[1], v)

@@ -1,19 +1,18 @@
-"""Minkowski sums: surfaces as the centre of an ellipsoidal fingertip sees them.
+"""Minkowski sums of an object and an ellipsoidal fingertip: the surfaces on which the fingertip's centre moves.
 
-An ellipsoid of the semi-axes a_i along the columns of Q has the matrix E = Q diag(a_i^2) Q^T and the support
-h(n) = sqrt(n . E n). Where the object's normal is n, the fingertip touches with its own normal -n, and its centre is
-E n / h(n) beyond the point of contact (`support_vector`). So the centre moves on the border of the Minkowski sum of
-object and ellipsoid, as that of a ball moves on the offset surface. `closest` is about the surface that lies `radius`
-behind this border. From the centre it looks as if a ball of that radius touched it, so a query for the nearest point
-needs no case of its own.
+An ellipsoid with semi-axes a_i along the columns of Q has the matrix E = Q diag(a_i^2) Q^T and the support function
+h(n) = sqrt(n . E n). At an object normal n, the fingertip touches with its normal -n, and its centre is displaced from
+the contact point by E n / h(n) (`support_vector`). So the centre moves on the boundary of the Minkowski sum of object
+and ellipsoid, as the centre of a ball moves on the offset surface. `closest` returns points of the surface `radius`
+below this boundary, as if a ball of that radius touched it: queries for the nearest point then need no special case.
 
-No iteration of its own is needed, as the sum is
+The sum has a closed form, up to the nearest point of an ellipsoid:
 
-    plane     a plane, h(n) farther out
-    sphere    the ellipsoid, and a ball's radius farther out: nearest is what is nearest on the ellipsoid
-    cylinder  across the axis the same with the ellipsoid's shadow, an ellipse; along it nothing changes
+    plane     a plane, farther out by h(n)
+    sphere    the ellipsoid, farther out by the sphere's radius: the same point of the ellipsoid is nearest
+    cylinder  normal to the axis, as the sphere but with the ellipsoid's projection, an ellipse; unchanged along it
 
-The nearest point of the ellipsoid is found to rounding, see `ellipsoid`. Other surfaces are refused by the scene.
+`ellipsoid` finds the nearest point to rounding. Scenes reject other shapes for this fingertip.
 """
 
 from math import sqrt
@@ -29,16 +28,16 @@ from softfinger.proxy.kernels.shapes.protocol import X_AXIS, Y_AXIS, Z_AXIS, clo
 
 @by_type
 def nearest_on_minkowski_sum(shape: Any, grown: MinkowskiSum, x: Vec3) -> Any:
-    """Gap (m), centre (3,) m and normal (3,) of the place of a fingertip on the shape that is nearest to x."""
+    """Return gap (m), centre (3,) m and normal (3,) of the fingertip in contact with the shape that is closest to x."""
 
 
 @jit
 def support_vector(semi_axes: Vec3, orientation: Quaternion, normal: Vec3) -> Vec3:
-    """From the point of contact to the ellipsoid's centre (3,) m: E n / h(n).
+    """Return the displacement (3,) m from the contact point to the ellipsoid's centre: E n / h(n).
 
     semi_axes    (3,)  m
-    orientation  (4,)     of its axes in the frame of `normal`
-    normal       (3,)     unit, of the object
+    orientation  (4,)     of its axes, in the frame of `normal`
+    normal       (3,)     unit normal of the object
     """
     scaled = times(semi_axes, rotations.rotate(rotations.conjugate(orientation), normal))
     return rotations.rotate(orientation, vec3.scale(1.0 / vec3.norm(scaled), times(semi_axes, scaled)))
@@ -53,7 +52,7 @@ def nearest_over_plane(shape: Plane, grown: MinkowskiSum, x: Vec3) -> tuple[floa
 
 @nearest_on_minkowski_sum.of(Sphere)
 def nearest_over_sphere(shape: Sphere, grown: MinkowskiSum, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """An ellipsoid is its own image in its centre: the sphere's centre is as far from it as it is from the sphere's."""
+    """Use the symmetry of the ellipsoid about its centre: x and the sphere's centre can be exchanged."""
     local = rotations.rotate(rotations.conjugate(grown.orientation), x)
     gap, point, normal = closest_on_ellipsoid(Ellipsoid(grown.semi_axes, 1.0), local)
     center = rotations.rotate(grown.orientation, vec3.add_scaled(point, shape.radius, normal))
@@ -62,8 +61,11 @@ def nearest_over_sphere(shape: Sphere, grown: MinkowskiSum, x: Vec3) -> tuple[fl
 
 @nearest_on_minkowski_sum.of(Cylinder)
 def nearest_over_cylinder(shape: Cylinder, grown: MinkowskiSum, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """The shadow along z has the matrix of the first two rows and columns of E, a Gram matrix; the product of its
-    eigenvalues is a sum of squares by the formula of Cauchy and Binet, and no difference of close numbers."""
+    """Use the ellipsoid's projection along z.
+
+    Its matrix is the first two rows and columns of E, a Gram matrix. By the Cauchy-Binet formula, the product of its
+    eigenvalues is a sum of squares, without a difference of close numbers.
+    """
     a, back = grown.semi_axes, rotations.conjugate(grown.orientation)
     u, v = times(a, rotations.rotate(back, X_AXIS)), times(a, rotations.rotate(back, Y_AXIS))
     uu, vv, uv = vec3.dot(u, u), vec3.dot(v, v), vec3.dot(u, v)
@@ -74,7 +76,7 @@ def nearest_over_cylinder(shape: Cylinder, grown: MinkowskiSum, x: Vec3) -> tupl
     along = (half + spread, uv, 0.0) if half >= 0.0 else (uv, spread - half, 0.0)
     _, turned = direction(along, X_AXIS)
     c, s = turned[0], turned[1]
-    # The third axis takes no part: the point lies in the plane across it.
+    # The third semi-axis has no effect: the point is in the plane normal to it.
     shadow = Ellipsoid((longest, area / longest, longest), 1.0)
     gap, point, normal = closest_on_ellipsoid(shadow, (c * x[0] + s * x[1], c * x[1] - s * x[0], 0.0))
     n = (c * normal[0] - s * normal[1], s * normal[0] + c * normal[1], 0.0)
@@ -92,9 +94,10 @@ def closest_on_minkowski_sum(shape: MinkowskiSum, x: Vec3) -> tuple[float, Vec3,
 def curvature_of_minkowski_sum(
     shape: MinkowskiSum, radius: float, point: Vec3, normal: Vec3
 ) -> tuple[float, float, Vec3]:
-    """W = (1 + W_o S)^-1 W_o along tangents u, v: W_o of the object, S = E / h - E n (E n)^T / h^3 of the fingertip.
+    """Compute W = (1 + W_o S)^-1 W_o in tangents u, v, with W_o of the object, S = E / h - E n (E n)^T / h^3.
 
-    Both add to how far the centre goes while the normal turns. Source: Schneider, Convex Bodies, section 2.5.
+    The displacements of the centre per rotation of the normal add up: W_o^-1 on the object, S on the fingertip.
+    Source: Schneider, Convex Bodies, section 2.5.
     """
     ku, kv, u = curvature(shape.shape, 0.0, point, normal)
     v = vec3.cross(normal, u)

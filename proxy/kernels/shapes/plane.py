@@ -1,4 +1,4 @@
-"""The plane."""
+"""Plane."""
 
 from softfinger.proxy.kernels.model import Plane, Vec3
 from softfinger.proxy.kernels.numerics import vec3

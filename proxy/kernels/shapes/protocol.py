@@ -1,37 +1,36 @@
-"""What every shape can do, and the parts that most of them share.
+"""Functions that a shape implements, and helpers shared by most shapes.
 
     closest(shape, x)                        -> gap, point, normal  of the surface point nearest to x
     curvature(shape, radius, point, normal)  -> k1, k2, d1          of the surface the fingertip's centre moves on
 
-These two are all that a new shape has to give. What follows has a default, which serves whatever `closest` and
-`curvature` describe; a shape says otherwise where it knows better, as the plane does.
+A new shape only has to implement these two. The following functions have defaults that use them; a shape overrides a
+default if it has a better method, as the plane does.
 
-    closest_from(shape, x, start, budget)    -> as `closest`, budget for a fingertip that rolls there from a point
-    closest_or_bound(shape, x)               -> as `closest`, 1 where a search did not end
-    closest_within(shape, x, budget)         -> as `closest`, budget with what is left of the tick's
-    constraint_at(shape, center, radius, n, budget) -> point, n, budget where it holds a fingertip as it did before
-    transport(shape, v, n_from, n_to)        -> (3,)                tangent vector v carried to the new normal
-    is_hollow(shape)                         -> bool                whether it is touched from inside; default: no
-    bend(shape, radius, point, normal)       -> 1/m                 how much it bends round the fingertip
-    follows(shape, radius, start, normal, end)                      whether a roll takes the centre there; default: yes
-    travel(shape, start, end, radius, leaves)                       how far a fingertip gets until it meets the shape
-    rest_on(shape, pose, radius, ...)                               where the proxy rests on it
-    ahead(shape, radius, center, ...)                               where the centre gets by going straight ahead
-    tangent_plane(shape, normal)                                    the plane through the origin that it is like there
-    unroll(shape, radius, center, ...)                              rolling in closed form, without a default
+    closest_from(shape, x, start, budget)    -> as `closest`, budget; for a fingertip that rolls from the point `start`
+    closest_or_bound(shape, x)               -> as `closest`, 1 if the search did not finish
+    closest_within(shape, x, budget)         -> as `closest`, budget; within the budget of the tick
+    constraint_at(shape, center, radius, n, budget) -> point, n, budget of an active constraint with the last normal n
+    transport(shape, v, n_from, n_to)        -> (3,)                tangent vector v transported to the new normal
+    is_hollow(shape)                         -> bool                True if touched from inside; default: False
+    bend(shape, radius, point, normal)       -> 1/m                 curvature of the offset surface round the fingertip
+    follows(shape, radius, start, normal, end) -> bool              True if the centre may roll there; default: True
+    travel(shape, start, end, radius, leaves)  -> 0 to 1            share of the path until the fingertip hits the shape
+    rest_on(shape, pose, radius, ...)                               rest position of the proxy
+    ahead(shape, radius, center, ...)                               centre after a straight motion on the surface
+    tangent_plane(shape, normal)                                    plane through the origin with that normal
+    unroll(shape, radius, center, ...)                              rolling in closed form; no default
 
-What takes long has a `budget`, and returns what is left of it, below 0 where it was used up. Only what is asked of
-meshes and height maps is counted. Those two have no `closest`: their nearest point comes with the word of whether the
-search for it ended, or not at all.
+Expensive functions take a `budget` and return the remaining one, below 0 if it was exhausted. Only queries of meshes
+and height maps are counted. These two do not implement `closest`: their queries also return if the search finished.
 
-Defaults stand beside what they are made of: rest_on in contact/rest/alone, ahead and unroll in contact/rolling. A shape
-that can be touched from inside has `side`, +1 or -1, and calls `may_be_hollow`.
+Some defaults are elsewhere, next to the code that they use: rest_on in contact/rest/alone, ahead and unroll in
+contact/rolling. A shape that can be touched from inside has `side`, +1 or -1, and calls `may_be_hollow`.
 
-All in the frame of the shape, for any x within 1e100 m. `gap` is the signed distance, m, positive where the fingertip
-may be, and `normal` the unit normal that points there. `curvature` is that of the offset surface, a distance `radius`
-from the shape: with k of the shape itself it is k / (1 + radius k), finite on a sharp edge too. k1 and k2, 1/m, are
-principal, positive where the surface bulges towards the fingertip; d1 is the unit tangent of k1, and normal x d1 that
-of k2.
+Everything is in the frame of the shape, for any x within 1e100 m. `gap` is the signed distance, m, positive on the side
+of the fingertip, and `normal` the unit normal towards that side. `curvature` is that of the offset surface at the
+distance `radius` from the shape: k / (1 + radius k) with k of the shape, finite on a sharp edge, too. k1 and k2, 1/m,
+are the principal curvatures, positive if the surface is convex towards the fingertip; d1 is the unit tangent of k1, and
+normal x d1 that of k2.
 """
 
 from math import sqrt
@@ -47,11 +46,11 @@ Y_AXIS: Vec3 = (0.0, 1.0, 0.0)
 Z_AXIS: Vec3 = (0.0, 0.0, 1.0)
 
 FAN = 1e-9
-"""A component of a normal below this is none: rotating the normal out of the world and back leaves 1e-16."""
+"""A component of a normal below this counts as zero: rotating a normal to the world frame and back leaves 1e-16."""
 BUDGET_OF_A_ROLL = 600
-"""What a roll may ask."""
+"""Budget of a rolling step with step control, or of each query in the other rolling methods."""
 NO_HIT = 2.0
-"""Share of the way that says: nothing was met on it."""
+"""Share of the path returned by `travel` if nothing was hit."""
 
 
 @by_type
@@ -60,8 +59,10 @@ def closest(shape: Any, x: Vec3) -> Any: ...
 
 @by_type
 def closest_from(shape: Any, x: Vec3, start: Vec3, budget: int) -> Any:
-    """`closest` for a fingertip that rolls there from the surface point `start` (3,) m: where many points are near
-    what is downhill from there will do. And what is left of the budget."""
+    """Return `closest` for a fingertip that rolls there from the surface point `start` (3,) m, and the budget left.
+
+    A local nearest point, reached by descent from `start`, is enough.
+    """
 
 
 @closest_from.otherwise
@@ -72,7 +73,7 @@ def closest_from_anywhere(shape: Any, x: Vec3, start: Vec3, budget: int) -> tupl
 
 @by_type
 def closest_within(shape: Any, x: Vec3, budget: int) -> Any:
-    """`closest`, and what is left of the `budget`. Where it is used up the gap is a bound."""
+    """Return `closest` and the remaining budget; if it is exhausted, the gap is a lower bound."""
 
 
 @closest_within.otherwise
@@ -83,8 +84,10 @@ def closest_without_budget(shape: Any, x: Vec3, budget: int) -> tuple[float, Vec
 
 @by_type
 def closest_or_bound(shape: Any, x: Vec3) -> Any:
-    """`closest` for what is no contact, and 1 where a search as large as a shape allows did not end, else 0: then the
-    point is the nearest known, and others may be nearer."""
+    """Return `closest` for uses other than contact, and 1 if the largest possible search did not finish, otherwise 0.
+
+    If it did not finish, the point is the nearest known, but a closer one may exist.
+    """
 
 
 @closest_or_bound.otherwise
@@ -95,8 +98,10 @@ def closest_without_search(shape: Any, x: Vec3) -> tuple[float, Vec3, Vec3, floa
 
 @by_type
 def constraint_at(shape: Any, center: Vec3, radius: float, normal: Vec3, budget: int) -> Any:
-    """Point and normal where it holds a fingertip at `center` (3,) m, that it held with that normal before: near there,
-    where a shape may hold it in several places. And what is left of the budget."""
+    """Return contact point and normal of a fingertip at `center` (3,) m, and the remaining budget.
+
+    normal  (3,)  previous normal of this constraint; selects one of several contact points of a shape
+    """
 
 
 @constraint_at.otherwise
@@ -117,42 +122,46 @@ def transport(shape: Any, v: Vec3, normal_from: Vec3, normal_to: Vec3) -> Any: .
 
 @by_type
 def is_hollow(shape: Any) -> Any:
-    """Whether the fingertip is inside: then the surface bends round it."""
+    """Return True if the fingertip is inside the shape, so that the surface bends round it."""
 
 
 @by_type
 def follows(shape: Any, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> Any:
-    """Whether the fingertip's centre may go from `start` (3,) m, with that normal, to `end`, where its roll leads."""
+    """Return True if the fingertip's centre may roll from `start` (3,) m, with that normal, to `end` (3,) m."""
 
 
 @by_type
 def travel(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> Any:
-    """Share of the way from start to end (local points) at which a sphere of that radius meets the shape.
+    """Return the share of the path from `start` to `end` at which a sphere of that radius hits the shape, or NO_HIT.
 
-    A way that ends inside has met it, at its start if that lies inside too; `leaves` lets one go on from there that
-    gets no deeper, as that of a proxy which rests on the shape to rounding. NO_HIT where nothing is met.
+    A path that ends inside is a hit, at its start if the start is inside, too. With `leaves`, a path that starts inside
+    and gets no deeper is not a hit: a proxy on the shape may be inside by rounding.
     """
 
 
 @by_type
 def rest_on(shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3) -> Any:
-    """Proxy and normal on a single object of this shape and pose, all but the shape in the world; and 1 if the
-    proxy stays where it was since the budget of the search was used up."""
+    """Return the rest position of the proxy on a single object, the normal there, and a flag.
+
+    body  object with this shape; everything except `shape` is in the world frame
+
+    The flag is 1 if the search exhausted its budget before the rest position was found, otherwise 0.
+    """
 
 
 @by_type
 def ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, along: Vec3, length: float) -> Any:
-    """Centre (3,) m after `length` m along the unit tangent `along` of the offset surface."""
+    """Return the centre (3,) m after a motion of `length` m along the unit tangent `along` of the offset surface."""
 
 
 @by_type
 def unroll(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Any:
-    """Rolling by the rotation vector `w` (3,) rad at a constant rate; returns Roll."""
+    """Roll by the rotation vector `w` (3,) rad at a constant rate; return a Roll."""
 
 
 @by_type
 def tangent_plane(shape: Any, normal: Vec3) -> Any:
-    """A shape, flat, on which the fingertip rolls as it begins to on this one where it has that normal."""
+    """Return a plane on which a roll starts as on this shape at a point with that normal."""
 
 
 @tangent_plane.otherwise
@@ -162,7 +171,7 @@ def plane_with_normal(shape: Any, normal: Vec3) -> Plane:
 
 @by_type
 def bend(shape: Any, radius: float, point: Vec3, normal: Vec3) -> Any:
-    """How much the surface that the fingertip's centre moves on bends round it, 1/m; 0 for what is not hollow."""
+    """Return the largest curvature with which the offset surface bends round the fingertip, 1/m; 0 if it does not."""
 
 
 @follows.otherwise
@@ -192,14 +201,14 @@ def hollow_from_inside(shape: Any) -> bool:
 
 
 def may_be_hollow(kind: type) -> None:
-    """Shapes of this kind have `side`, -1 for those that are touched from inside."""
+    """Register shapes that have `side`, -1 if touched from inside."""
     is_hollow.of(kind)(hollow_from_inside)
     bend.of(kind)(bend_from_inside)
 
 
 @jit
 def direction(v: Vec3, otherwise: Vec3) -> tuple[float, Vec3]:
-    """Length of `v` and the unit vector along it; `otherwise` where `v` is zero. Any finite `v` will do."""
+    """Return the length of `v` and the unit vector along it, or `otherwise` if `v` is zero; for any finite `v`."""
     square = vec3.dot(v, v)
     if 1e-250 < square < 1e250:
         length = sqrt(square)
@@ -214,7 +223,7 @@ def direction(v: Vec3, otherwise: Vec3) -> tuple[float, Vec3]:
 
 @jit
 def around_z(normal: Vec3) -> Vec3:
-    """Unit tangent that goes round the z axis, counter-clockwise; x where the normal is along the axis."""
+    """Return the unit tangent round the z axis, counter-clockwise; the x axis if the normal is along z."""
     length = sqrt(normal[0] * normal[0] + normal[1] * normal[1])
     if length <= FAN:
         return X_AXIS
@@ -223,7 +232,7 @@ def around_z(normal: Vec3) -> Vec3:
 
 @jit
 def any_tangent(normal: Vec3) -> Vec3:
-    """Some unit vector at right angles to the unit vector `normal`, without a difference of close numbers."""
+    """Return a unit vector perpendicular to the unit vector `normal`, without a difference of close numbers."""
     if abs(normal[1]) <= 0.8:
         length = sqrt(normal[0] * normal[0] + normal[2] * normal[2])
         return (normal[2] / length, 0.0, -normal[0] / length)
@@ -233,25 +242,25 @@ def any_tangent(normal: Vec3) -> Vec3:
 
 @jit
 def offset(k: float, radius: float) -> float:
-    """Curvature at a distance `radius` from a surface of curvature `k`, 1/m.
+    """Return the curvature at the distance `radius` from a surface of curvature `k`, 1/m.
 
-    A fingertip that fits has 1 + radius k > 0; what does not fit gets a large curvature, not an infinite one.
+    A fingertip that fits has 1 + radius k > 0; for one that does not, the curvature is large, but finite.
     """
     return k / max(1.0 + radius * k, 1e-9)
 
 
 @jit
 def turn_along(v: Vec3, normal_from: Vec3, normal_to: Vec3) -> Vec3:
-    """`v` turned by the smallest rotation that takes one unit normal to the other.
+    """Rotate `v` by the smallest rotation from one unit normal to the other.
 
-    As two reflections, the first at the plane half way: the length of a tangent `v` is kept to rounding however far
-    the normal turns. Opposite normals have no smallest rotation; half a turn about a fixed tangent serves.
+    Two reflections, the first at the plane normal to the mean of the two normals: they preserve the length of a tangent
+    `v` to rounding for any angle. Opposite normals have no smallest rotation: this uses half a turn about a fixed axis.
     """
     middle = vec3.add(normal_from, normal_to)
     square = vec3.dot(middle, middle)
     if square < 1e-28:
         middle, square = any_tangent(normal_from), 1.0
-    # One division for all vectors that are carried between the same two normals.
+    # A single division, which is shared by all vectors transported between the same two normals.
     flipped = vec3.add_scaled(v, (-2.0 / square) * vec3.dot(middle, v), middle)
     return vec3.add_scaled(flipped, 2.0 * vec3.dot(normal_from, v), normal_to)
 
@@ -262,18 +271,18 @@ def transport_by_turning(shape: Any, v: Vec3, normal_from: Vec3, normal_to: Vec3
 
 
 ADVANCES = 32
-"""Steps of a sweep; each goes as far as the clearance allows, so most sweeps take one or two."""
+"""Limit of the steps of a sweep; each is as long as the clearance, so most sweeps take one or two."""
 
 
 NARROWINGS = 24
-"""Thirds that are left out in the search for where a glancing way is nearest: 6e-5 of it remain."""
+"""Steps of the ternary search for the closest point of a grazing path: 6e-5 of the interval remain."""
 TOUCHING = 1e-9
-"""Clearance, as a share of the radius, that counts as none."""
+"""Clearance, as a share of the radius, below which it counts as zero."""
 
 
 @travel.otherwise
 def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> float:
-    """Conservative advancement: go as far as the clearance, which nothing can be nearer than; ask again."""
+    """Conservative advancement: repeatedly move by the clearance, within which there is no obstacle."""
     way = vec3.sub(end, start)
     length = vec3.norm(way)
     gap, _, _ = closest(shape, start)
@@ -293,7 +302,7 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
         clearance = gap - radius
         if clearance <= touching:
             return share
-    # A glancing way comes ever closer, and may pass: it meets if it is inside somewhere on what is left of it.
+    # A grazing path may pass the shape without touching it: it is a hit only if its remainder is inside somewhere.
     gap, _, _ = closest(shape, end)
     low, high = share, 1.0
     for _ in range(NARROWINGS):
@@ -312,7 +321,7 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
 
 @by_type
 def meets(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int) -> Any:
-    """`travel`, the number of what is met on the shape, and what is left of the budget."""
+    """Return `travel`, the number of the element hit, and the remaining budget."""
 
 
 @meets.otherwise

@@ -1,4 +1,4 @@
-"""Sphere, endless cylinder, capsule: all points at one distance from a point, a line, a segment."""
+"""Sphere, infinite cylinder and capsule: all points at one distance from a point, a line or a segment."""
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Capsule, Cylinder, Sphere, Vec3
@@ -18,10 +18,10 @@ from softfinger.proxy.kernels.shapes.protocol import (
 
 @jit
 def bent(radius: float, side: float, fingertip: float) -> float:
-    """Curvature, 1/m, at a distance `fingertip` from a surface that bends with `radius`: 1 / (fingertip +- radius)."""
+    """Return the curvature, 1/m, at the distance `fingertip` from a surface of `radius`: 1 / (fingertip +- radius)."""
     away = fingertip + side * radius
     if side < 0.0:
-        # A fingertip that does not fit inside has no offset surface; see `offset`.
+        # No offset surface for a fingertip that does not fit inside: a large curvature instead, as in `offset`.
         away = min(away, -1e-9 * radius)
     return 1.0 / away
 
@@ -31,7 +31,7 @@ may_be_hollow(Sphere)
 
 @closest.of(Sphere)
 def closest_on_sphere(shape: Sphere, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """At the centre all points are nearest: the one on the z axis is taken."""
+    """At the centre, where all points are nearest, return the one on the z axis."""
     distance, outward = direction(x, Z_AXIS)
     gap = shape.side * (distance - shape.radius)
     return gap, vec3.scale(shape.radius, outward), vec3.scale(shape.side, outward)
@@ -48,7 +48,7 @@ may_be_hollow(Cylinder)
 
 @closest.of(Cylinder)
 def closest_on_cylinder(shape: Cylinder, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """On the axis a circle of points is nearest: the one towards x is taken."""
+    """On the axis, where a circle of points is nearest, return the one towards +x."""
     distance, outward = direction((x[0], x[1], 0.0), X_AXIS)
     point = (shape.radius * outward[0], shape.radius * outward[1], x[2])
     return shape.side * (distance - shape.radius), point, vec3.scale(shape.side, outward)
@@ -56,7 +56,7 @@ def closest_on_cylinder(shape: Cylinder, x: Vec3) -> tuple[float, Vec3, Vec3]:
 
 @curvature.of(Cylinder)
 def curvature_of_cylinder(shape: Cylinder, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    """Round the axis, and none along it."""
+    """Curved round the axis, straight along it."""
     return bent(shape.radius, shape.side, radius), 0.0, around_z(normal)
 
 
@@ -65,7 +65,7 @@ may_be_hollow(Capsule)
 
 @closest.of(Capsule)
 def closest_on_capsule(shape: Capsule, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """On the segment between the centres of the ends the point towards x is taken."""
+    """On the segment between the centres of the ends, return the point towards +x."""
     z = min(max(x[2], -shape.half_length), shape.half_length)
     distance, outward = direction((x[0], x[1], x[2] - z), X_AXIS)
     point = vec3.add_scaled((0.0, 0.0, z), shape.radius, outward)
@@ -74,7 +74,7 @@ def closest_on_capsule(shape: Capsule, x: Vec3) -> tuple[float, Vec3, Vec3]:
 
 @curvature.of(Capsule)
 def curvature_of_capsule(shape: Capsule, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    """A cylinder where the normal is level, otherwise a sphere."""
+    """Return the curvature of a cylinder if the normal is perpendicular to the axis, otherwise of a sphere."""
     k = bent(shape.radius, shape.side, radius)
     if abs(normal[2]) <= FAN:
         return k, 0.0, around_z(normal)

@@ -1,7 +1,8 @@
 """Box and capped cylinder: solids with sharp edges, touched from outside.
 
-Over an edge the nearest point stays and the normal turns through the edge's fan, so that the surface the fingertip's
-centre moves on is smooth: part of a tube about an edge, of a torus about a rim, of a sphere about a corner.
+On an edge the nearest point remains the same while the normal turns through the edge's normal cone. So the surface on
+which the fingertip's centre moves is smooth: part of a tube about an edge, of a torus about a rim, of a sphere about a
+corner.
 """
 
 from softfinger.proxy.kernels.model import Box, CappedCylinder, Vec3
@@ -21,7 +22,7 @@ from softfinger.proxy.kernels.shapes.protocol import (
 
 @closest.of(Box)
 def closest_on_box(shape: Box, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """Inside the solid the nearest face counts; of equally near ones x before y before z, the positive one first."""
+    """Inside, return the nearest face; of equally near ones, x before y before z, and the positive one first."""
     h = shape.half_extents
     beyond = (abs(x[0]) - h[0], abs(x[1]) - h[1], abs(x[2]) - h[2])
     gap = max(beyond[0], beyond[1], beyond[2])
@@ -41,7 +42,7 @@ def closest_on_box(shape: Box, x: Vec3) -> tuple[float, Vec3, Vec3]:
 
 @curvature.of(Box)
 def curvature_of_box(shape: Box, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    """The normal tells face, edge and corner apart: it has one, two or three components."""
+    """Distinguish face, edge and corner by the normal, which has one, two or three components."""
     flat_x, flat_y, flat_z = abs(normal[0]) <= FAN, abs(normal[1]) <= FAN, abs(normal[2]) <= FAN
     count = (1 if flat_x else 0) + (1 if flat_y else 0) + (1 if flat_z else 0)
     if count >= 2:
@@ -54,7 +55,7 @@ def curvature_of_box(shape: Box, radius: float, point: Vec3, normal: Vec3) -> tu
 
 @closest.of(CappedCylinder)
 def closest_on_capped_cylinder(shape: CappedCylinder, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """Inside the solid the nearer of side and end counts, the side if equal; on the axis the side is towards x."""
+    """Inside, return the closer of side and end, the side if equal; on the axis, the side towards +x."""
     distance, outward = direction((x[0], x[1], 0.0), X_AXIS)
     up = 1.0 if x[2] >= 0.0 else -1.0
     beyond_side, beyond_end = distance - shape.radius, abs(x[2]) - shape.half_length
@@ -71,7 +72,7 @@ def closest_on_capped_cylinder(shape: CappedCylinder, x: Vec3) -> tuple[float, V
 def curvature_of_capped_cylinder(
     shape: CappedCylinder, radius: float, point: Vec3, normal: Vec3
 ) -> tuple[float, float, Vec3]:
-    """End: flat. Side: round the axis. Rim: across it the fingertip's own, round the axis a torus'."""
+    """End: flat. Side: curved round the axis. Rim: across it as the fingertip, round the axis as a torus."""
     around = around_z(normal)
     level = vec3.norm((normal[0], normal[1], 0.0))
     if level <= FAN:

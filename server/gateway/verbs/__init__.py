@@ -1,4 +1,4 @@
-"""What the command line does for other machines: hand telemetry and commands on, make keys.
+"""Commands of the command line for other machines: forwarding of telemetry and commands, and creation of keys.
 
-No sockets: the gateway itself is beside this folder.
+Contains no sockets: the gateway is in the folder above.
 """

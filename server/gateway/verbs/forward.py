@@ -1,5 +1,4 @@
-"""`forward`: what a daemon publishes to more subscribers, to other machines by key, or to Lab Streaming Layer; and
-commands back to it."""
+"""`forward`: telemetry to more subscribers, to other machines by key, or to Lab Streaming Layer; and commands back."""
 
 from __future__ import annotations
 
@@ -14,12 +13,12 @@ from typing import Final
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import is_public
 from softfinger.server import keys, signals
-from softfinger.server.gateway.addresses import addresses_of
-from softfinger.server.gateway.allowed import Allowed
-from softfinger.server.gateway.forward import Forward, Source, Way
+from softfinger.server.gateway.addresses import find_addresses
+from softfinger.server.gateway.forward import CommandPath, Forward, Source
 from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.progress import counter
-from softfinger.server.publishing.front import Lock
+from softfinger.server.publishing.allowed import Allowed
+from softfinger.server.publishing.peer_socket import KeyLock
 from softfinger.server.wire.client import DEFAULT_ENDPOINT
 from softfinger.server.wire.endpoint import Bound, listen
 
@@ -27,9 +26,9 @@ log: Final = logging.getLogger(__name__)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
+    """Define the arguments of the verb."""
     parser.description = (
-        "Hand the telemetry of a daemon on to any number of subscribers, by key to other machines, and their commands "
+        "Forward the telemetry of a daemon to any number of subscribers, by key to other machines, and their commands "
         "back; ends with Ctrl-C, and says then what was handed on."
     )
     parser.add_argument(
@@ -46,47 +45,51 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="as a stream of Lab Streaming Layer, which everybody on the network can read (extra lsl)",
     )
     parser.add_argument(
-        "--commands-from", metavar="URL", help="where the daemon takes commands (default: beside its telemetry)"
+        "--commands-from", metavar="URL", help="commands endpoint of the daemon (default: next to its telemetry)"
     )
     parser.add_argument("--commands-to", metavar="URL", help="where commands are taken for it")
     parser.add_argument("--keys", metavar="FILE", help="secret key of this end; needed for a URL open to the network")
-    parser.add_argument("--readers", metavar="DIR", help="public keys of those who may subscribe")
-    parser.add_argument("--commanders", metavar="DIR", help="public keys of those who may command")
-    parser.add_argument("--server-key", metavar="FILE", help="public key of the daemon's end, where that wants keys")
-    parser.add_argument("--until-eof", action="store_true", help="end with standard input, so with who started this")
-    parser.add_argument("--json", action="store_true", help="print what was handed on as JSON")
+    parser.add_argument("--readers", metavar="DIR", help="public keys of allowed subscribers")
+    parser.add_argument("--commanders", metavar="DIR", help="public keys of allowed commanders")
+    parser.add_argument("--server-key", metavar="FILE", help="public key of the daemon, if its endpoints require keys")
+    parser.add_argument(
+        "--until-eof",
+        action="store_true",
+        help="end when standard input is closed, so with the program that started this",
+    )
+    parser.add_argument("--json", action="store_true", help="print counts of forwarded messages as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Hand on until a signal; returns 0."""
+    """Forward until a signal; returns 0, or the exit code of the signal."""
     if not (args.to or args.commands_to or args.lsl):
         raise ConfigError("nothing to do: give --to, --commands-to or --lsl")
-    upstream = None if args.server_key is None else keys.of_options(args)
-    origin = addresses_of(args.source, upstream, args.commands_from)
+    upstream = None if args.server_key is None else keys.keys_from_options(args)
+    origin = find_addresses(args.source, upstream, args.commands_from)
     stop = threading.Event()
     with ExitStack() as stack:
         to, commands = None, None
         if args.to:
-            lock = lock_of(args.to, "--to", args.keys, args.readers)
-            to = (bound(args.to, "--to", stack), lock)
+            lock = make_lock(args.to, "--to", args.keys, args.readers)
+            to = (bind(args.to, "--to", stack), lock)
         if args.commands_to:
-            lock = lock_of(args.commands_to, "--commands-to", args.keys, args.commanders)
-            opened = bound(args.commands_to, "--commands-to", stack)
-            commands = Way(Source(origin.commanded(), upstream), opened, lock)
+            lock = make_lock(args.commands_to, "--commands-to", args.keys, args.commanders)
+            opened = bind(args.commands_to, "--commands-to", stack)
+            commands = CommandPath(Source(origin.command_endpoint(), upstream), opened, lock)
         stream = Source(origin.telemetry, upstream) if to or args.lsl else None
         forward = Forward(stream, to, commands, Outlets(origin.telemetry) if args.lsl else None)
         stack.callback(forward.close)
         for name, part in (("telemetry", forward.readers), ("commands", forward.commanders)):
             if part is not None:
-                who = "who has a key" if part.front.lock else "everybody who reaches it"
-                log.info("%s forwarded on %s, to %s", name, part.front.endpoint, who)
+                who = "clients with a key" if part.peers.lock else "every client that reaches it"
+                log.info("%s forwarded on %s, to %s", name, part.peers.endpoint, who)
         if args.until_eof:
             threading.Thread(target=_end_with_input, args=(stop,), daemon=True).start()
-        with signals.asked(stop.set), counter() as show:
+        with signals.stop_on_signal(stop.set), counter() as show:
             forward.run(stop.is_set, show)
         found, line = forward.statistics(), forward.line()
     print(json.dumps(found) if args.json else f"{line}; {found['seconds']:.1f} s", flush=True)
-    return signals.code_of_stop()
+    return signals.stop_exit_code()
 
 
 def _end_with_input(stop: threading.Event) -> None:
@@ -94,23 +97,25 @@ def _end_with_input(stop: threading.Event) -> None:
     stop.set()
 
 
-def lock_of(endpoint: str, flag: str, own: str | None, folder: str | None) -> Lock | None:
-    """Who may come in at an endpoint; None: everybody who reaches it, which is nobody on another machine."""
+def make_lock(endpoint: str, flag: str, own: str | None, folder: str | None) -> KeyLock | None:
+    """Return the lock of an endpoint; None if all peers that reach it may connect, which excludes other machines."""
     folder_flag = "--readers" if flag == "--to" else "--commanders"
     if folder is not None:
         if own is None:
-            raise ConfigError(f"{folder_flag} {folder}: whoever shows a key meets one: add --keys FILE")
-        return Lock(keys.read_pair(own), Allowed(folder))
+            raise ConfigError(
+                f"{folder_flag} {folder}: a connection with keys needs one on this side, too: add --keys FILE"
+            )
+        return KeyLock(keys.read_pair(own), Allowed(folder))
     if is_public(endpoint):
         raise ConfigError(
-            f"{flag} {endpoint} is open to the network: say who may come in, with --keys FILE and {folder_flag} DIR "
+            f"{flag} {endpoint} is open to the network: set the allowed clients with --keys FILE and {folder_flag} DIR "
             "(softfinger keys makes keys), or take tcp://127.0.0.1:PORT"
         )
     return None
 
 
-def bound(endpoint: str, flag: str, stack: ExitStack) -> Bound:
-    """The endpoint, bound here; `stack` frees it."""
+def bind(endpoint: str, flag: str, stack: ExitStack) -> Bound:
+    """Bind the endpoint; `stack` frees it."""
     made = listen(endpoint, flag, public=True)
     stack.enter_context(made.files)
     return made

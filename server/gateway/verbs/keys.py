@@ -1,4 +1,4 @@
-"""`keys`: CURVE key pairs, by which a daemon and its clients on other machines know each other."""
+"""`keys`: CURVE key pairs, with which a daemon and its clients on other machines authenticate each other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from softfinger.server.keys import make_pair
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
+    """Define the arguments of the verb."""
     parser.description = (
         "Make a key pair for each name: NAME.key, which others may have, and NAME.key_secret (mode 600), which nobody "
         "else may. What is there is not overwritten."
@@ -21,11 +21,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make the pairs and say where they are; returns 0."""
+    """Create the pairs and print their files; returns 0."""
     made = {name: make_pair(args.folder, name) for name in args.names}
     if args.json:
         print(json.dumps({name: {"public": str(p), "secret": str(s)} for name, (p, s) in made.items()}))
     else:
         for public, secret in made.values():
-            print(f"{public}: give it to others\n{secret}: keep it to yourself")
+            print(f"{public}: public: give it to the other side\n{secret}: secret: share it with no one")
     return 0

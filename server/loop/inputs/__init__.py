@@ -1,4 +1,4 @@
-"""What comes into a tick from outside: poses, as far as they are believed, and parameters on their way.
+"""Inputs of a tick: plausibility checks of poses, and ramps of changed parameters.
 
-No driver, and nothing that waits: memory and arithmetic of a tick alone.
+Contains no driver and nothing that waits: only memory and arithmetic of a tick.
 """

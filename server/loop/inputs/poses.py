@@ -1,7 +1,8 @@
-"""What the poses of a device tell of the device itself: that it jumps, as no hand does, or stands still, as none does.
+"""Plausibility checks of a device's poses: jumps that no hand makes, and poses that repeat while a hand moves.
 
-Both mean that where the hand is is not known, and then there is no force. A driver that gives numbers cannot see this
-in them; the loop can, from one tick to the next. Poses that are no numbers are `tick.usable`'s.
+In both cases the position of the hand is unknown, so the force is zero. A driver cannot detect this from a single
+sample; the loop compares successive ticks. `tick.has_pose` rejects poses that are not finite. Called by
+`all_devices.py`.
 """
 
 from math import cos, pi
@@ -15,75 +16,78 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, Guard
-from softfinger.server.loop.tick import usable
+from softfinger.server.loop.tick import has_pose
 
 POSE_SIZE: Final = 7
-_SINCE: Final = POSE_SIZE
+_AGE: Final = POSE_SIZE
 _REPEATED: Final = POSE_SIZE + 1
 
 LOADED_N: Final = 0.01
-"""Force below which a pose that repeats is no matter: no hand feels it."""
+"""Force below which a repeated pose is harmless, since the hand does not feel it."""
 
 
-def nothing_seen() -> NDArray[np.float64]:
-    """Memory of `doubt` before the first pose: the last one (7,), s since it was fresh, s for which it has repeated."""
-    seen = np.zeros(POSE_SIZE + 2)
-    seen[:POSE_SIZE] = np.nan
-    return seen
+def make_pose_memory() -> NDArray[np.float64]:
+    """Return the memory of `check_pose` before the first pose.
+
+    Contains the last pose (7,), the time (s) since it was fresh, and the time (s) for which it has repeated.
+    """
+    memory = np.zeros(POSE_SIZE + 2)
+    memory[:POSE_SIZE] = np.nan
+    return memory
 
 
 @jit
-def doubt(guard: Guard, seen: NDArray[np.float64], raw: Any, status: int, force: Vec3, dt: float) -> int:
-    """The guard's bit of what speaks against a pose: POSE_JUMPED, POSE_FROZEN, or 0.
+def check_pose(guard: Guard, memory: NDArray[np.float64], raw: Any, status: int, force: Vec3, dt: float) -> int:
+    """Return the guard's bit for an implausible pose: POSE_JUMPED, POSE_FROZEN, or 0.
 
-    seen    memory of this device, of `nothing_seen`
-    raw     sample as the driver gave it: position (m) and quaternion first
-    status  of the read; with any but OK the pose may be the one of before, and its age counts on
+    memory  memory of this device, from `make_pose_memory`
+    raw     sample from the driver, which starts with position (m) and quaternion
+    status  status of the read; unless it is OK, the pose may be the previous one, and its age continues to grow
     force   (3,) N  on the hand since the last tick
-    dt      s       since then
+    dt      s       time since then
     """
-    seen[_SINCE] += dt
-    if not usable(raw):
-        seen[_REPEATED] = 0.0
+    memory[_AGE] += dt
+    if not has_pose(raw):
+        memory[_REPEATED] = 0.0
         return 0
     same = True
     for i in range(POSE_SIZE):
-        same &= raw[i] == seen[i]
+        same &= raw[i] == memory[i]
     if same:
         if status == OK:
-            seen[_SINCE] = 0.0
-        return _repeated(guard, seen, force, dt)
-    jumps = _jumps(guard, seen, raw)
+            memory[_AGE] = 0.0
+        return _repeated(guard, memory, force, dt)
+    jumps = _jumps(guard, memory, raw)
     for i in range(POSE_SIZE):
-        seen[i] = raw[i]
-    seen[_SINCE] = seen[_REPEATED] = 0.0
+        memory[i] = raw[i]
+    memory[_AGE] = memory[_REPEATED] = 0.0
     return POSE_JUMPED if jumps else 0
 
 
 @jit
-def _repeated(guard: Guard, seen: NDArray[np.float64], force: Vec3, dt: float) -> int:
+def _repeated(guard: Guard, memory: NDArray[np.float64], force: Vec3, dt: float) -> int:
     if guard.frozen == 0.0:
         return 0
-    # Once it counts as frozen there is no force, and it stays so until the pose is another.
-    if seen[_REPEATED] > guard.frozen or vec3.norm(force) >= LOADED_N:
-        seen[_REPEATED] += dt
+    # A frozen pose turns the force off, so it remains frozen until the pose changes.
+    if memory[_REPEATED] > guard.frozen or vec3.norm(force) >= LOADED_N:
+        memory[_REPEATED] += dt
     else:
-        seen[_REPEATED] = 0.0
-    return POSE_FROZEN if seen[_REPEATED] > guard.frozen else 0
+        memory[_REPEATED] = 0.0
+    return POSE_FROZEN if memory[_REPEATED] > guard.frozen else 0
 
 
 @jit
-def _jumps(guard: Guard, seen: NDArray[np.float64], raw: Any) -> bool:
-    """Whether a pose is farther from the last than the limits allow in the time since; never of the first."""
-    way = (raw[0] - seen[0], raw[1] - seen[1], raw[2] - seen[2])
-    if vec3.norm(way) > guard.speed_max * seen[_SINCE]:
+def _jumps(guard: Guard, memory: NDArray[np.float64], raw: Any) -> bool:
+    """Return whether a pose is farther from the last one than the limits allow; False for the first pose."""
+    displacement = (raw[0] - memory[0], raw[1] - memory[1], raw[2] - memory[2])
+    if vec3.norm(displacement) > guard.speed_max * memory[_AGE]:
         return True
-    half = 0.5 * guard.turn_max * seen[_SINCE]
+    half = 0.5 * guard.turn_max * memory[_AGE]
     if half >= 0.5 * pi:
         return False
     dot, before, now = 0.0, 0.0, 0.0
     for i in range(3, POSE_SIZE):
-        dot += raw[i] * seen[i]
-        before += seen[i] * seen[i]
+        dot += raw[i] * memory[i]
+        before += memory[i] * memory[i]
         now += raw[i] * raw[i]
     return dot * dot < cos(half) ** 2 * before * now

@@ -1,10 +1,10 @@
-"""Parameters that are changed while the loop runs go to their new values tick by tick.
+"""Ramps of parameters that change while the loop runs, advanced by the loop once per tick.
 
-A stiffness that falls to half in contact takes half of the force away at once; over a tenth of a second the hand
-follows. What acts on the force is ramped: materials, the fingertip's coupling, patch and radius, how strong effects
-are. All of it is on its way for the same ticks, so that what belongs together stays together: the sum of a spring and
-a push, friction that is kinetic and below the static one. Everything else, such as where an object is, a direction, a
-frequency, a limit of the guard, takes effect at once.
+If the stiffness halves in contact, half of the force disappears at once; with a ramp of a tenth of a second the hand
+can follow. Parameters that act on the force are ramped: materials, the fingertip's coupling, patch and radius, and the
+strength of effects. All of them are ramped over the same ticks, so that related values remain consistent: the sum of a
+spring and a push, or kinetic friction below static friction. All other parameters, such as the position of an object, a
+direction, a frequency or a limit of the guard, change at once.
 """
 
 from __future__ import annotations
@@ -45,53 +45,53 @@ _RAMPED: Final[Mapping[type, frozenset[str]]] = {
     model.Relief: frozenset({"height"}),
     model.Grip: frozenset({"low", "high"}),
 }
-"""Fields all of whose numbers are ramped, by kind of node."""
+"""Fields whose numbers are all ramped, by type of node."""
 
 
-class Way(NamedTuple):
-    """From the parameters of now to those that are wanted.
+class ParameterRamp(NamedTuple):
+    """Ramp from the present parameters to the requested ones.
 
-    kinds        (n,)  of each leaf: AT_ONCE, LINEAR, GEOMETRIC
-    now, target  (n,)  what `leaves` gives
-    left         (1,)  ticks to go, the last of them takes over the target to the bit; -1 when there
-    rows         (k,)  leaves that are addresses of rows of objects
-    addresses    (k,)  what they are in `now`, whose end has those objects: a kernel reads them there
-    ticks              that a change takes, 1 or more
+    kinds        (n,)  kind of each leaf: AT_ONCE, LINEAR, GEOMETRIC
+    now, target  (n,)  values as returned by `leaves`
+    ticks_left   (1,)  remaining ticks, of which the last sets the exact target; -1 when the ramp is finished
+    rows         (k,)  indices of leaves that are addresses of rows of objects
+    addresses    (k,)  their values: addresses inside `now`, which ends with those objects; kernels read them there
+    ticks              length of the ramp, at least 1
     """
 
     kinds: NDArray[np.int64]
     now: NDArray[np.float64]
     target: NDArray[np.float64]
-    left: NDArray[np.int64]
+    ticks_left: NDArray[np.int64]
     rows: NDArray[np.int64]
     addresses: NDArray[np.float64]
     ticks: int
 
 
 def leaves(tuning: Any) -> NDArray[np.float64]:
-    """Leaves (n,) of a tuning, as `flatten` gives them, and behind them those of objects in rows."""
+    """Return the leaves (n,) of a tuning as `flatten` orders them, followed by the leaves of objects in rows."""
     return np.concatenate([flatten(tuning), *(rows.array for _, rows in _rows(tuning))])
 
 
-def make_way(tuning: Any, ticks: int) -> Way:
-    """The way of a tuning that takes so many ticks; at once where it is none."""
+def make_ramp(tuning: Any, ticks: int) -> ParameterRamp:
+    """Return a ramp for a tuning that takes `ticks` ticks; 0 changes parameters at once."""
     now, rows = leaves(tuning), _rows(tuning)
-    behind = [tree for _, those in rows for tree in those.trees]
-    kinds = [kind for tree in (tuning, *behind) for kind in _kinds(tree, AT_ONCE)]
-    begins = len(now) - np.cumsum([len(those.array) for _, those in rows][::-1], dtype=np.int64)[::-1]
-    return Way(
+    row_trees = [tree for _, objects in rows for tree in objects.trees]
+    kinds = [kind for tree in (tuning, *row_trees) for kind in _kinds(tree, AT_ONCE)]
+    offsets = len(now) - np.cumsum([len(objects.array) for _, objects in rows][::-1], dtype=np.int64)[::-1]
+    return ParameterRamp(
         np.array(kinds, np.int64),
         now,
         now.copy(),
         np.full(1, -1, np.int64),
         np.array([leaf for leaf, _ in rows], np.int64),
-        (now.ctypes.data + now.itemsize * begins).view(np.float64),
+        (now.ctypes.data + now.itemsize * offsets).view(np.float64),
         max(ticks, 1),
     )
 
 
 def _rows(tuning: Any) -> list[tuple[int, Rows]]:
-    """Objects in rows, each with which leaf their address is."""
+    """Return the objects in rows, each with the index of the leaf that is their address."""
     found, leaf = list[tuple[int, Rows]](), 0
 
     def walk(node: Any) -> None:
@@ -109,62 +109,62 @@ def _rows(tuning: Any) -> list[tuple[int, Rows]]:
 
 
 def _kinds(node: Any, kind: int) -> list[int]:
-    """What each leaf of a tree is, in the order of `flatten`, below a field that is of this kind."""
+    """Return the kind of each leaf of a tree, in the order of `flatten`; `kind` is inherited from the parent field."""
     if not isinstance(node, tuple):
-        return [AT_ONCE if isinstance(node, ReadOnly) else kind]  # an array's leaf is its address
+        return [AT_ONCE if isinstance(node, ReadOnly) else kind]  # the leaf of an array is its address
     named = dict(zip(getattr(node, "_fields", range(len(node))), node, strict=True))
     return [each for name, child in named.items() for each in _kinds(child, _kind_of(node, name, kind))]
 
 
 def _kind_of(node: Any, field: Any, kind: int) -> int:
     match node, field:
-        case model.PowerNormal(), "coefficient":  # its unit has the exponent: the force at any depth goes geometrically
+        case model.PowerNormal(), "coefficient":  # its unit contains the exponent: force scales geometrically
             return GEOMETRIC
         case model.Anisotropic(), "direction":
             return AT_ONCE
-        case model.Finger(form=model.EllipsoidTip()), "radius":  # it is one of the form's, which is not ramped
+        case model.Finger(form=model.EllipsoidTip()), "radius":  # follows from the form, which is not ramped
             return AT_ONCE
     return LINEAR if field in _RAMPED.get(type(node), ()) else kind
 
 
 @jit
-def stay(way: Way, values: NDArray[np.float64]) -> None:
-    """Be at `values` (n,), with nowhere to go."""
+def set_now(ramp: ParameterRamp, values: NDArray[np.float64]) -> None:
+    """Set the parameters to `values` (n,) at once."""
     for i in range(values.shape[0]):
-        way.now[i] = way.target[i] = values[i]
-    way.left[0] = -1
-    _keep_rows(way)
+        ramp.now[i] = ramp.target[i] = values[i]
+    ramp.ticks_left[0] = -1
+    _restore_addresses(ramp)
 
 
 @jit
-def head_for(way: Way, values: NDArray[np.float64]) -> None:
-    """Want `values` (n,). Where one that is ramped has changed, all are on their way anew from where they are."""
+def set_target(ramp: ParameterRamp, values: NDArray[np.float64]) -> None:
+    """Set the target to `values` (n,); restart the ramp of all values if a ramped one changes."""
     changed = False
     for i in range(values.shape[0]):
-        changed |= way.kinds[i] != AT_ONCE and values[i] != way.target[i]
-        way.target[i] = values[i]
+        changed |= ramp.kinds[i] != AT_ONCE and values[i] != ramp.target[i]
+        ramp.target[i] = values[i]
     if changed:
-        way.left[0] = way.ticks
-    elif way.left[0] < 0:
-        way.left[0] = 1
+        ramp.ticks_left[0] = ramp.ticks
+    elif ramp.ticks_left[0] < 0:
+        ramp.ticks_left[0] = 1
 
 
 @jit
-def advance(way: Way) -> None:
-    """Go on by one tick; only where there is a way to go."""
-    left = way.left[0]
-    for i in range(way.now.shape[0]):
-        if way.kinds[i] == AT_ONCE or left <= 1:
-            way.now[i] = way.target[i]
-        elif way.kinds[i] == LINEAR:
-            way.now[i] += (way.target[i] - way.now[i]) / left
+def advance(ramp: ParameterRamp) -> None:
+    """Advance by one tick; call it only while ticks remain."""
+    ticks_left = ramp.ticks_left[0]
+    for i in range(ramp.now.shape[0]):
+        if ramp.kinds[i] == AT_ONCE or ticks_left <= 1:
+            ramp.now[i] = ramp.target[i]
+        elif ramp.kinds[i] == LINEAR:
+            ramp.now[i] += (ramp.target[i] - ramp.now[i]) / ticks_left
         else:
-            way.now[i] *= (way.target[i] / way.now[i]) ** (1.0 / left)
-    way.left[0] = left - 1 if left > 1 else -1
-    _keep_rows(way)
+            ramp.now[i] *= (ramp.target[i] / ramp.now[i]) ** (1.0 / ticks_left)
+    ramp.ticks_left[0] = ticks_left - 1 if ticks_left > 1 else -1
+    _restore_addresses(ramp)
 
 
 @jit
-def _keep_rows(way: Way) -> None:
-    for k in range(way.rows.shape[0]):
-        way.now[way.rows[k]] = way.addresses[k]
+def _restore_addresses(ramp: ParameterRamp) -> None:
+    for k in range(ramp.rows.shape[0]):
+        ramp.now[ramp.rows[k]] = ramp.addresses[k]

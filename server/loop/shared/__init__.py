@@ -1,4 +1,4 @@
-"""Memory that the loop shares with Python: records on their way out, and what wakes who reads them.
+"""Ring buffers from the servo loop to its readers, and the wait for their eventfd.
 
-No lock, and nobody waits: one writer, and one reader.
+No lock; each buffer has a single writer, which never waits.
 """

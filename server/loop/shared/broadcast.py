@@ -1,7 +1,7 @@
-"""Records from one writer to any number of readers, none of whom it waits for or knows of.
+"""Ring buffer with one writer and any number of readers, which the writer neither knows nor waits for.
 
-A reader copies a row and then looks whether the writer has come round meanwhile. One that falls behind by the whole
-ring goes on from half of it, and counts what it missed.
+A reader copies rows and then checks whether the writer has overwritten them. A reader that is a full ring behind skips
+to the middle of the ring and counts the rows missed. The relay of telemetry writes; shared-memory readers read.
 """
 
 from __future__ import annotations
@@ -22,52 +22,59 @@ from softfinger.proxy.kernels.jit.decorators import entry, jit
 
 
 class Broadcast(NamedTuple):
-    """slots (capacity, width) float64, capacity a power of two; word 0 of head (8,) int64 counts the rows written, the
-    others are for whoever wakes readers."""
+    """Ring buffer of rows.
+
+    slots  (capacity, width)  float64, capacity is a power of two
+    head   (8,)               int64; element 0 counts the rows written, the others are free for waking readers
+    """
 
     slots: NDArray[np.float64]
     head: NDArray[np.int64]
 
 
-class Place(NamedTuple):
-    """A reader's, (1,) each: the row it reads next, and how many it missed."""
+class ReadPosition(NamedTuple):
+    """Read position of one reader.
+
+    next  (1,)  row that is read next
+    lost  (1,)  rows missed
+    """
 
     next: NDArray[np.int64]
     lost: NDArray[np.int64]
 
 
 def make_broadcast(capacity: int, width: int) -> Broadcast:
-    """An empty one for `capacity` rows (a power of two) of `width` numbers."""
+    """Return an empty buffer for `capacity` rows (a power of two) of `width` numbers."""
     if capacity < 2 or capacity & (capacity - 1):
         raise ValueError(f"capacity = {capacity}: a broadcast's capacity is a power of two, 2 or more")
     return Broadcast(np.zeros((capacity, width)), np.zeros(8, np.int64))
 
 
-def make_place(broadcast: Broadcast) -> Place:
-    """A reader's that begins with the next row."""
-    return Place(broadcast.head[:1].copy(), np.zeros(1, np.int64))
+def make_read_position(broadcast: Broadcast) -> ReadPosition:
+    """Return the read position of a reader that starts at the next row."""
+    return ReadPosition(broadcast.head[:1].copy(), np.zeros(1, np.int64))
 
 
 @jit
 def write_row(broadcast: Broadcast, rows: NDArray[np.float64], row: int) -> None:
-    """Copy `rows[row]`, (width,), in place of the oldest."""
+    """Copy `rows[row]` (width,) into the buffer, over the oldest row."""
     head = load_relaxed(broadcast.head, 0)
     slot = head & (broadcast.slots.shape[0] - 1)
-    fence_release()  # whoever sees a number of this row sees that all before it were written
+    fence_release()  # a reader that sees part of this row also sees the count of the rows before it
     for i in range(broadcast.slots.shape[1]):
         broadcast.slots[slot, i] = rows[row, i]
     store_release(broadcast.head, 0, head + 1)
 
 
 @entry
-def read_rows(broadcast: Broadcast, place: Place, out: NDArray[np.float64]) -> int:
-    """Copy up to len(out) rows to `out` (n, width), oldest first; returns how many."""
+def read_rows(broadcast: Broadcast, position: ReadPosition, out: NDArray[np.float64]) -> int:
+    """Copy up to len(out) rows to `out` (n, width), oldest first; returns the number of rows."""
     capacity = broadcast.slots.shape[0]
     while True:
-        first, head = place.next[0], load_acquire(broadcast.head, 0)
-        if head - first >= capacity:  # the oldest may be being overwritten
-            place.next[0] = head - capacity // 2
-            place.lost[0] += place.next[0] - first
+        first, head = position.next[0], load_acquire(broadcast.head, 0)
+        if head - first >= capacity:  # the writer may be overwriting the oldest row
+            position.next[0] = head - capacity // 2
+            position.lost[0] += position.next[0] - first
             continue
         count = min(head - first, out.shape[0])
         for k in range(count):
@@ -76,5 +83,5 @@ def read_rows(broadcast: Broadcast, place: Place, out: NDArray[np.float64]) -> i
                 out[k, i] = broadcast.slots[slot, i]
         fence_acquire()
         if load_relaxed(broadcast.head, 0) - first < capacity:
-            place.next[0] = first + count
+            position.next[0] = first + count
             return int(count)

@@ -1,6 +1,6 @@
-"""Records from the servo to one reader: a ring with a single producer and a single consumer.
+"""Ring buffer of records with a single producer, the servo loop, and a single consumer.
 
-The producer never waits. A record that finds the ring full is dropped and counted.
+The producer never waits: if the ring is full, it drops the record and counts it.
 """
 
 from __future__ import annotations
@@ -14,11 +14,14 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, sto
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 
 _CACHE_LINE = 8
-"""int64 words; producer and consumer write to different cache lines."""
+"""Number of int64 in a cache line; producer and consumer write to different ones."""
 
 
 class Ring(NamedTuple):
-    """slots (capacity, width) float64, capacity a power of two; head, tail, drops are counters in word 0."""
+    """Ring buffer; `head`, `tail` and `drops` are counters in element 0.
+
+    slots  (capacity, width)  float64, capacity is a power of two
+    """
 
     slots: NDArray[np.float64]
     head: NDArray[np.int64]
@@ -27,19 +30,19 @@ class Ring(NamedTuple):
 
 
 class Feed(NamedTuple):
-    """A ring, and how its reader learns of what is in it.
+    """Ring and the notification of its reader.
 
-    turns    word 0 counts how often a ring has come to its end: nothing more is pushed to it
-    wake_fd  eventfd that is written after each push, and after each turn
+    completed_rings  element 0 counts the rings that are complete: no record is pushed to them any more
+    wake_fd          eventfd, written after each push and after each increment of `completed_rings`
     """
 
     ring: Ring
-    turns: NDArray[np.int64]
+    completed_rings: NDArray[np.int64]
     wake_fd: int
 
 
 def make_ring(capacity: int, width: int) -> Ring:
-    """An empty ring for `capacity` records (a power of two) of `width` numbers; its pages are touched."""
+    """Return an empty ring for `capacity` records (a power of two) of `width` numbers; its pages are touched."""
     if capacity < 1 or capacity & (capacity - 1):
         raise ValueError(f"capacity = {capacity}: a ring's capacity is a power of two")
     slots = np.empty((capacity, width))
@@ -50,7 +53,7 @@ def make_ring(capacity: int, width: int) -> Ring:
 
 @jit
 def push(ring: Ring, record: NDArray[np.float64]) -> bool:
-    """Copy `record` (width,) into the ring; False, and counted, when it is full."""
+    """Copy `record` (width,) into the ring; if the ring is full, count a drop and return False."""
     head = load_relaxed(ring.head, 0)
     if head - load_acquire(ring.tail, 0) >= ring.slots.shape[0]:
         store_release(ring.drops, 0, load_relaxed(ring.drops, 0) + 1)
@@ -64,7 +67,7 @@ def push(ring: Ring, record: NDArray[np.float64]) -> bool:
 
 @entry
 def take(ring: Ring, out: NDArray[np.float64]) -> int:
-    """Move up to len(out) records into `out` (n, width), oldest first; returns how many."""
+    """Move up to len(out) records into `out` (n, width), oldest first; returns the number of records."""
     tail = load_relaxed(ring.tail, 0)
     count = min(load_acquire(ring.head, 0) - tail, out.shape[0])
     for k in range(count):

@@ -1,4 +1,4 @@
-"""What the command line does with recordings: make one from the wire, tell what is in it, export it, replay it.
+"""Verbs of the command line for recordings: record from the wire, summarize, export and replay.
 
-No formats: how a file is written and read is beside this folder.
+Contains no file formats: these are in the parent folder.
 """

@@ -1,24 +1,24 @@
-"""`softfinger export`: a recording's ticks as CSV, Parquet or npz."""
+"""`softfinger export`: convert the ticks of a recording to CSV, Parquet or npz."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from softfinger.server.arguments import keep_apart
+from softfinger.server.arguments import check_distinct
 from softfinger.server.recording.export import export
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
+    """Add the arguments of the verb."""
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="an .mcap of run --record, record or ctl")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help=".csv, .parquet or .npz")
     parser.add_argument("--finger", default="", metavar="NAME", help="which of several fingers")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write it; returns 0."""
-    keep_apart("--out", args.out, [args.recording])
+    """Export the recording; return 0."""
+    check_distinct("--out", args.out, [args.recording])
     count = export(args.recording, args.out, args.finger)
     print(f"{args.out}: {count} ticks")
     return 0

@@ -1,4 +1,4 @@
-"""`record FILE.mcap`: every tick and event of a running daemon, from the wire. A client and nothing more."""
+"""`record FILE.mcap`: record every tick and event of a running daemon as one of its telemetry clients."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from softfinger.config.files import open_recording
 from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.progress import counter
-from softfinger.server.recording.recorder import Recorded, Recorder
-from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, record_of, silence, subscribe
+from softfinger.server.recording.recorder import Recorder, RecorderState
+from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, no_telemetry_text, record_of, subscribe
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, WORLD, finger_of
 
@@ -26,211 +26,219 @@ log: Final = logging.getLogger(__name__)
 
 BATCH_S: Final = 0.02
 POLL_S: Final = 0.02
-DESCRIBE_S: Final = 2.0
-SHOW_EVERY_S: Final = 0.5
-DISK_S: Final = 10.0
-"""How long the end waits for the disk."""
-_NOT_KEPT: Final = ("wire", "commands", "endpoints")
-"""Of the daemon's description: they say how messages look that are not in the file."""
+DESCRIBE_TIMEOUT_S: Final = 2.0
+SHOW_PERIOD_S: Final = 0.5
+DISK_TIMEOUT_S: Final = 10.0
+"""Time limit for the last writes to the disk."""
+_UNRECORDED_KEYS: Final = ("wire", "commands", "endpoints")
+"""Keys of the daemon's description that are not recorded: they describe messages of the wire."""
 
 
-class Live(NamedTuple):
-    """What to record, and until when.
+class RecordingJob(NamedTuple):
+    """Source and end of a recording.
 
-    at          where it is published, and where the daemon describes itself
-    duration_s  of ticks; None until the server's end
-    keys        of a client, where the daemon wants some
-    timeout_s   of silence, that ends it
-    asked       whether somebody asks for the end
+    addresses          endpoints of telemetry and commands
+    keys               of this client, if the daemon requires keys
+    duration_s         of ticks to record; None: until the server stops
+    timeout_s          silence that ends the recording
+    is_stop_requested  returns true if the user requested the end
     """
 
-    at: Addresses
+    addresses: Addresses
     keys: ClientKeys | None
     duration_s: float | None
     timeout_s: float
-    asked: Callable[[], bool]
+    is_stop_requested: Callable[[], bool]
 
 
-def record_live(live: Live, path: Path) -> str:
-    """Record into a new file until the end of one of many kinds; returns what to tell of it.
+def record_live(job: RecordingJob, path: Path) -> str:
+    """Record into a new file until the first of several causes ends the recording; return a report in one line.
 
-    Raises NoTelemetry when nothing arrives, RecordingError for a file that is there already or cannot be written.
+    Raises
+    ------
+    NoTelemetry
+        If nothing arrives.
+    RecordingError
+        If the file exists or cannot be written.
     """
-    with subscribed(live) as wire:
-        early, fingers, about = begin(wire, live)
+    with subscribe_all(job) as wire:
+        first_samples, fingers, about = receive_first(wire, job)
         try:
             file = open_recording(path)
         except FileExistsError as error:
             raise RecordingError(f"{path}: is there already: a recording takes the place of no file") from error
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
-        recorder = Recorder(file, fingers, about, lambda said, _: log.warning(said))
-        taking = Taking(recorder, fingers)
+        recorder = Recorder(file, fingers, about, lambda text, _: log.warning(text))
+        batcher = TickBatcher(recorder, fingers)
         try:
-            ended = go_on(wire, live, early, taking)
+            end_reason = record_until_end(wire, job, first_samples, batcher)
         finally:
-            recorder.note("lost", taking.lost)
-            recorded = recorder.stop(DISK_S)
-    return _told(path, taking, recorded, ended)
+            recorder.note("lost", batcher.lost)
+            recorded = recorder.stop(DISK_TIMEOUT_S)
+    return _format_report(path, batcher, recorded, end_reason)
 
 
-def _told(path: Path, taking: Taking, recorded: Recorded, ended: str) -> str:
+def _format_report(path: Path, batcher: TickBatcher, recorded: RecorderState, end_reason: str) -> str:
     if recorded.error:
-        raise RecordingError(f"{path}: cannot be written: {recorded.error}; it holds {recorded.ticks} ticks")
-    lost = f"{taking.lost} did not arrive" if taking.lost else "no tick lost"
+        raise RecordingError(f"{path}: cannot be written: {recorded.error}; it has {recorded.ticks} ticks")
+    lost = f"{batcher.lost} did not arrive" if batcher.lost else "no tick lost"
     slow = f", {recorded.dropped} left out since the disk was too slow" if recorded.dropped else ""
-    unsaid = "" if recorded.whole else f"; the disk has not taken the last of it within {DISK_S:g} s"
-    ticks = f"{recorded.ticks} ticks, {taking.first} to {taking.last}"
-    return f"{path}: {ticks}, {recorded.bytes / 1e6:.1f} MB, {lost}{slow}; {ended}{unsaid}"
+    unfinished = "" if recorded.whole else f"; the disk has not taken the last of it within {DISK_TIMEOUT_S:g} s"
+    ticks = f"{recorded.ticks} ticks, {batcher.first} to {batcher.last}"
+    return f"{path}: {ticks}, {recorded.bytes / 1e6:.1f} MB, {lost}{slow}; {end_reason}{unfinished}"
 
 
-class Taker(Protocol):
-    """Whom ticks and events are handed to."""
+class TickReceiver(Protocol):
+    """Receiver of ticks and events."""
 
     def take(self, records: NDArray[np.float64], finger: int) -> None:
-        """Records (n, RECORD_SIZE) of a finger, by its place."""
+        """Receive records (n, RECORD_SIZE) of the finger with this index."""
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """An event's map, as the wire has it."""
+        """Receive an event, a map as on the wire."""
 
     def world(self, world: Mapping[str, Any]) -> None:
-        """A message of `world`, a map as the wire has it."""
+        """Receive a message of the topic `world`, a map as on the wire."""
 
     @property
     def failed(self) -> bool:
-        """Whether it takes no more."""
+        """Return whether the receiver stopped because of an error."""
 
 
-class Taking:
-    """Hands messages to a taker, ticks some at a time."""
+class TickBatcher:
+    """Passes messages to a receiver, ticks in batches."""
 
-    def __init__(self, taker: Taker, fingers: list[str]) -> None:
-        self._taker, self._places = taker, {finger: place for place, finger in enumerate(fingers)}
-        self._rows: dict[int, list[list[float]]] = {place: [] for place in self._places.values()}
+    def __init__(self, receiver: TickReceiver, fingers: list[str]) -> None:
+        self._receiver, self._indices = receiver, {finger: index for index, finger in enumerate(fingers)}
+        self._rows: dict[int, list[list[float]]] = {index: [] for index in self._indices.values()}
         self._due_s = time.monotonic() + BATCH_S
         self.first = self.last = -1
         self.seconds = 0.0
         self.lost = 0
-        self.ended = ""
+        self.end_reason = ""
 
     def take(self, sample: Sample) -> None:
-        """A message, in its order; sets `ended` at the server's end."""
+        """Process the next message; set `end_reason` if the server stopped or restarted."""
         finger = finger_of(sample.topic)
         if sample.topic == EVENT:
-            self._taker.event(sample.data)
+            self._receiver.event(sample.data)
             if (sample["kind"], sample["name"]) == ("lifecycle", "stopped"):
-                self.ended = "the server stopped"
+                self.end_reason = "the server stopped"
         elif sample.topic == WORLD:
-            self._taker.world(msgspec.to_builtins(sample.data))
-        elif finger in self._places:
+            self._receiver.world(msgspec.to_builtins(sample.data))
+        elif finger in self._indices:
             if sample.tick < self.last:
-                self.ended = "the server started again"
+                self.end_reason = "the server started again"
                 return
             if self.first < 0:
                 self.first = sample.tick
-            if self._places[finger] == 0:
+            if self._indices[finger] == 0:
                 self.seconds += sample.dt * (1 + sample.lost)
             self.last = sample.tick
             self.lost += sample.lost
-            self._rows[self._places[finger]].append(record_of(sample))
+            self._rows[self._indices[finger]].append(record_of(sample))
         if time.monotonic() > self._due_s:
-            self.hand_on()
+            self.flush()
 
-    def hand_on(self) -> None:
-        """Give the taker what came."""
+    def flush(self) -> None:
+        """Pass the collected ticks to the receiver."""
         self._due_s = time.monotonic() + BATCH_S
-        for place, rows in self._rows.items():
+        for index, rows in self._rows.items():
             if rows:
-                self._taker.take(np.array(rows), place)
+                self._receiver.take(np.array(rows), index)
                 rows.clear()
 
     @property
     def failed(self) -> bool:
-        """Whether the taker takes no more."""
-        failed: bool = self._taker.failed
+        """Return whether the receiver stopped because of an error."""
+        failed: bool = self._receiver.failed
         return failed
 
 
-def go_on(wire: Subscription, live: Live, early: list[Sample], taking: Taking) -> str:
-    """Take what came early and what arrives until the end; returns which it was. All that came is handed on."""
+def record_until_end(wire: Subscription, job: RecordingJob, first_samples: list[Sample], batcher: TickBatcher) -> str:
+    """Process the first messages and all that arrive until the end; return the cause of the end."""
     try:
-        for sample in early:
-            taking.take(sample)
-        return _until_the_end(wire, live, taking)
+        for sample in first_samples:
+            batcher.take(sample)
+        return _receive_until_end(wire, job, batcher)
     finally:
-        taking.hand_on()
+        batcher.flush()
 
 
-def _until_the_end(wire: Subscription, live: Live, taking: Taking) -> str:
-    heard = shown = time.monotonic()
+def _receive_until_end(wire: Subscription, job: RecordingJob, batcher: TickBatcher) -> str:
+    received_s = shown_s = time.monotonic()
     with counter() as show:
-        while not taking.ended:
+        while not batcher.end_reason:
             sample = wire.receive(POLL_S)
             now = time.monotonic()
             if sample is None:
-                taking.hand_on()
-                if now - heard > live.timeout_s:
-                    return f"nothing arrived for {live.timeout_s:g} s"
+                batcher.flush()
+                if now - received_s > job.timeout_s:
+                    return f"nothing arrived for {job.timeout_s:g} s"
             else:
-                heard = now
-                if _over(sample, live, taking):
-                    return f"{live.duration_s:g} s are over"
-                taking.take(sample)
-            if live.asked():
+                received_s = now
+                if _is_over(sample, job, batcher):
+                    return f"{job.duration_s:g} s are over"
+                batcher.take(sample)
+            if job.is_stop_requested():
                 return "stopped"
-            if taking.failed:
+            if batcher.failed:
                 return "the file takes no more"
-            if show is not None and now - shown > SHOW_EVERY_S:
-                shown = now
-                show(f"tick {taking.last}, {taking.lost} lost; Ctrl-C stops")
-    return taking.ended
+            if show is not None and now - shown_s > SHOW_PERIOD_S:
+                shown_s = now
+                show(f"tick {batcher.last}, {batcher.lost} lost; Ctrl-C stops")
+    return batcher.end_reason
 
 
-def _over(sample: Sample, live: Live, taking: Taking) -> bool:
-    if live.duration_s is None or finger_of(sample.topic) is None:
+def _is_over(sample: Sample, job: RecordingJob, batcher: TickBatcher) -> bool:
+    if job.duration_s is None or finger_of(sample.topic) is None:
         return False
-    # Half a tick early: a sum of time steps is rounded.
-    return bool(taking.seconds > live.duration_s - 0.5 * sample.dt and sample.tick > taking.last)
+    # Half a tick early, because the sum of time steps has rounding errors.
+    return bool(batcher.seconds > job.duration_s - 0.5 * sample.dt and sample.tick > batcher.last)
 
 
-def subscribed(live: Live) -> Subscription:
-    """A client of all that is taken."""
-    return subscribe(live.at.telemetry, (CONTACT, FINGERS, EVENT, WORLD), keys=live.keys)
+def subscribe_all(job: RecordingJob) -> Subscription:
+    """Subscribe to all recorded topics."""
+    return subscribe(job.addresses.telemetry, (CONTACT, FINGERS, EVENT, WORLD), keys=job.keys)
 
 
-def begin(wire: Subscription, live: Live) -> tuple[list[Sample], list[str], dict[str, Any]]:
-    """The first messages, the names of the fingers, and what the daemon says of itself, empty if it does not.
+def receive_first(wire: Subscription, job: RecordingJob) -> tuple[list[Sample], list[str], dict[str, Any]]:
+    """Return the first messages, the names of the fingers, and the daemon's description, empty if it sends none.
 
-    Raises NoTelemetry when nothing arrives.
+    Raises
+    ------
+    NoTelemetry
+        If nothing arrives.
     """
-    early = _early(wire, live)
-    fingers = list(dict.fromkeys(finger for sample in early if (finger := finger_of(sample.topic)) is not None))
-    return early, fingers, _description(live) | {"every": early[-1]["every"]}
+    first_samples = _receive_full_tick(wire, job)
+    fingers = list(dict.fromkeys(finger for sample in first_samples if (finger := finger_of(sample.topic)) is not None))
+    return first_samples, fingers, _description(job) | {"every": first_samples[-1]["every"]}
 
 
-def _early(wire: Subscription, live: Live) -> list[Sample]:
-    """The messages of one whole tick at the least, so that every finger is among them, and events before."""
+def _receive_full_tick(wire: Subscription, job: RecordingJob) -> list[Sample]:
+    """Return the messages of at least one complete tick, which names all fingers, with the events before it."""
     samples: list[Sample] = []
     ticks: dict[str, int] = {}
-    until = time.monotonic() + live.timeout_s
-    while time.monotonic() < until and not live.asked():
+    until = time.monotonic() + job.timeout_s
+    while time.monotonic() < until and not job.is_stop_requested():
         sample = wire.receive(POLL_S)
         if sample is None:
             continue
         samples.append(sample)
         if finger_of(sample.topic) is not None:
             ticks[sample.topic] = ticks.get(sample.topic, 0) + 1
-            # Those of a tick come one after the other: with the third of one, all others have come.
+            # Messages of one tick arrive together: before the third message of one finger, each finger has had one.
             if ticks[sample.topic] == 3:
                 return samples
-    raise NoTelemetry(silence(live.at.telemetry, live.timeout_s))
+    raise NoTelemetry(no_telemetry_text(job.addresses.telemetry, job.timeout_s))
 
 
-def _description(live: Live) -> dict[str, Any]:
-    """What the daemon says of itself; empty where it takes no commands."""
+def _description(job: RecordingJob) -> dict[str, Any]:
+    """Return the daemon's description; empty if it accepts no commands."""
     try:
-        with Control(live.at.commanded(), DESCRIBE_S, keys=live.keys) as control:
-            return {key: value for key, value in control.describe().items() if key not in _NOT_KEPT}
+        with Control(job.addresses.command_endpoint(), DESCRIBE_TIMEOUT_S, keys=job.keys) as control:
+            return {key: value for key, value in control.describe().items() if key not in _UNRECORDED_KEYS}
     except HapticError as error:
         log.warning("it is not known which rig and scene this is: %s", error)
         return {}

@@ -1,4 +1,4 @@
-"""`softfinger replay`: recorded poses through today's code, beside the forces, modes and contact points of then."""
+"""`softfinger replay`: recompute a recording from its poses; compare forces, modes and contact points."""
 
 from __future__ import annotations
 
@@ -22,42 +22,42 @@ from softfinger.drivers.resample import resample
 from softfinger.drivers.wrench_log import FORCE_COLUMNS
 from softfinger.proxy.record import NAMED
 from softfinger.server.offline.figures import figure, plot_file, save
-from softfinger.server.offline.results import read_results
 from softfinger.server.recording.compare import COMPARED, FIELDS, Outcome, Replayed, compare, replay
+from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import Run, load_run
 
 Array = NDArray[np.float64]
 Against = dict[str, dict[str, Array]]
 
 TOLERANCE: Final = 1e-9
-"""N, N m, m: what another processor's mathematics may differ by after many ticks; on one machine nothing does."""
+"""N, N m, m: possible difference between processors after many ticks; results on one machine are identical."""
 FORCES_BYTES_MAX: Final = 1 << 30
 SPANS_SHOWN: Final = 10
 POINTS_MAX: Final = 4000
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
+    """Add the arguments of the verb."""
     parser.add_argument(
         "recording",
         metavar="RECORDING",
         help="an .mcap; or poses (.csv, .npz, a shipped name), with --scene and --against",
     )
     parser.add_argument(
-        "--against", type=Path, metavar="FORCES", help="compare with this: results, or the forces that a replay kept"
+        "--against", type=Path, metavar="FORCES", help="reference: results, or the forces written by a replay"
     )
     parser.add_argument(
         "--tolerance", type=float, default=TOLERANCE, metavar="N", help="largest difference, N, N m, m (%(default)s)"
     )
     parser.add_argument("--scene", help="scene in place of the recording's")
-    parser.add_argument("--rig", help="rig whose guard limits the force, in place of the recording's")
+    parser.add_argument("--rig", help="rig with the guard that limits the force, instead of the recording's")
     parser.add_argument("--rate", type=float, metavar="HZ", help="of poses that are no recording (1000)")
-    parser.add_argument("--plot", type=plot_file, metavar="FILE.png", help="draw both forces and what lies between")
+    parser.add_argument("--plot", type=plot_file, metavar="FILE.png", help="draw both forces and their difference")
     parser.add_argument("--json", action="store_true", help="print the outcome as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare; returns 0. Raises Different, with an exit code of its own, at the first difference."""
+    """Compare a recording with today's results; return 0. Raises Different, with its exit code, if a tick differs."""
     if not args.tolerance >= 0.0:
         raise ConfigError(f"--tolerance {args.tolerance} is no tolerance: give 0 or more")
     path = Path(args.recording)
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     rig = load_rig(args.rig or "replay", {} if args.rate is None else {"servo.rate_hz": args.rate})
     if recorded:
         if args.rate is not None:
-            raise ConfigError("--rate is for poses: a recording has its own")
+            raise ConfigError("--rate is for poses: a recording contains its rate")
         past = load_run(path, FIELDS)
         if past.notes.get("every", 1) != 1:
             raise RecordingError(f"{path}: has one tick in {past.notes['every']}: a replay needs all, so set every = 1")
@@ -74,14 +74,14 @@ def run(args: argparse.Namespace) -> int:
             rig = build(schema.Rig, past.notes["rig"], f"{path}: rig")
     else:
         if args.scene is None or args.against is None:
-            raise ConfigError(f"{path}: poses alone say neither scene nor forces: give --scene and --against")
-        past, scene = _of_poses(args.recording, rig.servo.rate_hz), load_scene(args.scene)
-    now = replay(past, scene, rig)
-    against = _recorded(past) if args.against is None else _from_file(args.against, past)
-    outcome = compare(past, now, against, args.tolerance)
+            raise ConfigError(f"{path}: poses contain neither scene nor forces: give --scene and --against")
+        past, scene = _run_from_poses(args.recording, rig.servo.rate_hz), load_scene(args.scene)
+    replayed = replay(past, scene, rig)
+    against = _recorded_values(past) if args.against is None else _from_file(args.against, past)
+    outcome = compare(past, replayed, against, args.tolerance)
     if args.plot is not None:
-        draw(past, now, against, args.plot)
-    print(json.dumps(_plain(outcome)) if args.json else "\n".join(_lines(outcome, past)))
+        draw(past, replayed, against, args.plot)
+    print(json.dumps(_to_json(outcome)) if args.json else "\n".join(_lines(outcome, past)))
     if outcome.first is not None:
         first = outcome.first
         raise Different(
@@ -90,21 +90,21 @@ def run(args: argparse.Namespace) -> int:
         )
     if not outcome.compared:
         raise RecordingError(
-            f"{path}: no tick of it can be compared: it begins in contact, is too short, or has a command in each touch"
+            f"{path}: no tick of it can be compared: it starts in contact, is too short, or has a command in each touch"
         )
     return 0
 
 
-def _scene(named: str | None, past: Run, path: Path) -> schema.Scene:
-    if named is not None:
-        return load_scene(named)
+def _scene(name: str | None, past: Run, path: Path) -> schema.Scene:
+    if name is not None:
+        return load_scene(name)
     if "scene" not in past.notes:
-        raise ConfigError(f"{path}: does not say its scene: give --scene")
+        raise ConfigError(f"{path}: does not contain its scene: give --scene")
     return build(schema.Scene, past.notes["scene"], f"{path}: scene")
 
 
-def _of_poses(name: str, rate_hz: float) -> Run:
-    """Poses as a run from its first tick on."""
+def _run_from_poses(name: str, rate_hz: float) -> Run:
+    """Return poses as a run that starts at tick 0."""
     poses = resample(load_poses(name), rate_hz)
     count = len(poses)
     fields = {key: np.zeros((count, NAMED[key].size)).squeeze(axis=1) if NAMED[key].size == 1
@@ -114,34 +114,37 @@ def _of_poses(name: str, rate_hz: float) -> Run:
     return Run({"": fields}, {"rate_hz": rate_hz}, [], "")
 
 
-def _recorded(past: Run) -> Against:
+def _recorded_values(past: Run) -> Against:
     return {finger: {key: fields[key] for key in COMPARED} for finger, fields in past.fingers.items()}
 
 
 def _from_file(path: Path, past: Run) -> Against:
-    """What another file has of the run's ticks, NaN where it has none; the ticks are numbered from 0 there and here."""
+    """Return the values of another file at the run's ticks, by number; raises RecordingError if it lacks a tick."""
     against: Against = {}
     for finger, fields in past.fingers.items():
-        forces = _forces(path) if len(past.fingers) == 1 else None
+        forces = _read_forces(path) if len(past.fingers) == 1 else None
         if forces is not None:
-            numbers, found = forces
+            numbers, values_by_key = forces
         else:
             rows = read_results(path, finger)
             numbers = rows[:, NAMED["tick"].at]
-            found = {key: rows[:, NAMED[key].at : NAMED[key].at + NAMED[key].size] for key in COMPARED}
+            values_by_key = {key: rows[:, NAMED[key].at : NAMED[key].at + NAMED[key].size] for key in COMPARED}
         missing = ~np.isin(fields["tick"], numbers)
         if missing.any():
             raise RecordingError(
                 f"{path}: has no tick {fields['tick'][missing][0]:.0f}, nor {missing.sum() - 1} others of the recording"
             )
         order = np.argsort(numbers, kind="stable")
-        places = order[np.searchsorted(numbers[order], fields["tick"])]
-        against[finger] = {key: values[places] for key, values in found.items()}
+        indices = order[np.searchsorted(numbers[order], fields["tick"])]
+        against[finger] = {key: values[indices] for key, values in values_by_key.items()}
     return against
 
 
-def _forces(path: Path) -> tuple[Array, dict[str, Array]] | None:
-    """Of the file of forces that a replay keeps: the read that each answers, and its wrench; None for another file."""
+def _read_forces(path: Path) -> tuple[Array, dict[str, Array]] | None:
+    """Read a file of forces written by the replay device: index of the read before each force, and wrench.
+
+    Returns None for other files.
+    """
     try:
         if path.suffix.lower() == ".npz":
             with open_input(path) as file:
@@ -163,12 +166,12 @@ def _forces(path: Path) -> tuple[Array, dict[str, Array]] | None:
             return None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # damaged bytes fail in many ways
+    except Exception as error:  # damaged bytes raise exceptions of many types
         raise RecordingError(f"{path}: not a file of forces: {error}") from error
     return reads, {"force": wrenches[:, :3], "torque": wrenches[:, 3:6]}
 
 
-def _plain(outcome: Outcome) -> dict[str, Any]:
+def _to_json(outcome: Outcome) -> dict[str, Any]:
     plain = outcome._asdict() | {"equal": outcome.first is None and outcome.compared > 0}
     plain["first"] = None if outcome.first is None else outcome.first._asdict()
     plain["left_out"] = [span._asdict() for span in outcome.left_out]
@@ -186,22 +189,22 @@ def _lines(outcome: Outcome, past: Run) -> list[str]:
     return lines
 
 
-def draw(past: Run, now: Replayed, against: Against, path: Path) -> None:
-    """Draw the size of both forces of each finger over time, and of their difference where they are compared."""
+def draw(past: Run, replayed: Replayed, against: Against, path: Path) -> None:
+    """Plot the force magnitude of each finger over time, recorded and recomputed, and the difference where compared."""
     drawing = figure(8.0, 2.0 + 2.0 * len(past.fingers))
     axes = drawing.subplots(2 * len(past.fingers), 1, sharex=True, squeeze=False)[:, 0]
     seconds = np.cumsum(past.first["dt"])
-    few = np.unique(np.linspace(0, len(seconds) - 1, min(len(seconds), POINTS_MAX)).astype(int))
-    for place, finger in enumerate(past.fingers):
-        then, today = against[finger]["force"], now.field("force", place)
-        apart = np.linalg.norm(today - then, axis=1)
-        apart[~now.right] = np.nan
-        above, below = axes[2 * place], axes[2 * place + 1]
-        above.plot(seconds[few], np.linalg.norm(then, axis=1)[few], linewidth=1.6, label="then")
-        above.plot(seconds[few], np.linalg.norm(today, axis=1)[few], linewidth=0.8, label="now")
+    plotted = np.unique(np.linspace(0, len(seconds) - 1, min(len(seconds), POINTS_MAX)).astype(int))
+    for finger_index, finger in enumerate(past.fingers):
+        recorded, recomputed = against[finger]["force"], replayed.field("force", finger_index)
+        deviation = np.linalg.norm(recomputed - recorded, axis=1)
+        deviation[~replayed.comparable] = np.nan
+        above, below = axes[2 * finger_index], axes[2 * finger_index + 1]
+        above.plot(seconds[plotted], np.linalg.norm(recorded, axis=1)[plotted], linewidth=1.6, label="then")
+        above.plot(seconds[plotted], np.linalg.norm(recomputed, axis=1)[plotted], linewidth=0.8, label="now")
         above.set_ylabel(f"{finger} force [N]".strip())
         above.legend(frameon=False, fontsize="small")
-        below.plot(seconds[few], apart[few], linewidth=1.0)
+        below.plot(seconds[plotted], deviation[plotted], linewidth=1.0)
         below.set_ylabel("difference [N]")
     axes[-1].set_xlabel("time [s]")
     save(drawing, path)

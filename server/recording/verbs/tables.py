@@ -1,4 +1,4 @@
-"""`softfinger import`: poses of another program, a table of numbers in any layout, as a recording to replay."""
+"""`softfinger import`: convert poses of another program, a table of numbers in any layout, to a replayable file."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import argparse
 from pathlib import Path
 
 from softfinger.config.errors import ConfigError, RecordingError
-from softfinger.server.arguments import keep_apart
-from softfinger.server.offline.tables import layout_of, read_table, write_poses
+from softfinger.server.arguments import check_distinct
+from softfinger.server.recording.tables import make_layout, read_table, write_poses
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
+    """Add the arguments of the verb."""
     parser.add_argument("table", type=Path, metavar="TABLE", help="text; commas, semicolons, tabs or blanks between")
     parser.add_argument(
         "--out", type=Path, required=True, metavar="FILE.csv", help="poses, for --recording and --poses"
     )
     parser.add_argument(
         "--columns", required=True, metavar="NAMES",
-        help="what each column is, such as t,x,y,z,-,-,-: of t,x,y,z,qw,qx,qy,qz, or - to leave it out",
+        help="content of the columns, such as t,x,y,z,-,-,-: of t,x,y,z,qw,qx,qy,qz, or - to ignore it",
     )  # fmt: skip
     parser.add_argument("--unit-s", type=float, default=1.0, metavar="S", help="unit of t in s (0.001 for ms)")
     parser.add_argument("--unit-m", type=float, default=1.0, metavar="M", help="unit of x, y, z in m (0.001 for mm)")
@@ -27,11 +27,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read and write it; returns 0."""
-    layout = layout_of(args.columns, args.unit_s, args.unit_m, args.rate, args.skip)
+    """Convert the table; return 0."""
+    layout = make_layout(args.columns, args.unit_s, args.unit_m, args.rate, args.skip)
     if args.out.suffix.lower() != ".csv":
         raise ConfigError(f"--out {args.out}: poses are written as .csv")
-    keep_apart("--out", args.out, [args.table])
+    check_distinct("--out", args.out, [args.table])
     poses = read_table(args.table, layout)
     try:
         write_poses(args.out, poses)

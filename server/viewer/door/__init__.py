@@ -1,4 +1,4 @@
-"""How the page is come by: its process, its secret address, and who may open it.
+"""Access to the page: its process, its secret address and its access control.
 
-Of it only `access` needs viser's packages.
+Only `access` imports packages of viser.
 """

@@ -1,8 +1,8 @@
-"""Who may open the page and command by it: whoever has its secret address, from the page itself, and nobody else.
+"""Access control of the page: requests need the secret address and must come from the page itself.
 
-A browser lets any web site connect to any address of this machine, by a websocket or under a name of the site's own
-(DNS rebinding). So each request has to have the page's token in its path, name the page's host, and, where a browser
-says which site it comes from, come from the page.
+Browsers let any web site connect to any address of this machine, by a websocket or under a name of the site's domain
+(DNS rebinding). Therefore each request must have the page's token in its path, the page's host in its header and, if
+the browser sends an origin, the origin of the page.
 """
 
 from __future__ import annotations
@@ -31,30 +31,47 @@ from softfinger.config.errors import ConfigError
 log: Final = logging.getLogger(__name__)
 
 TOKEN_BYTES: Final = 16
-SAID_MAX: Final = 200
-"""Characters of an error that the log repeats."""
+MESSAGE_MAX: Final = 65536
+"""Maximum size of a browser's message, bytes. The page sends less than 1000. Larger messages are refused at the header
+of their frame; viser's default limit is 50 MB.
+"""
+BROWSERS_MAX: Final = 32
+"""Maximum number of simultaneous browsers. Each has a separate send buffer."""
+ERROR_TEXT_MAX: Final = 200
+"""Maximum length of an error text in the log."""
 ADVICE: Final = "open the page by the address that `softfinger view` or `softfinger run --view` printed last\n"
 HEADERS: Final = {
     "X-Frame-Options": "DENY",
-    "Content-Security-Policy": "frame-ancestors 'none'",  # no other page may lay it under a click
-    "Referrer-Policy": "no-referrer",  # the address is the secret
+    "Content-Security-Policy": "frame-ancestors 'none'",  # prevents clickjacking: no other page may embed this one
+    "Referrer-Policy": "no-referrer",  # the address is secret
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
-NAMED: Final = b"<title>Viser</title>"
+VISER_TITLE: Final = b"<title>Viser</title>"
 
 Answer = Callable[[ServerConnection, Request], Response | None]
-Talk = Callable[[ServerConnection], Awaitable[None]]
+Handler = Callable[[ServerConnection], Awaitable[None]]
 
 
 def new_token() -> str:
-    """One that nobody guesses."""
+    """Return a random token."""
     return secrets.token_urlsafe(TOKEN_BYTES)
 
 
 class Access:
-    """What a request to a page on `host` has to say; `allowed` are more hosts, NAME or NAME:PORT, behind a tunnel.
-    Its `token` is a new one unless it is given."""
+    """Check of requests to a page on `host`.
+
+    Parameters
+    ----------
+    host
+        Address that the page listens on.
+    allowed
+        Further hosts, NAME or NAME:PORT, for access through a tunnel.
+    title
+        Title of the page.
+    token
+        Secret part of the address; None: a new one.
+    """
 
     def __init__(
         self, host: str, allowed: tuple[str, ...] = (), title: str = "softfinger", token: str | None = None
@@ -63,18 +80,18 @@ class Access:
         self._host, self._allowed, self._title = host, allowed, title
 
     def address(self, port: int) -> str:
-        """Where a browser on this machine, or with a wildcard for `host` on another, finds the page."""
-        if _any(self._host):
+        """Return the page's address for a browser on this machine, or on another one if `host` is a wildcard."""
+        if _is_wildcard(self._host):
             name = self._allowed[0] if self._allowed else socket.gethostname()
         else:
             name = "localhost" if self._host == "127.0.0.1" else self._host
         return f"http://{_with_port(name, port)}/{self.token}/"
 
-    def why_not(self, path: str, headers: Headers, local: tuple[Any, ...]) -> str:
-        """Why a request is refused, empty where it is not; `local` is the address (host, port, ...) it came to."""
+    def refusal_reason(self, path: str, headers: Headers, local: tuple[Any, ...]) -> str:
+        """Return why a request to the `local` address (host, port, ...) is refused; empty if it is allowed."""
         hosts = [each.lower() for each in headers.get_all("Host")]
         if len(hosts) != 1 or hosts[0] not in self._hosts(local):
-            return f"the request is for the host {hosts}, which this page is not: --allow-host names others"
+            return f"the request is for the host {hosts}, which is not allowed: add it with --allow-host"
         origins = [each.lower() for each in headers.get_all("Origin")]
         upgrade = "Upgrade" in headers
         if (origins or upgrade) and origins not in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
@@ -85,93 +102,103 @@ class Access:
         return ""
 
     def _hosts(self, local: tuple[Any, ...]) -> set[str]:
-        """What the header Host may say. An address in figures is no name that a web site could have given itself."""
+        """Return the allowed values of the header Host; numeric addresses cannot belong to a web site's domain."""
         port = int(local[1])
-        names = {self._host, str(local[0]), *self._allowed}
-        if _any(self._host) or _loopback(str(local[0])):
-            names |= {"localhost"}
-        if _any(self._host):
-            names |= {socket.gethostname()}
-        return {_with_port(name, port).lower() for name in names}
+        hosts = {self._host, str(local[0]), *self._allowed}
+        if _is_wildcard(self._host) or _is_loopback(str(local[0])):
+            hosts |= {"localhost"}
+        if _is_wildcard(self._host):
+            hosts |= {socket.gethostname()}
+        return {_with_port(name, port).lower() for name in hosts}
 
-    def guarded(self, serve: Answer) -> Answer:
-        """`serve` for those who may, with the token taken out of the path; a refusal for all others."""
+    def wrap_answer(self, serve: Answer) -> Answer:
+        """Wrap `serve`: pass on allowed requests, without the token in the path, and refuse all other ones."""
 
         def answer(connection: ServerConnection, request: Request) -> Response | None:
-            why = self.why_not(request.path, request.headers, connection.local_address)
-            if why:
-                body = f"Refused: {why}; {ADVICE}".encode()
+            reason = self.refusal_reason(request.path, request.headers, connection.local_address)
+            if reason:
+                body = f"Refused: {reason}; {ADVICE}".encode()
                 headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
                 response: Response | None = Response(HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
             else:
                 response = serve(connection, replace(request, path=request.path.removeprefix(f"/{self.token}") or "/"))
-            return None if response is None else self._finished(response)
+            return None if response is None else self._complete(response)
 
         return answer
 
-    def _finished(self, response: Response) -> Response:
+    def _complete(self, response: Response) -> Response:
         body = response.body or b""
         if response.headers.get("Content-Type", "").startswith("text/html"):
-            body = _titled(bytes(body), response.headers.get("Content-Encoding") == "gzip", self._title)
+            body = _set_title(bytes(body), response.headers.get("Content-Encoding") == "gzip", self._title)
             del response.headers["Content-Length"]
             response.headers["Content-Length"] = str(len(body))
         response.headers.update(HEADERS)
         return replace(response, body=body)
 
     @contextmanager
-    def guarding(self) -> Iterator[None]:
-        """A server that viser starts meanwhile answers as `guarded` says; ConfigError where it started none so.
+    def guard_server(self) -> Iterator[None]:
+        """Guard the server that viser starts in the block; raises ConfigError if it starts none in the expected way.
 
         viser has no hook for this. It calls `websockets.asyncio.server.serve` with a `process_request`, both public;
-        the call is taken over for as long as the server starts.
+        the call is replaced while the server starts.
         """
-        plain, name, taken = websockets_server.serve, "serve", list[bool]()
+        original, name, calls = websockets_server.serve, "serve", list[bool]()
 
-        def serve(talk: Talk, *words: Any, process_request: Answer, **options: Any) -> Any:
-            taken.append(True)
-            return plain(cut_off(talk), *words, process_request=self.guarded(process_request), **options)
+        def serve(handler: Handler, *args: Any, process_request: Answer, **options: Any) -> Any:
+            calls.append(True)
+            options["max_size"] = MESSAGE_MAX
+            return original(
+                limit_browsers(handler), *args, process_request=self.wrap_answer(process_request), **options
+            )
 
         setattr(websockets_server, name, serve)
         try:
             yield
         finally:
-            setattr(websockets_server, name, plain)
-        if not taken:
+            setattr(websockets_server, name, original)
+        if not calls:
             raise ConfigError("the page cannot be guarded with this viser: pip install 'softfinger[viewer]' has one")
 
 
-def cut_off(talk: Talk) -> Talk:
-    """`talk` with a browser, which ends with a line in the log where that says what is no message of the page."""
+def limit_browsers(handler: Handler) -> Handler:
+    """Return `handler` for at most BROWSERS_MAX browsers; an invalid message of one ends it with a line in the log."""
+    browsers = set[ServerConnection]()
 
-    async def until(connection: ServerConnection) -> None:
+    async def serve_browser(connection: ServerConnection) -> None:
+        if len(browsers) >= BROWSERS_MAX:
+            await connection.close(CloseCode.TRY_AGAIN_LATER, f"the page is open in {BROWSERS_MAX} browsers: close one")
+            return
+        browsers.add(connection)
         try:
-            await talk(connection)
-        except Exception as error:  # of a dozen classes: viser takes the bytes apart by what is written in them
-            said = " ".join(f"{type(error).__name__}: {error}".split())[:SAID_MAX]
-            log.warning("a browser of the page was cut off: it said what the page does not know (%s)", said)
-            await connection.close(CloseCode.INVALID_DATA, "no message of this page: load it anew")
+            await handler(connection)
+        except Exception as error:  # of many classes, as viser decodes untrusted bytes
+            error_text = " ".join(f"{type(error).__name__}: {error}".split())[:ERROR_TEXT_MAX]
+            log.warning("a browser of the page was disconnected: it sent an unknown message (%s)", error_text)
+            await connection.close(CloseCode.INVALID_DATA, "no message of this page: load the scene again")
+        finally:
+            browsers.discard(connection)
 
-    return until
+    return serve_browser
 
 
 @lru_cache(maxsize=4)
-def _titled(body: bytes, packed: bool, title: str) -> bytes:
-    """A page of HTML with the program's name on its tab."""
-    plain = gzip.decompress(body) if packed else body
-    plain = plain.replace(NAMED, f"<title>{title}</title>".encode(), 1)
-    return gzip.compress(plain) if packed else plain
+def _set_title(body: bytes, is_gzip: bool, title: str) -> bytes:
+    """Return an HTML page with this program's title."""
+    plain = gzip.decompress(body) if is_gzip else body
+    plain = plain.replace(VISER_TITLE, f"<title>{title}</title>".encode(), 1)
+    return gzip.compress(plain) if is_gzip else plain
 
 
 def _with_port(name: str, port: int) -> str:
-    """`name` as an address has it, with the port unless it has one."""
-    if name.count(":") > 1 and not name.startswith("["):  # IPv6, in figures
+    """Return `name` as in an address, with the port unless it has one."""
+    if name.count(":") > 1 and not name.startswith("["):  # numeric IPv6 address
         name = f"[{name}]"
     return name if ":" in name.rpartition("]")[2] else f"{name}:{port}"
 
 
-def _any(host: str) -> bool:
+def _is_wildcard(host: str) -> bool:
     return host in ("", "0.0.0.0", "::")
 
 
-def _loopback(address: str) -> bool:
+def _is_loopback(address: str) -> bool:
     return ip_address(address.partition("%")[0]).is_loopback

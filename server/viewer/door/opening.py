@@ -1,6 +1,6 @@
-"""A browser that is opened at the page's secret address, by a file.
+"""Opening of a browser at the page's secret address.
 
-The words that a program is started with are for every user of the machine to read.
+The address is passed in a file, because all users of a machine can read the arguments of a program.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from softfinger.server.wire.endpoint import make_runtime_folder
 
 log: Final = logging.getLogger(__name__)
 
-LEADS: Final = """<!doctype html>
+REDIRECT_HTML: Final = """<!doctype html>
 <meta charset="utf-8"><meta name="referrer" content="no-referrer">
 <meta http-equiv="refresh" content="0; url={address}">
 <title>softfinger</title>
@@ -29,10 +29,10 @@ LEADS: Final = """<!doctype html>
 
 
 @contextmanager
-def in_browser(address: str) -> Iterator[None]:
-    """Open a browser at an address that others must not see; for as long as this lasts the browser may come back.
+def open_browser(address: str) -> Iterator[None]:
+    """Open a browser at a secret address by a file that exists during the block, so that the browser can reload it.
 
-    It opens a file in this user's runtime folder, mode 600, which leads on to the address.
+    The file is in this user's runtime folder, mode 600, and redirects to the address.
     """
     try:
         make_runtime_folder()
@@ -44,7 +44,7 @@ def in_browser(address: str) -> Iterator[None]:
         return
     try:
         with os.fdopen(file, "w") as out:
-            out.write(LEADS.format(address=html.escape(address, quote=True)))
+            out.write(REDIRECT_HTML.format(address=html.escape(address, quote=True)))
         webbrowser.open(path.as_uri())
         yield
     finally:

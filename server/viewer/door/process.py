@@ -1,4 +1,4 @@
-"""How a run is seen: the page of `run --view`, a process of its own, and the commands that show what is published."""
+"""Page process of `run --view`, and the commands that show a daemon's telemetry."""
 
 from __future__ import annotations
 
@@ -22,130 +22,171 @@ from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
 
-START_S: Final = 60.0
-"""Time that the page has to say its address; by itself it takes a second, several on a busy machine."""
-END_S: Final = 10.0
-"""Time that the page has to end; by itself it takes a tenth of a second."""
+START_TIMEOUT_S: Final = 60.0
+"""Time limit for the page to print its address; it takes one second, or several on a busy machine."""
+EXIT_TIMEOUT_S: Final = 10.0
+"""Time limit for the page to exit; it takes a tenth of a second."""
 RESTARTS: Final = 3
-"""How often a page that has died is started again in a run."""
+"""Maximum restarts of a crashed page per run."""
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-ASKED: Final = (0, *(128 + number for number in _SIGNALS), *(-number for number in _SIGNALS))
-"""Exit codes of a page that somebody has ended, be it before it listens to signals."""
+REQUESTED_EXIT_CODES: Final = (0, *(128 + number for number in _SIGNALS), *(-number for number in _SIGNALS))
+"""Exit codes of a page stopped on request, also before it installs its signal handlers."""
 
 
-def shown_by(endpoint: str) -> str:
-    """The command that shows what is published on an endpoint, as a shell would find this program."""
-    return f"{program()} monitor" + ("" if endpoint == DEFAULT_ENDPOINT else f" --endpoint {shlex.quote(endpoint)}")
+def monitor_command(endpoint: str) -> str:
+    """Return the shell command that shows the telemetry of an endpoint."""
+    return f"{program_name()} monitor" + (
+        "" if endpoint == DEFAULT_ENDPOINT else f" --endpoint {shlex.quote(endpoint)}"
+    )
 
 
-def program() -> str:
-    """This program, as a shell would find it."""
-    called = Path(sys.argv[0])
-    return str(called) if called.name == "softfinger" and shutil.which("softfinger") is None else "softfinger"
+def program_name() -> str:
+    """Return the shell command of this program."""
+    argv0 = Path(sys.argv[0])
+    return str(argv0) if argv0.name == "softfinger" and shutil.which("softfinger") is None else "softfinger"
 
 
 def check_viewer() -> None:
-    """Raise ConfigError where a page cannot be shown."""
+    """Raise ConfigError if viser is not installed."""
     if find_spec("viser") is None:
         raise ConfigError("--view: the page needs viser: pip install 'softfinger[viewer]'")
 
 
-class Shown:
-    """`softfinger view` of a daemon, a process of its own: nothing that goes wrong there stops the servo.
+class PageProcess:
+    """Page process (`softfinger view`) of a daemon; its failures never stop the servo.
 
-    Says where the page is, and waits for that; ConfigError where the daemon takes no commands (None). `loudness` is the
-    option for what it logs. A page that says no address within START_S is ended. One that dies is started again at the
-    same address, RESTARTS times, so that a browser that shows it goes on; `tell` is called with what has happened.
+    Waits for the address of the page and logs it. A page that prints no address within START_TIMEOUT_S is killed. A
+    page that crashes is restarted at the same address, at most RESTARTS times, so that an open browser can continue.
+
+    Parameters
+    ----------
+    telemetry, commands
+        Endpoints of the daemon.
+    log_options
+        Options for the log level of the page.
+    on_event
+        Called with a sentence when the page has crashed or restarted.
+    role
+        Role of the user.
+
+    Raises
+    ------
+    ConfigError
+        If `commands` is None.
     """
 
     def __init__(
         self,
         telemetry: str,
         commands: str | None,
-        loudness: list[str],
-        tell: Callable[[str], None],
+        log_options: list[str],
+        on_event: Callable[[str], None],
         role: Role = Role.OPERATOR,
     ) -> None:
         if commands is None:
-            raise ConfigError("--view: the page asks by commands what is rendered: leave --commands off out")
-        self._words = ["view", "--endpoint", telemetry, "--commands", commands]
-        self._words += [] if role == Role.OPERATOR else ["--role", role.value]
-        self._loudness, self._tell, self._restarts, self._over = loudness, tell, 0, False
-        self._process = self._started("")
+            raise ConfigError("--view: the page needs commands: remove --commands off")
+        self._arguments = ["view", "--endpoint", telemetry, "--commands", commands]
+        self._arguments += [] if role == Role.OPERATOR else ["--role", role.value]
+        self._log_options, self._on_event, self._restarts = log_options, on_event, 0
+        self._is_final = self._restart_failed = False
+        """`_is_final`: no restart follows. `_restart_failed`: a restart failed, and was reported."""
+        self._process = self._spawn("")
         try:
-            self._address = self._said()
+            self._address = self._read_address()
             if self._address:
                 log.info("the page is %s; to stop it: Ctrl-C", self._address)
             else:
                 self._process.wait()
-                self.look()
+                self.supervise()
         except BaseException:
             self.close()
             raise
 
-    def _started(self, token: str, *more: str) -> subprocess.Popen[str]:
-        """It ends with its standard input, so with this process; that begins with the token, of which none sees."""
-        command = [sys.executable, "-m", "softfinger.server.cli", *self._words, *self._loudness, "--print-address"]
-        words = [*command, "--until-eof", *more]
-        process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    def _spawn(self, token: str, *options: str) -> subprocess.Popen[str]:
+        """Start the page, which exits when its standard input is closed, and so with this process.
+
+        The token is written to standard input, because other users can read arguments.
+        """
+        command = [
+            sys.executable,
+            "-m",
+            "softfinger.server.cli",
+            *self._arguments,
+            *self._log_options,
+            "--print-address",
+        ]
+        command = [*command, "--until-eof", *options]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert process.stdin is not None
         with suppress(BrokenPipeError):
             process.stdin.write(f"{token}\n")
             process.stdin.flush()
         return process
 
-    def _said(self) -> str:
-        """The address that it says; empty where it ends before that, or has to be ended, since it says nothing."""
+    def _read_address(self) -> str:
+        """Return the printed address; empty if the page exits without one or is killed after START_TIMEOUT_S."""
         process = self._process
         assert process.stdout is not None
-        ender = threading.Timer(START_S, process.kill)
-        ender.daemon = True
-        ender.start()
+        timer = threading.Timer(START_TIMEOUT_S, process.kill)
+        timer.daemon = True
+        timer.start()
         try:
-            with process.stdout as said:
-                return said.readline().strip()
+            with process.stdout as text:
+                return text.readline().strip()
         finally:
-            ender.cancel()
+            timer.cancel()
 
-    def look(self) -> None:
-        """Start a page again that has died, or say, once, that it has ended."""
-        if self._over or (code := self._process.poll()) is None:
+    def supervise(self) -> None:
+        """Restart a crashed page, or report its exit once."""
+        if self._is_final or (code := self._process.poll()) is None:
             return
-        said = f"the page has ended, with exit code {code}; the servo goes on"
-        follows = bool(self._address) and code not in ASKED and self._restarts < RESTARTS
-        if follows:
-            self._restarts += 1
-            said += f"; it is started again, {self._restarts} of {RESTARTS} times, at the same address"
+        text = f"the page has ended, with exit code {code}; the servo continues"
+        self._is_final = not self._address or code in REQUESTED_EXIT_CODES or self._restarts >= RESTARTS
+        if self._is_final:
+            text += f"; to see it again: {program_name()} {shlex.join(self._arguments)}"
+        elif self._restart():
+            text += f"; it is started again, {self._restarts} of {RESTARTS} times, at the same address"
         else:
-            said += f"; to see it again: {program()} {shlex.join(self._words)}"
-        log.warning("%s", said)
-        if code not in ASKED:
-            self._tell(said)
-        self._over = not follows
-        if follows:
-            self._restart()
+            return
+        log.warning("%s", text)
+        if code not in REQUESTED_EXIT_CODES:
+            self._on_event(text)
 
-    def _restart(self) -> None:
-        """At its old port, with its old token, and without another window of a browser."""
-        where = urlsplit(self._address)
-        self._process = self._started(where.path.strip("/"), "--port", str(where.port), "--no-open")
-        threading.Thread(target=self._listen_again, name="page", daemon=True).start()
+    def _restart(self) -> bool:
+        """Restart the page at its port, with its token, without opening a browser.
 
-    def _listen_again(self) -> None:
-        """Not by whoever looks after the servo, for the page takes a second."""
-        address = self._said()
-        if address and address != self._address:  # another program has taken its port meanwhile
+        Returns False if the system has no file descriptor, process or memory left; the next `supervise` tries again.
+        """
+        url = urlsplit(self._address)
+        try:
+            self._process = self._spawn(url.path.strip("/"), "--port", str(url.port), "--no-open")
+        except OSError as error:
+            if not self._restart_failed:
+                self._restart_failed = True
+                text = f"the page cannot be started: {error}; it is tried again until the run ends"
+                log.error("%s", text)
+                self._on_event(text)
+            return False
+        self._restart_failed = False
+        self._restarts += 1
+        threading.Thread(target=self._read_new_address, name="page", daemon=True).start()
+        return True
+
+    def _read_new_address(self) -> None:
+        """Read the address in a separate thread: it takes a second, and the caller supervises the servo."""
+        address = self._read_address()
+        if address and address != self._address:  # its port was taken by another program
             self._address = address
             log.info("the page is %s now", address)
 
     def close(self) -> None:
-        """End it; by force where it does not."""
+        """Stop the page, by SIGKILL if it does not exit within EXIT_TIMEOUT_S."""
         self._process.terminate()
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):
             self._process.stdin.close()
         try:
-            self._process.wait(END_S)
+            self._process.wait(EXIT_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

@@ -1,4 +1,4 @@
-"""What stands in the picture: objects and fingertips as meshes, lines and arrows of the page.
+"""Nodes of the 3-D picture: objects and fingertips as meshes, lines and arrows.
 
-Nothing of the wire, and no controls.
+Contains no wire and no controls.
 """

@@ -1,6 +1,6 @@
-"""A plane as a chessboard of which every other square is left out: whatever the light, its colour is the same.
+"""Plane drawn as a chessboard without its light squares, in a colour independent of the light.
 
-Without a graphics card a page pays for each pixel that is painted, and a plane fills most of the picture.
+Without a graphics card, drawing time is proportional to the painted pixels, and a plane covers most of the picture.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from trimesh.visual.material import PBRMaterial
 from softfinger.server.viewer.nodes.looks import Colour
 
 UNLIT: Final = "KHR_materials_unlit"
-"""The extension of glTF: the page's own materials all reckon with light."""
+"""glTF extension; all materials of the page itself depend on the light."""
 
 
 def add_board(api: Any, node: str, edge: float, count: int, colour: Colour, opacity: float) -> None:
-    """A board of `count` squares a side, in the page's units, to be seen from above."""
+    """Add a board of `count` squares per side, in the page's units, visible from above."""
     corners = squares(edge, count)
     faces = np.add.outer(4 * np.arange(len(corners)), [(0, 1, 2), (0, 2, 3)]).reshape(-1, 3)
     paint = PBRMaterial(baseColorFactor=[*colour, round(255 * opacity)], alphaMode="BLEND", metallicFactor=0.0)
@@ -36,10 +36,10 @@ def _unlit(tree: dict[str, Any]) -> None:
 
 
 def squares(edge: float, count: int) -> NDArray[np.float64]:
-    """Corners (n, 4, 3), counter-clockwise, of every other square of a level board about the origin.
+    """Return the corners (n, 4, 3), counter-clockwise, of every other square of a horizontal board about the origin.
 
-    edge   of the board
-    count  of squares a side, those left out too
+    edge   length of a side
+    count  squares per side, including the omitted ones
     """
     at = np.linspace(-0.5 * edge, 0.5 * edge, count + 1)
     column, row = np.nonzero(np.add.outer(np.arange(count), np.arange(count)) % 2 == 0)

@@ -1,4 +1,4 @@
-"""The objects of a scene as nodes of the page, each where it is at a tick, and geoms of its [world] beside them."""
+"""Nodes of the objects of a scene at their poses in a tick, and of the other geoms of its [world]."""
 
 from __future__ import annotations
 
@@ -11,32 +11,30 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.mjcf import taken
+from softfinger.config.mjcf_geoms import taken
 from softfinger.proxy.actions import kernel_motion
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.query.motion import carried, pose_at
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.nodes.below import Foot, Level, Triangles
+from softfinger.server.surface_meshes import PLANE_M, Mesh, surface_mesh
+from softfinger.server.viewer.nodes.below import PlaneSurface, Projection, TriangleSurface
 from softfinger.server.viewer.nodes.board import add_board
-from softfinger.server.viewer.nodes.glyphs import Quaternion
+from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.nodes.looks import CM, MAP, OBJECTS, Colour
-from softfinger.server.viewer.nodes.meshes import PLANE_M, Mesh, mesh_of
 from softfinger.server.viewer.nodes.relief import add_relief
 
-SQUARES: Final = 13
-"""Of a side of a plane's board, a centimetre each."""
-
-Place = tuple[tuple[float, float, float], Quaternion]
+BOARD_SQUARES: Final = 13
+"""Squares per side of a plane's board, one centimetre each."""
 
 
-class Began(NamedTuple):
-    """When a scene began to be rendered.
+class SceneStart(NamedTuple):
+    """Start of the rendering of a scene.
 
-    tick       its first one
+    tick       its first tick
     missed     deadlines missed before it
-    period_s   of a tick
-    own_clock  all devices keep their own: a missed deadline is no time
+    period_s   period of a tick
+    own_clock  whether all devices have their own clock; if so, a missed deadline takes no time
     """
 
     tick: int
@@ -45,132 +43,136 @@ class Began(NamedTuple):
     own_clock: bool
 
     def time(self, row: NDArray[np.float64]) -> float:
-        """The scene's time in a tick (RECORD_SIZE,), s: the sum of the time steps of all ticks, seen or not."""
+        """Return the scene's time in a tick (RECORD_SIZE,), s: the sum of all time steps since its start."""
         missed = 0.0 if self.own_clock else row[AT.servo_missed] - self.missed
         return float(row[AT.tick] - self.tick + 1 + missed) * self.period_s
 
 
 class Bodies:
-    """Nodes `/objects/N`, a frame each with its surface below; `began` counts for those that move by themselves."""
+    """Nodes `/objects/N`: a frame with a surface for each object. `start` determines the time of moving objects."""
 
-    def __init__(self, api: Any, scene: schema.Scene, began: Began) -> None:
-        self.began = began
+    def __init__(self, api: Any, scene: schema.Scene, start: SceneStart) -> None:
+        self.start = start
         self._api, self._scene = api, scene
         self._root = api.add_frame("/objects", show_axes=False)
         self._frames: list[Any] = []
-        self.places: Final[list[Place]] = []
-        """Where each is: position (3,) m and orientation, object to world."""
+        self.poses: Final[list[PoseTuple]] = []
+        """Poses of the objects: position (3,) m and orientation, object to world."""
         self._moving: Final[dict[int, tuple[Any, Pose]]] = {}
-        self._riding: Final[dict[int, tuple[str, Place]]] = {}
-        """Those that ride on a body: its name, and the place in its frame."""
-        self._surfaces: Final[dict[int, Level | Triangles]] = {}
-        """What may lie below a point, of those whose surface is known."""
-        self._things = (*scene.object, *untouched(scene))
-        for number, thing in enumerate(self._things):
-            place = (thing.position_m, thing.orientation_wxyz)
-            self.places.append(place)
-            self._frames.append(api.add_frame(f"/objects/{number}", show_axes=False))
-            self._put(number)
-            if isinstance(thing.motion, schema.Body):
-                self._riding[number] = (thing.motion.body, place)
-            elif thing.motion is not None:
-                self._moving[number] = (kernel_motion(thing.motion), Pose(*place))
-            _draw(api, f"/objects/{number}", thing, _colour(number, thing))
-            if thing.shape == "plane":
-                self._surfaces[number] = Level()
-            elif not isinstance(thing, Filed) and (mesh := mesh_of(thing)) is not None:
-                self._surfaces[number] = Triangles(mesh)
+        self._body_attachments: Final[dict[int, tuple[str, PoseTuple]]] = {}
+        """Objects on a body of [world]: name of the body, and pose in its frame."""
+        self._surfaces: Final[dict[int, PlaneSurface | TriangleSurface]] = {}
+        """Surfaces for `below`, if known."""
+        self._objects = (*scene.object, *visual_geoms(scene))
+        for object_index, obj in enumerate(self._objects):
+            initial_pose = (obj.position_m, obj.orientation_wxyz)
+            self.poses.append(initial_pose)
+            self._frames.append(api.add_frame(f"/objects/{object_index}", show_axes=False))
+            self._update_frame(object_index)
+            if isinstance(obj.motion, schema.Body):
+                self._body_attachments[object_index] = (obj.motion.body, initial_pose)
+            elif obj.motion is not None:
+                self._moving[object_index] = (kernel_motion(obj.motion), Pose(*initial_pose))
+            _add_object(api, f"/objects/{object_index}", obj, _colour(object_index, obj))
+            if obj.shape == "plane":
+                self._surfaces[object_index] = PlaneSurface()
+            elif not isinstance(obj, Filed) and (mesh := surface_mesh(obj)) is not None:
+                self._surfaces[object_index] = TriangleSurface(mesh)
 
-    def draw(self, number: int, mesh: Mesh) -> None:
-        """The triangles of an object that is made of a file have come."""
-        thing = self._scene.object[number]
-        if len(mesh.faces):  # of crumbs alone nothing may be left
-            self._surfaces[number] = Triangles(mesh)
-            _put_surface(self._api, f"/objects/{number}", thing, mesh._replace(flat=True), _colour(number, thing))
+    def draw(self, object_index: int, mesh: Mesh) -> None:
+        """Draw the triangles of an object that is loaded from a file."""
+        obj = self._scene.object[object_index]
+        if len(mesh.faces):  # thinning may leave nothing of a mesh of tiny parts
+            self._surfaces[object_index] = TriangleSurface(mesh)
+            _add_surface(
+                self._api, f"/objects/{object_index}", obj, mesh._replace(flat=True), _colour(object_index, obj)
+            )
 
     def show(self, row: NDArray[np.float64]) -> None:
-        """Put those that move by themselves where they are in a tick (RECORD_SIZE,)."""
-        time = self.began.time(row)
-        for number, (motion, rest) in self._moving.items():
-            pose = pose_at(motion, rest, time)
-            self.places[number] = (pose.position, pose.orientation)
-            self._put(number)
+        """Move the objects with a motion to their poses in a tick (RECORD_SIZE,)."""
+        time = self.start.time(row)
+        for object_index, (motion, initial) in self._moving.items():
+            pose = pose_at(motion, initial, time)
+            self.poses[object_index] = (pose.position, pose.orientation)
+            self._update_frame(object_index)
 
-    def ride(self, bodies: Mapping[str, Place]) -> None:
-        """Put those that ride on bodies where these are, in the world, by name."""
-        for number, (name, (position, turn)) in self._riding.items():
+    def move_bodies(self, bodies: Mapping[str, PoseTuple]) -> None:
+        """Move the objects on bodies to the poses of these bodies (name, world frame)."""
+        for object_index, (name, (position, orientation)) in self._body_attachments.items():
             if name in bodies:
-                there = carried(Pose(*bodies[name]), position, turn)
-                self.places[number] = (there.position, there.orientation)
-                self._put(number)
+                carried_pose = carried(Pose(*bodies[name]), position, orientation)
+                self.poses[object_index] = (carried_pose.position, carried_pose.orientation)
+                self._update_frame(object_index)
 
-    def drive(self, number: int, position: Any, orientation: Any = None) -> None:
-        """A driven object has been moved."""
-        place = (tuple(position), self.places[number][1] if orientation is None else tuple(orientation))
-        self.places[number] = place
-        if number in self._moving:
-            self._moving[number] = (self._moving[number][0], Pose(*place))
-        self._put(number)
+    def drive(self, object_index: int, position: Any, orientation: Any = None) -> None:
+        """Move a driven object."""
+        pose = (tuple(position), self.poses[object_index][1] if orientation is None else tuple(orientation))
+        self.poses[object_index] = pose
+        if object_index in self._moving:
+            self._moving[object_index] = (self._moving[object_index][0], Pose(*pose))
+        self._update_frame(object_index)
 
-    def _put(self, number: int) -> None:
-        (x, y, z), turn = self.places[number]
-        self._frames[number].position = (CM * x, CM * y, CM * z)
-        self._frames[number].wxyz = turn
+    def _update_frame(self, object_index: int) -> None:
+        (x, y, z), orientation = self.poses[object_index]
+        self._frames[object_index].position = (CM * x, CM * y, CM * z)
+        self._frames[object_index].wxyz = orientation
 
-    def shown(self) -> list[tuple[Any, Place]]:
-        """What is drawn, and where it is."""
-        return list(zip(self._things, self.places, strict=True))
+    def drawn_objects(self) -> list[tuple[Any, PoseTuple]]:
+        """Return the drawn objects with their poses."""
+        return list(zip(self._objects, self.poses, strict=True))
 
-    def below(self, point: NDArray[np.float64]) -> Foot | None:
-        """The highest place straight below a point (3,) m; None where there is none."""
-        feet = [
-            foot._replace(number=number)
-            for number, surface in self._surfaces.items()
-            if (foot := surface.below(point, self.places[number])) is not None
+    def below(self, point: NDArray[np.float64]) -> Projection | None:
+        """Return the highest point of an object straight below a point (3,) m; None if there is none."""
+        projections = [
+            projection._replace(object_index=object_index)
+            for object_index, surface in self._surfaces.items()
+            if (projection := surface.below(point, self.poses[object_index])) is not None
         ]
-        return max(feet, key=lambda foot: float(foot.point[2]), default=None)
+        return max(projections, key=lambda projection: float(projection.point[2]), default=None)
 
     def remove(self) -> None:
-        """With all that hangs on them."""
+        """Remove the frames with all their child nodes."""
         self._root.remove()
 
 
-def untouched(scene: schema.Scene) -> list[schema.Object]:
-    """The geoms of a scene's [world] that no finger touches, as objects to be drawn; none where its model, which may be
-    another machine's, cannot be read here."""
+def visual_geoms(scene: schema.Scene) -> list[schema.Object]:
+    """Return the geoms of a scene's [world] without contact as objects to draw.
+
+    Empty if the model cannot be read, for example because it is on another machine.
+    """
     if scene.world is None:
         return []
-    anything = msgspec.structs.replace(scene.world, material=schema.Material(stiffness_n_per_m=1.0), geom=())
-    have = {thing.name for thing in scene.object}
+    with_material = msgspec.structs.replace(scene.world, material=schema.Material(stiffness_n_per_m=1.0), geom=())
+    contact_names = {obj.name for obj in scene.object}
     try:
-        geoms = [each.object for each in taken(anything) if each.name not in have]
+        geoms = [each.object for each in taken(with_material) if each.name not in contact_names]
     except ConfigError:
         return []
-    return [thing for thing in geoms if thing is not None and not isinstance(thing, Filed)]
+    return [obj for obj in geoms if obj is not None and not isinstance(obj, Filed)]
 
 
-def _colour(number: int, thing: Any) -> Colour:
-    return MAP if isinstance(thing, schema.Heightmap) else OBJECTS[number % len(OBJECTS)]
+def _colour(object_index: int, obj: Any) -> Colour:
+    return MAP if isinstance(obj, schema.Heightmap) else OBJECTS[object_index % len(OBJECTS)]
 
 
-def _draw(api: Any, node: str, thing: Any, colour: tuple[int, int, int]) -> None:
-    if isinstance(thing, Filed):  # `Bodies.draw` is called later, or it cannot be had
+def _add_object(api: Any, node: str, obj: Any, colour: tuple[int, int, int]) -> None:
+    if isinstance(obj, Filed):  # `Bodies.draw` is called if the triangles arrive
         return
-    mesh = mesh_of(thing)
+    mesh = surface_mesh(obj)
     if mesh is None:
-        api.add_label(f"{node}/name", f"{thing.name}: no picture of a {thing.shape}")
+        api.add_label(f"{node}/name", f"{obj.name}: no picture of a {obj.shape}")
         return
-    if thing.shape == "plane":
-        add_board(api, f"{node}/surface", CM * PLANE_M, SQUARES, colour, opacity=0.85)
+    if obj.shape == "plane":
+        add_board(api, f"{node}/surface", CM * PLANE_M, BOARD_SQUARES, colour, opacity=0.85)
         return
-    _put_surface(api, node, thing, mesh, colour)
+    _add_surface(api, node, obj, mesh, colour)
 
 
-def _put_surface(api: Any, node: str, thing: Any, mesh: Mesh, colour: tuple[int, int, int]) -> None:
-    if isinstance(thing, schema.Heightmap):
+def _add_surface(api: Any, node: str, obj: Any, mesh: Mesh, colour: tuple[int, int, int]) -> None:
+    if isinstance(obj, schema.Heightmap):
         add_relief(api, f"{node}/surface", mesh, colour)
         return
-    inside = getattr(thing, "inside", False)
+    inside = getattr(obj, "inside", False)
     api.add_mesh_simple(
         f"{node}/surface",
         CM * mesh.vertices,
@@ -178,6 +180,6 @@ def _put_surface(api: Any, node: str, thing: Any, mesh: Mesh, colour: tuple[int,
         color=colour,
         opacity=0.88,
         flat_shading=mesh.flat,
-        side="back" if inside else "double",  # of a hollow the far wall alone
+        side="back" if inside else "double",  # of a hollow object, only the far wall
         cast_shadow=False,
     )

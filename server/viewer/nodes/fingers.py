@@ -1,4 +1,4 @@
-"""A fingertip as nodes of the page: where the proxy is and the probe, what touches it, and what it feels."""
+"""Nodes of a fingertip: proxy, probe, contact points, forces and traces."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.proxy.record import AT, FREE, NAMED, PATCHES, SLIDING
+from softfinger.server.surface_meshes import cone, ellipsoid, lathe
 from softfinger.server.viewer.nodes.bodies import Bodies
-from softfinger.server.viewer.nodes.glyphs import DASHES, Way, arc, circles, dashes, inverse, rotated, towards
+from softfinger.server.viewer.nodes.glyphs import DASHES, Trace, arc, circles, dashes, inverse, rotate, rotation_to
 from softfinger.server.viewer.nodes.looks import (
     CM,
     CONE,
@@ -26,30 +27,31 @@ from softfinger.server.viewer.nodes.looks import (
     Colour,
     Looks,
 )
-from softfinger.server.viewer.nodes.meshes import cone, ellipsoid, lathe
-from softfinger.server.viewer.nodes.states import COLOURS, State, state_of
+from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
 
 Array = NDArray[np.float64]
 
-APART_M: Final = 2e-5
-"""Proxy and probe nearer than this are shown as one."""
+MIN_SEPARATION_M: Final = 2e-5
+"""Proxy and probe closer than this are drawn as one."""
 STEP_M: Final = 2e-4
-"""Shortest piece of a trace."""
-ABOVE_M: Final = 2e-4
-"""Traces lie so far above their surface, lest it hide them."""
-TRACED_EVERY: Final = 5
+"""Minimum length of a trace segment."""
+TRACE_HEIGHT_M: Final = 2e-4
+"""Height of traces above their surface, which would hide them otherwise."""
+TRACE_TICKS: Final = 5
 """Ticks between two points of a trace."""
-NOTHING_N: Final = 1e-4
-"""Force that has no arrow."""
-RECENT: Final = 100
-"""Ticks over which a contact is seen to roll or to spin."""
-SHADE_M: Final = (6e-4, 1e-4)
-"""A shadow lies so far above a round surface, whose hollow would hide its rim, and above a flat one, below traces."""
-LEAST_ARC: Final = radians(8.0)
-"""A shorter arc, rad, would be a head without a line, and is not drawn."""
+MIN_DRAWN_FORCE_N: Final = 1e-4
+"""Minimum force that is drawn."""
+STATE_TICKS: Final = 100
+"""Ticks over which rolling and spinning are detected."""
+SHADOW_HEIGHTS_M: Final = (6e-4, 1e-4)
+"""Height of the shadow: above a curved surface, whose concave part would hide its rim, and above a flat one, below
+the traces.
+"""
+MIN_ARC_RAD: Final = radians(8.0)
+"""Minimum arc (rad); a shorter one would be an arrow head without a line."""
 
 
-def _three(at: int) -> slice:
+def _xyz(at: int) -> slice:
     return slice(at, at + 3)
 
 
@@ -66,9 +68,12 @@ _PATCHES: Final = [Patch(*(NAMED[f"contacts{k}.{name}"].at for name in Patch._fi
 
 
 class FingerNodes:
-    """Nodes `/fingers/NAME`; `ball` is what a mouse may take hold of.
+    """Nodes `/fingers/NAME`; `ball` is the part that a mouse can drag.
 
-    bodies  on whose frames the trace on the objects lies
+    Parameters
+    ----------
+    bodies
+        Objects; the traces on them are in their frames.
     """
 
     def __init__(self, api: Any, scene: schema.Scene, finger: schema.FingerParts, bodies: Bodies) -> None:
@@ -76,8 +81,8 @@ class FingerNodes:
         self._node = f"/fingers/{finger.name or 'finger'}"
         self._radii = finger.radii_m or (finger.radius_m,) * 3
         shape = ellipsoid(self._radii)
-        vertices = CM * rotated(finger.orientation_wxyz, shape.vertices)
-        rings = CM * 1.004 * rotated(finger.orientation_wxyz, circles(self._radii))
+        vertices = CM * rotate(finger.orientation_wxyz, shape.vertices)
+        rings = CM * 1.004 * rotate(finger.orientation_wxyz, circles(self._radii))
         self._root = api.add_frame(self._node, show_axes=False)
         self._tip = api.add_frame(f"{self._node}/tip", show_axes=False)
         self.ball = api.add_mesh_simple(
@@ -85,11 +90,11 @@ class FingerNodes:
         )
         self._lines("tip/marks", rings, MARKS, 2.0)
         self._ghost = self._lines("probe", rings, GHOST, 2.0)
-        self._apart = self._lines("apart", np.zeros((1, 2, 3)), GHOST, 3.0)
+        self._separation = self._lines("apart", np.zeros((1, 2, 3)), GHOST, 3.0)
         self._force = api.add_arrows(
             f"{self._node}/force", np.zeros((1, 2, 3)), SKIN, shaft_radius=0.07, head_radius=0.18, head_length=0.35
         )
-        self._lost = self._lines("not-displayed", np.zeros((DASHES, 2, 3)), PLUMB, 4.0)
+        self._missing_force = self._lines("not-displayed", np.zeros((DASHES, 2, 3)), PLUMB, 4.0)
         self._normals = self._lines("normals", np.zeros((PATCHES, 2, 3)), NORMAL, 2.5)
         self._dots = [
             api.add_icosphere(f"{self._node}/contact{k}", radius=0.12, color=SKIN, cast_shadow=False)
@@ -100,17 +105,18 @@ class FingerNodes:
             f"{self._node}/cone", *cone(1.0, 0.5)[:2], color=CONE, opacity=0.35, side="double", cast_shadow=False
         )
         self._slope = 0.5
-        self._on_tip = Way(STEP_M)
-        self._tip_trace = self._lines("tip/trace", self._on_tip.segments, SKIN, 3.5)
-        self._on_objects: dict[int, tuple[Way, Any]] = {}
-        self._touched = -1
-        self._last: Array | None = None
-        self.state = State.FREE
-        """What the contact does."""
-        self.displays: Callable[[Array], Array] | None = None
-        """The part (3,) N of a tick's force (RECORD_SIZE,) that the device displays, where it is not all of it."""
+        self._tip_trace = Trace(STEP_M)
+        self._tip_trace_node = self._lines("tip/trace", self._tip_trace.segments, SKIN, 3.5)
+        self._object_traces: dict[int, tuple[Trace, Any]] = {}
+        self._touched_object = -1
+        self._last_row: Array | None = None
+        self.state = ContactState.FREE
+        """State of the contact."""
+        self.displayed_force: Callable[[Array], Array] | None = None
+        """Function that returns the part (3,) N of a tick's force (RECORD_SIZE,) that the device displays; None: all of
+        it."""
         self.height_m: float | None = None
-        """Of its lowest point above what lies straight below it, with a fingertip that is a ball."""
+        """Height of the fingertip's lowest point above the object below it, as for a sphere."""
         self._plumb = self._lines("plumb", np.zeros((1, 2, 3)), PLUMB, 2.0)
         disc = lathe(np.array([(CM * 0.75 * min(self._radii), 0.0), (0.0, 0.0)]))
         self._shadow = api.add_mesh_simple(
@@ -123,130 +129,146 @@ class FingerNodes:
         )
 
     def show(self, rows: Array, looks: Looks, newtons_per_cm: float) -> None:
-        """The ticks (n, RECORD_SIZE) since the last time: the newest as a picture, with arrows of that scale, all of
-        them as a trace."""
+        """Draw new ticks (n, RECORD_SIZE): the latest as a picture with arrows of the given scale, all as a trace."""
         row = rows[-1]
-        probe, proxy = row[_three(AT.probe_position)], row[_three(AT.proxy_position)]
+        probe, proxy = row[_xyz(AT.probe_position)], row[_xyz(AT.proxy_position)]
         mode = int(row[AT.contact_mode])
-        apart = bool(np.linalg.norm(probe - proxy) > APART_M) and mode != FREE
-        turn = tuple(row[AT.probe_orientation : AT.probe_orientation + 4])
-        self._tip.position, self._tip.wxyz = CM * (proxy if apart else probe), turn
-        self._ghost.position, self._ghost.wxyz = CM * probe, turn
-        self._ghost.visible = self._apart.visible = apart and looks.ghost
-        self._apart.points = CM * np.array([[probe, proxy]])
-        last = rows[max(len(rows) - RECENT, 0)] if len(rows) > 1 else self._last if self._last is not None else row
-        self.state, self._last = state_of(last, row, max(self._radii)), row
+        is_separate = bool(np.linalg.norm(probe - proxy) > MIN_SEPARATION_M) and mode != FREE
+        orientation = tuple(row[AT.probe_orientation : AT.probe_orientation + 4])
+        self._tip.position, self._tip.wxyz = CM * (proxy if is_separate else probe), orientation
+        self._ghost.position, self._ghost.wxyz = CM * probe, orientation
+        self._ghost.visible = self._separation.visible = is_separate and looks.ghost
+        self._separation.points = CM * np.array([[probe, proxy]])
+        earlier = (
+            rows[max(len(rows) - STATE_TICKS, 0)]
+            if len(rows) > 1
+            else self._last_row
+            if self._last_row is not None
+            else row
+        )
+        self.state, self._last_row = classify_contact(earlier, row, max(self._radii)), row
         self._show_wrench(row, mode, looks, newtons_per_cm)
-        self._show_height(proxy if apart else probe)
+        self._show_height(proxy if is_separate else probe)
         self._show_patches(row, mode != FREE and looks.patches)
         self._show_cone(row, mode != FREE and looks.cone, newtons_per_cm)
-        self._trace(rows[::-1][::TRACED_EVERY][::-1], looks.traces)
+        self._trace(rows[::-1][::TRACE_TICKS][::-1], looks.traces)
 
     def _show_wrench(self, row: Array, mode: int, looks: Looks, newtons_per_cm: float) -> None:
-        point, normal = row[_three(AT.contact_point)], row[_three(AT.contact_normal)]
-        force = row[_three(AT.force)]
-        begins = CM * (point if mode != FREE else row[_three(AT.probe_position)])
-        shown = force if self.displays is None else self.displays(row)
-        self._force.visible = bool(np.linalg.norm(shown) > NOTHING_N)
-        self._force.points = np.array([[begins, begins + shown / newtons_per_cm]])
-        self._lost.visible = bool(np.linalg.norm(force - shown) > NOTHING_N)
-        self._lost.points = dashes(begins, (force - shown) / newtons_per_cm)
+        point, normal = row[_xyz(AT.contact_point)], row[_xyz(AT.contact_normal)]
+        force = row[_xyz(AT.force)]
+        start = CM * (point if mode != FREE else row[_xyz(AT.probe_position)])
+        displayed = force if self.displayed_force is None else self.displayed_force(row)
+        self._force.visible = bool(np.linalg.norm(displayed) > MIN_DRAWN_FORCE_N)
+        self._force.points = np.array([[start, start + displayed / newtons_per_cm]])
+        self._missing_force.visible = bool(np.linalg.norm(force - displayed) > MIN_DRAWN_FORCE_N)
+        self._missing_force.points = dashes(start, (force - displayed) / newtons_per_cm)
         self._force.colors = np.array(COLOURS[self.state], np.uint8)
         angle = radians(1e3 * float(row[AT.contact_torsion]) * looks.degrees_per_mnm)
-        self._arc.visible = mode != FREE and abs(angle) > LEAST_ARC
+        self._arc.visible = mode != FREE and abs(angle) > MIN_ARC_RAD
         if self._arc.visible:
             self._arc.points = arc(angle, 1.35 * CM * max(self._radii))
             self._arc.position = CM * (point + 0.15 * self._radii[0] * normal)
-            self._arc.wxyz = towards(normal)
+            self._arc.wxyz = rotation_to(normal)
 
-    def _show_patches(self, row: Array, shown: bool) -> None:
+    def _show_patches(self, row: Array, is_shown: bool) -> None:
         lines = np.zeros((PATCHES, 2, 3))
         for k, at in enumerate(_PATCHES):
-            here = shown and row[at.object] >= 0.0
-            self._dots[k].visible = here
-            if here:
-                point, normal = row[_three(at.point)], row[_three(at.normal)]
-                self._dots[k].position, self._dots[k].color = CM * point, self._colour_of_patch(int(row[at.mode]))
+            is_visible = is_shown and row[at.object] >= 0.0
+            self._dots[k].visible = is_visible
+            if is_visible:
+                point, normal = row[_xyz(at.point)], row[_xyz(at.normal)]
+                self._dots[k].position, self._dots[k].color = CM * point, self._patch_colour(int(row[at.mode]))
                 lines[k] = CM * point, CM * point + 2.5 * CM * max(self._radii) * normal
-        self._normals.visible, self._normals.points = shown, lines
+        self._normals.visible, self._normals.points = is_shown, lines
 
-    def _show_cone(self, row: Array, shown: bool, newtons_per_cm: float) -> None:
-        number, load = int(row[AT.contact_object]), float(row[AT.contact_normal_force])
-        friction = self._scene.object[number].material.friction if 0 <= number < len(self._scene.object) else None
-        self._cone.visible = shown and friction is not None and load > NOTHING_N
+    def _show_cone(self, row: Array, is_shown: bool, newtons_per_cm: float) -> None:
+        object_index, normal_force = int(row[AT.contact_object]), float(row[AT.contact_normal_force])
+        friction = (
+            self._scene.object[object_index].material.friction if 0 <= object_index < len(self._scene.object) else None
+        )
+        self._cone.visible = is_shown and friction is not None and normal_force > MIN_DRAWN_FORCE_N
         if not self._cone.visible or friction is None:
             return
         if friction.static != self._slope:
             self._slope = friction.static
             self._cone.vertices = cone(1.0, self._slope).vertices
-        self._cone.position = CM * row[_three(AT.contact_point)]
-        self._cone.wxyz = towards(row[_three(AT.contact_normal)])
-        self._cone.scale = load / newtons_per_cm
+        self._cone.position = CM * row[_xyz(AT.contact_point)]
+        self._cone.wxyz = rotation_to(row[_xyz(AT.contact_normal)])
+        self._cone.scale = normal_force / newtons_per_cm
 
-    def _colour_of_patch(self, mode: int) -> Colour:
-        """A patch that does not slide does what the contact does, unless that slides elsewhere."""
+    def _patch_colour(self, mode: int) -> Colour:
+        """Return the colour of a patch: a patch that sticks has the contact's state, unless another patch slides."""
         if mode == SLIDING:
-            return COLOURS[State.SLIDING]
-        return COLOURS[State.STICKING if self.state == State.SLIDING else self.state]
+            return COLOURS[ContactState.SLIDING]
+        return COLOURS[ContactState.STICKING if self.state == ContactState.SLIDING else self.state]
 
     def _show_height(self, centre: Array) -> None:
-        """A plumb line from the fingertip down to what lies below it, and its shadow there."""
-        foot = self._bodies.below(centre)
-        self._plumb.visible = self._shadow.visible = foot is not None
-        self.height_m = None if foot is None else float(centre[2] - foot.point[2]) - min(self._radii)
-        if foot is not None:
-            self._plumb.points = CM * np.array([[centre, foot.point]])
-            self._shadow.position = CM * (foot.point + SHADE_M[foot.flat] * foot.normal)
-            self._shadow.wxyz = towards(foot.normal)
+        """Draw a vertical line from the fingertip to the object below it, and its shadow there."""
+        projection = self._bodies.below(centre)
+        self._plumb.visible = self._shadow.visible = projection is not None
+        self.height_m = None if projection is None else float(centre[2] - projection.point[2]) - min(self._radii)
+        if projection is not None:
+            self._plumb.points = CM * np.array([[centre, projection.point]])
+            self._shadow.position = CM * (projection.point + SHADOW_HEIGHTS_M[projection.flat] * projection.normal)
+            self._shadow.wxyz = rotation_to(projection.normal)
 
-    def _trace(self, rows: Array, shown: bool) -> None:
-        drawn = False
+    def _trace(self, rows: Array, is_shown: bool) -> None:
+        has_new_segments = False
         for before, row in zip((rows[0], *rows[:-1]), rows, strict=True):
-            mode, number = int(row[AT.contact_mode]), int(row[AT.contact_object])
-            if not 0 <= number < len(self._bodies.places):  # of a scene before or after
+            mode, object_index = int(row[AT.contact_mode]), int(row[AT.contact_object])
+            if not 0 <= object_index < len(self._bodies.poses):  # a tick of another scene
                 mode = FREE
-            if mode == FREE or number != self._touched:
-                self._lift(number if mode != FREE else -1)
+            if mode == FREE or object_index != self._touched_object:
+                self._break_lines(object_index if mode != FREE else -1)
             if mode == FREE:
                 continue
-            way = self._object_way(number)[0]
-            on_tip, up = row[_three(AT.contact_finger_point)], row[_three(AT.contact_normal)]
-            position, turn = self._bodies.places[number]
-            above = row[_three(AT.contact_point)] + ABOVE_M * up - position
-            on_tip = on_tip * (1.0 + 2.0 * ABOVE_M / max(float(np.linalg.norm(on_tip)), ABOVE_M))
-            colour = COLOURS[state_of(before, row, max(self._radii)) if len(rows) > 1 else self.state]
-            drawn |= way.add(rotated(inverse(turn), above), colour)
-            drawn |= self._on_tip.add(on_tip, colour)
-        self._tip_trace.visible = shown
-        for way, node in self._on_objects.values():
-            node.visible = shown
-            if drawn:
-                node.points, node.colors = CM * way.segments, way.colours
-        if drawn:
-            self._tip_trace.points, self._tip_trace.colors = CM * self._on_tip.segments, self._on_tip.colours
-
-    def _object_way(self, number: int) -> tuple[Way, Any]:
-        if number not in self._on_objects:
-            way, name = Way(STEP_M), self._node.replace("/", "-")
-            node = self._api.add_line_segments(
-                f"/objects/{number}/trace{name}", way.segments, way.colours, thickness=3.5, thickness_units="screen"
+            trace = self._object_trace(object_index)[0]
+            finger_point, up = row[_xyz(AT.contact_finger_point)], row[_xyz(AT.contact_normal)]
+            position, orientation = self._bodies.poses[object_index]
+            above = row[_xyz(AT.contact_point)] + TRACE_HEIGHT_M * up - position
+            finger_point = finger_point * (
+                1.0 + 2.0 * TRACE_HEIGHT_M / max(float(np.linalg.norm(finger_point)), TRACE_HEIGHT_M)
             )
-            self._on_objects[number] = (way, node)
-        return self._on_objects[number]
+            colour = COLOURS[classify_contact(before, row, max(self._radii)) if len(rows) > 1 else self.state]
+            has_new_segments |= trace.add(rotate(inverse(orientation), above), colour)
+            has_new_segments |= self._tip_trace.add(finger_point, colour)
+        self._tip_trace_node.visible = is_shown
+        for trace, node in self._object_traces.values():
+            node.visible = is_shown
+            if has_new_segments:
+                node.points, node.colors = CM * trace.segments, trace.colours
+        if has_new_segments:
+            self._tip_trace_node.points, self._tip_trace_node.colors = (
+                CM * self._tip_trace.segments,
+                self._tip_trace.colours,
+            )
 
-    def _lift(self, number: int) -> None:
-        self._touched = number
-        for way in (self._on_tip, *(way for way, _ in self._on_objects.values())):
-            way.lift()
+    def _object_trace(self, object_index: int) -> tuple[Trace, Any]:
+        if object_index not in self._object_traces:
+            trace, name = Trace(STEP_M), self._node.replace("/", "-")
+            node = self._api.add_line_segments(
+                f"/objects/{object_index}/trace{name}",
+                trace.segments,
+                trace.colours,
+                thickness=3.5,
+                thickness_units="screen",
+            )
+            self._object_traces[object_index] = (trace, node)
+        return self._object_traces[object_index]
 
-    def forget(self) -> None:
-        """Wipe the traces off."""
-        for way, node in (*self._on_objects.values(), (self._on_tip, self._tip_trace)):
-            way.clear()
-            node.points = way.segments
+    def _break_lines(self, object_index: int) -> None:
+        self._touched_object = object_index
+        for trace in (self._tip_trace, *(trace for trace, _ in self._object_traces.values())):
+            trace.break_line()
+
+    def clear_traces(self) -> None:
+        """Clear the traces."""
+        for trace, node in (*self._object_traces.values(), (self._tip_trace, self._tip_trace_node)):
+            trace.clear()
+            node.points = trace.segments
 
     def change(self, scene: schema.Scene) -> None:
-        """Other parameters of the same objects."""
+        """Set new parameters of the same objects."""
         self._scene = scene
 
     def remove(self) -> None:

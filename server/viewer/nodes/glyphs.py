@@ -1,4 +1,4 @@
-"""Lines that stand for what cannot be seen: a moment as an arc, marks that show a turn, the way a contact has gone."""
+"""Line drawings of moments (arcs), rotations (marks) and paths of contacts (traces); helpers for quaternions."""
 
 from __future__ import annotations
 
@@ -10,54 +10,56 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
+PoseTuple = tuple[tuple[float, float, float], Quaternion]
+"""Position (3,) m and orientation."""
 
 ARC_PIECES: Final = 32
 ARC_MAX: Final = 1.85 * pi
-"""An arc that closed would not show where it ends."""
+"""A closed arc would not show its end."""
 HEAD_RAD: Final = 0.32
 """Length of an arc's arrow head."""
 
 DASHES: Final = 8
 GROWTH: Final = 20
-"""Segments by which the node of a way grows."""
-LONGEST: Final = 25.0
-"""Longest segment of a way, in its steps: 5 mm."""
-UNSEEN: Final = 0.12
-"""A point that is left out of a way lies so many of its steps beside it: 0.02 mm, and a fifth of a pixel."""
+"""Segments by which the node of a trace grows."""
+MAX_SEGMENT_STEPS: Final = 25.0
+"""Maximum length of a segment, in steps: 5 mm."""
+MAX_DEVIATION_STEPS: Final = 0.12
+"""Maximum distance of an omitted point from its segment, in steps: 0.02 mm, or a fifth of a pixel."""
 
-UNTURNED: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
+IDENTITY: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
 
 
 def arc(angle: float, radius: float) -> Array:
-    """Segments (ARC_PIECES + 2, 2, 3) of an arc about +z, right-handed from the x axis, with an arrow head at its end.
+    """Return segments (ARC_PIECES + 2, 2, 3) of an arc about +z from the x axis, with an arrow head at its end.
 
-    angle  rad  its sign is the way round; at most ARC_MAX of it is drawn
+    angle  rad  right-handed; at most ARC_MAX of it is drawn
     """
     angle = copysign(min(abs(angle), ARC_MAX), angle)
     turn = np.linspace(0.0, angle, ARC_PIECES + 1)
     line = radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
-    back = angle - copysign(min(HEAD_RAD, 0.6 * abs(angle)), angle)
-    barbs = [(r * radius * cos(back), r * radius * sin(back), 0.0) for r in (0.82, 1.18)]
+    head_start = angle - copysign(min(HEAD_RAD, 0.6 * abs(angle)), angle)
+    barbs = [(r * radius * cos(head_start), r * radius * sin(head_start), 0.0) for r in (0.82, 1.18)]
     head = [(line[-1], barb) for barb in barbs]
     return np.concatenate([np.stack([line[:-1], line[1:]], axis=1), np.array(head)])
 
 
-def dashes(start: Array, way: Array) -> Array:
-    """Segments (DASHES, 2, 3) of a dashed line that begins and ends with a dash, from `start` (3,) by `way` (3,)."""
+def dashes(start: Array, displacement: Array) -> Array:
+    """Return segments (DASHES, 2, 3) of a line from `start` (3,) to `start + displacement` with a dash at both ends."""
     share = np.linspace(0.0, 1.0, 2 * DASHES)
-    return (start + share[:, None] * way).reshape(DASHES, 2, 3)
+    return (start + share[:, None] * displacement).reshape(DASHES, 2, 3)
 
 
 def circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:
-    """Segments (3 pieces, 2, 3) of the three ellipses in which an ellipsoid meets its planes."""
+    """Return segments (3 pieces, 2, 3) of the intersections of an ellipsoid with its principal planes."""
     turn = np.linspace(0.0, 2.0 * pi, pieces + 1)
     c, s, none = np.cos(turn), np.sin(turn), np.zeros_like(turn)
     lines = [np.column_stack(each) * radii for each in ((c, s, none), (none, c, s), (s, none, c))]
     return np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
 
 
-def towards(normal: Array) -> Quaternion:
-    """A rotation that takes +z to the unit vector `normal` (3,)."""
+def rotation_to(normal: Array) -> Quaternion:
+    """Return a rotation from +z to the unit vector `normal` (3,)."""
     x, y, z = (float(n) for n in normal)
     if z < -0.999999:
         return (0.0, 1.0, 0.0, 0.0)
@@ -65,15 +67,15 @@ def towards(normal: Array) -> Quaternion:
     return (w, -y / (2.0 * w), x / (2.0 * w), 0.0)
 
 
-def rotated(q: Quaternion, points: Array) -> Array:
-    """Points (..., 3) turned by the unit quaternion `q`."""
+def rotate(q: Quaternion, points: Array) -> Array:
+    """Rotate points (..., 3) by the unit quaternion `q`."""
     w, v = q[0], np.array(q[1:])
-    across = 2.0 * np.cross(v, points)
-    return np.asarray(points + w * across + np.cross(v, across))
+    cross = 2.0 * np.cross(v, points)
+    return np.asarray(points + w * cross + np.cross(v, cross))
 
 
 def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """First `b`, then `a`."""
+    """Return the rotation by `b` followed by `a`."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (
@@ -85,75 +87,87 @@ def product(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def inverse(q: Quaternion) -> Quaternion:
-    """Of a unit quaternion."""
+    """Return the inverse of a unit quaternion."""
     return (q[0], -q[1], -q[2], -q[3])
 
 
-def about(axis: Array, angle: float) -> Quaternion:
-    """The rotation by `angle` rad about an axis (3,) of any length but 0."""
+def axis_angle_rotation(axis: Array, angle: float) -> Quaternion:
+    """Return the rotation by `angle` rad about an axis (3,) of any non-zero length."""
     x, y, z = axis / np.linalg.norm(axis) * sin(0.5 * angle)
     return (cos(0.5 * angle), float(x), float(y), float(z))
 
 
-class Way:
-    """The newest part of a way, as segments with a colour each, as few as will do: each costs the page time.
+class Trace:
+    """Latest part of a trace as coloured segments, as few as possible because each costs drawing time.
 
-    least     shortest step: what is nearer to the last point is left out
-    segments  how many are kept
+    Parameters
+    ----------
+    min_distance
+        Minimum distance between points; closer points are ignored.
+    segments
+        Maximum number of segments.
     """
 
-    def __init__(self, least: float, segments: int = 120) -> None:
+    def __init__(self, min_distance: float, segments: int = 120) -> None:
         self._segments = np.zeros((segments, 2, 3))
         self._colours = np.zeros((segments, 2, 3), np.uint8)
-        self._least, self._count, self._last = least, 0, None
+        self._min_distance, self._count, self._last = min_distance, 0, None
 
     _last: Array | None
 
     @property
     def segments(self) -> Array:
-        """Those drawn so far (n, 2, 3), and some without a length, lest there be other nodes for each one more."""
-        return self._segments[: self._shown()]
+        """Segments (n, 2, 3), padded with zero-length ones, so that the node grows only every GROWTH segments."""
+        return self._segments[: self._padded_count()]
 
     @property
     def colours(self) -> NDArray[np.uint8]:
-        """Of the segments (n, 2, 3)."""
-        return self._colours[: self._shown()]
+        """Colours of the segments (n, 2, 3)."""
+        return self._colours[: self._padded_count()]
 
-    def _shown(self) -> int:
+    def _padded_count(self) -> int:
         return min(self._count + GROWTH - self._count % GROWTH, len(self._segments))
 
-    def lift(self) -> None:
-        """The next point begins anew, away from the last."""
-        self._last, self._goes_on = None, False
+    def break_line(self) -> None:
+        """Start a new line at the next point."""
+        self._last, self._can_extend = None, False
 
-    _goes_on = False
+    _can_extend = False
 
     def clear(self) -> None:
         self._segments[:], self._count = 0.0, 0
-        self.lift()
+        self.break_line()
 
     def add(self, point: Array, colour: tuple[int, int, int]) -> bool:
-        """Go on to a point (3,); True where that drew a segment or a longer one."""
+        """Append a point (3,); return True if a segment was added or extended."""
         if self._last is None:
             self._last = point
             return False
-        if np.linalg.norm(point - self._last) < self._least:
+        if np.linalg.norm(point - self._last) < self._min_distance:
             return False
-        newest = (self._count - 1) % len(self._segments)
-        if self._goes_on and self._straight(newest, point) and (self._colours[newest, 0] == colour).all():
-            self._segments[newest, 1] = point
+        last_segment = (self._count - 1) % len(self._segments)
+        if (
+            self._can_extend
+            and self._is_extension(last_segment, point)
+            and (self._colours[last_segment, 0] == colour).all()
+        ):
+            self._segments[last_segment, 1] = point
         else:
-            place = self._count % len(self._segments)
-            self._segments[place], self._colours[place] = (self._last, point), colour
+            segment = self._count % len(self._segments)
+            self._segments[segment], self._colours[segment] = (self._last, point), colour
             self._count += 1
-        self._last, self._goes_on = point, True
+        self._last, self._can_extend = point, True
         return True
 
-    def _straight(self, newest: int, point: Array) -> bool:
-        """Whether the newest segment may go on to a point: forward, not far, and its end would lie beside it unseen."""
-        start, end = self._segments[newest]
-        long = point - start
-        length = float(np.linalg.norm(long))
-        beside = float(np.linalg.norm(np.cross(end - start, long))) / max(length, self._least)
+    def _is_extension(self, last_segment: int, point: Array) -> bool:
+        """Return whether the last segment can be extended to a point: forward, short, without visible deviation."""
+        start, end = self._segments[last_segment]
+        chord = point - start
+        length = float(np.linalg.norm(chord))
+        deviation = float(np.linalg.norm(np.cross(end - start, chord))) / max(length, self._min_distance)
         forward = float(np.dot(end - start, point - end)) >= 0.0
-        return forward and length < LONGEST * self._least and beside < UNSEEN * self._least
+        return (
+            forward
+            and length < MAX_SEGMENT_STEPS * self._min_distance
+            and deviation < MAX_DEVIATION_STEPS * self._min_distance
+        )

@@ -1,4 +1,4 @@
-"""How things look on the page: its unit, colours, and what a viewer may choose."""
+"""Appearance of the page: unit of length, colours, and settings of the user."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from math import floor, log10
 from typing import Final
 
 CM: Final = 100.0
-"""Units of the page in a metre: a fingertip is then about 1, what the page's cameras and lights are made for."""
+"""Units of the page per metre. A fingertip then has a size of about 1, which suits viser's cameras and lights."""
 
 Colour = tuple[int, int, int]
 
@@ -16,24 +16,24 @@ SKIN: Final[Colour] = (250, 250, 250)
 MARKS: Final[Colour] = (60, 65, 75)
 PLUMB: Final[Colour] = (128, 134, 146)
 SHADOW: Final[Colour] = (88, 94, 106)
-"""Both are seen on white and on black."""
+"""PLUMB and SHADOW are visible on white and on black."""
 GHOST: Final[Colour] = (70, 165, 105)
 NORMAL: Final[Colour] = (30, 120, 60)
 CONE: Final[Colour] = (250, 205, 60)
 MAP: Final[Colour] = (214, 178, 120)
-"""Of a height map, which is mostly seen against a grey plane or none."""
+"""Colour of a height map, which usually appears on a grey plane or without one."""
 ARROW_MAX_CM: Final = 5.0
-"""The longest arrow of a force that stays on the screen."""
+"""Maximum length of a force arrow that fits the screen."""
 OBJECTS: Final[tuple[Colour, ...]] = ((196, 204, 218), (214, 203, 188), (190, 212, 200), (208, 196, 214))
 
 
 @dataclass
 class Looks:
-    """What a viewer may choose.
+    """Settings of the user.
 
-    newtons_per_cm   of the arrow of a force
-    degrees_per_mnm  arc of a torsional moment, degrees a mN m
-    cone, traces, ghost, patches  whether each is shown
+    newtons_per_cm                force per length of an arrow
+    degrees_per_mnm               arc of a torsional moment, degrees per mN m
+    cone, traces, ghost, patches  whether each is drawn
     """
 
     newtons_per_cm: float = 0.3
@@ -44,8 +44,10 @@ class Looks:
     patches: bool = True
 
     def arrow(self, largest_n: float) -> float:
-        """Scale of the arrows, newtons a cm: as it is set or, where the largest force (N) would leave the screen, the
-        next round figure that keeps it there."""
+        """Return the scale of the arrows, N/cm.
+
+        It is the setting or, if the largest force (N) would not fit the screen, the next round number at which it does.
+        """
         least = largest_n / ARROW_MAX_CM
         if self.newtons_per_cm >= least:
             return self.newtons_per_cm

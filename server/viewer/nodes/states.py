@@ -1,4 +1,4 @@
-"""What a contact does, for the eye: it sticks, rolls, spins or slides. The mode in telemetry has one word for three."""
+"""Visible state of a contact: sticking, rolling, spinning or sliding. Telemetry has one mode for the first three."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from softfinger.server.viewer.nodes.looks import Colour
 
 Array = NDArray[np.float64]
 
-ROLLS_M_PER_S: Final = 2e-3
-"""Slower the contact point does not roll, to the eye: a pixel in a tenth of a second."""
-SPINS_RAD_PER_S: Final = 0.05
-"""Slower nobody sees a turn."""
-APART_S: Final = 0.5
-"""Of ticks that are farther apart, as where a recording is scrubbed, the one tells nothing of the other."""
+MIN_ROLL_SPEED_M_PER_S: Final = 2e-3
+"""Minimum visible speed of rolling: one pixel in a tenth of a second."""
+MIN_SPIN_RATE_RAD_PER_S: Final = 0.05
+"""Minimum visible rate of spin."""
+MAX_GAP_S: Final = 0.5
+"""Maximum time between two compared ticks; farther apart, as in a scrubbed recording, they are unrelated."""
 
 
-class State(StrEnum):
-    """What a contact does between two ticks."""
+class ContactState(StrEnum):
+    """Motion of a contact between two ticks."""
 
     FREE = "free"
     STICKING = "sticking"
@@ -31,26 +31,26 @@ class State(StrEnum):
     SLIDING = "sliding"
 
 
-COLOURS: Final[dict[State, Colour]] = {
-    State.FREE: (130, 140, 150),
-    State.STICKING: (10, 25, 150),
-    State.ROLLING: (20, 90, 235),
-    State.SPINNING: (120, 60, 235),
-    State.SLIDING: (225, 35, 25),
+COLOURS: Final[dict[ContactState, Colour]] = {
+    ContactState.FREE: (130, 140, 150),
+    ContactState.STICKING: (10, 25, 150),
+    ContactState.ROLLING: (20, 90, 235),
+    ContactState.SPINNING: (120, 60, 235),
+    ContactState.SLIDING: (225, 35, 25),
 }
 
 
-def state_of(before: Array, row: Array, radius: float) -> State:
-    """What the contact of a tick (RECORD_SIZE,) does, as from an earlier one; `radius` of the fingertip, m."""
+def classify_contact(before: Array, row: Array, radius: float) -> ContactState:
+    """Return the state of the contact in a tick (RECORD_SIZE,), compared with an earlier one; `radius` in m."""
     if row[AT.contact_mode] == FREE:
-        return State.FREE
+        return ContactState.FREE
     if row[AT.contact_mode] == SLIDING:
-        return State.SLIDING
-    passed = float(row[AT.timestamp] - before[AT.timestamp])
-    if before[AT.contact_mode] == FREE or not 0.0 < passed <= APART_S:
-        return State.STICKING
-    if radius * abs(row[AT.contact_rolled] - before[AT.contact_rolled]) > ROLLS_M_PER_S * passed:
-        return State.ROLLING
-    if abs(row[AT.contact_spin] - before[AT.contact_spin]) > SPINS_RAD_PER_S * passed:
-        return State.SPINNING
-    return State.STICKING
+        return ContactState.SLIDING
+    elapsed_s = float(row[AT.timestamp] - before[AT.timestamp])
+    if before[AT.contact_mode] == FREE or not 0.0 < elapsed_s <= MAX_GAP_S:
+        return ContactState.STICKING
+    if radius * abs(row[AT.contact_rolled] - before[AT.contact_rolled]) > MIN_ROLL_SPEED_M_PER_S * elapsed_s:
+        return ContactState.ROLLING
+    if abs(row[AT.contact_spin] - before[AT.contact_spin]) > MIN_SPIN_RATE_RAD_PER_S * elapsed_s:
+        return ContactState.SPINNING
+    return ContactState.STICKING

@@ -1,4 +1,4 @@
-"""What hands every tick on without the interpreter: the thread that does, and the memory in which it does.
+"""Relay: the thread that passes on every tick without the interpreter, and the shared memory it writes.
 
-No sockets, and nothing that a peer could reach.
+Contains no sockets, and no code that a peer could reach.
 """

@@ -1,8 +1,8 @@
-"""The broadcast of every tick as memory that other programs of the same user may read.
+"""Ring buffer of all ticks in memory that other programs of the same user may read.
 
-A file in /dev/shm of mode 600: a page of words, then the rows. Readers map it without the right to write, so none can
-do anything to it, or to whoever writes; they sleep on a counter as a futex, which the relay raises and wakes after it
-has written. `softfinger_ring.h` says the same in C.
+It is a file in /dev/shm of mode 600: a page of int64 numbers, then the rows. Readers map it read-only, so they can
+affect neither it nor its writer. They sleep on a counter used as a futex, which the relay increments and wakes after
+each write. `softfinger_ring.h` is the same reader in C.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.memory import address_of
-from softfinger.server.closing import Closing
-from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows
+from softfinger.server.closing import Closeable
+from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows
 
 log: Final = logging.getLogger(__name__)
 
@@ -41,21 +41,21 @@ _libc.mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_
 _libc.munmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t)
 
 ALIVE_S: Final = 0.5
-"""How often a reader that waits looks whether the daemon is still there."""
+"""Interval at which a waiting reader checks whether the daemon still runs."""
 
 FOLDER: Final = Path("/dev/shm")
 PREFIX: Final = "softfinger-"
 MAGIC: Final = int.from_bytes(b"softfing", "little")
 LAYOUT: Final = 1
-"""Raised when a word or the rows change their place or meaning."""
+"""Version of the layout, incremented when a header entry or the rows change their place or meaning."""
 
-# Words of the first page; the broadcast's head is the eight from HEAD on.
+# Indices in the first page; the eight numbers from HEAD on are the head of the ring buffer.
 _MAGIC, _LAYOUT, _CAPACITY, _WIDTH, _ENDED = range(5)
 HEAD: Final = 8
 PAGE_BYTES: Final = 4096
 
 _BELL: Final = 1
-"""Word of the head that counts how often readers were woken; its lower half is the futex."""
+"""Index in the head of the counter of wake-ups; its lower half is the futex."""
 _FUTEX: Final = {"x86_64": 202, "aarch64": 98}.get(platform.machine(), -1)
 _WAIT: Final = 0
 _WAKE: Final = 1
@@ -67,13 +67,13 @@ _syscall: Any = types.ExternalFunction(
 
 
 class Memory(NamedTuple):
-    """A broadcast that other programs may read.
+    """Ring buffer that other programs may read.
 
-    broadcast  what is written
-    words      (n,) int64 of all of it
-    name       in /dev/shm, '' where only the publisher can read it
-    fd         its file, locked as long as somebody writes
-    reading    the same, without the right to write
+    broadcast  ring buffer
+    words      (n,) int64, all of the memory
+    name       in /dev/shm, '' if only the publisher can read it
+    fd         its file, locked as long as the writer exists
+    reading    the same file, opened read-only
     """
 
     broadcast: Broadcast
@@ -84,15 +84,15 @@ class Memory(NamedTuple):
 
 
 def make_memory(capacity: int, width: int) -> Memory:
-    """A broadcast for other programs of this user; where the system has no such memory, for the publisher alone."""
+    """Return a ring buffer for other programs of this user; without such memory, for the publisher only."""
     size = PAGE_BYTES + 8 * capacity * width
     try:
         if _FUTEX < 0:
             raise OSError(errno.ENOSYS, f"there is no futex known for {platform.machine()}")
-        clear_away()
-        fd, name = _claimed()
+        remove_stale_files()
+        fd, name = _create_locked()
         try:
-            words = _made(fd, size)
+            words = _allocate(fd, size)
         except BaseException:
             (FOLDER / name).unlink(missing_ok=True)
             os.close(fd)
@@ -100,32 +100,35 @@ def make_memory(capacity: int, width: int) -> Memory:
     except OSError as error:
         log.warning("telemetry: local readers cannot have the ticks as memory: %s: %s", FOLDER, error.strerror)
         fd, name = os.memfd_create("softfinger"), ""
-        words = _made(fd, size)
+        words = _allocate(fd, size)
     words[_LAYOUT], words[_CAPACITY], words[_WIDTH] = LAYOUT, capacity, width
     words[_MAGIC] = MAGIC
-    return Memory(_broadcast(words), words, name, fd, os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC))
+    return Memory(_as_broadcast(words), words, name, fd, os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC))
 
 
-def _made(fd: int, size: int) -> NDArray[np.int64]:
-    """So many bytes of a new file, as words."""
-    # Now, for what the system has no room for would be missing when it is written to.
+def _allocate(fd: int, size: int) -> NDArray[np.int64]:
+    """Return the given number of bytes of a new file, as int64."""
+    # Allocated now: if the system had no room, a later write would crash the process.
     os.posix_fallocate(fd, 0, size)
-    return _mapped(fd, size)
+    return map_file(fd, size)
 
 
-def _claimed() -> tuple[int, str]:
-    """A new file, locked, and its name."""
+def _create_locked() -> tuple[int, str]:
+    """Create and lock a file; return it and its name."""
     while True:
         name = f"{PREFIX}{secrets.token_hex(8)}"
         fd = os.open(FOLDER / name, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         fcntl.flock(fd, fcntl.LOCK_EX)
-        if os.fstat(fd).st_nlink:  # else another daemon has cleared it away before it was locked
+        if os.fstat(fd).st_nlink:  # otherwise another daemon removed it before it was locked
             return fd, name
         os.close(fd)
 
 
-def _mapped(fd: int, size: int) -> NDArray[np.int64]:
-    """A file as words, as long as an array of them is there. Not by `mmap`, which would keep a file of its own open."""
+def map_file(fd: int, size: int) -> NDArray[np.int64]:
+    """Map a file as an int64 array, for as long as the array exists.
+
+    Not with `mmap`, which would keep a duplicate of the file open.
+    """
     address = _libc.mmap(None, size, mmap.PROT_READ | mmap.PROT_WRITE, mmap.MAP_SHARED, fd, 0)
     if address == ctypes.c_void_p(-1).value:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
@@ -134,29 +137,29 @@ def _mapped(fd: int, size: int) -> NDArray[np.int64]:
     return np.ctypeslib.as_array(block)
 
 
-def _broadcast(words: NDArray[np.int64]) -> Broadcast:
+def _as_broadcast(words: NDArray[np.int64]) -> Broadcast:
     capacity, width = int(words[_CAPACITY]), int(words[_WIDTH])
     slots = words[PAGE_BYTES // 8 :].view(np.float64)[: capacity * width].reshape(capacity, width)
     return Broadcast(slots, words[HEAD : HEAD + 8])
 
 
 def remove(memory: Memory) -> None:
-    """Tell readers that nothing more comes, and take the name away; who has it mapped keeps what is there."""
+    """Notify readers of the end, and remove the name; readers that have mapped the memory can still read it."""
     memory.words[_ENDED] = 1
-    ring_readers(memory.broadcast)
+    wake_readers_from_python(memory.broadcast)
     if memory.name:
         (FOLDER / memory.name).unlink(missing_ok=True)
     os.close(memory.fd)
     os.close(memory.reading)
 
 
-def clear_away() -> None:
-    """Remove what daemons of this user left that were killed: nobody holds the lock of it any more."""
+def remove_stale_files() -> None:
+    """Remove the files of killed daemons of this user: files without a lock."""
     for path in FOLDER.glob(f"{PREFIX}*"):
         with contextlib.suppress(OSError):
             fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
             try:
-                if os.fstat(fd).st_uid == os.geteuid():  # root may open all, and others' are theirs to clear away
+                if os.fstat(fd).st_uid == os.geteuid():  # root can open files of other users, and must not remove them
                     fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     path.unlink()
             finally:
@@ -165,27 +168,27 @@ def clear_away() -> None:
 
 @jit
 def wake_readers(broadcast: Broadcast) -> None:
-    """Wake all who sleep on a broadcast, after rows were written to it."""
+    """Wake all readers that sleep on a ring buffer, after rows were written to it."""
     store_release(broadcast.head, _BELL, load_relaxed(broadcast.head, _BELL) + 1)
     _syscall(_FUTEX, address_of(broadcast.head, _BELL), _WAKE, _ALL, 0, 0, 0)
 
 
 @entry
-def ring_readers(broadcast: Broadcast) -> None:
-    """`wake_readers` from Python."""
+def wake_readers_from_python(broadcast: Broadcast) -> None:
+    """Call `wake_readers` from Python."""
     wake_readers(broadcast)
 
 
 @entry
 def sleep(broadcast: Broadcast, bell: int, timespec: NDArray[np.int64]) -> None:
-    """Sleep until readers are woken for more than the `bell`th time, for (2,) s and ns at most."""
+    """Sleep until readers have been woken more than `bell` times, for at most `timespec`, (2,) s and ns."""
     _syscall(_FUTEX, address_of(broadcast.head, _BELL), _WAIT, bell & 0xFFFFFFFF, address_of(timespec, 0), 0, 0)
 
 
-class Local(Closing):
-    """Every tick of a daemon on this machine, read from its memory: what `describe` names as `ring`.
+class Local(Closeable):
+    """Reader of every tick of a daemon on this machine, from the memory that `describe` returns as `ring`.
 
-    Raises ConfigError where there is no such memory, or it is another user's or version's. One thread only.
+    Raises ConfigError if the memory does not exist, or belongs to another user or version. For one thread only.
     """
 
     def __init__(self, name: str) -> None:
@@ -201,31 +204,33 @@ class Local(Closing):
             if len(words) * 8 <= PAGE_BYTES or (words[_MAGIC], words[_LAYOUT]) != (MAGIC, LAYOUT):
                 raise ConfigError(f"{name} does not have layout {LAYOUT}: use the client of the daemon's version")
             opened.pop_all()
-        self._words, self._broadcast = words, _broadcast(words)
-        self._place = make_place(self._broadcast)
+        self._words, self._broadcast = words, _as_broadcast(words)
+        self._position = make_read_position(self._broadcast)
         self._rows = np.empty((256, int(words[_WIDTH])))
 
     def take(self, timeout_s: float) -> NDArray[np.float64]:
-        """The oldest ticks not taken yet, (n, fingers x RECORD_SIZE), as soon as there are some; none after the time,
-        or at the end. Overwritten by the next call."""
+        """Return the oldest unread ticks as soon as there are some, (n, fingers x RECORD_SIZE).
+
+        Returns no ticks after the timeout, or at the end. The next call overwrites the array.
+        """
         until_s = time.monotonic() + timeout_s
         while True:
             ended, bell = self.ended, int(load_word(self._broadcast.head, _BELL))
-            count = int(read_rows(self._broadcast, self._place, self._rows))
-            left_s = until_s - time.monotonic()
-            if count or ended or left_s <= 0.0:
+            count = int(read_rows(self._broadcast, self._position, self._rows))
+            remaining_s = until_s - time.monotonic()
+            if count or ended or remaining_s <= 0.0:
                 return self._rows[:count]
-            part_s = min(left_s, ALIVE_S)
+            part_s = min(remaining_s, ALIVE_S)
             sleep(self._broadcast, bell, np.array([int(part_s), int(part_s % 1.0 * 1e9)]))
 
     @property
     def lost(self) -> int:
-        """Ticks that were overwritten before they were taken."""
-        return int(self._place.lost[0])
+        """Ticks that were overwritten before they were read."""
+        return int(self._position.lost[0])
 
     @property
     def ended(self) -> bool:
-        """The daemon has ended, or was killed: what is there can still be taken."""
+        """Whether the daemon has exited; available ticks can still be read."""
         if self._words[_ENDED]:
             return True
         try:
@@ -236,7 +241,7 @@ class Local(Closing):
         return True
 
     def close(self) -> None:
-        """Any number of times; arrays that were taken stay readable."""
+        """Close the file; may be called repeatedly. Arrays returned before remain readable."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
@@ -244,6 +249,6 @@ class Local(Closing):
 
 @entry
 def load_word(words: NDArray[np.int64], index: int) -> int:
-    """A word that another program writes."""
+    """Return a number that another program writes."""
     value: int = load_acquire(words, index)
     return value

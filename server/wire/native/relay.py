@@ -1,8 +1,8 @@
-"""The thread that hands ticks on: it sleeps until the servo has a record, and wakes and copies without the interpreter.
+"""Thread that passes ticks on: it sleeps until the servo has a record, and wakes and copies without the interpreter.
 
-It alone empties the servo's ring. What it took it hands on to everybody on this machine who wants records, by a
-broadcast in shared memory: they are woken by it, not by the servo. The publisher is woken for each tick; readers in
-this process only where something has happened, or at times.
+It is the only reader of the servo's ring. It copies every tick into a ring buffer in shared memory for all readers on
+this machine, and wakes them, so the servo does not have to. It wakes the publisher for each tick, and readers in this
+process only after an event or at intervals.
 """
 
 from __future__ import annotations
@@ -21,50 +21,50 @@ from numpy.typing import NDArray
 from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.loop.shared.bell import wait_for
-from softfinger.server.loop.shared.broadcast import Broadcast, make_place, read_rows, write_row
+from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows, write_row
+from softfinger.server.loop.shared.eventfd import wait_for
 from softfinger.server.loop.shared.ring import Feed, make_ring, take
-from softfinger.server.progress import making
-from softfinger.server.wire.native.memory import make_memory, remove, ring_readers, wake_readers
-from softfinger.server.wire.native.system import ring, silence, sleep_on
+from softfinger.server.progress import report_compilation
+from softfinger.server.wire.native.memory import make_memory, remove, wake_readers, wake_readers_from_python
+from softfinger.server.wire.native.system import reset_eventfd, signal_eventfd, wait_eventfd
 
 log: Final = logging.getLogger(__name__)
 
 ROWS: Final = 64
-"""Most ticks that are taken from the ring at a time."""
+"""Largest number of ticks read from the ring at a time."""
 
-HANDED_ON: Final = 8192
-"""Ticks that a reader may fall behind: 8 s at 1 kHz, 1 s at 8 kHz."""
+CAPACITY_TICKS: Final = 8192
+"""Number of ticks by which a reader may be late: 8 s at 1 kHz, 1 s at 8 kHz."""
 
-BELL_MS: Final = 10
-"""Readers in this process are woken at once where something has happened, and else this often: each wake-up of
-Python costs as much as handing on a hundred ticks."""
-_BELL_S: Final = BELL_MS / 1000.0
+WAKE_INTERVAL_MS: Final = 10
+"""Readers in this process are woken at once after an event, and otherwise at this interval: each wake-up of Python
+costs as much as passing on a hundred ticks."""
+_WAKE_INTERVAL_S: Final = WAKE_INTERVAL_MS / 1000.0
 
 JOIN_S: Final = 1.0
 
-# Words of the post.
-_CALLS: Final = 0  # how often the thread was asked back to Python
-_TICK: Final = 1  # newest tick that was handed on
+# Indices in `RelayState.words`.
+_CALLS: Final = 0  # number of requests to return to Python
+_TICK: Final = 1  # latest tick passed on
 
 
 class Source(Protocol):
-    """What records come from: the rings of a servo."""
+    """Source of records: the rings of a servo."""
 
     def feeds(self) -> Iterator[Feed]:
-        """Where to take them from; the next one is asked for when the one before has come to its end."""
+        """Yield each ring; the next one is requested when the previous one is complete."""
 
 
-class Post(NamedTuple):
+class RelayState(NamedTuple):
     """Memory of the relay.
 
-    readers       everybody on this machine who wants records
+    readers       ring buffer for all readers on this machine
     publisher_fd  eventfd that wakes the publisher
-    bell_fd       and one that wakes readers in this process
-    words         calls and the newest tick
-    rows          (ROWS, width) as they come out of the ring
-    seen          (fingers + 1,) what the guard changed in the last tick, and deadlines missed
-    belled_s      (1,) time of the tick with which readers in this process were woken last
+    bell_fd       eventfd that wakes readers in this process
+    words         number of calls, and latest tick
+    rows          (ROWS, width) rows from the servo's ring
+    last_values   (fingers + 1,) guard bits of each finger in the last tick, and missed deadlines
+    woken_s       (1,) time of the tick at which readers in this process were last woken
     """
 
     readers: Broadcast
@@ -72,112 +72,114 @@ class Post(NamedTuple):
     bell_fd: int
     words: NDArray[np.int64]
     rows: NDArray[np.float64]
-    seen: NDArray[np.float64]
-    belled_s: NDArray[np.float64]
+    last_values: NDArray[np.float64]
+    woken_s: NDArray[np.float64]
 
 
 @entry
-def serve(post: Post, feed: Feed, turn: int, call: int, file: NDArray[np.int64]) -> bool:
-    """Hand on all that comes, until the feed is no longer at its turn number `turn` and everything of it is handed on:
-    True; or until there have been more calls than `call`: False. `file` (1,) is overwritten."""
-    told = True
+def serve(state: RelayState, feed: Feed, turn: int, call: int, file: NDArray[np.int64]) -> bool:
+    """Pass on all ticks; return True once the feed is no longer at turn `turn` and its ring is empty.
+
+    Returns False once there have been more calls than `call`. `file` (1,) is scratch.
+    """
+    woken = True
     while True:
-        turned = load_acquire(feed.turns, 0) != turn  # both before the ring is emptied: what came before is handed on
-        called = load_acquire(post.words, _CALLS) != call
-        count = take(feed.ring, post.rows)
+        is_complete = load_acquire(feed.completed_rings, 0) != turn  # before the ring is emptied, as is `called`
+        called = load_acquire(state.words, _CALLS) != call
+        count = take(feed.ring, state.rows)
         while count > 0:
-            told = hand_on(post, post.rows, count)
-            count = take(feed.ring, post.rows)
-        if turned or called:
-            return bool(turned)
-        if sleep_on(feed.wake_fd, -1 if told else BELL_MS, file):
-            silence(feed.wake_fd, file)
-        elif not told:
-            told = True
-            ring(post.bell_fd)
+            woken = pass_on(state, state.rows, count)
+            count = take(feed.ring, state.rows)
+        if is_complete or called:
+            return bool(is_complete)
+        if wait_eventfd(feed.wake_fd, -1 if woken else WAKE_INTERVAL_MS, file):
+            reset_eventfd(feed.wake_fd, file)
+        elif not woken:
+            woken = True
+            signal_eventfd(state.bell_fd)
 
 
 @jit
-def hand_on(post: Post, rows: NDArray[np.float64], count: int) -> bool:
-    """Hand on `count` ticks, rows (n, width); returns whether readers in this process were woken."""
-    told = False
+def pass_on(state: RelayState, rows: NDArray[np.float64], count: int) -> bool:
+    """Pass on `count` ticks, rows (n, width); return whether readers in this process were woken."""
+    woken = False
     for r in range(count):
-        write_row(post.readers, rows, r)
-        told = _matters(post, rows, r) or told
+        write_row(state.readers, rows, r)
+        woken = _has_event(state, rows, r) or woken
     tick = rows[count - 1, AT.tick]
-    store_release(post.words, _TICK, int(tick) if tick == tick else -1)
-    ring(post.publisher_fd)
-    wake_readers(post.readers)
-    if told:
-        ring(post.bell_fd)
-    return told
+    store_release(state.words, _TICK, int(tick) if tick == tick else -1)
+    signal_eventfd(state.publisher_fd)
+    wake_readers(state.readers)
+    if woken:
+        signal_eventfd(state.bell_fd)
+    return woken
 
 
 @jit
-def _matters(post: Post, rows: NDArray[np.float64], row: int) -> bool:
-    """Whether readers are to be woken with a tick: something has happened in it, or they were not for a while."""
-    since = rows[row, AT.timestamp] - post.belled_s[0]
-    matters = not 0.0 <= since < _BELL_S
-    fingers = len(post.seen) - 1
+def _has_event(state: RelayState, rows: NDArray[np.float64], row: int) -> bool:
+    """Return whether to wake readers in this process: the tick has an event, or WAKE_INTERVAL_MS have passed."""
+    since = rows[row, AT.timestamp] - state.woken_s[0]
+    has_event = not 0.0 <= since < _WAKE_INTERVAL_S
+    fingers = len(state.last_values) - 1
     for finger in range(fingers):
         column = finger * RECORD_SIZE
         guard = rows[row, column + AT.servo_guard]
-        matters = matters or rows[row, column + AT.contact_cause] != 0.0 or guard != post.seen[finger]
-        post.seen[finger] = guard
-    matters = matters or rows[row, AT.servo_missed] != post.seen[fingers]
-    post.seen[fingers] = rows[row, AT.servo_missed]
-    if matters:
-        post.belled_s[0] = rows[row, AT.timestamp]
-    return bool(matters)
+        has_event = has_event or rows[row, column + AT.contact_cause] != 0.0 or guard != state.last_values[finger]
+        state.last_values[finger] = guard
+    has_event = has_event or rows[row, AT.servo_missed] != state.last_values[fingers]
+    state.last_values[fingers] = rows[row, AT.servo_missed]
+    if has_event:
+        state.woken_s[0] = rows[row, AT.timestamp]
+    return bool(has_event)
 
 
 class Tap:
-    """Records for one thread of this process, which must not be late by more than HANDED_ON ticks."""
+    """Reader for one thread of this process, which must not fall behind by more than CAPACITY_TICKS ticks."""
 
     def __init__(self, readers: Broadcast, bell_fd: int, ended: threading.Event, failed: threading.Event) -> None:
         self._readers, self._ended, self._failed = readers, ended, failed
         self._ring_fd, self._bell_fd = bell_fd, os.dup(bell_fd)  # a thread that reads late outlives the relay
         self.close: Final = weakref.finalize(self, os.close, self._bell_fd)
-        """By who reads, in the end."""
-        self._place = make_place(readers)
-        read_rows.compile(_types(readers, self._place, np.empty((1, readers.slots.shape[1]))))  # type: ignore[attr-defined]
+        """Called by the reader when it has finished."""
+        self._position = make_read_position(readers)
+        read_rows.compile(_types(readers, self._position, np.empty((1, readers.slots.shape[1]))))  # type: ignore[attr-defined]
 
     def wait(self) -> None:
-        """Sleep until there may be records, or the end of them."""
+        """Sleep until there may be records, or until the end."""
         wait_for(self._bell_fd)
 
     def wake(self) -> None:
-        """End a `wait`, from any thread, as long as the relay is there."""
+        """Wake a thread in `wait`, from any thread, as long as the relay exists."""
         os.eventfd_write(self._ring_fd, 1)
 
     def take(self, out: NDArray[np.float64]) -> int:
-        """Copy the oldest to `out` (n, width); returns how many."""
-        return read_rows(self._readers, self._place, out)
+        """Copy the oldest records to `out` (n, width); return their number."""
+        return read_rows(self._readers, self._position, out)
 
     @property
     def ended(self) -> bool:
-        """Nothing more will come than can be taken now."""
+        """Whether no record will follow the ones that are available now."""
         return self._ended.is_set()
 
     @property
     def failed(self) -> bool:
-        """It has ended because the thread that hands on did, by an error of its own."""
+        """Whether the thread of the relay has failed."""
         return self._failed.is_set()
 
     @property
     def lost(self) -> int:
-        """Ticks it was too late for."""
-        return int(self._place.lost[0])
+        """Ticks that were overwritten before they were read."""
+        return int(self._position.lost[0])
 
 
 class Relay:
-    """The thread, and the memory in which it hands on the records of so many `fingers`."""
+    """Relay thread, and the memory in which it passes on the records of `fingers` fingers."""
 
     def __init__(self, fingers: int) -> None:
         width = fingers * RECORD_SIZE
         bell, self.bell = os.eventfd(0), os.eventfd(0)
-        self._memory = make_memory(HANDED_ON, width)
-        self._post: Final = Post(
+        self._memory = make_memory(CAPACITY_TICKS, width)
+        self._state: Final = RelayState(
             self._memory.broadcast,
             self.bell,
             bell,
@@ -187,24 +189,24 @@ class Relay:
             np.full(1, -np.inf),
         )
         self._file = np.zeros(1, np.int64)
-        self._home: Final = Feed(make_ring(1, width), np.zeros(8, np.int64), os.eventfd(0))
-        """Where it sleeps while there is no servo."""
-        self._asleep_on = self._home.wake_fd
+        self._idle_feed: Final = Feed(make_ring(1, width), np.zeros(8, np.int64), os.eventfd(0))
+        """Ring on which the thread sleeps while there is no servo."""
+        self._asleep_on = self._idle_feed.wake_fd
         self._source: Source | None = None
         self._done, self._failed, self._closing = (threading.Event() for _ in range(3))
-        self.tap: Final = Tap(self._post.readers, bell, self._done, self._failed)
+        self.tap: Final = Tap(self._state.readers, bell, self._done, self._failed)
         self._compile()
         self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
         self._thread.start()
 
     def _compile(self) -> None:
         kernels: list[tuple[Any, tuple[Any, ...]]] = [
-            (serve, (self._post, self._home, 0, 0, self._file)),
-            (ring_readers, (self._post.readers,)),
+            (serve, (self._state, self._idle_feed, 0, 0, self._file)),
+            (wake_readers_from_python, (self._state.readers,)),
         ]
-        with making("kernels that hand ticks on"):
-            for kernel, given in kernels:
-                kernel.compile(_types(*given))
+        with report_compilation("kernels that hand ticks on"):
+            for kernel, arguments in kernels:
+                kernel.compile(_types(*arguments))
 
     @property
     def memory(self) -> str:
@@ -213,68 +215,68 @@ class Relay:
 
     @property
     def file(self) -> int:
-        """The same memory as a file that cannot be written to, for the publisher."""
+        """File of the same memory, opened read-only, for the publisher."""
         return self._memory.reading
 
     @property
     def rows(self) -> int:
-        """How many were handed on."""
-        return int(self._post.readers.head[0])
+        """Number of ticks passed on."""
+        return int(self._state.readers.head[0])
 
     @property
     def tick(self) -> int:
-        """The newest that was handed on; -1: none was."""
-        return int(self._post.words[_TICK])
+        """Latest tick passed on; -1 before the first."""
+        return int(self._state.words[_TICK])
 
     @property
     def native_id(self) -> int | None:
-        """Of the thread."""
+        """Native id of the thread."""
         return self._thread.native_id
 
     def attach(self, source: Source) -> None:
-        """Hand on what a servo's rings have from here on, until it has ended. Once."""
+        """Pass on the records of a servo from now on, until it ends. Call it once."""
         self._source = source
         self._call()
 
     def send(self, rows: NDArray[np.float64]) -> None:
-        """Hand on ticks that come from no servo, shape (n, width). Not beside one."""
+        """Pass on ticks without a servo, shape (n, width). Not while a servo is attached."""
         if len(rows):
-            hand_on_given(self._post, np.ascontiguousarray(rows))
+            pass_on_rows(self._state, np.ascontiguousarray(rows))
 
     def close(self) -> None:
-        """End the thread. Once."""
+        """End the thread. Call it once."""
         self._closing.set()
         self._call()
         self._thread.join(JOIN_S)
         remove(self._memory)
         if not self._thread.is_alive():
-            for file in (self._home.wake_fd, self._post.bell_fd, self.bell):
+            for file in (self._idle_feed.wake_fd, self._state.bell_fd, self.bell):
                 os.close(file)
 
     def _call(self) -> None:
-        """Have the thread come back to Python. Not from two threads at once."""
-        self._post.words[_CALLS] += 1
+        """Make the thread return to Python; not from two threads at once."""
+        self._state.words[_CALLS] += 1
         os.eventfd_write(self._asleep_on, 1)
 
     def _run(self) -> None:
-        feeds, feed, turn = None, self._home, 0
+        feeds, feed, turn = None, self._idle_feed, 0
         try:
             while True:
-                call = int(self._post.words[_CALLS])
+                call = int(self._state.words[_CALLS])
                 if self._closing.is_set():
                     return
                 if feeds is None and self._source is not None:
                     feeds = self._source.feeds()
                     feed = next(feeds)
                 self._asleep_on = feed.wake_fd
-                if serve(self._post, feed, turn, call, self._file) and feeds is not None:
-                    turn, feed = turn + 1, next(feeds, self._home)
-                    if feed is self._home:
-                        turn, self._asleep_on = 0, feed.wake_fd  # first: with its end the servo closes its own
+                if serve(self._state, feed, turn, call, self._file) and feeds is not None:
+                    turn, feed = turn + 1, next(feeds, self._idle_feed)
+                    if feed is self._idle_feed:
+                        turn, self._asleep_on = 0, feed.wake_fd  # first: at its end the servo closes its eventfd
                         self._end()
         except Exception:
             self._failed.set()
-            self._asleep_on = self._home.wake_fd
+            self._asleep_on = self._idle_feed.wake_fd
             log.exception("telemetry: the thread that hands ticks on failed")
             self._end()
 
@@ -284,9 +286,9 @@ class Relay:
 
 
 @entry
-def hand_on_given(post: Post, rows: NDArray[np.float64]) -> None:
-    """Hand on rows (n, width) from Python."""
-    hand_on(post, rows, len(rows))
+def pass_on_rows(state: RelayState, rows: NDArray[np.float64]) -> None:
+    """Call `pass_on` for rows (n, width) from Python."""
+    pass_on(state, rows, len(rows))
 
 
 def _types(*arguments: Any) -> tuple[Any, ...]:

@@ -1,4 +1,4 @@
-"""The C library as the relay calls it: an eventfd, written to, slept on and read."""
+"""Calls of the C library by the relay: writing, polling and reading an eventfd."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _eventfd_write: Any = types.ExternalFunction("eventfd_write", types.int32(types.
 
 
 @jit
-def ring(fd: int) -> None:
-    """Wake whoever sleeps on an eventfd."""
+def signal_eventfd(fd: int) -> None:
+    """Wake the thread or process that sleeps on an eventfd."""
     _eventfd_write(fd, 1)
 
 
 @jit
-def silence(fd: int, word: NDArray[np.int64]) -> None:
-    """Take back what rang; `word` (1,) is overwritten. Waits if nothing did."""
+def reset_eventfd(fd: int, word: NDArray[np.int64]) -> None:
+    """Reset an eventfd after a signal; waits without one. `word` (1,) is scratch."""
     _read(fd, address_of(word, 0), 8)
 
 
 @jit
-def sleep_on(fd: int, timeout_ms: int, word: NDArray[np.int64]) -> bool:
-    """Sleep until an eventfd rings; False for the time-out, or a signal. `word` (1,) is overwritten."""
-    word[0] = _POLLIN << 32 | fd  # a pollfd is one word: the file in the low half, what is asked for above it
+def wait_eventfd(fd: int, timeout_ms: int, word: NDArray[np.int64]) -> bool:
+    """Sleep until an eventfd is signalled; return False on a timeout or a signal. `word` (1,) is scratch."""
+    word[0] = _POLLIN << 32 | fd  # a pollfd is one int64: the file in the low half, the requested events above it
     return bool(_poll(address_of(word, 0), 1, timeout_ms) > 0)

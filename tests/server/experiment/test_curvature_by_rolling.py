@@ -14,8 +14,8 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.numerics.rotations import exp
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.files import load
-from softfinger.server.experiment.haptics import ONE, along, quaternion
-from softfinger.server.experiment.masses import scene_with
+from softfinger.server.experiment.haptics import ONE, interpolate_path, quaternion
+from softfinger.server.experiment.masses import load_changed_scene
 
 pytestmark = pytest.mark.plain
 
@@ -30,10 +30,10 @@ def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
     experiment, folder = load("curvature-by-rolling", {})
     path, turns = experiment.motion[ONE], experiment.turn[ONE]
     times = np.arange(0.0, 1.5, 0.005)
-    poses = np.array([[*along(path, t), *quaternion(along(turns, t))] for t in times])
+    poses = np.array([[*interpolate_path(path, t), *quaternion(interpolate_path(turns, t))] for t in times])
     name = experiment.factor[0].scenes[condition]
     values = {"object.sphere.radius_m": radius_m, "object.sphere.position_m.2": -radius_m}
-    scene = scene_with(folder / name if name.endswith(".toml") else name, values, "a test")
+    scene = load_changed_scene(folder / name if name.endswith(".toml") else name, values, "a test")
     return Engine(scene).run(poses), poses
 
 

@@ -22,11 +22,11 @@ from test_experiment_design import small
 from softfinger.config.errors import CommandRefused, HapticError, RecordingError
 from softfinger.config.materials import materials
 from softfinger.server import cli
-from softfinger.server.experiment.experiment import Experiment, Running, results
+from softfinger.server.experiment.experiment import Experiment, RunOptions, results
 from softfinger.server.experiment.files import shipped
-from softfinger.server.experiment.haptics import BACK_M, Haptics, along
+from softfinger.server.experiment.haptics import START_TOLERANCE_M, Haptics, interpolate_path
 from softfinger.server.experiment.journal import read
-from softfinger.server.experiment.session import Felt, Stimulus
+from softfinger.server.experiment.session import Stimulus, TouchResult
 from softfinger.server.loop.guard import DISARMED
 from softfinger.server.recording.run import Run, load_run
 from softfinger.server.remote import Client
@@ -56,9 +56,9 @@ def experiment(**changes: Any) -> dict[str, Any]:
     return small(**tables, motion={"fingertip": MOTION}, turn={"fingertip": TURN}, **changes)
 
 
-def settings(folder: Path) -> Running:
+def settings(folder: Path) -> RunOptions:
     endpoints = {"telemetry.endpoint": f"ipc://{folder}/t", "commands.endpoint": f"ipc://{folder}/c"}
-    return Running(dry_run=True, doctor=False, rig=endpoints | {"servo.realtime": "off"})
+    return RunOptions(dry_run=True, doctor=False, rig=endpoints | {"servo.realtime": "off"})
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +142,7 @@ def test_a_hand_is_led_back_before_it_feels(session: tuple[Path, Run]) -> None:
     _, run = session
     for event in marks(run, "touch"):
         position = run.first["probe.position"][at(run, event["tick"])]
-        assert np.linalg.norm(position - MOTION[0][1:]) <= BACK_M
+        assert np.linalg.norm(position - MOTION[0][1:]) <= START_TOLERANCE_M
 
 
 @pytest.mark.exhaustive
@@ -197,22 +197,22 @@ def test_a_session_ends_where_its_recording_does_and_runs_that_trial_again(
     """The file may not grow any more while the second trial is felt: the force fades out, no trial follows, and one
     sentence says what, where and what to do. With room the same command presents that trial again, and no other."""
     out, force, before = tmp_path / "out", list[float](), resource.getrlimit(resource.RLIMIT_FSIZE)
-    own, take, touch = out / "sub-01", Haptics._take, Haptics.touch
+    own, take, touch = out / "sub-01", Haptics._store, Haptics.touch
     presented = list[int]()
 
-    def presents(self: Haptics, stimulus: Stimulus) -> Felt:
+    def presents(self: Haptics, stimulus: Stimulus) -> TouchResult:
         presented.append(stimulus.trial)
         return touch(self, stimulus)
 
     def takes(self: Haptics, sample: Sample) -> None:
         take(self, sample)
-        force.append(float(np.linalg.norm(self.newest[""].data.force)) if "" in self.newest else 0.0)
+        force.append(float(np.linalg.norm(self.latest[""].data.force)) if "" in self.latest else 0.0)
         if presented and presented[-1] == 2 and force[-1] > 0.3:
             size = (own / "sub-01_run-01_ticks.mcap").stat().st_size
             resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
 
     monkeypatch.setattr(Haptics, "touch", presents)
-    monkeypatch.setattr(Haptics, "_take", takes)
+    monkeypatch.setattr(Haptics, "_store", takes)
     try:
         with pytest.raises(RecordingError) as ended:
             Experiment(experiment()).run(out, 1, settings(tmp_path))
@@ -367,8 +367,8 @@ def test_materials_by_name_are_levels_of_a_factor(tmp_path: Path) -> None:
 def test_a_hand_follows_straight_lines() -> None:
     """Between waypoints, and rests before the first and behind the last."""
     path = ((0.0, 0.0, 0.0, 0.0), (2.0, 1.0, 2.0, 4.0))
-    assert along(path, 1.0) == (0.5, 1.0, 2.0)
-    assert along(path, -1.0) == (0.0, 0.0, 0.0) and along(path, 9.0) == (1.0, 2.0, 4.0)
+    assert interpolate_path(path, 1.0) == (0.5, 1.0, 2.0)
+    assert interpolate_path(path, -1.0) == (0.0, 0.0, 0.0) and interpolate_path(path, 9.0) == (1.0, 2.0, 4.0)
 
 
 @pytest.mark.exhaustive

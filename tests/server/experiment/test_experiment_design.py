@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.experiment.design import conditions, planned, williams
+from softfinger.server.experiment.design import conditions, plan_trials, williams
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.files import shipped
 from softfinger.server.experiment.schema import ExperimentFile
-from softfinger.server.experiment.session import Place, blocks_of
+from softfinger.server.experiment.session import Progress, number_blocks
 
 pytestmark = pytest.mark.plain
 
@@ -44,20 +44,20 @@ def test_all_combinations_come_equally_often() -> None:
     both = [*small()["factor"], {"name": "radius", "parameter": "fingertip.radius_m", "levels": [0.008, 0.01]}]
     experiment = file(factor=both)
     assert len(conditions(experiment)) == 6
-    count = Counter((trial.condition, trial.level) for trial in planned(experiment, 1))
+    count = Counter((trial.condition, trial.level) for trial in plan_trials(experiment, 1))
     assert len(count) == 18 and set(count.values()) == {4}
 
 
 def test_the_order_is_of_seed_and_participant() -> None:
     """The same again for the same two, another one for another seed or participant."""
-    one = planned(file(), 1)
-    assert planned(file(), 1) == one
-    assert planned(file(), 2) != one and planned(file(design={"seed": 6}), 1) != one
+    one = plan_trials(file(), 1)
+    assert plan_trials(file(), 1) == one
+    assert plan_trials(file(), 2) != one and plan_trials(file(design={"seed": 6}), 1) != one
 
 
 def test_the_reference_comes_first_as_often_as_second() -> None:
     """Half of the trials begin with it."""
-    assert sum(trial.test_first for trial in planned(file(), 3)) == 18
+    assert sum(trial.test_first for trial in plan_trials(file(), 3)) == 18
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 7, 8])
@@ -73,13 +73,13 @@ def test_a_latin_square_is_balanced(count: int) -> None:
 def test_blocks_are_blocks() -> None:
     """With a latin square or a given order all trials of a condition come together."""
     for order, wanted in (("latin-square", williams(3, 1)), ("given", [0, 1, 2])):
-        trials = planned(file(design={"seed": 5, "order": order}), 2)
+        trials = plan_trials(file(design={"seed": 5, "order": order}), 2)
         assert [trial.condition for trial in trials] == [at for at in wanted for _ in range(12)]
 
 
 def test_practice_comes_first() -> None:
     """So many trials more, which do not count."""
-    trials = planned(file(design={"seed": 5, "practice": 3}), 1)
+    trials = plan_trials(file(design={"seed": 5, "practice": 3}), 1)
     assert [trial.practice for trial in trials] == [True] * 3 + [False] * 36
     assert [trial.number for trial in trials] == list(range(1, 40))
 
@@ -112,7 +112,7 @@ def test_practice_comes_first() -> None:
         ({"task.parameter": "rig.servo.rate_hz"}, "another start of the daemon"),
         ({"task.scale": [1, 7]}, "only rate has a scale"),
         ({"task.kind": "rate", "task.reference": None, "task.scale": [7, 1]}, "the first mark, from 1"),
-        ({"task.scale_ends": ["soft", "hard"]}, "goes with scale"),
+        ({"task.scale_ends": ["soft", "hard"]}, "requires scale"),
         ({"factor.0.levels": [-1.0, 0.0]}, "damping_ns_per_m = -1.0"),
         ({"factor.0.scenes": {"a": "sphere"}}, "give one of parameter, scenes and values"),
         ({"rig": "omega-66"}, "did you mean"),
@@ -134,10 +134,10 @@ def test_what_cannot_be_run_is_refused_before_it_runs(changes: dict[str, Any], s
 def test_progress_tells_the_block_and_no_condition() -> None:
     """Blocks are counted where trials come in blocks; practice belongs to the first."""
     blocked = file(design={"seed": 5, "order": "given", "practice": 1})
-    assert blocks_of(planned(blocked, 1), mixed=False) == [1] * 13 + [2] * 12 + [3] * 12
-    assert blocks_of(planned(file(), 1), mixed=True) == [1] * 36
-    assert Place(3, 37, 1, 3, True, 2, 2).title == "Block 1 of 3, trial 3 of 37, practice"
-    assert Place(3, 37, 1, 1, False, 1, 2).text == "Touch 1 of 2"
+    assert number_blocks(plan_trials(blocked, 1), is_mixed=False) == [1] * 13 + [2] * 12 + [3] * 12
+    assert number_blocks(plan_trials(file(), 1), is_mixed=True) == [1] * 36
+    assert Progress(3, 37, 1, 3, True, 2, 2).title == "Block 1 of 3, trial 3 of 37, practice"
+    assert Progress(3, 37, 1, 1, False, 1, 2).text == "Touch 1 of 2"
 
 
 def test_a_rating_stays_on_its_scale() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from softfinger.server.experiment.analysis import power_law, said, student_975
+from softfinger.server.experiment.analysis import format_fit, power_law, student_975
 from softfinger.server.experiment.procedures import GRID, QuestPlus, Staircase
 from softfinger.server.experiment.psychometric import QUANTILES, SLOPE, SLOPE_SD, SLOPES, fit, probability
 from softfinger.server.experiment.schema import Procedure
@@ -29,7 +29,7 @@ def test_a_staircase_settles_where_two_in_a_row_are_as_likely_as_not() -> None:
     rng, tried = np.random.default_rng(1), []
     for _ in range(20_000):
         tried.append(stairs.level())
-        stairs.answered(tried[-1], bool(rng.random() < probability(tried[-1], 0.2, 2.0)))
+        stairs.update(tried[-1], bool(rng.random() < probability(tried[-1], 0.2, 2.0)))
     wanted = 0.2 * np.sqrt(-np.log(1.0 - (np.sqrt(0.5) - 0.5) / 0.5))
     # Small steps wander by a few steps, and the mean of 20 000 trials by less than one.
     assert np.exp(np.mean(np.log(tried[1000:]))) == pytest.approx(wanted, rel=0.02)
@@ -40,7 +40,7 @@ def test_a_staircase_goes_by_its_rule() -> None:
     stairs = Staircase(Procedure(kind="staircase", start=0.4, step=2.0, smallest=0.1, largest=0.8))
     seen = []
     for right in (True, True, False, True, True, False, False, False):
-        stairs.answered(stairs.level(), right)
+        stairs.update(stairs.level(), right)
         seen.append(round(stairs.level(), 9))
     assert seen == [0.4, 0.1, 0.4, 0.4, 0.2, 0.4, 0.8, 0.8]
 
@@ -65,7 +65,7 @@ def test_quest_plus_chooses_what_leaves_least_uncertainty() -> None:
         hit = np.array([float(probability(best, a, b, lapse=0.02)) for a, b in pairs])
         weights = weights * (hit if right else 1.0 - hit)
         weights /= weights.sum()
-        chosen.answered(best, right)
+        chosen.update(best, right)
 
 
 def test_the_fit_is_the_posterior() -> None:
@@ -109,10 +109,10 @@ def test_answers_that_say_little_bound_little() -> None:
         levels = []
         for _ in range(40):
             levels.append(stairs.level())
-            stairs.answered(levels[-1], answers)
-        assert stairs.turns == 0
+            stairs.update(levels[-1], answers)
+        assert stairs.reversals == 0
         found = fit(levels, [answers] * 40, 0.02)
-        assert found.bounded and "not bounded by the answers" in said(found)
+        assert found.bounded and "not bounded by the answers" in format_fit(found)
         assert (found.threshold < min(levels)) if answers else (found.threshold > max(levels))
 
 
@@ -145,5 +145,5 @@ def test_a_single_level_has_no_exponent() -> None:
     found = power_law([0.5] * 3, answers)
     mean = stats.t.interval(0.95, 2, np.log(answers).mean(), stats.sem(np.log(answers)))
     assert np.isnan(found.exponent) and found.answer_95 == pytest.approx(np.exp(mean))
-    assert said(found) == f"answer 11.1 ({found.answer_95[0]:.3g} to {found.answer_95[1]:.3g}) at 0.5"
-    assert said(power_law([0.5], [9.0])) == "answer 9 at 0.5"
+    assert format_fit(found) == f"answer 11.1 ({found.answer_95[0]:.3g} to {found.answer_95[1]:.3g}) at 0.5"
+    assert format_fit(power_law([0.5], [9.0])) == "answer 9 at 0.5"

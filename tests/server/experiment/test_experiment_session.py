@@ -24,8 +24,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import EXPERIMENTS, FOLDERS
 from softfinger.config.schema import Scene
 from softfinger.server import cli
-from softfinger.server.experiment.analysis import analysed
-from softfinger.server.experiment.experiment import Experiment, Running, results
+from softfinger.server.experiment.analysis import fit_groups
+from softfinger.server.experiment.experiment import Experiment, RunOptions, results
 from softfinger.server.experiment.files import shipped
 from softfinger.server.experiment.folder import Folder, load
 from softfinger.server.experiment.journal import Journal, read
@@ -33,7 +33,7 @@ from softfinger.server.experiment.session import Session
 
 pytestmark = pytest.mark.plain
 
-OFFLINE = Running(dry_run=True, no_daemon=True)
+OFFLINE = RunOptions(dry_run=True, no_daemon=True)
 
 
 def drawn(figure: Path) -> None:
@@ -44,6 +44,7 @@ def drawn(figure: Path) -> None:
     assert len(paths) > 20
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", shipped())
 def test_each_shipped_experiment_goes_from_design_to_figure(name: str, tmp_path: Path) -> None:
     """The simulated observer answers every trial, and the folder has figures, numbers and a tidy table."""
@@ -75,7 +76,7 @@ def test_the_truth_lies_in_most_intervals(cases: Callable[[int, int], int]) -> N
     for seed in range(seeds):
         experiment = Experiment("texture-roughness", {"design.seed": seed, "procedure.trials": 80})
         rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
-        low, high = analysed(experiment.file, rows)[0].fit.threshold_95
+        low, high = fit_groups(experiment.file, rows)[0].fit.threshold_95
         misses += not low <= experiment.file.observer.threshold <= high
     assert misses <= max(1, seeds // 7)
 
@@ -226,7 +227,7 @@ def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path)
     experiment = Experiment(small(factor=[]))
     for participant in (1, 2):
         experiment.run(tmp_path, participant, OFFLINE)
-    groups = analysed(*load(tmp_path))
+    groups = fit_groups(*load(tmp_path))
     assert [group.participant for group in groups] == ["sub-01", "sub-02", "all participants"]
     assert groups[2].trials == groups[0].trials + groups[1].trials == 24
     assert (tmp_path / "participants.tsv").read_text() == "participant_id\nsub-01\nsub-02\n"
@@ -235,7 +236,7 @@ def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path)
 def test_a_participant_is_a_number(tmp_path: Path) -> None:
     """What would lead out of the folder is none, nor is what only looks like one."""
     for name in ("../x", "Zoë", True, 1.0):
-        with pytest.raises(ConfigError, match="must be a whole number from 1 to 9999"):
+        with pytest.raises(ConfigError, match="must be an integer from 1 to 9999"):
             Experiment(small()).run(tmp_path / "out", name, OFFLINE)  # type: ignore[arg-type]
     assert not (tmp_path / "out").exists()
 
@@ -267,7 +268,7 @@ def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["experiment", "friction-magnitude", "--no-daemon"], "give --dry-run too"),
         (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),
         (["experiment", "friction-magnitude", "--participant", "0"], "participant = 0"),
-        (["experiment", "friction-magnitude", "--set", "procedure.repetitions=0"], "must be a whole number from 1"),
+        (["experiment", "friction-magnitude", "--set", "procedure.repetitions=0"], "must be an integer from 1"),
         (["figure", str(tmp_path)], "is this a folder that `softfinger experiment` made"),
     ):
         assert cli.main([*words, *(["--out", str(tmp_path)] if words[0] == "experiment" else [])]) == 2

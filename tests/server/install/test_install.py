@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from helpers.forgotten import forget_user
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.cli import main
 from softfinger.server.install.ledger import File, Ledger
-from softfinger.server.install.plan import SYSTEM, closed_to_others, places_of_user
-from softfinger.server.install.settle import after_removing, run_all
+from softfinger.server.install.plan import SYSTEM, first_private_folder, user_paths
+from softfinger.server.install.system_commands import after_removing, run_all
 
 UNIT = "etc/systemd/system/softfinger.service"
 RULES = "etc/udev/rules.d/70-softfinger.rules"
@@ -90,7 +91,7 @@ def test_nothing_is_left(root: Path, install: Install, edited: bool, capsys: pyt
     assert install("--remove") == 0
     told = capsys.readouterr().out
     assert set(content(root)) == {str(other.relative_to(root))} | ({UNIT, RECORD} if edited else set())
-    assert (f"kept, for it was edited; remove it yourself: {root / UNIT}" in told) == edited
+    assert (f"edited, so not removed; remove it yourself: {root / UNIT}" in told) == edited
     if not edited:
         assert {path.name for path in root.rglob("*") if path.is_dir()} == {"etc", "udev", "rules.d"}
         return
@@ -117,7 +118,7 @@ def test_an_edited_file_is_kept_and_said(root: Path, install: Install, capsys: p
     assert install("--rig", "omega-6", "--scene", "sphere") == 0
     told = capsys.readouterr().out
     assert (root / RULES).read_text() == "# mine\n"
-    assert f"kept, for it was edited; move it away to have the new one: {root / RULES}" in told
+    assert f"edited, so not replaced; move it away to get the new one: {root / RULES}" in told
     assert f"renewed {root / UNIT}" in told
     assert "run --rig omega-6 --scene sphere\n" in (root / UNIT).read_text()
 
@@ -232,8 +233,21 @@ def test_a_user_installs_without_root(home: Path) -> None:
 
 def test_a_users_folders_are_those_of_xdg() -> None:
     """Named by the environment, where that is an absolute path."""
-    named = places_of_user({"XDG_CONFIG_HOME": "/c", "XDG_DATA_HOME": "relative"}, Path("/h"))
+    named = user_paths({"XDG_CONFIG_HOME": "/c", "XDG_DATA_HOME": "relative"}, Path("/h"))
     assert named.units == Path("/c/systemd/user") and named.manuals == Path("/h/.local/share/man/man1")
+
+
+def test_a_user_without_a_home_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line with the remedies; folders that XDG names need no home."""
+    forget_user(monkeypatch)
+    assert main(["install", "--dry-run"]) == 2
+    assert "no home folder" in capsys.readouterr().err
+    for name in ("CONFIG", "DATA", "STATE"):
+        monkeypatch.setenv(f"XDG_{name}_HOME", str(tmp_path / name))
+    assert main(["install", "--dry-run"]) == 0
+    assert str(tmp_path / "CONFIG") in capsys.readouterr().out
 
 
 # --- what the system is told ------------------------------------------------------------------------
@@ -270,4 +284,4 @@ def test_a_program_in_a_private_folder_is_noticed(tmp_path: Path) -> None:
     program = tmp_path / "private" / "bin" / "softfinger"
     program.parent.mkdir(parents=True)
     program.parent.parent.chmod(0o700)
-    assert closed_to_others([str(program)]) in (program.parent.parent, *program.parents)
+    assert first_private_folder([str(program)]) in (program.parent.parent, *program.parents)

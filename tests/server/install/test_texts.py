@@ -15,7 +15,7 @@ import pytest
 from softfinger.config.load import load_rig
 from softfinger.config.schema import DeviceConfig
 from softfinger.drivers.system.claims import claims
-from softfinger.drivers.system.rules import command, how_to_permit, udev_rules
+from softfinger.drivers.system.rules import how_to_permit, install_command, udev_rules
 from softfinger.server.cli import VERBS, completion, main, make_parser
 from softfinger.server.install.manual import manual
 from softfinger.server.install.plan import LIMITS
@@ -75,7 +75,7 @@ def test_a_device_of_ones_own_rig_gets_a_rule_too() -> None:
     """With --rig, by the ids that it names; the hint for a device without one says so."""
     assert '"cafe", ATTRS{idProduct}=="0042"' in udev_rules([OWN]) and "cafe" not in udev_rules()
     assert udev_rules(load_rig("woodenhaptics-2019").tables.values()) == udev_rules()  # known already
-    assert command(0xCAFE, 0x0042).endswith("install --system --rig YOUR-RIG.toml")
+    assert install_command(0xCAFE, 0x0042).endswith("install --system --rig YOUR-RIG.toml")
     assert "install --system`" in how_to_permit(0x0403, 0xCB48)
 
 

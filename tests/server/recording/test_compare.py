@@ -21,11 +21,11 @@ from softfinger.server import cli
 from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.results import read_results
-from softfinger.server.offline.simulate import poses_of, simulate, tick_many
-from softfinger.server.recording.compare import FORGOTTEN, Outcome, compare, replay
+from softfinger.server.offline.simulate import load_finger_poses, simulate, tick_many
+from softfinger.server.recording.compare import FORGET_TIME_CONSTANTS, Outcome, compare, replay
+from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import load_run
-from softfinger.server.recording.verbs.replay import FIELDS, TOLERANCE, _recorded
+from softfinger.server.recording.verbs.replay import FIELDS, TOLERANCE, _recorded_values
 from softfinger.server.recording.writer import RecordingFile
 
 STIFFNESS = "object.0.material.stiffness_n_per_m"
@@ -37,7 +37,7 @@ def replayed(path: Path, **changes: float) -> Outcome:
     scene = load_scene("paper-plane")
     past = load_run(path, FIELDS)
     scene = overridden(scene, changes, "test") if changes else scene
-    return compare(past, replay(past, scene, load_rig("replay")), _recorded(past), TOLERANCE)
+    return compare(past, replay(past, scene, load_rig("replay")), _recorded_values(past), TOLERANCE)
 
 
 def touches() -> list[int]:
@@ -74,7 +74,7 @@ def test_a_change_is_told_where_it_begins(tmp_path: Path) -> None:
 def test_what_is_no_number_differs_from_every_number(tmp_path: Path) -> None:
     """Without end, in the one tick that has it; and from nothing that is none either."""
     past = load_run(recorded(tmp_path / "a.mcap", run()), FIELDS)
-    now, then = replay(past, load_scene("paper-plane"), load_rig("replay")), _recorded(past)
+    now, then = replay(past, load_scene("paper-plane"), load_rig("replay")), _recorded_values(past)
     row = touches()[0]
     force = then[""]["force"].copy()
     force[row, 1] = np.nan
@@ -108,7 +108,7 @@ def test_a_recording_from_the_middle_of_a_run(tmp_path: Path) -> None:
     part = run()[touches()[0] + 30 :]
     outcome = replayed(recorded(tmp_path / "a.mcap", part))
     (span,) = outcome.left_out
-    assert span.first == part[0, AT.tick] and span.why == "the recording begins in the middle of a run"
+    assert span.first == part[0, AT.tick] and span.why == "the recording starts in the middle of a run"
     assert outcome.first is None and outcome.compared == part[-1, AT.tick] - span.last > 0
 
 
@@ -203,15 +203,15 @@ def test_several_fingers(tmp_path: Path) -> None:
         recording.close()
     past = load_run(path, FIELDS)
     again = replay(past, scene, load_rig("replay"))
-    outcome = compare(past, again, _recorded(past), TOLERANCE)
+    outcome = compare(past, again, _recorded_values(past), TOLERANCE)
     assert (outcome.compared, outcome.first) == (1500, None)
-    other = _recorded(past)
+    other = _recorded_values(past)
     other["index"]["force"] = other["index"]["force"] + [0.0, 0.1, 0.0]
     first = compare(past, again, other, TOLERANCE).first
     assert first is not None and (first.finger, first.key, first.tick) == ("index", "force[1]", 0)
     for place, name in enumerate(names):
         assert resample(load_poses(path, name), 1000.0).tobytes() == played[place].tobytes()
-    assert poses_of(names, {"": str(path)}, 1000.0).tobytes() == np.stack(played, axis=1).tobytes()
+    assert load_finger_poses(names, {"": str(path)}, 1000.0).tobytes() == np.stack(played, axis=1).tobytes()
 
 
 @pytest.mark.plain
@@ -295,4 +295,4 @@ def test_info_tells_what_is_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.plain
 def test_forgotten_means_forgotten() -> None:
     """What the filter remembers after so many time constants is below the last bit of what it holds."""
-    assert np.exp(-FORGOTTEN) < np.finfo(np.float64).eps
+    assert np.exp(-FORGET_TIME_CONSTANTS) < np.finfo(np.float64).eps

@@ -10,7 +10,7 @@ import pytest
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.drivers.poses import load_poses
 from softfinger.server.cli import main
-from softfinger.server.offline.tables import Layout, layout_of, read_table
+from softfinger.server.recording.tables import Layout, make_layout, read_table
 
 COUNT = 200
 TIME = np.arange(COUNT) * 1e-3
@@ -28,11 +28,49 @@ def test_columns_and_units_are_as_they_are_named(between: str, tmp_path: Path) -
     """Milliseconds and millimetres among columns of no interest: the same motion, as far as the units round it."""
     rows = np.column_stack((PLACE[:, 1] * 1e3, np.full(COUNT, 7.0), 500.0 + TIME * 1e3, PLACE[:, [0, 2]] * 1e3))
     file = table(tmp_path / "theirs.txt", rows, between, "# made by hand\n\n")
-    poses = read_table(file, layout_of("y,-,t,x,z", 1e-3, 1e-3, None, 0))
+    poses = read_table(file, make_layout("y,-,t,x,z", 1e-3, 1e-3, None, 0))
     # a float64 of 500 ms plus t, of which 500 is taken again; a multiplication for each unit
     np.testing.assert_allclose(poses.t, TIME, rtol=0, atol=1e-15)
     np.testing.assert_allclose(poses.position, PLACE, rtol=4e-16)
     assert (poses.orientation == [1.0, 0.0, 0.0, 0.0]).all()
+
+
+@pytest.mark.parametrize("between", [";", "\t", " ", " ; "])
+def test_decimal_commas_are_read(between: str, tmp_path: Path) -> None:
+    """As spreadsheets of half of Europe write them, with a byte order mark, a heading, and empty cells at the end."""
+    lines = [between.join(f"{x:.17g}" for x in row).replace(".", ",") for row in np.column_stack((TIME, PLACE))]
+    heading, empty = between.join(["Zeit(s)", "X(m)", "Y(m)", "Z(m)"]), between.strip(" ") * 2
+    file = tmp_path / "theirs.csv"
+    file.write_bytes(b"\xef\xbb\xbf" + "\r\n".join([heading, *(line + empty for line in lines), ""]).encode())
+    with pytest.raises(
+        RecordingError, match=r"line 1, column 't': 'Zeit\(s\)' is not a number; --skip N skips a heading"
+    ):
+        read_table(file, Layout(("t", "x", "y", "z")))
+    poses = read_table(file, Layout(("t", "x", "y", "z"), skip=1))
+    np.testing.assert_array_equal(poses.position, PLACE)
+    file.write_text("\n".join([*lines[:3], lines[3].replace(",", "."), ""]))
+    with pytest.raises(RecordingError, match="line 4: has decimal commas and decimal points"):
+        read_table(file, Layout(("t", "x", "y", "z")))
+
+
+def test_a_column_that_is_sometimes_empty_is_left_out(tmp_path: Path) -> None:
+    """Named by -, whatever is in it; unnamed, the first line that has something in it says so."""
+    file = tmp_path / "theirs.csv"
+    file.write_bytes(b"\xef\xbb\xbf0.0,0,0,0.01,\n0.1,0,0,0.02,\n0.2,0,0,0.03,press\n0.3,,0,0.04,\n")
+    with pytest.raises(RecordingError, match=r"line 4, column 'x': the cell is empty"):
+        read_table(file, Layout(("t", "x", "y", "z", "-")))
+    with pytest.raises(RecordingError, match="line 3: 5 values where --columns has 4: give a name or - for each"):
+        read_table(file, Layout(("t", "x", "y", "z")))
+    file.write_bytes(file.read_bytes().replace(b",,", b",0,"))
+    assert read_table(file, Layout(("t", "x", "y", "z", "-"))).position[:, 2].tolist() == [0.01, 0.02, 0.03, 0.04]
+
+
+def test_an_empty_first_cell_is_no_remark(tmp_path: Path) -> None:
+    """A line that begins with ; is skipped as a remark, but not if it has a cell for each column."""
+    file = tmp_path / "theirs.csv"
+    file.write_bytes(b"\xef\xbb\xbf# made by hand\n; and here\n0;0;0;0,01\n;0;0;0,02\n")
+    with pytest.raises(RecordingError, match="line 4, column 't': the cell is empty"):
+        read_table(file, Layout(("t", "x", "y", "z")))
 
 
 def test_the_verb_writes_what_a_replay_plays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -66,7 +104,7 @@ def test_the_verb_writes_what_a_replay_plays(tmp_path: Path, capsys: pytest.Capt
 def test_a_layout_that_makes_no_poses_is_refused(parts: tuple, fault: str) -> None:
     """By the option, its value and what it must be."""
     with pytest.raises(ConfigError, match=fault):
-        layout_of(*parts)
+        make_layout(*parts)
 
 
 @pytest.mark.parametrize(

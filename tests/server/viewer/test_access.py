@@ -138,6 +138,22 @@ def test_another_host_is_refused(page: Page, host: str) -> None:
         assert upgraded(page, path(page), f"http://{host}", host) == 403
 
 
+@pytest.mark.parametrize("second", ["evil.example", "localhost", ""])
+@pytest.mark.parametrize("first", [True, False])
+def test_a_request_for_two_hosts_is_refused(page: Page, second: str, first: bool) -> None:
+    """Though one of them is the page's, whichever comes first, and if both are: servers differ in which they use."""
+    hosts = [own(page), second or own(page)]
+    connection = HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)
+    try:
+        connection.putrequest("GET", path(page), skip_host=True)
+        for host in hosts if first else reversed(hosts):
+            connection.putheader("Host", host)
+        connection.endheaders()
+        assert connection.getresponse().status in (400, 403)
+    finally:
+        connection.close()
+
+
 @pytest.mark.parametrize("origin", [EVIL, "null", None, "", "http://localhost", "http://localhost:1"])
 def test_a_websocket_from_elsewhere_is_refused(page: Page, origin: str | None) -> None:
     """With the token, too: another site, a page without one, and a program that does not say."""
@@ -157,7 +173,7 @@ def test_the_page_itself_and_names_that_are_allowed_may(page: Page) -> None:
         assert got(page, path(page), Host=host)[0] == 200
 
 
-@pytest.mark.exhaustive
+@pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_in_a_browser_the_page_opens_and_another_site_reaches_nothing(page: Page) -> None:
     """Its own script is let in; that of another port, which has even learned the token, is not, nor may it frame."""
@@ -188,7 +204,7 @@ def test_each_page_has_a_token_of_its_own() -> None:
 
 def test_a_server_that_cannot_be_guarded_is_none() -> None:
     """Where viser would start it in another way."""
-    with pytest.raises(ConfigError, match="cannot be guarded"), Access("127.0.0.1").guarding():
+    with pytest.raises(ConfigError, match="cannot be guarded"), Access("127.0.0.1").guard_server():
         pass
 
 
@@ -202,7 +218,7 @@ def test_a_control_is_held_to_the_limits_that_it_shows(page: Page, endpoints: tu
     """A stiffness far beyond its slider, none at all and a scene that is not on the list go back, and are not sent."""
     live = LivePage(page, Addresses(*endpoints))
     try:
-        slider, choice = live._tuning._knobs["stiffness"].slider, live._tuning._choice
+        slider, choice = live._tuning._knobs["stiffness"].slider, live._tuning._scene_list
         fed(live, lambda: page.fingers and slider.value == 1000.0)
         asked: list[Any] = []
         live._tuning._params = lambda name, values: asked.append(values)

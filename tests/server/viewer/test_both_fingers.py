@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.viewer.hand import BOTH, Hand, HandCommands, Led
-from softfinger.server.viewer.inputs import JUMP_M, Nudge, TwoHands
+from softfinger.server.viewer.hand import BOTH, Hand, HandCommands, MovableFinger
+from softfinger.server.viewer.inputs import MAX_STEP_M, Nudge, TwoHands
 from softfinger.server.viewer.nodes.looks import CM
-from softfinger.server.viewer.target import Target, closed, mirrored
+from softfinger.server.viewer.target import Target, mirror_motion, move_towards
 
 viser = pytest.importorskip("viser")
 pytestmark = pytest.mark.plain
@@ -36,11 +36,11 @@ def led() -> Iterator[tuple[Hand, dict[str, Target | None]]]:
 
         hand = Hand(server.gui, server.scene, HandCommands(sent.__setitem__, hold))
         reach = np.full(3, 0.2)
-        hand.change([Led(name, 0.01, -reach, reach) for name in PLACES])
+        hand.change([MovableFinger(name, 0.01, -reach, reach) for name in PLACES])
         for name, place in PLACES.items():
             row = np.zeros(RECORD_SIZE)
             row[AT.probe_position : AT.probe_position + 3], row[AT.probe_orientation] = place, 1.0
-            hand.see(name, row)
+            hand.update_pose(name, row)
         yield hand, sent
     finally:
         server.stop()
@@ -53,9 +53,9 @@ def places(sent: dict[str, Any]) -> dict[str, list[float]]:
 def test_a_way_is_mirrored_along_the_line_between_fingers() -> None:
     """Towards each other along it, together across it; of fingers in one place, together."""
     line = np.array([2.0, 0.0, 0.0])
-    assert mirrored(np.array([0.3, 0.4, 0.5]), line).tolist() == [-0.3, 0.4, 0.5]
-    assert mirrored(np.array([0.3, 0.4, 0.5]), 0.0 * line).tolist() == [0.3, 0.4, 0.5]
-    assert closed(np.array([1.0, 0.0, 0.0]), np.zeros(3), 2.0).tolist() == [0.0, 0.0, 0.0]
+    assert mirror_motion(np.array([0.3, 0.4, 0.5]), line).tolist() == [-0.3, 0.4, 0.5]
+    assert mirror_motion(np.array([0.3, 0.4, 0.5]), 0.0 * line).tolist() == [0.3, 0.4, 0.5]
+    assert move_towards(np.array([1.0, 0.0, 0.0]), np.zeros(3), 2.0).tolist() == [0.0, 0.0, 0.0]
 
 
 def test_keys_close_two_fingers_and_lead_both(led: tuple[Hand, dict[str, Target | None]]) -> None:
@@ -98,7 +98,7 @@ def test_a_slider_leads_on_from_where_the_hand_wants_to_be(led: tuple[Hand, dict
     for x in (-38.0, -35.0):
         for slider, value in zip(hand._sliders, (x, 0.0, 20.0, 0.0, 0.0, 0.0), strict=True):
             slider.value = value
-        hand._slid(SimpleNamespace(client=1))
+        hand._on_slider(SimpleNamespace(client=1))
     assert places(sent) == {"thumb": [-0.035, 0.0, 0.018]}
 
 
@@ -126,7 +126,7 @@ def drag(hand: Hand, phase: str, end: np.ndarray, how: str) -> None:
     eye = SimpleNamespace(camera=SimpleNamespace(position=CM * np.array([0.0, 0.0, 10.0])))
     ball = CM * np.array(PLACES["thumb"])
     event = SimpleNamespace(phase=phase, client=eye, start_position=ball, end_position=end)
-    hand.take_over(partial(hand._dragged, "thumb", event, how))
+    hand.hold_then(partial(hand._on_drag, "thumb", event, how))
 
 
 def test_a_drag_moves_both_fingers_and_the_wheel_closes_them(led: tuple[Hand, dict[str, Target | None]]) -> None:
@@ -168,12 +168,12 @@ def test_what_hands_tell_is_led_once_and_no_farther_than_a_hand() -> None:
     def tell(text: str) -> tuple[Nudge, Nudge, float] | None:
         hands._field.value = text
         told.call(SimpleNamespace(client=1))
-        return hands.moved()
+        return hands.increment()
 
     assert tell("1 a 1 0 0 0 2 0 0.5") == (Nudge(x=0.001), Nudge(y=0.002), 0.0005)
     assert tell("2 b 1 0 0 0 0 0 0") == (Nudge(x=0.001), Nudge(), 0.0)
     left, right, close = tell("9 a 4 0 0 0 2 0 0.5") or pytest.fail("nothing")
     assert left.x == pytest.approx(0.003) and (right, close) == (Nudge(), 0.0)
-    assert (tell("9 c 1e9 0 0 0 -1e9 0 0") or pytest.fail("nothing"))[0].x == JUMP_M
+    assert (tell("9 c 1e9 0 0 0 -1e9 0 0") or pytest.fail("nothing"))[0].x == MAX_STEP_M
     for bad in ("", "1 a", "1 a 1 2 3", "1 a 1 2 3 4 5 6 nan", "1 a x 2 3 4 5 6 7", "1 a 1 2 3 4 5 6 7 8"):
         assert tell(bad) is None

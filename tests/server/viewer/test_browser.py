@@ -11,12 +11,12 @@ from helpers.browser import Screen, coloured, eventually, served, why_none
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
-from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
+from softfinger.server.recording.results import write_results
 from softfinger.server.remote import Client
 from softfinger.server.viewer.nodes.looks import CM
 
-pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 ROLL, SPIN, SLIDE = 4300, 7000, 9000
 """Ticks of the shipped recording: half way through its roll, wound up, and dragged along."""

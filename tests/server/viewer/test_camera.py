@@ -10,12 +10,12 @@ import pytest
 
 from softfinger.config.load import load_scene, shipped
 from softfinger.config.schema import Scene
-from softfinger.server.viewer.nodes.bodies import untouched
-from softfinger.server.viewer.nodes.camera import Camera, camera_of
-from softfinger.server.viewer.nodes.glyphs import rotated
+from softfinger.server.surface_meshes import Mesh
+from softfinger.server.viewer.nodes.bodies import visual_geoms
+from softfinger.server.viewer.nodes.camera import Camera, initial_camera
+from softfinger.server.viewer.nodes.glyphs import rotate
 from softfinger.server.viewer.nodes.looks import CM, MAP
-from softfinger.server.viewer.nodes.meshes import Mesh
-from softfinger.server.viewer.nodes.relief import LIGHT, tints
+from softfinger.server.viewer.nodes.relief import LIGHT, shade_vertices
 
 pytestmark = pytest.mark.plain
 
@@ -38,7 +38,7 @@ def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> Non
     """Of every shipped scene: where the first solid object is touched from above, a fingertip lies within a square
     picture and takes a twentieth of its height."""
     scene = load_scene(name)
-    camera, thing = camera_of(scene), next(each for each in scene.object if not getattr(each, "inside", False))
+    camera, thing = initial_camera(scene), next(each for each in scene.object if not getattr(each, "inside", False))
     half = {"sphere": 0.02, "cylinder": 0.02, "box": 0.04}.get(thing.shape, 0.0)
     up = np.array([0.0, 0.0, 1.0])
     middle = np.array(thing.position_m) + (half + RADIUS) * up
@@ -55,11 +55,11 @@ def test_a_body_is_looked_at_where_it_is() -> None:
     scene = load_scene("open-a-door")
     (door,) = scene.object
     upright = (1.0, 0.0, 0.0, 0.0)
-    there, here = (camera_of(scene, None, [(door, ((x, 0.0, 0.0), upright))]).look_at[0] for x in (0.08, 0.0))
+    there, here = (initial_camera(scene, None, [(door, ((x, 0.0, 0.0), upright))]).look_at[0] for x in (0.08, 0.0))
     assert there - here == pytest.approx(CM * 0.08) and abs(here) < 0.5 * CM * 2.0 * RADIUS
     stack = load_scene("stack-boxes")
-    boxes = [(thing, ((0.0, 0.0, 0.015 + 0.03 * k), upright)) for k, thing in enumerate(untouched(stack))]
-    camera = camera_of(stack, None, [*boxes, (stack.object[1], ((0.0, 0.0, 0.075), upright))])
+    boxes = [(thing, ((0.0, 0.0, 0.015 + 0.03 * k), upright)) for k, thing in enumerate(visual_geoms(stack))]
+    camera = initial_camera(stack, None, [*boxes, (stack.object[1], ((0.0, 0.0, 0.075), upright))])
     assert max(map(abs, (*seen(camera, (0.0, 0.0, 0.0)), *seen(camera, (0.0, 0.0, 0.18))))) < 1.0
 
 
@@ -69,21 +69,21 @@ def test_of_a_bowl_the_ball_is_looked_at() -> None:
     ball = next(thing for thing in scene.object if thing.name == "ball")
     place = ((0.0, 0.0, 0.015), (1.0, 0.0, 0.0, 0.0))
     things = [(thing, place if thing is ball else (thing.position_m, place[1])) for thing in scene.object]
-    assert abs(camera_of(scene, None, things).look_at[2] - CM * 0.015) < CM * RADIUS
+    assert abs(initial_camera(scene, None, things).look_at[2] - CM * 0.015) < CM * RADIUS
 
 
 def test_walls_are_looked_at_from_in_front() -> None:
     """The camera of the corner is on the side of each plane where the fingertip is."""
     scene = load_scene("corner")
-    position = np.array(camera_of(scene).position)
+    position = np.array(initial_camera(scene).position)
     for wall in scene.object:
-        normal = rotated(wall.orientation_wxyz, np.array([0.0, 0.0, 1.0]))
+        normal = rotate(wall.orientation_wxyz, np.array([0.0, 0.0, 1.0]))
         assert normal @ (position - CM * np.array(wall.position_m)) > 0.0
 
 
 def test_of_two_fingers_neither_is_hidden() -> None:
     """The pinch is looked at across the line between its fingers, and both are in the picture."""
-    camera = camera_of(load_scene("pinch"))
+    camera = initial_camera(load_scene("pinch"))
     assert camera.position[0] == pytest.approx(camera.look_at[0], abs=1.0)  # the fingers differ in size, by 2 mm
     for x in (-0.02 - 2.0 * RADIUS, 0.02 + 2.0 * RADIUS):
         assert max(map(abs, seen(camera, (x, 0.0, 0.0)))) < 1.0
@@ -94,12 +94,12 @@ def test_an_object_of_a_file_is_looked_at_once_it_is_drawn() -> None:
     scene = load_scene("heightmap")
     flat = np.array([(x, y, 0.0) for x in (-0.1, 0.0, 0.1) for y in (-0.1, 0.0, 0.1)])
     hill = np.array([(0.0, 0.0, 0.06)])
-    near, far = camera_of(scene, {0: flat}), camera_of(scene, {0: np.concatenate([flat, hill])})
+    near, far = initial_camera(scene, {0: flat}), initial_camera(scene, {0: np.concatenate([flat, hill])})
 
     def distance(camera: Camera) -> float:
         return float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))
 
-    assert distance(far) > distance(near) >= distance(camera_of(scene))
+    assert distance(far) > distance(near) >= distance(initial_camera(scene))
     assert distance(far) * sin(0.5 * far.fov) >= CM * 0.03  # half the hill fits
 
 
@@ -107,12 +107,12 @@ def test_a_slope_to_the_light_is_lighter_than_one_away_from_it() -> None:
     """And of two level places the higher is; the highest level has the map's own colour, in linear light."""
     steep = np.array([(x, 0.1 * y, abs(x)) for x in (-1.0, 0.0, 1.0) for y in (0.0, 1.0)])
     faces = np.array([(0, 2, 1), (1, 2, 3), (2, 4, 3), (3, 4, 5)], np.uint32)
-    valley = tints(Mesh(steep, faces), MAP)[:, :3].astype(int)
+    valley = shade_vertices(Mesh(steep, faces), MAP)[:, :3].astype(int)
     assert LIGHT[0] < 0.0  # from the left: the right side of a valley faces it
     assert (valley[4] > valley[0]).all() and (valley[5] > valley[1]).all()
     level = np.array(
         [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0)]
     )
-    low, high = tints(Mesh(level, np.array([(0, 1, 2), (3, 4, 5)], np.uint32)), MAP)[[0, 3], :3].astype(int)
+    low, high = shade_vertices(Mesh(level, np.array([(0, 1, 2), (3, 4, 5)], np.uint32)), MAP)[[0, 3], :3].astype(int)
     assert (high > low).all()
     np.testing.assert_allclose(high, 255.0 * ((np.array(MAP) / 255.0 + 0.055) / 1.055) ** 2.4, atol=1.0)  # rounded down

@@ -18,15 +18,15 @@ from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.load import build, describe, load_rig, load_scene
-from softfinger.drivers.kinematics.freedom import freedom_of
 from softfinger.drivers.kinematics.options import Paddle
+from softfinger.drivers.kinematics.subspace import make_subspace
 from softfinger.drivers.mounting import Mounting
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon
-from softfinger.server.viewer.displayed import handles
-from softfinger.server.viewer.nodes.bodies import Began, Bodies
+from softfinger.server.viewer.displayed import find_low_dof_devices
+from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
 from softfinger.server.viewer.nodes.fingers import FingerNodes
-from softfinger.server.viewer.nodes.glyphs import dashes, rotated
+from softfinger.server.viewer.nodes.glyphs import dashes, rotate
 from softfinger.server.viewer.nodes.looks import Looks
 
 numbers = st.floats(-1.0, 1.0)
@@ -46,10 +46,10 @@ def test_a_paddle_displays_what_lies_along_its_arc(
     _, unit = mounting.frame()
 
     def place(a: float) -> np.ndarray:
-        return origin + rotated(unit, radius * np.array([np.sin(a), 0.0, np.cos(a) - 1.0]))
+        return origin + rotate(unit, radius * np.array([np.sin(a), 0.0, np.cos(a) - 1.0]))
 
     way = (place(angle + step) - place(angle - step)) / (2.0 * step * radius)
-    freedom = freedom_of(Paddle(length_m=radius, torque_max_nm=0.2), mounting)
+    freedom = make_subspace(Paddle(length_m=radius, torque_max_nm=0.2), mounting)
     assert freedom is not None
     # rounding of positions of 1 m over steps of 90 nm
     np.testing.assert_allclose(freedom.displayed(place(angle), force), (force @ way) * way, atol=1e-7)
@@ -60,13 +60,13 @@ def test_a_paddle_displays_what_lies_along_its_arc(
 def test_a_pantograph_displays_what_lies_in_its_plane(force: np.ndarray) -> None:
     """The shipped 2DIY moves in x and z of the world, as `softfinger check` says; wherever its handle is. Devices of
     three degrees of freedom display everything."""
-    (handle,) = handles({"rig": describe(load_rig("haply-2diy"))}).values()
+    (handle,) = find_low_dof_devices({"rig": describe(load_rig("haply-2diy"))}).values()
     row = np.zeros(RECORD_SIZE)
     row[AT.force : AT.force + 3], row[AT.probe_position] = force, 0.03
-    np.testing.assert_allclose(handle.displayed(row), force * (1.0, 0.0, 1.0), atol=1e-12)
-    assert handles({"rig": describe(load_rig("woodenhaptics-v3"))}) == {}
-    assert handles({"rig": {"device": {"driver": "of somebody else", "kinematics": 3}}}) == {}
-    assert handles({}) == {}
+    np.testing.assert_allclose(handle.displayed_force(row), force * (1.0, 0.0, 1.0), atol=1e-12)
+    assert find_low_dof_devices({"rig": describe(load_rig("woodenhaptics-v3"))}) == {}
+    assert find_low_dof_devices({"rig": {"device": {"driver": "of somebody else", "kinematics": 3}}}) == {}
+    assert find_low_dof_devices({}) == {}
 
 
 @pytest.mark.plain
@@ -76,22 +76,24 @@ def test_the_arrow_is_what_is_displayed_and_dashes_are_the_rest() -> None:
     server = viser.ViserServer(port=0, verbose=False)
     try:
         scene = load_scene("paper-plane")
-        nodes = FingerNodes(server.scene, scene, scene.fingers[0], Bodies(server.scene, scene, Began(0, 0, 1e-3, True)))
-        (handle,) = handles({"rig": describe(load_rig("haply-2diy"))}).values()
-        nodes.displays = handle.displayed
+        nodes = FingerNodes(
+            server.scene, scene, scene.fingers[0], Bodies(server.scene, scene, SceneStart(0, 0, 1e-3, True))
+        )
+        (handle,) = find_low_dof_devices({"rig": describe(load_rig("haply-2diy"))}).values()
+        nodes.displayed_force = handle.displayed_force
         row = np.zeros(RECORD_SIZE)
         row[AT.probe_orientation] = 1.0
         row[AT.force : AT.force + 3] = (3.0, 4.0, 1.0)
         nodes.show(row[None], Looks(), 2.0)
         begin, end = nodes._force.points[0]
         np.testing.assert_allclose(end - begin, [1.5, 0.0, 0.5], atol=1e-6)
-        lost = nodes._lost.points
+        lost = nodes._missing_force.points
         np.testing.assert_allclose(lost[-1, 1] - lost[0, 0], [0.0, 2.0, 0.0], atol=1e-6)
-        assert nodes._lost.visible
-        assert "displayed: 3.16 N in its plane" in handle.told(row) and "4.00 N" in handle.told(row)
+        assert nodes._missing_force.visible
+        assert "displayed: 3.16 N in its plane" in handle.format_html(row) and "4.00 N" in handle.format_html(row)
         row[AT.force : AT.force + 3] = (0.0, 0.0, 1.0)
         nodes.show(row[None], Looks(), 2.0)
-        assert not nodes._lost.visible and nodes._force.visible
+        assert not nodes._missing_force.visible and nodes._force.visible
     finally:
         server.stop()
 
@@ -104,7 +106,7 @@ def test_a_dashed_line_has_gaps_as_long_as_its_dashes() -> None:
 
 
 @pytest.mark.real_time
-@pytest.mark.exhaustive
+@pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_the_page_says_what_a_2diy_does_not_display() -> None:
     """A floor tilted by 45 degrees out of the handle's plane: a part of the force is displayed; a link says why."""

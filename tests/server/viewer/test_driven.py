@@ -14,7 +14,7 @@ from helpers.recorded import EPOCH_S, about, event, recorded, run
 from softfinger.config.load import build, describe, load_scene
 from softfinger.config.schema import Scene
 from softfinger.server.recording.writer import RecordingFile
-from softfinger.server.viewer.driven import Drives, Worlds
+from softfinger.server.viewer.driven import DrivenPoses, RecordedBodies
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import RecordedPage, load
@@ -40,11 +40,11 @@ def test_events_tell_where_driven_objects_are() -> None:
         event("command", "arm", 9, what={"object": "lid", "position_m": [1.0, 0.0, 0.0]}),
         told(10, object="lid", position_m=[0.0, 1, 0.02]),
     ]
-    drives = Drives(scene, events)
+    drives = DrivenPoses(scene, events)
     rest, turned = ((0.0, 0.0, 0.01), (1.0, 0.0, 0.0, 0.0)), ((0.0, 0.0, 0.02), HALF)
     assert [drives.at(tick)[0] for tick in (0, 4, 5, 9)] == [rest, rest, turned, turned]
     assert drives.at(10) == {0: ((0.0, 1.0, 0.02), HALF)}
-    assert Drives(load_scene("paper-plane"), events).at(10) == {}
+    assert DrivenPoses(load_scene("paper-plane"), events).at(10) == {}
 
 
 def test_a_recording_has_its_bodies_where_they_were(tmp_path: Path) -> None:
@@ -60,19 +60,19 @@ def test_a_recording_has_its_bodies_where_they_were(tmp_path: Path) -> None:
             recording.world({"schema": 1, "timestamp": EPOCH_S + tick / 1000.0, "tick": tick, "bodies": [body]})
         recording.close()
     loaded = load(str(file), None)
-    assert Worlds(loaded.worlds).at(99) == {}
+    assert RecordedBodies(loaded.worlds).at(99) == {}
     page = Page("127.0.0.1", 0)
     try:
         for tick, pointer in ((499, (0.026, 0.0)), (500, (0.0, 0.026)), (1500, (0.0, 0.026))):
             RecordedPage(page, loaded, tick).step(0.0)
             assert page.bodies is not None
-            np.testing.assert_allclose(page.bodies.places[-1][0], [*pointer, 0.0085], atol=1e-9)
+            np.testing.assert_allclose(page.bodies.poses[-1][0], [*pointer, 0.0085], atol=1e-9)
     finally:
         page.close()
 
 
 @pytest.mark.real_time
-@pytest.mark.exhaustive
+@pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_a_recording_has_a_driven_object_where_it_was(tmp_path: Path) -> None:
     """Scrubbed to and fro over two commands, and played over the second: it stands where the last one put it."""

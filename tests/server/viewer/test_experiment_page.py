@@ -10,7 +10,7 @@ from helpers.experiment_page import EXPERIMENT, RATING, session
 
 from softfinger.server.experiment.experiment import results
 from softfinger.server.recording.run import load_run
-from softfinger.server.viewer.prompt import keys_of
+from softfinger.server.viewer.prompt import assign_keys
 from softfinger.tools.bench.view import viewer
 
 WAIT_S = 120.0
@@ -94,7 +94,7 @@ def test_a_rating_and_an_estimate_through_the_page(tmp_path: Path, through_chrom
 @pytest.mark.plain
 def test_each_choice_has_its_key() -> None:
     """Two by their place, marks of a scale by their digit, the only one by Enter; beyond nine there is the button."""
-    assert keys_of(("first", "second")) == {"1": "first", "2": "second"}
-    assert keys_of(("3", "4", "5")) == {"3": "3", "4": "4", "5": "5"}
-    assert keys_of(("go on",)) == {"enter": "go on"}
-    assert len(keys_of(tuple(f"choice {k}" for k in range(12)))) == 9
+    assert assign_keys(("first", "second")) == {"1": "first", "2": "second"}
+    assert assign_keys(("3", "4", "5")) == {"3": "3", "4": "4", "5": "5"}
+    assert assign_keys(("go on",)) == {"enter": "go on"}
+    assert len(assign_keys(tuple(f"choice {k}" for k in range(12)))) == 9

@@ -39,6 +39,6 @@ def test_a_page_collects_its_garbage_while_it_is_open(monkeypatch: pytest.Monkey
         made.append(weakref.ref(Circle()))
         left.append(sum(each() is not None for each in made))
 
-    page.each_frame(work, [], 20.0 * page.FRAME_S)
+    page.run_frames(work, [], 20.0 * page.FRAME_S)
     assert len(left) > 10  # a busy machine has fewer frames than were asked for
     assert max(left) < 6

@@ -10,12 +10,13 @@ import pytest
 from helpers.simulated_hands import SimulatedHands
 
 from softfinger import ContactMode
-from softfinger.drivers.simulated.plant import Drive
+from softfinger.drivers.simulated.plant import PlantInputs
 from softfinger.proxy.engine import Engine, Step
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.record import AT
-from softfinger.server.offline.closed_loop import Held
+from softfinger.server.offline.closed_loop import DrivenPlant
 from softfinger.server.viewer.gestures import (
+    APPROACH_SPEED_M_PER_S,
     GRIP_N,
     HOVER_M,
     LIFT_M,
@@ -23,14 +24,13 @@ from softfinger.server.viewer.gestures import (
     PRESS_N,
     ROLL_M,
     SLIDE_M,
-    SPEED,
     SPIN_RAD,
     Box,
     Stage,
     half_width,
     lift,
 )
-from softfinger.server.viewer.nodes.glyphs import UNTURNED
+from softfinger.server.viewer.nodes.glyphs import IDENTITY
 from softfinger.server.viewer.target import Target
 
 pytestmark = pytest.mark.plain
@@ -38,7 +38,7 @@ pytestmark = pytest.mark.plain
 FRAME_S = 0.04
 START = (0.0, 0.0, 0.02)
 RADIUS, RATE_HZ = 0.01, 100.0
-STEP_N = 1000.0 * SPEED / RATE_HZ
+STEP_N = 1000.0 * APPROACH_SPEED_M_PER_S / RATE_HZ
 """How much a frame adds to the force on the plane of 1000 N/m."""
 
 
@@ -46,7 +46,7 @@ STEP_N = 1000.0 * SPEED / RATE_HZ
 def played(name: str, start: tuple[float, float, float]) -> list[Step]:
     """Steps of the contact in each frame, from a place above the plane on."""
     engine = Engine("paper-plane", rate_hz=RATE_HZ)
-    here, steps = {"": Target(np.array(start), UNTURNED)}, list[Step]()
+    here, steps = {"": Target(np.array(start), IDENTITY)}, list[Step]()
     stage = Stage(
         lambda finger: here[finger],
         lambda finger: steps[-1].normal_force if steps else 0.0,
@@ -102,7 +102,7 @@ def test_a_slide_on_the_right_goes_to_the_left() -> None:
         assert way * (farthest - x) == pytest.approx(SLIDE_M, abs=1.5e-3)
 
 
-class Led(SimulatedHands):
+class MovableFinger(SimulatedHands):
     """Two hands beside the shipped box, each at a place that a test may change."""
 
     def __init__(self) -> None:
@@ -110,7 +110,9 @@ class Led(SimulatedHands):
         places = {"thumb": -0.04, "index": 0.04}
         self.goals = {name: np.array([x, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0]) for name, x in places.items()}
         self._hands = tuple(
-            Held(hand.plant, Drive(hand.drive.intention._replace(length=1.0, loop=0.0), goal, hand.drive.line))
+            DrivenPlant(
+                hand.plant, PlantInputs(hand.drive.intention._replace(length=1.0, loop=0.0), goal, hand.drive.line)
+            )
             for hand, goal in zip(self._hands, self.goals.values(), strict=True)
         )
 
@@ -119,9 +121,9 @@ class Led(SimulatedHands):
 @pytest.mark.skipif(not PLAIN, reason="would compile a minute; plain Python plays it in half of that")
 def test_a_lift_lifts_a_box_and_puts_it_down() -> None:
     """By simulated hands on MuJoCo's body: as high as it says but for the give of the grip, level, and to the floor."""
-    hands, forces, passed = Led(), {"thumb": 0.0, "index": 0.0}, 0.0
+    hands, forces, passed = MovableFinger(), {"thumb": 0.0, "index": 0.0}, 0.0
     stage = Stage(
-        lambda finger: Target(hands.goals[finger][:3].copy(), UNTURNED),
+        lambda finger: Target(hands.goals[finger][:3].copy(), IDENTITY),
         forces.__getitem__,
         lambda finger: RADIUS,
         lambda point: 0.0,

@@ -16,11 +16,11 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema.contact import RollingMethod
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
-from softfinger.server.viewer.inputs import KEYS, SPEED, SPIN_RAD_S, Nudge, speed_of
+from softfinger.server.viewer.inputs import KEYS, MAX_SPEED_M_PER_S, SPIN_RAD_S, Nudge, parse_gamepad
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.tuning import NO_ROLLING
 
-pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 PAD = """(axes) => {
     const buttons = Array.from({length: 17}, () => ({pressed: false, value: 0}));
@@ -131,8 +131,10 @@ def test_a_scene_arrives_and_one_that_cannot_be_is_refused(screen: Screen, clien
 
 def test_what_is_no_gamepad_moves_nothing() -> None:
     """Words, too few numbers, none, and a stick at rest; one that says more than it may counts as all the way."""
-    assert {speed_of(text) for text in ("", "a b", "1 2 3", "1 nan 0 0 0 0 0 0 0", "1 0.1 0 0 0 0 0 0 0")} == {Nudge()}
-    assert speed_of("1 9 0 0 0 0 1 0 0") == Nudge(x=SPEED, spin=SPIN_RAD_S)
+    assert {parse_gamepad(text) for text in ("", "a b", "1 2 3", "1 nan 0 0 0 0 0 0 0", "1 0.1 0 0 0 0 0 0 0")} == {
+        Nudge()
+    }
+    assert parse_gamepad("1 9 0 0 0 0 1 0 0") == Nudge(x=MAX_SPEED_M_PER_S, spin=SPIN_RAD_S)
 
 
 def test_no_key_is_two_things() -> None:

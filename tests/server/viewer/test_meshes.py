@@ -19,17 +19,17 @@ from softfinger.proxy.meshes.prepared import about
 from softfinger.proxy.meshes.thinning import PICTURE_TRIANGLES
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.publishing.setup import ANSWER_MAX
-from softfinger.server.viewer.nodes.bodies import Began
-from softfinger.server.viewer.nodes.meshes import sent
+from softfinger.server.surface_meshes import decode_mesh
+from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import RecordedPage, Recording
 from softfinger.server.wire.commands import Triangles
-from softfinger.server.wire.envelope import answered
+from softfinger.server.wire.envelope import encode_answer
 
-BEGAN = Began(0, 0, 1e-3, own_clock=False)
+BEGAN = SceneStart(0, 0, 1e-3, own_clock=False)
 
 
-def scene_of(path: Path) -> schema.Scene:
+def parse_scene(path: Path) -> schema.Scene:
     """A scene of a plane and a mesh."""
     mapping = paper_mapping(rolling=None)
     part = {"name": "part", "shape": "mesh", "file": str(path), "material": {"stiffness_n_per_m": 500.0}}
@@ -43,9 +43,9 @@ def scan(folder: Path, frequency: int) -> Path:
 
 def test_a_picture_crosses_the_wire_as_it_is(tmp_path: Path) -> None:
     """The answer to `mesh` is what a client takes at most, even of the largest picture, and comes out the same."""
-    report, picture = about(scene_of(scan(tmp_path, 60)).object[1])  # type: ignore[arg-type]
+    report, picture = about(parse_scene(scan(tmp_path, 60)).object[1])  # type: ignore[arg-type]
     assert report.triangles == 72000 and 20000 < len(picture.triangles) <= PICTURE_TRIANGLES
-    message = answered(
+    message = encode_answer(
         "7",
         Triangles(
             picture.vertices.astype("<f4").tobytes(), picture.triangles.astype("<u4").tobytes(), report.triangles
@@ -53,7 +53,7 @@ def test_a_picture_crosses_the_wire_as_it_is(tmp_path: Path) -> None:
     )
     assert PICTURE_TRIANGLES * (3 * 12 + 12) < ANSWER_MAX  # each corner with a vertex of its own
     got = msgspec.convert(msgpack.unpackb(message)["result"], Triangles)
-    mesh = sent(got.vertices, got.triangles)
+    mesh = decode_mesh(got.vertices, got.triangles)
     assert got.of == 72000 and mesh.faces.tolist() == picture.triangles.tolist()
     np.testing.assert_allclose(mesh.vertices, picture.vertices, rtol=6e-8)  # float32
 
@@ -64,7 +64,7 @@ def test_a_picture_crosses_the_wire_as_it_is(tmp_path: Path) -> None:
 def test_what_is_no_mesh_is_not_drawn(vertices: bytes, triangles: bytes) -> None:
     """Half a vertex, half a triangle, a triangle of a vertex that is not there."""
     with pytest.raises(ValueError, match=r"buffer size|reshape|a triangle of vertex 1, and there are 1"):
-        sent(vertices, triangles)
+        decode_mesh(vertices, triangles)
 
 
 @pytest.fixture
@@ -85,14 +85,14 @@ def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
     """From the file, in centimetres, as the second object; a file that is gone is told, and the rest is shown."""
     path = scan(tmp_path, 5)
     records = {"": np.zeros((3, RECORD_SIZE))}
-    RecordedPage(page, Recording(records, scene_of(path), "part", 1000.0, BEGAN), 0)
+    RecordedPage(page, Recording(records, parse_scene(path), "part", 1000.0, BEGAN), 0)
     drawn = surfaces(page)["/objects/1/surface"]
     np.testing.assert_allclose(
         np.abs(drawn.vertices).max(), 100 * 0.04 * np.abs(meshes.geodesic(5).vertices).max(), rtol=1e-6
     )
     assert len(drawn.faces) == 500
-    gone = scene_of(tmp_path / "gone.ply")
+    gone = parse_scene(tmp_path / "gone.ply")
     page.change(gone, BEGAN)
     assert "/objects/1/surface" not in surfaces(page)
     RecordedPage(page, Recording(records, gone, "part", 1000.0, BEGAN), 0)
-    assert "No such file" in page._said.content and "/objects/0/surface" in surfaces(page)
+    assert "No such file" in page._message.content and "/objects/0/surface" in surfaces(page)

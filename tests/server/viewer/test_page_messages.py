@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import random
 import subprocess
@@ -17,9 +18,13 @@ import pytest
 import viser
 from helpers.fuzzing import mutated
 from helpers.programs import Program
+from viser._messages import GuiUpdateMessage
+from viser.infra._async_message_buffer import AsyncMessageBuffer
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
+
+import softfinger.server.viewer.page  # noqa: F401 - it mends viser
 
 pytestmark = pytest.mark.real_time
 
@@ -67,6 +72,29 @@ def talk(address: str, messages: list[bytes]) -> None:
                 client.send(message)
         except ConnectionClosed:
             return  # it is cut off, as it may be
+
+
+def test_a_browser_that_connects_while_a_message_is_queued_ends_nothing() -> None:
+    """viser wakes those who wait for a message in the thread of the page, the event loop's thread adds one meanwhile:
+    the message is queued, nothing is raised, and the event is set in the loop."""
+    loop = asyncio.new_event_loop()
+    buffer = AsyncMessageBuffer(loop, persistent_messages=True)
+    waiters: Any = buffer.message_event._waiters
+
+    class Connecting:
+        """A waiter beside which another one appears."""
+
+        def done(self) -> bool:
+            waiters.append(self)
+            return True
+
+    waiters.append(Connecting())
+    message = GuiUpdateMessage("a", {"value": 1.0})
+    buffer.push(message)
+    assert list(buffer.message_from_id.values()) == [message] and buffer.message_event.is_set()
+    loop.call_soon(loop.stop)
+    loop.run_forever()
+    loop.close()
 
 
 @pytest.mark.parametrize("seconds", [2.0, pytest.param(15.0, marks=pytest.mark.exhaustive)])

@@ -71,7 +71,7 @@ def test_a_page_that_dies_is_started_again_at_the_same_address() -> None:
             assert secret not in Path(f"/proc/{page}/cmdline").read_text()
             os.kill(page, signal.SIGKILL)
             ended = next(line for line in process.stderr if "the page has ended" in line)
-            assert f"exit code -9; the servo goes on; it is started again, {restart + 1} of {RESTARTS} times" in ended
+            assert f"exit code -9; the servo continues; it is started again, {restart + 1} of {RESTARTS} times" in ended
             assert answered(address) == 200
         os.kill(child_of(process), signal.SIGKILL)
         ended = next(line for line in process.stderr if "the page has ended" in line)
@@ -96,10 +96,10 @@ def test_a_page_that_says_nothing_is_ended(tmp_path: Path, monkeypatch: pytest.M
     hangs.write_text("#!/bin/sh\nexec sleep 600\n")
     hangs.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(hangs))
-    monkeypatch.setattr(of_page, "START_S", 0.2)
+    monkeypatch.setattr(of_page, "START_TIMEOUT_S", 0.2)
     told: list[str] = []
-    shown = of_page.Shown(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", [], told.append)
-    shown.look()
+    shown = of_page.PageProcess(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", [], told.append)
+    shown.supervise()
     shown.close()
     assert len(told) == 1 and "the page has ended, with exit code -9" in told[0]
 
@@ -162,7 +162,7 @@ def test_run_without_a_page_names_the_option() -> None:
     assert "--view shows it in the browser" in done.stderr.splitlines()[0]
 
 
-@pytest.mark.exhaustive
+@pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_an_open_browser_goes_on_when_its_page_was_killed() -> None:
     """Without being opened again: it shows ticks of after the page's death, which the new one alone can know."""

@@ -16,26 +16,26 @@ from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.surface_meshes import Mesh, cone, surface_mesh
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes.board import squares
-from softfinger.server.viewer.nodes.bodies import Began, Bodies
+from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
 from softfinger.server.viewer.nodes.glyphs import (
     ARC_MAX,
     ARC_PIECES,
-    UNTURNED,
-    Way,
-    about,
+    IDENTITY,
+    Trace,
     arc,
+    axis_angle_rotation,
     circles,
     inverse,
     product,
-    rotated,
-    towards,
+    rotate,
+    rotation_to,
 )
 from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, Looks
-from softfinger.server.viewer.nodes.meshes import Mesh, cone, mesh_of
-from softfinger.server.viewer.nodes.states import COLOURS, State, state_of
-from softfinger.server.viewer.target import Target, from_angles, hit, moved, nudged, to_angles
+from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
+from softfinger.server.viewer.target import Target, drag_target, from_angles, intersect_plane, nudge_target, to_angles
 
 pytestmark = pytest.mark.plain
 
@@ -66,19 +66,19 @@ def volume(mesh: Mesh) -> float:
 @pytest.mark.parametrize(("table", "exact"), SOLIDS, ids=lambda each: each["shape"] if isinstance(each, dict) else "")
 def test_solids_have_their_volume_and_face_outwards(table: dict[str, Any], exact: float) -> None:
     """Circles of 40 corners lack 0.4 % of their area, and one and a half times as much again along a meridian."""
-    assert volume(mesh_of(thing(table))) == pytest.approx(exact, rel=0.015)
+    assert volume(surface_mesh(thing(table))) == pytest.approx(exact, rel=0.015)
 
 
 def test_a_plane_faces_along_its_normal() -> None:
     """Flat, about the origin, its triangles counter-clockwise seen from above."""
-    mesh = mesh_of(thing({"shape": "plane"}))
+    mesh = surface_mesh(thing({"shape": "plane"}))
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     assert (mesh.vertices[:, 2] == 0.0).all() and (np.cross(b - a, c - a) @ UP > 0.0).all()
 
 
 def test_an_endless_cylinder_has_no_ends() -> None:
     """Every corner lies on its side."""
-    mesh = mesh_of(thing({"shape": "cylinder", "radius_m": 0.02}))
+    mesh = surface_mesh(thing({"shape": "cylinder", "radius_m": 0.02}))
     np.testing.assert_allclose(np.hypot(*mesh.vertices[:, :2].T), 0.02, rtol=1e-12)  # rounding of a sine
 
 
@@ -88,7 +88,7 @@ def test_a_shape_from_elsewhere_has_no_picture() -> None:
     class Elsewhere:
         shape = "elsewhere"
 
-    assert mesh_of(Elsewhere()) is None  # type: ignore[arg-type]
+    assert surface_mesh(Elsewhere()) is None  # type: ignore[arg-type]
 
 
 @given(st.floats(-3.0 * pi, 3.0 * pi), st.floats(0.1, 10.0))
@@ -118,7 +118,7 @@ def test_marks_lie_on_the_fingertip() -> None:
 def test_what_stands_on_a_normal_points_along_it(normal: np.ndarray) -> None:
     """+z is taken to the normal, for all directions."""
     normal = normal / np.linalg.norm(normal)
-    np.testing.assert_allclose(rotated(towards(normal), UP), normal, atol=2e-3)  # straight down is not divided by
+    np.testing.assert_allclose(rotate(rotation_to(normal), UP), normal, atol=2e-3)  # straight down is not divided by
 
 
 @given(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4), st.floats(-3.0, 3.0))
@@ -129,17 +129,17 @@ def test_angles_of_the_sliders_come_back(x: float, y: float, z: float) -> None:
 
 def test_a_rotation_and_its_inverse_are_none() -> None:
     """To rounding."""
-    q = about(np.array([1.0, 2.0, 3.0]), 0.7)
-    np.testing.assert_allclose(product(q, inverse(q)), UNTURNED, atol=1e-15)
+    q = axis_angle_rotation(np.array([1.0, 2.0, 3.0]), 0.7)
+    np.testing.assert_allclose(product(q, inverse(q)), IDENTITY, atol=1e-15)
 
 
 def test_a_way_keeps_its_newest_part() -> None:
     """Short steps are left out, the oldest segments give way, and a lift draws none."""
-    way = Way(0.1, segments=3)
+    way = Trace(0.1, segments=3)
     zigzag = [(0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.2, 0.3), (0.35, 0.0), (0.5, 0.3)]
     drawn = [way.add(np.array([x, y, 0.0]), (1, 2, 3)) for x, y in zigzag]
     assert drawn == [False, False, True, True, True, True]
-    way.lift()
+    way.break_line()
     assert not way.add(np.array([9.0, 0.0, 0.0]), (1, 2, 3))
     assert sorted(way.segments[:, 1, 0].round(6).tolist()) == [0.2, 0.35, 0.5]
 
@@ -148,7 +148,7 @@ def test_a_way_keeps_its_newest_part() -> None:
 @given(st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=2, max_size=60))
 def test_a_way_goes_on_in_one_segment_only_where_it_is_straight(steps: list[tuple[float, ...]]) -> None:
     """Every point is within a step of what is drawn, segments follow each other, and a straight line is one."""
-    way = Way(0.01, segments=80)
+    way = Trace(0.01, segments=80)
     points = [np.zeros(3), *np.cumsum(0.02 * np.array(steps), axis=0)]
     for point in points:
         way.add(point, (1, 2, 3))
@@ -157,7 +157,7 @@ def test_a_way_goes_on_in_one_segment_only_where_it_is_straight(steps: list[tupl
         np.testing.assert_array_equal(drawn[1:, 0], drawn[:-1, 1])
     for point in points:
         assert min((beside(point, *segment) for segment in drawn), default=0.0) < 0.02
-    line = Way(0.01)
+    line = Trace(0.01)
     for x in np.arange(0.0, 0.2, 0.01):
         line.add(np.array([x, 0.0, 0.0]), (1, 2, 3))
     assert np.count_nonzero(np.linalg.norm(line.segments[:, 1] - line.segments[:, 0], axis=1)) == 1
@@ -165,7 +165,7 @@ def test_a_way_goes_on_in_one_segment_only_where_it_is_straight(steps: list[tupl
 
 def test_a_way_of_two_colours_is_two_segments() -> None:
     """However straight it is: the colour is the mode."""
-    way = Way(0.1)
+    way = Trace(0.1)
     for x, colour in ((0.0, 1), (0.2, 1), (0.4, 2), (0.6, 2)):
         way.add(np.array([x, 0.0, 0.0]), (colour, 0, 0))
     assert way.segments[:3, 1, 0].round(6).tolist() == [0.2, 0.6, 0.0]
@@ -196,7 +196,7 @@ def test_a_body_that_moves_is_drawn_where_it_was_touched(own_clock: bool) -> Non
     way = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.004], "frequency_hz": 3.0}
     scene = build(schema.Scene, paper_mapping(table={"motion": way}), "test scene")
     engine, period, begun, missed = Engine(scene), 1e-3, 500, 70
-    bodies = Bodies(Frames(), scene, Began(begun, missed, period, own_clock))
+    bodies = Bodies(Frames(), scene, SceneStart(begun, missed, period, own_clock))
     random = np.random.default_rng(3)
     for tick in range(begun, begun + 400):
         skipped = int(random.integers(0, 8)) if random.random() < 0.1 and tick > begun else 0
@@ -206,7 +206,7 @@ def test_a_body_that_moves_is_drawn_where_it_was_touched(own_clock: bool) -> Non
         row[AT.tick], row[AT.servo_missed] = tick, missed
         if tick % 37 == 0:
             bodies.show(row)
-            assert bodies.places[0][0][2] == pytest.approx(row[AT.contact_point + 2], abs=1e-12)  # a sum's rounding
+            assert bodies.poses[0][0][2] == pytest.approx(row[AT.contact_point + 2], abs=1e-12)  # a sum's rounding
 
 
 def test_what_rides_on_a_body_is_drawn_where_that_is() -> None:
@@ -214,19 +214,21 @@ def test_what_rides_on_a_body_is_drawn_where_that_is() -> None:
     ball = {"name": "ball", "shape": "sphere", "radius_m": 0.01, "position_m": [0.0, 0.1, 0.0]}
     ball |= {"material": {"stiffness_n_per_m": 500.0}, "motion": {"kind": "body", "body": "arm"}}
     mapping = {"fingertip": {"radius_m": 0.01}, "world": {"model": "arm.xml"}, "object": [ball]}
-    bodies = Bodies(Frames(), build(schema.Scene, mapping, "test scene"), Began(0, 0, 1e-3, True))
+    bodies = Bodies(Frames(), build(schema.Scene, mapping, "test scene"), SceneStart(0, 0, 1e-3, True))
     half = np.sqrt(0.5).item()
-    bodies.ride({"arm": ((1.0, 2.0, 3.0), (half, 0.0, 0.0, half)), "leg": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))})
-    position, turn = bodies.places[0]
+    bodies.move_bodies(
+        {"arm": ((1.0, 2.0, 3.0), (half, 0.0, 0.0, half)), "leg": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))}
+    )
+    position, turn = bodies.poses[0]
     assert position == pytest.approx((0.9, 2.0, 3.0)) and turn == pytest.approx((half, 0.0, 0.0, half))
-    bodies.ride({})
-    assert bodies.places[0] == (position, turn)
+    bodies.move_bodies({})
+    assert bodies.poses[0] == (position, turn)
 
 
 @given(units, st.floats(-0.05, 0.05))
 def test_the_ground_is_straight_below_on_the_highest_plane(normal: np.ndarray, height: float) -> None:
     """On planes up to 60 degrees steep; none of those is above the point, and there may be none."""
-    turn = towards(normal / np.linalg.norm(normal))
+    turn = rotation_to(normal / np.linalg.norm(normal))
     material = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
     floor = [0.0, 0.0, -0.1]
     planes = [
@@ -235,8 +237,8 @@ def test_the_ground_is_straight_below_on_the_highest_plane(normal: np.ndarray, h
     ]
     planes = [{"shape": "plane", "material": material} | plane for plane in planes]
     scene = build(schema.Scene, paper_mapping() | {"object": planes}, "test scene")
-    bodies, point = Bodies(Frames(), scene, Began(0, 0, 1e-3, True)), np.array([0.01, -0.02, 0.03])
-    up = rotated(turn, UP)
+    bodies, point = Bodies(Frames(), scene, SceneStart(0, 0, 1e-3, True)), np.array([0.01, -0.02, 0.03])
+    up = rotate(turn, UP)
     slope = point[2] - up @ (point - (0.0, 0.0, height)) / up[2] if up[2] > 0.5 else -1.0
     expected = slope if -0.1 < slope <= point[2] else -0.1
     found = bodies.below(point)
@@ -255,11 +257,11 @@ def test_a_plumb_line_ends_on_top_of_a_ball_and_its_shadow_lies_there(
     0.28 mm of height where it is as steep as at 0.9 r; their normals within 2 * 4.5 degrees.
     """
     ball, centre, radius = {"shape": "sphere", "radius_m": 0.02, "name": "ball"}, np.array([0.01, -0.03, 0.05]), 0.02
-    turned = about(axis, turn)
+    turned = axis_angle_rotation(axis, turn)
     place = {"position_m": centre.tolist(), "orientation_wxyz": list(turned)}
     material = {"stiffness_n_per_m": 1000.0}
     scene = build(schema.Scene, BALL_TIP | {"object": [ball | place | {"material": material}]}, "test scene")
-    bodies = Bodies(Frames(), scene, Began(0, 0, 1e-3, True))
+    bodies = Bodies(Frames(), scene, SceneStart(0, 0, 1e-3, True))
     way = share * radius * np.array([cos(turn), sin(turn), 0.0])
     exact = np.array([*way[:2], sqrt(radius**2 - way @ way)])
     foot = bodies.below(centre + way + 0.1 * UP)
@@ -276,7 +278,7 @@ def test_a_plumb_line_ends_on_what_is_highest_and_goes_along_with_it() -> None:
     box = {"shape": "box", "size_m": [0.02, 0.02, 0.02], "position_m": [0.0, 0.0, 0.01], "name": "box"}
     floor = {"shape": "plane", "name": "floor"}
     things = [each | {"material": material} for each in (floor, box | {"motion": {"kind": "driven"}})]
-    bodies = Bodies(Frames(), build(schema.Scene, BALL_TIP | {"object": things}, "x"), Began(0, 0, 1e-3, True))
+    bodies = Bodies(Frames(), build(schema.Scene, BALL_TIP | {"object": things}, "x"), SceneStart(0, 0, 1e-3, True))
     point = np.array([0.005, -0.005, 0.1])
     for place, height in (((0.0, 0.0, 0.01), 0.02), ((0.0, 0.0, 0.05), 0.06), ((0.03, 0.0, 0.01), 0.0)):
         bodies.drive(1, place)
@@ -297,22 +299,24 @@ def tick(**values: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("after", "state"),
     [
-        ({"contact_mode": 0}, State.FREE),
-        ({"contact_mode": 1}, State.STICKING),
-        ({"contact_mode": 1, "contact_rolled": 0.1}, State.ROLLING),
-        ({"contact_mode": 1, "contact_spin": -0.1}, State.SPINNING),
-        ({"contact_mode": 1, "contact_rolled": 1e-3, "contact_spin": 1e-3}, State.STICKING),
-        ({"contact_mode": 2, "contact_rolled": 0.1, "contact_spin": 0.1}, State.SLIDING),
+        ({"contact_mode": 0}, ContactState.FREE),
+        ({"contact_mode": 1}, ContactState.STICKING),
+        ({"contact_mode": 1, "contact_rolled": 0.1}, ContactState.ROLLING),
+        ({"contact_mode": 1, "contact_spin": -0.1}, ContactState.SPINNING),
+        ({"contact_mode": 1, "contact_rolled": 1e-3, "contact_spin": 1e-3}, ContactState.STICKING),
+        ({"contact_mode": 2, "contact_rolled": 0.1, "contact_spin": 0.1}, ContactState.SLIDING),
     ],
 )
-def test_a_contact_is_called_by_what_it_does(after: dict[str, float], state: State) -> None:
+def test_a_contact_is_called_by_what_it_does(after: dict[str, float], state: ContactState) -> None:
     """From two ticks a tenth of a second apart; one that has just begun, or of which one tick is seen, sticks."""
     before, now = tick(contact_mode=1), tick(timestamp=0.1, **after)
-    assert state_of(before, now, 0.01) == state
-    if state in (State.ROLLING, State.SPINNING):
+    assert classify_contact(before, now, 0.01) == state
+    if state in (ContactState.ROLLING, ContactState.SPINNING):
         late = tick(timestamp=9.0, **after)
-        assert {state_of(*two, 0.01) for two in ((tick(), now), (now, now), (before, late))} == {State.STICKING}
-    assert set(COLOURS) == set(State) and len(set(COLOURS.values())) == len(COLOURS)
+        assert {classify_contact(*two, 0.01) for two in ((tick(), now), (now, now), (before, late))} == {
+            ContactState.STICKING
+        }
+    assert set(COLOURS) == set(ContactState) and len(set(COLOURS.values())) == len(COLOURS)
 
 
 @given(st.floats(0.0, 1e3), st.floats(0.1, 10.0))
@@ -328,14 +332,14 @@ def test_an_arrow_stays_on_the_screen(force: float, asked: float) -> None:
 
 
 EYE = np.array([0.3, -0.4, 0.5])
-START = Target(np.array([0.01, 0.0, 0.02]), UNTURNED)
+START = Target(np.array([0.01, 0.0, 0.02]), IDENTITY)
 GRABBED = np.array([0.01, -0.01, 0.02])
 
 
 def pointer(to: np.ndarray) -> np.ndarray:
     """Where the pointer is on a plane that faces the camera, when it looks at `to`."""
     look = GRABBED - EYE
-    found = hit(EYE, to, GRABBED, look)
+    found = intersect_plane(EYE, to, GRABBED, look)
     assert found is not None
     return found
 
@@ -343,14 +347,14 @@ def pointer(to: np.ndarray) -> np.ndarray:
 def test_a_drag_moves_level() -> None:
     """The point that was grabbed follows the mouse in its level plane, and the hand with it, unturned."""
     to = GRABBED + np.array([0.02, 0.01, 0.0])
-    target = moved(START, EYE, GRABBED, pointer(to), "move", 0.01)
-    assert target is not None and target.orientation == UNTURNED
+    target = drag_target(START, EYE, GRABBED, pointer(to), "move", 0.01)
+    assert target is not None and target.orientation == IDENTITY
     np.testing.assert_allclose(target.position, START.position + np.array([0.02, 0.01, 0.0]), atol=1e-12)
 
 
 def test_a_drag_presses_upright() -> None:
     """With shift the hand goes straight down by as much as the mouse."""
-    target = moved(START, EYE, GRABBED, pointer(GRABBED - (0.0, 0.0, 0.015)), "press", 0.01)
+    target = drag_target(START, EYE, GRABBED, pointer(GRABBED - (0.0, 0.0, 0.015)), "press", 0.01)
     assert target is not None
     np.testing.assert_allclose(target.position, START.position - (0.0, 0.0, 0.015), atol=1e-12)
 
@@ -358,7 +362,7 @@ def test_a_drag_presses_upright() -> None:
 def test_a_drag_rolls_like_a_ball() -> None:
     """A quarter of the circumference along +x is a quarter turn about +y, without slip."""
     way = 0.5 * pi * 0.01
-    target = moved(START, EYE, GRABBED, pointer(GRABBED + np.array([way, 0.0, 0.0])), "roll", 0.01)
+    target = drag_target(START, EYE, GRABBED, pointer(GRABBED + np.array([way, 0.0, 0.0])), "roll", 0.01)
     assert target is not None
     np.testing.assert_allclose(target.position, START.position + np.array([way, 0.0, 0.0]), atol=1e-12)
     np.testing.assert_allclose(target.orientation, (sqrt(0.5), 0.0, sqrt(0.5), 0.0), atol=1e-9)
@@ -366,15 +370,15 @@ def test_a_drag_rolls_like_a_ball() -> None:
 
 def test_a_nudge_moves_rolls_and_spins() -> None:
     """Straight on without a turn; a quarter of the circumference is a quarter turn; a spin stays where it is."""
-    on = nudged(START, Nudge(x=0.001, z=-0.002), 0.01)
+    on = nudge_target(START, Nudge(x=0.001, z=-0.002), 0.01)
     np.testing.assert_allclose(on.position, START.position + np.array([0.001, 0.0, -0.002]), atol=1e-15)
-    assert on.orientation == pytest.approx(UNTURNED)
+    assert on.orientation == pytest.approx(IDENTITY)
     way = 0.5 * pi * 0.01
-    by_mouse = moved(START, EYE, GRABBED, pointer(GRABBED + np.array([0.0, way, 0.0])), "roll", 0.01)
-    by_key = nudged(START, Nudge(roll_y=way), 0.01)
+    by_mouse = drag_target(START, EYE, GRABBED, pointer(GRABBED + np.array([0.0, way, 0.0])), "roll", 0.01)
+    by_key = nudge_target(START, Nudge(roll_y=way), 0.01)
     assert by_mouse is not None and by_key.orientation == pytest.approx(by_mouse.orientation)
     np.testing.assert_allclose(by_key.position, by_mouse.position, atol=1e-12)
-    spun = nudged(START, Nudge(spin=0.5 * pi), 0.01)
+    spun = nudge_target(START, Nudge(spin=0.5 * pi), 0.01)
     assert spun.orientation == pytest.approx((sqrt(0.5), 0.0, 0.0, sqrt(0.5)))
 
 
@@ -392,13 +396,13 @@ def test_a_board_has_every_other_square() -> None:
 def test_a_look_along_a_plane_tells_nothing() -> None:
     """Straight down there is no upright plane, along the table no level one: the hand stays."""
     above = GRABBED + np.array([0.0, 0.0, 0.5])
-    assert moved(START, above, GRABBED, GRABBED, "press", 0.01) is None
+    assert drag_target(START, above, GRABBED, GRABBED, "press", 0.01) is None
     beside = GRABBED + np.array([0.0, -0.5, 0.0])
-    assert moved(START, beside, GRABBED, GRABBED + np.array([0.01, 0.0, 0.0]), "move", 0.01) is None
-    assert hit(EYE, EYE + UP, np.zeros(3), UP) is None  # behind the eye
+    assert drag_target(START, beside, GRABBED, GRABBED + np.array([0.01, 0.0, 0.0]), "move", 0.01) is None
+    assert intersect_plane(EYE, EYE + UP, np.zeros(3), UP) is None  # behind the eye
 
 
 def test_angles_are_about_the_axes_of_the_world() -> None:
     """Spin comes last: a roll about x, spun by 90 degrees, is one about y."""
-    rolled = rotated(from_angles(radians(30.0), 0.0, radians(90.0)), UP)
+    rolled = rotate(from_angles(radians(30.0), 0.0, radians(90.0)), UP)
     np.testing.assert_allclose(rolled, (sin(radians(30.0)), 0.0, cos(radians(30.0))), atol=1e-12)

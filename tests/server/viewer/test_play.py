@@ -20,7 +20,7 @@ from softfinger.server.viewer.gestures import PRESS_N, ROLL_M
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.wire.client import record_of, subscribe
 
-pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 RADIUS_M = 0.01
 RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}

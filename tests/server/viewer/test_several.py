@@ -12,10 +12,10 @@ from helpers.two_fingers import NAMES, two_devices, two_fingers
 
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
-from softfinger.server.viewer.driven import HANDLE_CM
+from softfinger.server.viewer.driven import CONTROL_SIZE_CM
 from softfinger.server.viewer.nodes.looks import CM
 
-pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 MATERIAL = {"stiffness_n_per_m": 1000.0}
 TABLE = {"name": "table", "shape": "plane", "material": MATERIAL}
@@ -77,7 +77,7 @@ def lid(client: Client) -> list[float]:
 def pull(screen: Screen, client: Client) -> None:
     """Drag the lid's arrow along the world's x axis."""
     x, y, z = (CM * part for part in lid(client))
-    screen.drag(screen.at((x + 0.7 * HANDLE_CM, y, z)), (40.0, 0.0))
+    screen.drag(screen.at((x + 0.7 * CONTROL_SIZE_CM, y, z)), (40.0, 0.0))
 
 
 def test_handles_drive_an_object(screen: Screen, client: Client) -> None:

@@ -20,20 +20,20 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon as Servant
 from softfinger.server.cli import main
 from softfinger.server.gateway.addresses import Addresses
-from softfinger.server.offline.results import write_results
 from softfinger.server.offline.simulate import run_recording
-from softfinger.server.viewer.driven import Handles
-from softfinger.server.viewer.hand import Hand, HandCommands, Led
+from softfinger.server.recording.results import write_results
+from softfinger.server.viewer.driven import ObjectControls
+from softfinger.server.viewer.hand import Hand, HandCommands, MovableFinger
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.live import LivePage
-from softfinger.server.viewer.nodes.bodies import Began
+from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page
-from softfinger.server.viewer.playback import BEFORE, Player, load
+from softfinger.server.viewer.playback import TRACE_TICKS, Player, load
 
 pytestmark = pytest.mark.real_time
 
 WAIT_S = 60.0
-BEGAN = Began(0, 0, 0.001, own_clock=False)
+BEGAN = SceneStart(0, 0, 0.001, own_clock=False)
 
 
 @pytest.fixture(scope="module")
@@ -86,20 +86,20 @@ def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.
     file = tmp_path / "run.npz"
     write_results(file, results)
     player = Player(page.server.gui, load(str(file), None), tick=0)
-    ticks, jumped = player.take()
+    ticks, jumped = player.take_rows()
     assert len(ticks[""]) == 1 and jumped
-    assert player.take() == ({}, False)
+    assert player.take_rows() == ({}, False)
     player._play.value = True
     player.advance(0.1)
-    ticks, jumped = player.take()
+    ticks, jumped = player.take_rows()
     assert ticks[""][:, 1].tolist() == list(range(1, 101)) and not jumped
-    player._place = len(results) - 1.0
-    ticks, jumped = player.take()
-    assert len(ticks[""]) == BEFORE + 1 and jumped
+    player._row = len(results) - 1.0
+    ticks, jumped = player.take_rows()
+    assert len(ticks[""]) == TRACE_TICKS + 1 and jumped
     end = f"{(len(results) - 1) / 1000.0:.3f} s"
     assert player._time.content == f"{end} of {end}"
     player.advance(0.1)
-    assert player.take()[0][""][:, 1].tolist() == [0]
+    assert player.take_rows()[0][""][:, 1].tolist() == [0]
 
 
 def fed(live: LivePage, until: Any) -> bool:
@@ -123,9 +123,9 @@ def test_a_page_follows_its_daemon(page: Page, endpoints: tuple[str, str]) -> No
         assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
         assert fed(live, lambda: knob.value == 640.0)
         live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": -1.0})
-        assert fed(live, lambda: "Not done:" in page._said.content and "stiffness_n_per_m" in page._said.content)
-        live._send("", None)
-        assert fed(live, lambda: "no program leads the hand on replay" in page._said.content)
+        assert fed(live, lambda: "Not done:" in page._message.content and "stiffness_n_per_m" in page._message.content)
+        live._lead_hand("", None)
+        assert fed(live, lambda: "no program leads the hand on replay" in page._message.content)
         live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 1000.0})
         assert fed(live, lambda: knob.value == 1000.0)
     finally:
@@ -141,7 +141,7 @@ def test_ticks_and_scenes_come_in_any_order(page: Page) -> None:
     for number in (7, -1, 0):
         rows[:, AT.contact_object] = number
         page.show({"": rows})
-    assert set(page.fingers[""]._on_objects) == {0}
+    assert set(page.fingers[""]._object_traces) == {0}
 
 
 def test_a_moment_too_small_for_an_arc_has_no_tip_either(page: Page) -> None:
@@ -160,7 +160,7 @@ def test_ticks_of_a_scene_before_are_not_drawn_in_this_one(page: Page, endpoints
     live = LivePage(page, Addresses(*endpoints))
     try:
         assert fed(live, lambda: page._newest)
-        live._first = 10**9
+        live._first_tick = 10**9
         page._newest.clear()
         for _ in range(5):
             live.step(0.05)
@@ -172,18 +172,18 @@ def test_ticks_of_a_scene_before_are_not_drawn_in_this_one(page: Page, endpoints
 HALF = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 
 
-def pulls(handles: Handles, *positions: tuple[float, float, float]) -> None:
+def pulls(handles: ObjectControls, *positions: tuple[float, float, float]) -> None:
     """What a browser tells of a drag of the first object's handles through these positions, cm, but for its end."""
     node = handles._nodes[0]
     for phase, position in (("start", positions[0]), *(("update", each) for each in positions)):
         node.position = position
-        handles._pulled(0, SimpleNamespace(target=node, phase=phase))
+        handles._on_drag(0, SimpleNamespace(target=node, phase=phase))
 
 
 def test_many_pulls_are_one_request(page: Page) -> None:
     """The newest of them in a frame, none in the next; whoever pulls keeps the handles, until they are let go."""
     sent: list[Any] = []
-    handles = Handles(page.server.gui, page.server.scene, lambda *asked: sent.append(asked))
+    handles = ObjectControls(page.server.gui, page.server.scene, lambda *asked: sent.append(asked))
     handles.change({0: ((0.0, 0.0, 0.01), HALF)})
     handles._switch.value = True
     handles._show()
@@ -192,10 +192,10 @@ def test_many_pulls_are_one_request(page: Page) -> None:
     handles.step()
     ((number, (position, turn)),) = sent
     assert number == 0 and position == pytest.approx((0.03, 0.0, 0.01)) and turn == pytest.approx(HALF)
-    handles.see(0, (0.02, 0.0, 0.01), None)
+    handles.update_pose(0, (0.02, 0.0, 0.01), None)
     assert handles._nodes[0].position.tolist() == [3.0, 0.0, 1.0]
-    handles._pulled(0, SimpleNamespace(target=handles._nodes[0], phase="end"))
-    handles.see(0, (0.02, 0.0, 0.01), None)
+    handles._on_drag(0, SimpleNamespace(target=handles._nodes[0], phase="end"))
+    handles.update_pose(0, (0.02, 0.0, 0.01), None)
     assert handles._nodes[0].position.tolist() == [2.0, 0.0, 1.0]
 
 
@@ -208,14 +208,14 @@ def test_a_pull_too_far_is_refused_and_taken_back(page: Page) -> None:
         live = LivePage(page, Addresses(running.publisher.endpoint, str(running.commands_endpoint)))
         try:
             assert fed(live, lambda: page.fingers)
-            handles = live._handles
+            handles = live._object_controls
             handles._switch.value = True
             handles._show()
             pulls(handles, (0.0, 0.0, 1e7))
-            assert fed(live, lambda: "Not done:" in page._said.content and "position_m" in page._said.content)
+            assert fed(live, lambda: "Not done:" in page._message.content and "position_m" in page._message.content)
             assert handles._nodes[0].position.tolist() == [0.0, 0.0, 1.0]
             pulls(handles, (0.0, 0.0, 2.0))
-            assert fed(live, lambda: page.bodies is not None and page.bodies.places[0][0] == (0.0, 0.0, 0.02))
+            assert fed(live, lambda: page.bodies is not None and page.bodies.poses[0][0] == (0.0, 0.0, 0.02))
             assert running.rendering.scene.object[0].position_m == (0.0, 0.0, 0.02)
             live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 700.0})
             nodes = page.fingers[""]
@@ -233,31 +233,31 @@ def test_a_hand_without_a_wrist_is_led_as_well(page: Page) -> None:
         running.start()
         live = LivePage(page, Addresses(running.publisher.endpoint, str(running.commands_endpoint)))
         try:
-            assert fed(live, lambda: live._hand._fingers and live._hand._seen)
+            assert fed(live, lambda: live._hand._fingers and live._hand._poses)
             live._hand.nudge(Nudge(z=-0.002))
             assert fed(live, lambda: live._hand._targets)
             asked = running.rendering.servo.ticks
             assert fed(live, lambda: running.rendering.servo.ticks > asked + 1000)
-            assert "Not done:" not in page._said.content
+            assert "Not done:" not in page._message.content
         finally:
             live.close()
 
 
 def test_sliders_follow_a_finger_that_something_else_leads(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     """Until the page leads it: then they show where it is asked to be, though the contact holds it elsewhere."""
-    monkeypatch.setattr("softfinger.server.viewer.hand.FOLLOWS_S", -1.0)
+    monkeypatch.setattr("softfinger.server.viewer.hand.SLIDER_UPDATE_S", -1.0)
     asked = []
     hold = lambda finger, done, failed: done(hand.target(finger))  # noqa: E731
     commands = HandCommands(lambda finger, target: asked.append(target), hold)
     hand = Hand(page.server.gui, page.server.scene, commands)
-    hand.change([Led("", 0.01, np.full(3, -0.05), np.full(3, 0.05))])
+    hand.change([MovableFinger("", 0.01, np.full(3, -0.05), np.full(3, 0.05))])
     row = np.zeros(RECORD_SIZE)
     row[AT.probe_orientation] = 1.0
     for height in (0.02, 0.012):
         row[AT.probe_position + 2] = height
-        hand.see("", row)
+        hand.update_pose("", row)
         assert hand._sliders[2].value == pytest.approx(1e3 * height)
     hand.nudge(Nudge(z=-0.004))
-    hand.see("", row)
+    hand.update_pose("", row)
     assert hand._sliders[2].value == pytest.approx(8.0)
     assert [target.position[2] for target in asked] == pytest.approx([0.008])

@@ -13,7 +13,7 @@ from softfinger.server.remote import Client
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.protocol import WORLD
 
-pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 HIGH_M = 0.06

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING, SLIDING
-from softfinger.server.viewer.nodes.states import COLOURS, State
-from softfinger.server.viewer.timeline import COLUMNS, Events, band, pointer, states_of, words
+from softfinger.server.viewer.nodes.states import COLOURS, ContactState
+from softfinger.server.viewer.timeline import COLUMNS, Events, band, describe_event, find_state_runs, pointer
 
 pytestmark = pytest.mark.plain
 
@@ -28,22 +28,26 @@ def test_a_band_has_each_state_where_it_is() -> None:
     """Free, sticking, then rolling, as soon as it is more than 2 mm/s over the tenth of a second before."""
     made = rows([FREE] * 200 + [ROLLING] * 400)
     made[400:, AT.contact_rolled] = 0.01 * np.arange(200)
-    assert states_of(made, RADIUS) == [(0, State.FREE), (200, State.STICKING), (403, State.ROLLING)]
+    assert find_state_runs(made, RADIUS) == [
+        (0, ContactState.FREE),
+        (200, ContactState.STICKING),
+        (403, ContactState.ROLLING),
+    ]
 
 
 def test_a_slide_shorter_than_a_column_is_seen() -> None:
     """One tick of ten thousand."""
     modes = [ROLLING] * (20 * COLUMNS)
     modes[5555] = SLIDING
-    found = states_of(rows(modes), RADIUS)
-    assert [state for _, state in found] == [State.STICKING, State.SLIDING, State.STICKING]
+    found = find_state_runs(rows(modes), RADIUS)
+    assert [state for _, state in found] == [ContactState.STICKING, ContactState.SLIDING, ContactState.STICKING]
     assert found[1][0] <= 5555 < found[2][0] <= found[1][0] + 20
 
 
 def test_the_band_and_its_pointer_as_html() -> None:
     """A box for each run, as wide as it lasts; a name that is no HTML; the pointer half way."""
     drawn = band({"a<b": rows([FREE] * 10 + [SLIDING] * 30)}, {"a<b": RADIUS})
-    free, sliding = (f"rgb{COLOURS[state]}" for state in (State.FREE, State.SLIDING))
+    free, sliding = (f"rgb{COLOURS[state]}" for state in (ContactState.FREE, ContactState.SLIDING))
     assert f'<rect x="0" width="10" height="1" fill="{free}"/><rect x="10" width="30"' in drawn
     assert f'fill="{sliding}"' in drawn and "a&lt;b" in drawn and "a<b" not in drawn
     assert "margin-left: 50.00%" in pointer(0.5)
@@ -59,8 +63,8 @@ def test_events_are_jumped_to_from_either_side() -> None:
     events = Events({"": rows([FREE] * 100)}, told, 1000.0)
     assert [events.after(-1), events.after(5), events.after(20), events.after(99)] == [5, 20, 99, None]
     assert [events.before(5), events.before(20), events.before(99)] == [None, 5, 20]
-    assert "no event yet" in events.told(4)
-    text = events.told(20)
+    assert "no event yet" in events.format_html(4)
+    text = events.format_html(20)
     assert text.index("0.020 s · mark mark, label &lt;here&gt;") < text.index("0.005 s · contact touch")
     assert "<here>" not in text
 
@@ -70,13 +74,13 @@ def test_events_follow_from_the_ticks_where_none_were_kept() -> None:
     made = rows([ROLLING] * 10 + [FREE] * 10)
     made[10, AT.contact_cause] = 6
     events = Events({"": made}, (), 1000.0)
-    assert events.after(0) == 10 and "release" in events.told(10)
+    assert events.after(0) == 10 and "release" in events.format_html(10)
 
 
 def test_an_event_is_told_in_a_few_words() -> None:
     """Its cause where that is not its name."""
     assert (
-        words({"kind": "contact", "name": "slip", "cause": "drag", "finger": "", "count": 0})
+        describe_event({"kind": "contact", "name": "slip", "cause": "drag", "finger": "", "count": 0})
         == "contact slip, cause drag"
     )
-    assert words({"kind": "contact", "name": "touch", "cause": "touch"}) == "contact touch"
+    assert describe_event({"kind": "contact", "name": "touch", "cause": "touch"}) == "contact touch"

@@ -16,12 +16,12 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.viewer.gestures import LIFT_M
-from softfinger.server.viewer.hand import FRESH_S
+from softfinger.server.viewer.hand import TARGET_VALID_S
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.protocol import WORLD
 
-pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(bool(why_none()), reason=why_none())]
+pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 GRIP_N, NOTCHES = 2.0, 20
@@ -63,7 +63,7 @@ def beside(client: Client, screen: Screen) -> None:
     def stay() -> bool:
         for name, x in (("thumb", -0.04), ("index", 0.04)):
             client.hand((x, 0.0, 0.02), (1.0, 0.0, 0.0, 0.0), finger=name)
-        time.sleep(FRESH_S + 0.5)
+        time.sleep(TARGET_VALID_S + 0.5)
         return abs(client.get_state().position[0] + 0.04) < 5e-4
 
     assert eventually(stay)

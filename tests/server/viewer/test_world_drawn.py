@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softfinger.config.load import load_scene
-from softfinger.server.viewer.nodes.bodies import Began, Bodies, untouched
+from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart, visual_geoms
 
 viser = pytest.importorskip("viser")
 pytestmark = pytest.mark.plain
@@ -17,13 +17,13 @@ def test_boxes_that_no_finger_touches_are_drawn_where_their_bodies_are() -> None
     """On `stack-boxes` fingers touch the floor and one box; the page has the other two as well, and moves them."""
     scene = load_scene("stack-boxes")
     assert [thing.name for thing in scene.object] == ["floor", "top"]
-    assert [thing.name for thing in untouched(scene)] == ["bottom", "middle"]
+    assert [thing.name for thing in visual_geoms(scene)] == ["bottom", "middle"]
     server = viser.ViserServer(port=0, verbose=False)
     try:
-        bodies = Bodies(server.scene, scene, Began(0, 0, 1e-3, True))
+        bodies = Bodies(server.scene, scene, SceneStart(0, 0, 1e-3, True))
         upright = (1.0, 0.0, 0.0, 0.0)
-        bodies.ride(dict.fromkeys(("bottom", "middle"), ((0.0, 0.1, 0.2), upright)))
-        assert [place[0] for place in bodies.places[2:]] == [(0.0, 0.1, 0.2)] * 2
+        bodies.move_bodies(dict.fromkeys(("bottom", "middle"), ((0.0, 0.1, 0.2), upright)))
+        assert [place[0] for place in bodies.poses[2:]] == [(0.0, 0.1, 0.2)] * 2
         for point, height in (((0.1, 0.0, 0.1), 0.0), ((0.0, 0.1, 0.3), 0.215)):  # beside them, on one of 30 mm
             foot = bodies.below(np.array(point))
             assert foot is not None and foot.point.tolist() == pytest.approx([*point[:2], height])
@@ -36,4 +36,4 @@ def test_a_model_that_is_not_here_draws_nothing_more() -> None:
     scene = load_scene("stack-boxes")
     assert scene.world is not None
     elsewhere = msgspec.structs.replace(scene.world, model="/no/such/place.xml")
-    assert untouched(msgspec.structs.replace(scene, world=elsewhere)) == []
+    assert visual_geoms(msgspec.structs.replace(scene, world=elsewhere)) == []

@@ -1,7 +1,8 @@
-"""Where the proxy comes to rest, and what holds it there.
+"""Rest position of the proxy, and the constraints that support it there.
 
-It is the point nearest the probe that satisfies every constraint. One object is the common case and is solved on its
-own, friction's deflection included: `alone`. `among` several, those that held the proxy
-last are kept and asked again, what stands in the way is added, and the smallest push that satisfies them all is found
-(`half_spaces`), until nothing changes.
+The rest position is the point nearest to the probe that satisfies every constraint. The common case of one object has
+a separate solver, which includes the deflection by friction: `alone`. With several objects (`among`), the search starts
+from the last active set, adds every obstacle, and computes the smallest displacement that satisfies all constraints
+(`half_spaces`), until nothing changes. On a mesh, if the last active set no longer supports the proxy, it moves by
+supporting planes: `cutting_planes`.
 """

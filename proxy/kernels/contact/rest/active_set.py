@@ -1,4 +1,4 @@
-"""Which objects hold the proxy, and how hard."""
+"""Active set: the constraints that support the proxy, and their loads."""
 
 from typing import Any
 
@@ -12,16 +12,16 @@ from softfinger.proxy.kernels.shapes.composite import Deepest
 from softfinger.proxy.kernels.shapes.protocol import direction
 
 INSIDE = 1e-10
-"""Depth, as a share of the fingertip's radius, that counts as inside an object and not as rounding."""
+"""Depth, as a share of the fingertip's radius, from which a fingertip is inside an object; below it is rounding."""
 SAME_FOOT = 1.0 - 1e-4
-"""Cosine between the normals of two feet on a height map above which they are taken for one."""
+"""Cosine between the normals of two support points on a height map above which they count as one."""
 FLAT = 1e-4
-"""Volume spanned by three unit normals below which they lie in a plane, and may close in from all sides of it."""
+"""Volume spanned by three unit normals below which they count as coplanar and may enclose the proxy in that plane."""
 
 
 @jit
 def one_constraint(body: float, normal: Vec3, depth: float) -> ActiveSet:
-    """That of one object alone."""
+    """Return the active set of a single object."""
     return Constraint(body, normal, depth), Constraint(NONE, normal, 0.0), Constraint(NONE, normal, 0.0)
 
 
@@ -34,20 +34,20 @@ def count_of(active: ActiveSet) -> int:
 
 @jit
 def active_objects(active: ActiveSet) -> Vec3:
-    """Places of the objects, -1 for none."""
+    """Return the flat indices of the objects, -1 for none."""
     return active[0].body, active[1].body, active[2].body
 
 
 @jit
 def displaced_by(active: ActiveSet) -> Vec3:
-    """How far (3,) m they keep the proxy from the probe."""
+    """Return the displacement (3,) m from the probe to the proxy."""
     one, two, three = active
     return displacement(Depths(one.depth, two.depth, three.depth), one.normal, two.normal, three.normal)
 
 
 @jit
 def pressed(index: float, normal: Vec3, behind: Vec3) -> ActiveSet:
-    """One object, for a proxy on it that lies `behind` (3,) m ahead of the probe."""
+    """Return the active set of one object with the proxy at `behind` (3,) m from the probe."""
     return one_constraint(index, normal, max(vec3.dot(behind, normal), 0.0))
 
 
@@ -61,8 +61,10 @@ def with_another(active: ActiveSet, index: float, normal: Vec3) -> ActiveSet:
 
 @jit
 def with_touched(objects: Any, radius: float, center: Vec3, active: ActiveSet, near: Deepest) -> tuple[ActiveSet, int]:
-    """And the object nearest to the proxy, if it touches it and there is room for one more; and what is left of the
-    budget."""
+    """Add the nearest object if it touches the proxy and fewer than three are active; return the remaining budget, too.
+
+    near  result of `deepest` at `center`
+    """
     gap, at, left = near
     one, two, three = active
     if gap > radius * (1.0 + INSIDE) or three.body >= 0.0 or at == one.body or at == two.body:
@@ -73,7 +75,10 @@ def with_touched(objects: Any, radius: float, center: Vec3, active: ActiveSet, n
 
 @jit
 def without_weakest(active: ActiveSet) -> ActiveSet:
-    """Let go of the one of three that pushes least, to make room. What takes its place is taken to push as much."""
+    """Remove the constraint of three with the smallest depth.
+
+    Its depth remains in the unused element, as the first estimate for the constraint that replaces it.
+    """
     one, two, three = active
     if three.depth <= two.depth and three.depth <= one.depth:
         return one, two, Constraint(NONE, two.normal, three.depth)
@@ -84,7 +89,7 @@ def without_weakest(active: ActiveSet) -> ActiveSet:
 
 @jit
 def loads_of(objects: Any, active: ActiveSet) -> Vec3:
-    """Elastic normal forces, N, of the three; 0 for none."""
+    """Return the elastic normal forces of the three constraints, N; 0 for an unused one."""
     one = spring(normal_law_of(objects, active[0].body), active[0].depth)
     two, three = 0.0, 0.0
     if active[1].body >= 0.0:
@@ -96,9 +101,9 @@ def loads_of(objects: Any, active: ActiveSet) -> Vec3:
 
 @jit
 def strongest_first(objects: Any, active: ActiveSet) -> ActiveSet:
-    """Drop what does not push, and let another be the first only when that has clearly come to bear more.
+    """Remove constraints without load, and replace the first only by one with a clearly larger load (1.5 times).
 
-    A plain comparison would change between two equal walls with every rounding error.
+    A plain comparison of two equal walls would change with every rounding error.
     """
     load = loads_of(objects, active)
     one, two, three = active
@@ -115,7 +120,7 @@ def strongest_first(objects: Any, active: ActiveSet) -> ActiveSet:
 
 @jit
 def leaves_no_room(active: ActiveSet) -> bool:
-    """Whether two that hold the proxy face each other, or three close in on it from all sides."""
+    """Return True if two constraints face each other, or three enclose the proxy from all sides."""
     one, two, three = active
     if two.body < 0.0:
         return False
@@ -138,13 +143,16 @@ def is_foot(constraint: Constraint, at: float, normal: Vec3) -> bool:
 
 @jit
 def is_support_point_of(active: ActiveSet, at: float, normal: Vec3) -> bool:
-    """Whether that place of the height map `at`, given by its normal, is one of the feet."""
+    """Return True if the point of the height map `at` with that normal already is in the active set."""
     return is_foot(active[0], at, normal) or is_foot(active[1], at, normal) or is_foot(active[2], at, normal)
 
 
 @jit
 def merge_support_points(active: ActiveSet) -> ActiveSet:
-    """The feet on one height map together: pushing along the sum of their pushes, by its length."""
+    """Merge the support points on one height map to one constraint.
+
+    The sum of their displacements, depth times normal, gives its direction and depth.
+    """
     one, two, three = active
     if three.body >= 0.0 and (three.body == one.body or three.body == two.body):
         if three.body == one.body:

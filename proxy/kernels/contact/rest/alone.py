@@ -1,4 +1,4 @@
-"""Where the proxy comes to rest on one object, held aside by friction or not."""
+"""Rest position of the proxy on one object, with or without a deflection by friction."""
 
 from typing import Any
 
@@ -14,14 +14,16 @@ from softfinger.proxy.kernels.shapes.any_shape import UP
 from softfinger.proxy.kernels.shapes.kernel_table import REST, SLOTS, Slot, called
 
 ROUNDS = 10
-"""Linearisations of curved surfaces at the proxy; each gains the digits that depth over radius of curvature allows."""
+"""Largest number of linearisations of a curved surface at the proxy. The digits that each of them gains depend on the
+ratio of depth to radius of curvature."""
 SLIDING_ROUNDS = 2
-"""The same for a proxy that slides, and on meshes and height maps: what is left is far below the slip of one tick, and
-the next tick takes it up. Short of the end the proxy is outside, not inside."""
+"""The same for a proxy that slides, and on meshes and height maps. The remaining error is far below the slip of a tick,
+and the next tick corrects it. A proxy that has not converged is outside, not inside."""
 SAME_SIDE = 0.5
-"""Cosine between two normals of one side of an object, one tick apart: a fingertip does not turn round it in a tick."""
+"""Smallest cosine between the normals of two ticks on the same side of an object: a fingertip does not move round it in
+one tick."""
 SETTLED = 1e-13
-"""Movement, as a share of the fingertip's radius, below which the proxy is at rest."""
+"""Motion, as a share of the fingertip's radius, below which the proxy is at rest."""
 
 
 NO_REST = (ZERO, ZERO, 0.0)
@@ -32,12 +34,12 @@ SLOTS[REST] = Slot(rest_on, (Pose(ZERO, UP), 0.0, ZERO, ZERO, ZERO, ZERO), NO_RE
 def settle_on_one(
     objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, ActiveSet, float]:
-    """Bring the proxy to rest on the object with that index, as if there were no other.
+    """Return the rest position of the proxy on object `index`, without regard to other objects.
 
-    center      (3,) m  where its roll has brought it
-    deflection  (3,) m  what friction keeps between proxy and probe, tangent
-    normal      (3,)    of the object there
-    returns             the proxy (3,) m, its constraint, and 1 if the search had to stop before its end
+    center      (3,) m  proxy after its roll
+    deflection  (3,) m  tangential, from the probe to the proxy, sustained by friction
+    normal      (3,)    of the object at `center`
+    returns             proxy (3,) m, its active set, and 1 if the search exhausted its budget, otherwise 0
     """
     body = object_at(objects, index)
     center, normal, bounded = rest_on(body.shape, body.pose, radius, probe, center, deflection, normal)
@@ -59,7 +61,7 @@ def rest_on_any(
 def rest_on_plane(
     shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
-    """Found from the probe alone, so that a tick does not wait for the last one's proxy."""
+    """Compute the rest position from the probe only, independent of the last proxy."""
     gap, _, normal = closest_on(shape, pose, probe)
     return vec3.add(probe, vec3.add_scaled(deflection, radius - gap, normal)), normal, 0.0
 
@@ -68,14 +70,14 @@ def rest_on_plane(
 def rest_on_curved(
     shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
-    """Project the probe onto the tangent plane, put that onto the surface, and again from there.
+    """Project the probe onto the tangent plane, that point onto the surface, and repeat from there.
 
-    In a hollow the probe itself is displaced, not its image in the tangent plane: the surface through the probe is the
-    flatter one there, and the foot from it is Newton's step. From the tangent plane a depth of more than the radius
-    that the centre moves on would lead away.
+    In a hollow the probe itself is displaced by the deflection, not its projection onto the tangent plane: the offset
+    surface through the probe is flatter there, and the nearest point from it is Newton's step. From the tangent plane,
+    a depth greater than the radius of the surface that the centre moves on would diverge.
 
-    Without a deflection the answer is the surface point nearest to the probe, unless that one is on another
-    side of the object: then the normal has jumped, and the proxy goes its way round.
+    Without a deflection the result is the surface point nearest to the probe, unless that is on another side of the
+    object. Then the normal has jumped, and the proxy moves round the object.
     """
     if deflection == (0.0, 0.0, 0.0):
         _, point, foot_normal = closest_on(shape, pose, probe)

@@ -1,4 +1,4 @@
-"""Where the proxy comes to rest among several objects, the triangles of a mesh among them, without friction."""
+"""Rest position of the proxy among several objects, including the triangles of a mesh, without friction."""
 
 from math import sqrt
 from typing import Any, NamedTuple
@@ -32,7 +32,6 @@ from softfinger.proxy.kernels.query.kinds import (
     WITH_HEIGHTMAP,
     WITH_MESH,
     any_creases,
-    any_mesh,
     any_multipoint,
     by_multipoint,
     has_creases_at,
@@ -51,12 +50,19 @@ from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, STRIDE
 
 ATTEMPTS, ATTEMPTS_ON_MANY = 4, 16
-"""Times that something found in the way is added to what holds the proxy, before it stays where it was for a tick."""
+"""Largest number of obstacles added to the active set in a tick, without and with meshes or height maps. If more are
+found, the proxy does not move in this tick."""
 
 
 class Rest(NamedTuple):
-    """Where the proxy (3,) m comes to rest and what holds it there; if it is `late`, a place on the way, or where it
-    was since nothing better was found to be outside. And what is left of the budget, below 0 where it was used up."""
+    """Rest position of the proxy.
+
+    center  (3,) m  the proxy
+    active          constraints that support it
+    late            True if it is not at rest: on the path to its rest position, or unmoved if no better point was found
+                    to be outside
+    budget          remaining budget, below 0 if it was exhausted
+    """
 
     center: Vec3
     active: ActiveSet
@@ -68,16 +74,16 @@ class Rest(NamedTuple):
 def settle_among_several(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
 ) -> Rest:
-    """Bring the proxy to rest among several objects, where it would be without friction.
+    """Return the rest position of the proxy among several objects, without friction.
 
-    start   (3,) m  where its way in this tick begins, for what may be met on it: see `first_hit`
-    center  (3,) m  where what holds it has carried it
-    active          what holds it, pushing
-    left            of the budget
+    start   (3,) m  start of its path in this tick, for the detection of obstacles: see `first_hit`
+    center  (3,) m  proxy, after the motion of the objects that support it
+    active          constraints that support it, with their depths
+    budget          remaining budget
 
-    Over meshes and height maps it goes no farther in a tick than crosses nothing that is thin. A probe that asks
-    for more, from deep inside, is followed a step at a time: the goal is shrunk, so that every step ends at rest.
-    So is one that finds no rest.
+    Over meshes and height maps, the motion in a tick is so short that the proxy cannot cross a thin part (`is_a_step`).
+    If a probe deep inside requires a longer one, the proxy follows in several ticks: the goal is moved closer, so that
+    every step ends at rest. The same applies if no rest position is found.
     """
     return settle_by_search(objects, radius, probe, start, center, active, budget)
 
@@ -86,7 +92,7 @@ def settle_among_several(
 def settle_by_search(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
 ) -> Any:
-    """`settle_among_several`: beside height maps step by step, beside meshes by supporting planes, else at once."""
+    """Settle the proxy: with height maps in short steps, with meshes by supporting planes, otherwise in one step."""
 
 
 @settle_by_search.of(SINGLE_POINT)
@@ -112,7 +118,7 @@ def settle_in_steps(
         goal = vec3.add(whole, displaced_by(held))
         if is_a_step(center, goal, radius):
             rest = settle_for(objects, radius, whole, start, center, held, budget)
-            if not is_a_step(center, rest.center, radius):  # it may be on the other side of something
+            if not is_a_step(center, rest.center, radius):  # it may have crossed a thin part
                 rest = Rest(center, active, True, rest.budget)
         if not rest.late:
             break
@@ -127,10 +133,11 @@ def settle_in_steps(
 
 @jit
 def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, budget: int) -> Rest:
-    """`settle_among_several` where there is a mesh: what held the proxy holds it still, or the facet beside that; where
-    that is not so, or would take it away from the probe, it goes from the anchor the careful way.
+    """Settle the proxy in a scene with a mesh.
 
-    What crosses the way in a tick needs no sweep: beside a mesh no step is longer than `is_a_step` allows.
+    The first attempt assumes that the last constraints, or the neighbours of their facets, still support the proxy. If
+    they do not, or if it would move away from the probe, it moves from the anchor by supporting planes, which is
+    slower. The path needs no sweep for obstacles: with a mesh, no step is longer than `is_a_step` allows.
     """
     there = vec3.add(probe, displaced_by(active))
     center, held, moved, budget = relaxed_to_rest(objects, radius, probe, there, active, ROUNDS, budget)
@@ -143,11 +150,11 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
             break
         held = one_constraint(beyond, held[0].normal, 0.0)
         center, held, moved, budget = relaxed_to_rest(objects, radius, probe, center, held, ROUNDS, budget)
-    if held[1].body < 0.0 and moved > SETTLED * radius:  # the last round may have led from an edge onto the face
+    if held[1].body < 0.0 and moved > SETTLED * radius:  # the last round may have moved from an edge onto the face
         center, held, moved, budget = relaxed_to_rest(objects, radius, probe, center, held, 1, budget)
     behind, before = vec3.sub(center, probe), vec3.sub(anchor, probe)
     nearer = vec3.dot(behind, behind) <= (1.0 + INSIDE) * vec3.dot(before, before) + (AT_REST * radius) ** 2
-    # Beyond its edge a facet's plane is tilted, and lifts the proxy by the square of that alone: no gap would tell.
+    # Beyond the edge of a facet its plane is tilted. The gap does not show that: it changes by the square of the tilt.
     if moved <= AT_REST * radius and on_nearest and nearer and is_a_step(anchor, center, radius):
         gap, _, budget = deepest(objects, center, radius, active_objects(held), budget)
         if gap >= radius * (1.0 - INSIDE):
@@ -161,7 +168,7 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
 
 @jit
 def facet_under(objects: Any, index: float, x: Vec3) -> float:
-    """Place of the facet nearest to `x` (3,) m, walked to over the edges from the one with that place."""
+    """Return the flat index of the facet nearest to `x` (3,) m, reached from facet `index` over at most EDGES edges."""
     for _ in range(EDGES):
         beyond = neighbour_on(objects, index, x)
         if beyond == index:
@@ -172,7 +179,7 @@ def facet_under(objects: Any, index: float, x: Vec3) -> float:
 
 @jit
 def over_edge(objects: Any, constraint: Constraint, center: Vec3, others: ActiveSet) -> Constraint:
-    """The constraint of the facet under a proxy at `center` (3,) m that has crossed the edge of its own."""
+    """Return the constraint of the facet under a proxy at `center` (3,) m, which may have crossed an edge."""
     body = constraint.body
     if body < 0.0 or not is_mesh_at(objects, body):
         return constraint
@@ -182,11 +189,18 @@ def over_edge(objects: Any, constraint: Constraint, center: Vec3, others: Active
     return Constraint(beyond, constraint.normal, constraint.depth)
 
 
-@jit
-def over_edges(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
-    """The constraints of the facets under a proxy at `center` (3,) m."""
-    if not any_mesh(objects):
-        return active
+@by_multipoint
+def over_edges(objects: Any, active: ActiveSet, center: Vec3) -> Any:
+    """Return the constraints of the facets under a proxy at `center` (3,) m, see `over_edge`."""
+
+
+@over_edges.of(SINGLE_POINT, WITH_HEIGHTMAP)
+def over_no_edges(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
+    return active
+
+
+@over_edges.of(WITH_MESH)
+def over_edges_of_facets(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
     one = over_edge(objects, active[0], center, active)
     two = over_edge(objects, active[1], center, (one, active[1], active[2]))
     return one, two, over_edge(objects, active[2], center, (one, two, active[2]))
@@ -196,8 +210,10 @@ def over_edges(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
 def slide_over_facets(
     objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, ActiveSet, bool]:
-    """`rest_on_curved` on a mesh, from one facet over its edges to the next; False if a proxy that nothing holds aside
-    has yet to come to rest."""
+    """Return `rest_on_curved` on a mesh, across the edges of facets.
+
+    The flag is False if a proxy without deflection is not yet at rest.
+    """
     rounds, square = SLIDING_ROUNDS, 0.0
     if deflection == (0.0, 0.0, 0.0):
         rounds, foot = ROUNDS, facet_under(objects, index, probe)
@@ -221,7 +237,7 @@ def slide_over_facets(
 
 @jit
 def is_a_step(start: Vec3, end: Vec3, radius: float) -> bool:
-    """Whether a fingertip that is outside at both crosses nothing thin between."""
+    """Return True if a fingertip outside at both positions cannot cross anything thin between them."""
     way = vec3.sub(end, start)
     return vec3.dot(way, way) <= (STRIDE * radius) ** 2
 
@@ -230,7 +246,7 @@ def is_a_step(start: Vec3, end: Vec3, radius: float) -> bool:
 def settle_for(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
 ) -> Rest:
-    """`settle_among_several` in one step, with what is `left` of the budget."""
+    """Settle the proxy in one step, with the remaining budget `left`; see `settle_among_several`."""
     wide = any_multipoint(objects)
     rounds = SLIDING_ROUNDS if wide else ROUNDS
     before, active_before = center, active
@@ -241,14 +257,14 @@ def settle_for(
             break
         _, point, normal, left = closest_to_within(objects, hit, stop, left)
         if count_of(active) == 3:
-            # Three constraints already: stop short of the fourth, and let the next tick sort it out.
+            # Already three constraints: stop at the fourth, and continue in the next tick.
             goal = stop
             break
         active = with_another(active, hit, normal)
         goal, active, left = relaxed(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, left)
     center = goal
     if not wide:
-        # The next of two flush objects holds it from the start: alone the last one would let it fall round its edge.
+        # The second of two flush objects is active from the start: else the proxy would fall off at the first's edge.
         near = deepest(objects, goal, radius * (1.0 + INSIDE), active_objects(active), left)
         active, left = with_touched(objects, radius, goal, active, near)
     found, lift, budget = False, 0.0, left
@@ -273,7 +289,7 @@ def settle_for(
                 active = with_another(active, at, normal)
     late = not found
     if not found:
-        # Pinched only where objects have closed in on the proxy; elsewhere it stays, and the next tick sorts it out.
+        # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
         gap, _, left = deepest(objects, before, radius, active_objects(active_before), left)
         late = gap >= radius * (1.0 - INSIDE) or left < 0 or not leaves_no_room(active)
         if late:
@@ -286,9 +302,9 @@ def settle_for(
 
 @jit
 def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: ActiveSet) -> tuple[Vec3, ActiveSet]:
-    """The proxy's goal (3,) m, and what holds it, after a way over the edge of the facet that holds it alone.
+    """Move the goal (3,) m of a proxy on a single facet across its edge, and return goal and active set.
 
-    What is beside the facet is nearer at hand than what a search of the whole mesh finds, which then only agrees.
+    A test of the neighbours is cheaper than a search of the mesh, which then only confirms the result.
     """
     for _ in range(EDGES):
         if active[1].body >= 0.0:
@@ -305,7 +321,7 @@ def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Acti
 def relax(
     objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int
 ) -> tuple[Vec3, ActiveSet]:
-    """`relaxed` for a place that is known to need little of the budget."""
+    """Return `relaxed` without the budget, if it is known to need little of it."""
     center, active, _ = relaxed(objects, radius, base, center, active, rounds, BUDGET)
     return center, active
 
@@ -314,12 +330,12 @@ def relax(
 def relaxed(
     objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
 ) -> tuple[Vec3, ActiveSet, int]:
-    """Nearest point to `base` behind the tangent planes of all holding objects, again and again at the new point. And
-    what is left of the budget.
+    """Return the point nearest to `base` in front of the tangent planes of all active objects, active set, and budget.
 
-    In a pinch the point between them; see `solve_half_spaces`. In a hollow the probe itself is displaced by what else
-    holds the proxy, as in `rest_on_curved`: from the tangent plane a depth of more than the radius that the centre
-    moves on would lead away.
+    Each round computes the tangent planes at the last point. For a pinched proxy the point is between the planes, see
+    `solve_half_spaces`. In a hollow, the plane is computed at the probe, displaced by the other constraints, as in
+    `rest_on_curved`: from the tangent plane, a depth greater than the radius of the surface that the centre moves on
+    would diverge.
     """
     center, active, _, budget = relaxed_to_rest(objects, radius, base, center, active, rounds, budget)
     return center, active, budget
@@ -327,8 +343,10 @@ def relaxed(
 
 @jit
 def seen_from(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec3, q: float, m: Vec3) -> Vec3:
-    """Where (3,) m the tangent plane of an object is sought: at the proxy, or of a hollow at the probe, displaced by p
-    along n and q along m."""
+    """Return the point (3,) m at which the tangent plane of an object is computed.
+
+    This is the proxy or, for a hollow, the probe displaced by p along n and q along m.
+    """
     return vec3.add_scaled(vec3.add_scaled(base, p, n), q, m) if inside else center
 
 
@@ -336,7 +354,7 @@ def seen_from(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec3, q: floa
 def relaxed_to_rest(
     objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
 ) -> tuple[Vec3, ActiveSet, float, int]:
-    """`relaxed`, and how far, m, the last round moved the proxy."""
+    """Return `relaxed`, and the distance, m, that the proxy moved in the last round."""
     square = 1e300
     near = (SETTLED * radius) ** 2
     one, two, three = active
@@ -364,7 +382,7 @@ def relaxed_to_rest(
             at = seen_from(inside3, center, base, p1, n1, p2, n2)
             point, n3, budget = constraint_of(objects, three.body, at, radius, n3, budget)
             b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
-        if hollow and turn == 0 and rounds > 1:  # what each alone would displace the probe by is near enough to begin
+        if hollow and turn == 0 and rounds > 1:  # displacements by single constraints are a good start
             p1 = max(b1, 0.0)
             p2 = 0.0 if two.body < 0.0 else max(b2, 0.0)
             p3 = 0.0 if three.body < 0.0 else max(b3, 0.0)
@@ -388,10 +406,11 @@ def relaxed_to_rest(
 
 @jit
 def drawn_after(objects: Any, active: ActiveSet, behind: Vec3) -> Vec3:
-    """Force (3,) N beside what the constraints bear, on a probe whose proxy is late and `behind` (3,) m away from it.
+    """Return the additional force (3,) N on a probe with a late proxy at `behind` (3,) m from it.
 
-    Planes that hold the proxy change as it goes its way round; its distance from the probe does not jump, and so does
-    the force of a spring between the two.
+    The sum of this and the loads of the constraints is the force of a spring between probe and proxy. The constraints
+    change while the proxy moves to its rest position, but its distance from the probe does not jump, nor does the
+    spring's force.
     """
     distance, (one, two, three) = vec3.norm(behind), loads_of(objects, active)
     pull = 0.0

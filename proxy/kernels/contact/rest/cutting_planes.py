@@ -1,9 +1,9 @@
-"""Where the proxy comes to rest among the facets of meshes, by supporting planes.
+"""Rest position of the proxy among the facets of meshes, by supporting planes.
 
-A facet, grown by the fingertip's radius r, is convex. A supporting plane of it has the whole facet on one side, so
+A facet, enlarged by the fingertip's radius r, is convex and entirely on one side of each of its supporting planes. So
 every point on the other side, in front, is at least r away from the facet. The anchor is the last place of the proxy
 that is known to be outside. The half-spaces in front of several supporting planes, each of which contains the anchor,
-intersect in a convex region that is outside of all these facets. A step goes to the point of that region nearest to
+intersect in a convex region that is outside of all these facets. A step moves to the point of that region nearest to
 the probe. If the search of the mesh finds another facet there, the plane of that facet is added and the point is
 computed again. The step ends outside and crosses nothing; the next step starts there, with new planes.
 
@@ -24,26 +24,28 @@ from softfinger.proxy.kernels.query.objects import closest_to_within, constraint
 from softfinger.proxy.kernels.shapes.budget import BUDGET, SPENT, STRIDE
 
 ADDED = 24
-"""Facets found in the way of one step, at most."""
+"""Largest number of obstructing facets added in a step."""
 STEPS = 4
-"""Steps, each verified by a search of the mesh, that the proxy goes in a tick."""
+"""Largest number of steps of the proxy in a tick; a search of the mesh verifies each."""
 SOON, NEARLY = 3, 1e-4
-"""Facets found in the way after which, or after a part of the budget, and depth, as a share of the radius, below which
-a proxy among many that are about as near is lifted off those that hold it: each of them would be in the way in turn."""
+"""Condition for lifting the proxy off its planes: SOON obstructing facets, or a part of the budget, have been used, and
+the depth in the next is below NEARLY, as a share of the radius. Otherwise each of many facets at about the same
+distance would obstruct the proxy, one after the other."""
 HALVINGS = 6
-"""Times that a step is halved which ends inside."""
+"""Largest number of halvings of a step that ends inside."""
 TOUCHES = 1e-3
-"""Distance, as a share of the radius, from a facet whose plane is taken from the start. Any plane may be."""
+"""Distance from a facet, as a share of the radius, up to which its plane is used from the start. Any supporting plane
+is valid."""
 AT_REST = 1e-6
-"""Step, as a share of the radius, below which the proxy has come to rest: it turns a normal by as much."""
+"""Step, as a share of the radius, below which the proxy is at rest: it rotates a normal by this value in rad."""
 EDGES = 3
-"""Edges that a fingertip goes over in a tick before all of the mesh is asked."""
+"""Largest number of edges that a fingertip crosses in a tick before the mesh is searched."""
 MISSED = 1e-9
-"""Share of the radius by which three planes may miss a fourth and still satisfy it: the solve is rounded."""
+"""Violation of a fourth plane by the solution of three, as a share of the radius, that counts as rounding."""
 
 
 class Plane(NamedTuple):
-    """n . x >= offset (m) for a centre x that is outside of the object with that place; -1 for none."""
+    """Supporting plane of the object with flat index `body`, -1 for none: n . x >= offset (m) for x outside."""
 
     body: float
     normal: Vec3
@@ -54,7 +56,11 @@ NO_PLANE = Plane(NONE, (0.0, 0.0, 1.0), 0.0)
 
 
 class Planes(NamedTuple):
-    """Up to three of them, the first ones filled, and the point nearest to the probe in front of all."""
+    """Up to three planes, unused ones last, and their solution.
+
+    center  (3,) m  point nearest to the probe in front of all planes
+    push         m  depth of each constraint
+    """
 
     one: Plane
     two: Plane
@@ -64,8 +70,13 @@ class Planes(NamedTuple):
 
 
 class Stand(NamedTuple):
-    """Where the proxy (3,) m is after some steps, what holds it there, whether it has yet to come to rest, and what is
-    left of the budget."""
+    """State of the proxy after some steps.
+
+    center  (3,) m  the proxy
+    active          constraints that support it
+    late            True if it is not yet at rest
+    budget          remaining budget
+    """
 
     center: Vec3
     active: ActiveSet
@@ -75,8 +86,11 @@ class Stand(NamedTuple):
 
 @jit
 def supporting_plane(objects: Any, index: float, radius: float, anchor: Vec3, x: Vec3) -> Plane:
-    """The tangent plane of an object, a radius away, nearest to `x` (3,) m if the anchor is in front of it; else that
-    nearest to the anchor, which is. The object is a triangle or of a shape without a search: nothing is counted."""
+    """Return the supporting plane of an object at the point nearest to `x` (3,) m, if the anchor is in front of it.
+
+    Otherwise return the plane at the point nearest to the anchor, which always is in front of that. The object is a
+    triangle or has a shape without a search, so no budget is counted.
+    """
     _, point, normal, _ = closest_to_within(objects, index, x, BUDGET)
     normal = towards(objects, index, normal, vec3.sub(anchor, point))
     if vec3.dot(normal, vec3.sub(anchor, point)) < radius * (1.0 - INSIDE) and x != anchor:
@@ -87,7 +101,7 @@ def supporting_plane(objects: Any, index: float, radius: float, anchor: Vec3, x:
 
 @jit
 def towards(objects: Any, index: float, normal: Vec3, apart: Vec3) -> Vec3:
-    """The normal of a facet on the side of `apart` (3,): its other side is another wall's affair."""
+    """Return the normal of a facet towards `apart` (3,): the two sides of a facet are independent walls."""
     if vec3.dot(normal, apart) < 0.0 and is_mesh_at(objects, index):
         return vec3.scale(-1.0, normal)
     return normal
@@ -95,7 +109,7 @@ def towards(objects: Any, index: float, normal: Vec3, apart: Vec3) -> Vec3:
 
 @jit
 def solved(planes: Planes, probe: Vec3, lift: float) -> Planes:
-    """With the point nearest to the probe in front of all by `lift` (m), and what pushes it there."""
+    """Return the planes with their solution: the point nearest to the probe that is in front of all by `lift` m."""
     one, two, three = planes.one, planes.two, planes.three
     if one.body < 0.0:
         return Planes(one, two, three, probe, Depths(0.0, 0.0, 0.0))
@@ -115,13 +129,16 @@ def solved(planes: Planes, probe: Vec3, lift: float) -> Planes:
 
 @jit
 def missed(plane: Plane, x: Vec3) -> float:
-    """How far (m) `x` is behind a plane."""
+    """Return the distance (m) of `x` behind a plane, negative in front."""
     return plane.offset - vec3.dot(plane.normal, x)
 
 
 @outlined
 def with_plane(planes: Planes, plane: Plane, radius: float, probe: Vec3, lift: float) -> Planes:
-    """With another plane, solved. Of four, that one is dropped which the other three satisfy without it."""
+    """Add a plane and solve.
+
+    Of four planes, an old one is dropped: the one that the solution of the other three satisfies, or violates least.
+    """
     one, two, three = planes.one, planes.two, planes.three
     nowhere, nothing = probe, Depths(0.0, 0.0, 0.0)
     if one.body < 0.0:
@@ -148,7 +165,7 @@ def with_plane(planes: Planes, plane: Plane, radius: float, probe: Vec3, lift: f
 
 @outlined
 def touching_plane(objects: Any, index: float, radius: float, anchor: Vec3) -> Plane:
-    """The plane at the anchor of an object that it touches, or of what is beside it there; none where neither is."""
+    """Return the plane, at the anchor, of an object or its neighbour there; NO_PLANE if the proxy does not touch it."""
     for _ in range(EDGES):
         beyond = neighbour_on(objects, index, anchor)
         if beyond == index:
@@ -160,7 +177,7 @@ def touching_plane(objects: Any, index: float, radius: float, anchor: Vec3) -> P
 
 @jit
 def planes_at(objects: Any, radius: float, anchor: Vec3, active: Vec3) -> Planes:
-    """The planes, unsolved, of those objects that touch a proxy at the anchor, of three places."""
+    """Return the planes, not solved, of the objects that touch a proxy at the anchor; `active` are flat indices."""
     one = NO_PLANE if active[0] < 0.0 else touching_plane(objects, active[0], radius, anchor)
     two = NO_PLANE if active[1] < 0.0 else touching_plane(objects, active[1], radius, anchor)
     three = NO_PLANE if active[2] < 0.0 else touching_plane(objects, active[2], radius, anchor)
@@ -182,7 +199,7 @@ def bodies_of(planes: Planes) -> Vec3:
 
 @jit
 def constraints_of(planes: Planes) -> ActiveSet:
-    """What holds the proxy, as the contact sees it."""
+    """Return the solved planes as an active set."""
     one, two, three, push = planes.one, planes.two, planes.three, planes.push
     n1 = one.normal
     n2 = two.normal if two.body >= 0.0 else n1
@@ -196,7 +213,7 @@ def constraints_of(planes: Planes) -> ActiveSet:
 
 @jit
 def touches(objects: Any, constraint: Constraint, radius: float, center: Vec3) -> bool:
-    """Whether an object that pushes a proxy touches it there."""
+    """Return True if the object of a loaded constraint touches the proxy."""
     if constraint.body < 0.0 or constraint.depth <= 0.0:
         return True
     _, point, _, _ = closest_to_within(objects, constraint.body, center, BUDGET)
@@ -205,7 +222,7 @@ def touches(objects: Any, constraint: Constraint, radius: float, center: Vec3) -
 
 @jit
 def touches_all(objects: Any, active: ActiveSet, radius: float, center: Vec3) -> bool:
-    """Whether all that push a proxy touch it there."""
+    """Return True if the objects of all loaded constraints touch the proxy."""
     return (
         touches(objects, active[0], radius, center)
         and touches(objects, active[1], radius, center)
@@ -217,14 +234,14 @@ def touches_all(objects: Any, active: ActiveSet, radius: float, center: Vec3) ->
 def step_towards(
     objects: Any, radius: float, probe: Vec3, anchor: Vec3, planes: Planes, nearest: bool, budget: int
 ) -> Stand:
-    """One step from the anchor to the place nearest to the probe that its planes allow, no longer than crosses nothing.
+    """Move from the anchor to the point nearest to the probe that the planes allow, by a step that cannot cross a wall.
 
-    nearest  whether a facet in the way may be kept off by the plane nearest to where it is in the way. That is exact on
-             what is flat; round a convex edge only the planes nearest to the anchor leave it all the way there is
+    nearest  True to add the plane of an obstructing facet nearest to the obstructed point, which is exact on flat
+             surfaces; False for that nearest to the anchor: round a convex edge, only this allows the full path
     """
     planes = solved(planes, probe, 0.0)
     center, found, clipped, lift, begun = anchor, False, False, 0.0, budget
-    kept = budget // 4  # for the halves of a step
+    kept = budget // 4  # reserve for the halvings
     budget -= kept
     for added in range(ADDED):
         center = planes.center
@@ -257,7 +274,8 @@ def step_towards(
     budget = max(budget, 0) + kept
     if found:
         return Stand(center, active, clipped, budget)
-    # Too many are about as near. Every place on the way to the last one found is nearer to the probe than the anchor.
+    # Too many facets at about the same distance. Every point on the path to the last centre is closer to the probe
+    # than the anchor.
     way = vec3.sub(center, anchor)
     for _ in range(HALVINGS):
         if budget < 0:
@@ -266,7 +284,7 @@ def step_towards(
         gap, _, budget = deepest(objects, vec3.add(anchor, way), radius, bodies_of(planes), budget)
         if gap >= radius * (1.0 - INSIDE):
             return Stand(vec3.add(anchor, way), active, True, SPENT if late else budget)
-    # Pinched only where objects have closed in on the proxy; elsewhere it stays, and the next tick sorts it out.
+    # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
     gap, _, budget = deepest(objects, anchor, radius, bodies_of(planes), budget)
     if budget < 0 or gap >= radius * (1.0 - INSIDE) or not leaves_no_room(active):
         return Stand(anchor, active, True, SPENT if late else budget)
@@ -275,8 +293,7 @@ def step_towards(
 
 @outlined
 def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, budget: int) -> Stand:
-    """Bring a proxy from the anchor, where it is outside, to rest, in steps that are each outside and nearer to the
-    probe."""
+    """Move the proxy from the anchor, where it is outside, to rest. Each step ends outside and closer to the probe."""
     stand, nearest = Stand(anchor, active, True, budget), True
     for _ in range(STEPS):
         planes = planes_at(objects, radius, stand.center, active_objects(stand.active))
@@ -293,7 +310,7 @@ def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
 
 @jit
 def plane_at(objects: Any, constraint: Constraint, radius: float, center: Vec3) -> Plane:
-    """The plane in which an object holds a proxy at `center` (3,) m, or none."""
+    """Return the tangent plane of the object of a constraint for a proxy at `center` (3,) m, or NO_PLANE."""
     if constraint.body < 0.0:
         return NO_PLANE
     point, normal, _ = constraint_of(objects, constraint.body, center, radius, constraint.normal, BUDGET)
@@ -301,9 +318,13 @@ def plane_at(objects: Any, constraint: Constraint, radius: float, center: Vec3) 
 
 
 @jit
-def pushed_at(objects: Any, radius: float, probe: Vec3, center: Vec3, active: ActiveSet) -> ActiveSet:
-    """How much each constraint of a proxy at `center` (3,) m pushes a probe; each has the plane that it has there."""
+def pushed_at(objects: Any, radius: float, probe: Vec3, center: Vec3, active: ActiveSet) -> tuple[ActiveSet, Vec3]:
+    """Solve for a probe the tangent planes that the active objects have at a proxy at `center` (3,) m.
+
+    Returns the active set with its new depths, and the point (3,) m nearest to the probe in front of these planes.
+    """
     one = plane_at(objects, active[0], radius, center)
     two = plane_at(objects, active[1], radius, center)
     three = plane_at(objects, active[2], radius, center)
-    return constraints_of(solved(Planes(one, two, three, center, Depths(0.0, 0.0, 0.0)), probe, 0.0))
+    planes = solved(Planes(one, two, three, center, Depths(0.0, 0.0, 0.0)), probe, 0.0)
+    return constraints_of(planes), planes.center

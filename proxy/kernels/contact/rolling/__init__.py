@@ -1,23 +1,22 @@
-"""One rolling step: where the contact goes when the fingertip turns without slipping.
+"""Rolling: motion of the contact when the fingertip rotates without slip.
 
     roll(method, shape, radius, center, normal, turn) -> Roll
 
-Without slip the fingertip's centre c moves on the surface at distance r from the object, its offset
-surface, by
+Without slip the fingertip's centre c moves on the offset surface, at the distance r from the object, by
 
     dc/dt = r w x n(c)
 
-with w the angular velocity of the fingertip against the object. This is Montana's equation without
-coordinates, and it is regular wherever the object has a nearest point, on edges and corners too: there
-the contact point stands still while n turns. The methods differ in how they get from the rotation of
-one tick to the end of this path:
+with w the angular velocity of the fingertip relative to the object. This is Montana's equation without coordinates. It
+is regular wherever the object has a nearest point, including edges and corners, where the contact point is constant
+while n rotates. The methods compute the end of this path from the rotation of one tick in different ways:
 
-    euler         euler_zxz and euler_zyx: one straight roll, read off the rotation's Euler angles
-    closed        rotation_vector: the exact path for a constant w, on shapes that have one
+    euler         euler_zxz and euler_zyx: one straight roll, from the Euler angles of the rotation
+    closed        rotation_vector: exact path for a constant w, on shapes with a closed form
     pieces        the same on shapes made of several surfaces
-    integrated    midpoint, montana_rk4, montana_rk45: numerically, for a constant w, on any shape
+    integrated    midpoint, montana_rk4, montana_rk45: numerical integration for a constant w, on any shape
 
-All end with the centre put back onto the offset surface, so no method drifts off the object.
+All methods project the centre onto the offset surface at the end, so none drifts off the object. `on_objects` calls
+them for an object in the world.
 """
 
 from softfinger.proxy.kernels.contact.rolling import closed, euler, integrated, pieces

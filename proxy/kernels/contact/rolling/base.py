@@ -1,4 +1,4 @@
-"""What all rolling methods share: their signature, their result, and standing still."""
+"""Signature and result of all rolling methods, the method None, and the dependence on the form of the fingertip."""
 
 from typing import Any, NamedTuple
 
@@ -11,21 +11,21 @@ from softfinger.proxy.kernels.shapes.minkowski import support_vector
 
 
 class OffsetPoint(NamedTuple):
-    """A point of the object's offset surface: where the fingertip's centre (3,) m is, and the unit normal under it."""
+    """Point of the object's offset surface: the fingertip's centre (3,) m, and the unit normal of the object there."""
 
     center: Vec3
     normal: Vec3
 
 
 class Roll(NamedTuple):
-    """A rolling step, in the object's frame.
+    """Result of a rolling step, in the object's frame.
 
     center   (3,)  m    fingertip centre, at the distance r from the object
-    normal   (3,)  1    unit normal under it
-    motion   (3,)  m    how far the centre rolled: its path unrolled into the tangent plane at its end
+    normal   (3,)  1    unit normal of the object there
+    motion   (3,)  m    path of the centre, unrolled into the tangent plane at its end
     theta          rad  roll angle; of a ball |motion| / r
     spin           rad  rotation about the normal along the path
-    whole               False where the budget was used up on the way: then nothing but the angles counts
+    whole               False if the budget was exhausted before the end of the path: only the angles are valid
     """
 
     center: Vec3
@@ -38,59 +38,62 @@ class Roll(NamedTuple):
 
 @by_type
 def roll(method: Any, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Any:
-    """One rolling step.
+    """Compute one rolling step.
 
-    shape                the object, in whose frame everything is
+    shape                object; all vectors are in its frame
     radius          m    of the fingertip, r
     center  (3,)    m    fingertip centre before the step
-    normal  (3,)    1    unit normal under it
-    turn    (4,)    1    rotation of the fingertip against the object since the last tick, w >= 0
+    normal  (3,)    1    unit normal of the object there
+    turn    (4,)    1    rotation of the fingertip relative to the object since the last tick, w >= 0
     returns              Roll
     """
 
 
 @jit
 def land(shape: Any, radius: float, center: Vec3) -> tuple[Vec3, Vec3]:
-    """The point of the offset surface nearest to `center`, and the unit normal there."""
+    """Return the point of the offset surface nearest to `center` (3,) m, and the unit normal there."""
     _, point, normal = closest(shape, center)
     return vec3.add_scaled(point, radius, normal), normal
 
 
 @jit
 def land_from(shape: Any, radius: float, start: Vec3, up: Vec3, center: Vec3) -> tuple[Vec3, Vec3]:
-    """The same after a roll from `start` (3,) m, with the normal `up` (3,) there."""
+    """Return `land` after a roll from the centre `start` (3,) m, where the normal is `up` (3,)."""
     _, point, normal, _ = closest_from(shape, center, vec3.add_scaled(start, -radius, up), BUDGET_OF_A_ROLL)
     return vec3.add_scaled(point, radius, normal), normal
 
 
 @roll.of(None)
 def no_roll(method: None, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
-    """The contact stays; it is only put back onto the surface, so that rounding does not add up."""
+    """Project the unmoved contact onto the surface, so that rounding does not accumulate."""
     center, new_normal = land_from(shape, radius, center, normal, center)
     return Roll(center, new_normal, (0.0, 0.0, 0.0), 0.0, rotations.twist(turn, normal), True)
 
 
-# --- what of it depends on the fingertip's form: that of an ellipsoid is in the shape that it sees ------------------
+# --- dependence on the form of the fingertip: an ellipsoid is part of the shape, a MinkowskiSum ---------------------
 
 
 @by_type
 def earlier(shape: Any, w: Vec3, left: float) -> Any:
-    """The shape as it is seen while the share `left` of the tick's rotation vector `w` (3,) rad is still to come."""
+    """Return the shape at the time when the fraction `left` of the tick's rotation vector `w` (3,) rad remains."""
 
 
 @by_type
 def center_velocity(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Any:
-    """Velocity (3,) of the fingertip's centre while it rolls without slip at the angular velocity `w`: w x arm."""
+    """Return the velocity (3,) of the fingertip's centre in rolling without slip with the angular velocity `w`.
+
+    It is w x arm, with the arm from the contact point to the centre.
+    """
 
 
 @by_type
 def surface_part(shape: Any, way: Vec3, normal: Vec3) -> Any:
-    """Length of a way (3,) of the centre along the surface."""
+    """Return the length along the surface of a displacement (3,) m of the centre."""
 
 
 @by_type
 def roll_angle(shape: Any, radius: float, motion: Vec3, tilted: float) -> Any:
-    """Roll, rad, of a step that rolled by `motion` (3,) m, and whose mean of |w x n| is `tilted` rad."""
+    """Return the roll angle, rad, of a step with that `motion` (3,) m and `tilted`, the mean of |w x n|, rad."""
 
 
 @earlier.otherwise
@@ -121,7 +124,7 @@ def turned_less(shape: MinkowskiSum, w: Vec3, left: float) -> MinkowskiSum:
 
 @center_velocity.of(MinkowskiSum)
 def center_velocity_of_ellipsoid(shape: MinkowskiSum, radius: float, w: Vec3, normal: Vec3) -> Vec3:
-    """Not along the surface alone: the centre rises and falls."""
+    """Return the velocity, which has a component along the normal, too: the centre rises and falls."""
     return vec3.cross(w, support_vector(shape.semi_axes, shape.orientation, normal))
 
 

@@ -1,10 +1,10 @@
-"""Rolling in closed form: the exact path for a constant angular velocity within the tick.
+"""Rolling in closed form: exact path for a constant angular velocity within the tick.
 
-    unroll(shape, radius, center, normal, w) -> Roll            w: the tick's rotation vector
+    unroll(shape, radius, center, normal, w) -> Roll            w: rotation vector of the tick
 
-On all these surfaces the normal turns at a constant rate k times a part of w, where k = r / (r + R) is
-the share of the turning that the normal takes: 0 on a plane, 1 on an edge or a corner (R = 0), negative
-inside a hollow (R = -R_hollow). What else is needed are integrals of sines over the tick.
+On all these surfaces the normal rotates at a constant rate, k times w or a component of it. The turning share
+k = r / (r + R) is 0 on a plane, 1 on an edge or a corner (R = 0), and negative inside a hollow (R = -R_hollow). Motion
+and spin are integrals of sines over the tick.
 """
 
 from math import sin
@@ -21,13 +21,13 @@ from softfinger.proxy.kernels.shapes.kernel_table import SLOTS, UNROLL, Slot, ca
 
 @jit
 def turning_share(radius: float, distance: float) -> float:
-    """k = r / (r + R), `distance` being r + R; 0 where the fingertip fills a hollow and cannot roll."""
+    """Return k = r / (r + R) for `distance` = r + R; 0 if the fingertip fills a hollow and cannot roll."""
     return radius / distance if distance != 0.0 else 0.0
 
 
 @jit
 def turn_about(axis: Vec3, angle: float, v: Vec3) -> Vec3:
-    """`v` turned about the unit vector `axis`."""
+    """Rotate `v` by `angle` rad about the unit vector `axis`."""
     across = vec3.cross(axis, v)
     s = sin(0.5 * angle)
     return vec3.add_scaled(vec3.add_scaled(v, sin(angle), across), 2.0 * s * s, vec3.cross(axis, across))
@@ -35,10 +35,10 @@ def turn_about(axis: Vec3, angle: float, v: Vec3) -> Vec3:
 
 @jit
 def over_sphere(radius: float, share: float, normal: Vec3, w: Vec3) -> tuple[Vec3, Vec3, float]:
-    """Normal (3,), motion (3,) m and spin (rad) after rolling by `w` over a sphere.
+    """Return normal (3,), motion (3,) m and spin (rad) after rolling by `w` over a sphere.
 
-    n <- exp(k w) n, so w . n stays. The centre runs along a small circle; unrolled into the tangent
-    plane it is an arc that turns by k w . n, whose chord is the motion.
+    n <- exp(k w) n, so w . n is constant. The centre moves on a small circle. Unrolled into the tangent plane, it is an
+    arc that turns by k w . n; its chord is the motion.
     """
     spin = vec3.dot(w, normal)
     end = rotations.rotate(rotations.exp(vec3.scale(share, w)), normal)
@@ -50,11 +50,11 @@ def over_sphere(radius: float, share: float, normal: Vec3, w: Vec3) -> tuple[Vec
 
 @jit
 def over_cylinder(radius: float, share: float, axis: Vec3, normal: Vec3, w: Vec3) -> tuple[Vec3, Vec3, float]:
-    """Normal (3,), motion (3,) m and spin (rad) after rolling by `w` over a cylinder with the unit vector `axis`.
+    """Return normal (3,), motion (3,) m and spin (rad) after rolling by `w` over a cylinder; `axis` is a unit vector.
 
-    The normal turns about the axis by k w . axis, evenly. Travel along the axis and spin are the
-    integrals of r (n x axis) . w and n . w over that turn: the values half way, times sin(h) / h with h
-    half the angle. The cylinder unrolls flat, so the motion is the two travels.
+    The normal rotates about the axis by k w . axis at a constant rate. Travel along the axis and spin are the integrals
+    of r (n x axis) . w and n . w over that rotation: their values at half the angle, times sin(h) / h with h half the
+    angle. The cylinder unrolls into a plane, so the motion is the sum of the travels round and along the axis.
     """
     around = vec3.dot(w, axis)
     half = 0.5 * share * around
@@ -69,7 +69,7 @@ def over_cylinder(radius: float, share: float, axis: Vec3, normal: Vec3, w: Vec3
 def roll_rotation_vector(
     method: RotationVector, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion
 ) -> Roll:
-    """The path for a constant rate between the two poses, exact to rounding; only for shapes that have `unroll`."""
+    """Roll by a constant angular velocity between the two poses, exact to rounding; for shapes with `unroll`."""
     return unroll(shape, radius, center, normal, rotations.log(turn))
 
 

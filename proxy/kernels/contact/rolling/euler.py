@@ -1,9 +1,9 @@
-"""Rolling by the Euler angles of the step's rotation, read in the contact frame: the paper's way.
+"""Rolling by the Euler angles of the tick's rotation in the contact frame, as in the paper.
 
-Both readings of the paper turn the rotation of a tick into one roll about an axis e of the tangent
-plane, by an angle, and a spin about the normal. The centre then goes straight ahead along e x n: on
-the offset surface's normal section, taken as the circle that has its curvature. So a rotation without
-spin is exact on planes, on spheres and across edges; with spin the paths stray, see docs/model/rolling.md.
+The paper can be read in two ways. Both convert the rotation of a tick to one roll about an axis e in the tangent plane,
+and a spin about the normal. The centre then moves straight ahead along e x n: on the normal section of the offset
+surface, approximated by the circle of the same curvature. So a rotation without spin is exact on planes, on spheres and
+across edges. With spin the path deviates, see docs/model/rolling.md.
 
 Source: Salvietti, Malvezzi, Prattichizzo (2013), Algorithm 1 and eqs. 2-7.
 """
@@ -31,7 +31,7 @@ def any_ahead(shape: AnyShape, radius: float, center: Vec3, normal: Vec3, along:
 
 @ahead.otherwise
 def round_ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, along: Vec3, length: float) -> Vec3:
-    """Along the circle that the normal section has there; k = k_1 cos^2 + k_2 sin^2 (Euler's formula)."""
+    """Move along the osculating circle of the normal section; k = k_1 cos^2 + k_2 sin^2 (Euler's formula)."""
     k1, k2, d1 = curvature(shape, radius, vec3.add_scaled(center, -radius, normal), normal)
     c, s = vec3.dot(along, d1), vec3.dot(along, vec3.cross(normal, d1))
     half = 0.5 * (k1 * c * c + k2 * s * s) * length
@@ -44,7 +44,7 @@ def round_ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, along: Ve
 def roll_about(
     shape: Any, radius: float, center: Vec3, normal: Vec3, axis: Vec3, theta: float, spin: float
 ) -> Roll:  # fmt: skip
-    """The step that rolls by `theta` about the unit tangent `axis`, zero where there is no roll."""
+    """Roll by `theta` rad about the unit tangent `axis`, which is zero if there is no roll."""
     along, length = vec3.cross(axis, normal), radius * theta
     moved = ahead(shape, radius, center, normal, along, length)
     center, new_normal = land_from(shape, radius, center, normal, moved)
@@ -54,10 +54,10 @@ def roll_about(
 
 @roll.of(EulerZxz)
 def roll_euler_zxz(method: EulerZxz, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
-    """Tilt theta about the heading half way through the step; spin phi + psi.
+    """Roll by the tilt theta about the heading at the middle of the step, with the spin phi + psi.
 
-    Differs from the paper's eq. 2 in the heading: its eqs. 5-7 give the angles of ZXZ, whose axis half
-    way through the step is (phi - psi) / 2, which is where the vector part of the quaternion points.
+    Differs from the paper's eq. 2 in the heading: its eqs. 5-7 give the angles of ZXZ, with the heading (phi - psi) / 2
+    at the middle of the step, which is the direction of the quaternion's vector part.
     """
     theta, axis = rotations.tilt(turn, normal)
     return roll_about(shape, radius, center, normal, axis, theta, rotations.twist(turn, normal))
@@ -65,10 +65,10 @@ def roll_euler_zxz(method: EulerZxz, shape: Any, radius: float, center: Vec3, no
 
 @roll.of(EulerZyx)
 def roll_euler_zyx(method: EulerZyx, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
-    """Roll by (delta psi, delta theta), spin delta phi: eqs. 2 and 3 with roll, pitch and yaw, as the text says.
+    """Roll by (delta psi, delta theta), with the spin delta phi: eqs. 2 and 3 with roll, pitch and yaw, as in the text.
 
-    The result depends on the tangent axes x, y (`rotations.tangent_frame`) in the second order of the
-    rotation, as roll, pitch and yaw do; it is here to be compared with.
+    Like roll, pitch and yaw, the result depends on the tangent axes x, y (`rotations.tangent_frame`) in the second
+    order of the rotation. This method is for comparison.
     """
     x, y = rotations.tangent_frame(normal)
     v = (turn[1], turn[2], turn[3])

@@ -1,7 +1,7 @@
 """Rolling by numerical integration of dc/dt = r w x n(c), w constant over the tick, on any shape.
 
-n(c) is the normal at the object's point nearest to c: defined off the offset surface too, where the
-stages of a step lie. Needs no curvature: that is in how n turns as c moves.
+n(c) is the normal at the point of the object nearest to c. It is also defined off the offset surface, where the
+intermediate stages of a step are. The curvature is not needed: the change of n along the path includes it.
 """
 
 from typing import Any
@@ -15,12 +15,12 @@ from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import BUDGET_OF_A_ROLL, closest_from, transport
 
 MAX_TRIALS = 256
-"""Sub-steps tried in one tick by the method with step control."""
+"""Largest number of trial sub-steps in a tick, in the method with step control."""
 
 
 @jit
 def unrolled(way: Vec3, normal: Vec3, length: float) -> Vec3:
-    """The straight way (3,) m of a step, laid into the tangent plane at its end at its length along the surface."""
+    """Project the displacement `way` (3,) m of a step into the tangent plane at its end, and scale it to `length` m."""
     flat = vec3.reject(way, normal)
     size = vec3.norm(flat)
     return vec3.scale(length / size if size > 0.0 else 0.0, flat)
@@ -28,7 +28,7 @@ def unrolled(way: Vec3, normal: Vec3, length: float) -> Vec3:
 
 @roll.of(Midpoint)
 def roll_midpoint(method: Midpoint, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
-    """The midpoint rule: second order, two closest-point queries."""
+    """Roll by the midpoint rule: second order, two queries of the closest point."""
     w = rotations.log(turn)
     point, n, slope = center, normal, (0.0, 0.0, 0.0)
     begun = vec3.add_scaled(center, -radius, normal)
@@ -49,12 +49,12 @@ def roll_midpoint(method: Midpoint, shape: Any, radius: float, center: Vec3, nor
 def roll_montana_rk4(
     method: MontanaRk4, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion
 ) -> Roll:
-    """One step of the classical Runge-Kutta rule: fourth order, four closest-point queries."""
+    """Roll by one step of the classical Runge-Kutta rule: fourth order, four queries of the closest point."""
     w = rotations.log(turn)
     point, n, moved = center, normal, (0.0, 0.0, 0.0)
     begun = vec3.add_scaled(center, -radius, normal)
     spin, length, tilted, left = 0.0, 0.0, 0.0, 1.0
-    # A loop rather than four stages written out: the closest point is compiled into the kernel once.
+    # A loop instead of four explicit stages: the query of the closest point is compiled only once.
     for stage in range(4):
         weight = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
         slope = center_velocity(earlier(shape, w, left), radius, w, n)
@@ -75,20 +75,23 @@ def foot(shape: Any, x: Vec3, start: Vec3, budget: int) -> tuple[Vec3, Vec3, int
     return point, normal, budget
 
 
-# Not inlined, unlike other kernels: six copies of an iterative closest point would take seconds to compile.
+# Not inlined, unlike other kernels: six copies of an iterative query would take seconds to compile.
 foot = numba.njit(**OPTIONS)(foot)
 
 
 @jit
 def combine(a: float, u: Vec3, b: float, v: Vec3) -> Vec3:
-    """a u + b v."""
+    """Return a u + b v."""
     return (a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2])
 
 
 @jit
 def rates(shape: Any, w: Vec3, k: Any, n: Any) -> tuple[float, float, float]:
-    """Rates over a sub-step at which the contact moves on the surface, m, spins and tilts, rad: each the sum of the
-    fifth-order rule, of velocities `k` and normals `n` at its stages 1, 3, 4, 5 and 6."""
+    """Return the mean rates in a sub-step of the contact's motion on the surface, m, of spin and of tilt, rad.
+
+    Each is the sum of the fifth-order rule, from the velocities `k` and normals `n` at its stages 1, 3, 4, 5 and 6. The
+    unit of time is the tick.
+    """
     length = (
         35 / 384 * surface_part(shape, k[0], n[0]) + 500 / 1113 * surface_part(shape, k[1], n[1])
         + 125 / 192 * surface_part(shape, k[2], n[2]) - 2187 / 6784 * surface_part(shape, k[3], n[3])
@@ -108,11 +111,12 @@ def rates(shape: Any, w: Vec3, k: Any, n: Any) -> tuple[float, float, float]:
 
 @jit
 def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, tolerance: float) -> Roll:
-    """Rolling by the whole rotation vector `w`, with the pair of Dormand and Prince, order 5 with error from 4.
+    """Roll by the rotation vector `w` with the Dormand-Prince pair: order 5, with an error estimate of order 4.
 
-    A sub-step is taken when its error is below tolerance x radius, and tried again shorter otherwise: where
-    the curvature jumps, much shorter. The number of trials is bounded: after half of them a sub-step is at
-    least its share of what is left, and then taken whatever its error. On a shape that has a budget it may end before.
+    A sub-step is accepted if its error is at most tolerance x radius, otherwise repeated with a shorter one, much
+    shorter at a jump of the curvature. The number of trials is bounded: after half of them, a sub-step has at least the
+    remaining time divided by the remaining trials, and at this length it is accepted with any error. On a shape whose
+    queries have a budget, the integration may end early (`Roll.whole`).
     """
     n, motion, spin, tilted, left, h = normal, (0.0, 0.0, 0.0), 0.0, 0.0, 1.0, 1.0
     allowed, budget = tolerance * radius, BUDGET_OF_A_ROLL
@@ -162,7 +166,7 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
             left -= h
             if left <= 0.0:
                 break
-        # An error of nothing, as on a plane, asks for the longest step; that of a fifth-order rule goes as h^5.
+        # Error ~ h^5 for a fifth-order rule; a zero error, as on a plane, allows the longest step.
         h *= min(max(0.9 * (allowed / error) ** 0.2, 0.2), 5.0) if error > 0.0 else 5.0
     return Roll(center, n, motion, roll_angle(shape, radius, motion, tilted), spin, budget >= 0)
 
@@ -171,5 +175,5 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
 def roll_montana_rk45(
     method: MontanaRk45, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion
 ) -> Roll:
-    """The paper's reference, ODE45: as many sub-steps as the tolerance asks for."""
+    """Roll as the paper's reference, ODE45: with as many sub-steps as the tolerance requires."""
     return integrate(shape, radius, center, normal, rotations.log(turn), method.tolerance)

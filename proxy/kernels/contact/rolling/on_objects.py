@@ -1,4 +1,4 @@
-"""A roll over an object, in the world: each is rolled over in its own frame."""
+"""Rolling over an object in the world frame: the rolling methods work in the frame of the object."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from softfinger.proxy.kernels.shapes import follows, tangent_plane
 
 @jit
 def roll_on(method: Any, body: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
-    """`roll` over an object, in the world."""
+    """Return `roll` over an object, in the world frame."""
     pose = body.pose
     axis = turn_into(pose, (turn[1], turn[2], turn[3]))
     turned = (turn[0], axis[0], axis[1], axis[2])
@@ -30,7 +30,7 @@ def roll_on(method: Any, body: Any, radius: float, center: Vec3, normal: Vec3, t
 
 @jit
 def roll_flat_on(method: Any, objects: Any, index: float, radius: float, normal: Vec3, turn: Quaternion) -> Roll:
-    """`roll` in the tangent plane of the object with that place; of the Roll, `motion` and the angles."""
+    """Return `roll` in the tangent plane of object `index`; only `motion` and the angles of the Roll are valid."""
     body = object_at(objects, index)
     pose = body.pose
     n, axis = turn_into(pose, normal), turn_into(pose, (turn[1], turn[2], turn[3]))
@@ -41,6 +41,6 @@ def roll_flat_on(method: Any, objects: Any, index: float, radius: float, normal:
 
 @jit
 def follows_on(body: Any, radius: float, start: OffsetPoint, end: Vec3) -> bool:
-    """`follows` of an object, in the world."""
+    """Return `follows` of an object, in the world frame."""
     begun = into(body.pose, start.center)
     return follows(body.shape, radius, begun, turn_into(body.pose, start.normal), into(body.pose, end))

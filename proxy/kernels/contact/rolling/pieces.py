@@ -1,8 +1,8 @@
-"""Rolling in closed form over shapes made of several surfaces, one piece of path after the other.
+"""Rolling in closed form over shapes made of several surfaces, one piece of the path after the other.
 
-On each piece everything that decides where it ends, a coordinate of the contact point or a component
-of the normal, is a constant plus a sine and a cosine of one frequency (a parabola at frequency 0). So
-the end is a root of a quadratic, and the path is exact across faces, edges and corners.
+A piece ends at a limit of a coordinate of the contact point or of a component of the normal. Each of these is a
+constant plus a sine and a cosine of one frequency (a parabola at frequency 0). So the end is a root of a quadratic
+equation, and the path is exact across faces, edges and corners.
 """
 
 from math import atan, pi, sqrt
@@ -18,23 +18,23 @@ from softfinger.proxy.kernels.shapes import transport, unroll
 ToRim = tuple[float, Vec3, Vec3, float]
 
 MAX_PIECES = 256
-"""Pieces of path in one tick; what is left of the tick after so many is not rolled. Half a turn over a box takes
-nine at most. Only in a hollow capsule hardly wider than its fingertip, which winds round and round, are there more."""
+"""Largest number of pieces in a tick; the remaining rotation is ignored. Half a turn over a box has at most nine.
+More are possible only in a hollow capsule that is hardly wider than the fingertip: the path winds round it."""
 RIM_TOLERANCE = 1e-13
-"""Of the integration around the rim of a capped cylinder, relative to the fingertip's radius."""
+"""Tolerance of the integration around the rim of a capped cylinder, as a share of the fingertip's radius."""
 NEVER = 2.0
-"""A time after the end of the tick, which is at 1."""
+"""Time after the end of the tick, which is at 1."""
 
 
 @jit
 def leaving_time(value: float, slope: float, bend: float, frequency: float) -> float:
-    """First time at which f falls through 0; NEVER where it does not.
+    """Return the first time at which f falls below 0, or NEVER.
 
-    value, slope, bend   f, f' and f'' at time 0, where f >= 0 up to rounding
+    value, slope, bend   f, f' and f'' at time 0, with f >= 0 up to rounding
     frequency            of f: f''' = -frequency^2 f'
 
-    In T = tan(frequency t / 2) / (frequency / 2), which is t at frequency 0, f has the sign of
-    a T^2 + slope T + value, and of the two roots only one is a fall.
+    As a function of T = tan(frequency t / 2) / (frequency / 2), which is t at frequency 0, f has the sign of
+    a T^2 + slope T + value; f decreases at only one of the two roots.
     """
     c = max(value, 0.0)
     a = 0.25 * (frequency * frequency * c + 2.0 * bend)
@@ -54,13 +54,13 @@ def leaving_time(value: float, slope: float, bend: float, frequency: float) -> f
     if frequency == 0.0:
         return t if t >= 0.0 else NEVER
     time = 2.0 * atan(0.5 * frequency * t) / frequency
-    # The tangent's other branch: the second half of the period.
+    # Second branch of the tangent: the second half of the period.
     return time if time >= 0.0 else time + 2.0 * pi / frequency
 
 
 @jit
 def with_item(v: Vec3, index: int, value: float) -> Vec3:
-    """`v` with one component replaced."""
+    """Return `v` with one component replaced."""
     return (
         value if index == 0 else v[0],
         value if index == 1 else v[1],
@@ -78,7 +78,7 @@ def unit(v: Vec3, otherwise: Vec3) -> Vec3:
 def leaving_barrel(
     half_length: float, z: float, share: float, radius: float, normal: Vec3, w: Vec3
 ) -> tuple[float, float]:
-    """When a path over a barrel about the z axis reaches an end of it, and which: +1 the upper, -1 the lower."""
+    """Return the time at which a path over a barrel about the z axis reaches an end, and the end: +1 or -1 along z."""
     slope = radius * vec3.cross(w, normal)[2]
     bend = radius * share * vec3.cross(w, vec3.cross((0.0, 0.0, w[2]), normal))[2]
     frequency = abs(share * w[2])
@@ -89,7 +89,7 @@ def leaving_barrel(
 
 @unroll.of(Capsule)
 def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
-    """Barrel (a cylinder) and caps (spheres), touched from outside or inside."""
+    """Roll over barrel (a cylinder) and caps (spheres), from outside or inside."""
     axis, distance = (0.0, 0.0, 1.0), radius + shape.side * shape.radius
     share, outward = turning_share(radius, distance), 1.0 if distance >= 0.0 else -1.0
     beyond = abs(center[2]) - shape.half_length
@@ -128,9 +128,9 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
 def box_pieces(
     half_extents: Vec3, radius: float, point: Vec3, sides: Vec3, normal: Vec3, w: Vec3
 ) -> tuple[float, int, float]:
-    """When a path over a box leaves its face, edge or corner: time, the axis concerned and that axis' new side.
+    """Return the time at which a path over a box leaves its face, edge or corner, the axis, and the new side on it.
 
-    sides  (3,)  1  for each axis: +-1 where the contact is at that end of the box, 0 where it is between
+    sides  (3,)  1  for each axis: +1 or -1 if the contact is at that end of the box, 0 if it is between the ends
     """
     clamped = abs(sides[0]) + abs(sides[1]) + abs(sides[2])
     pivot = (0.0, 0.0, 0.0)
@@ -159,7 +159,7 @@ def box_pieces(
 
 @unroll.of(Box)
 def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
-    """Faces (planes), edges (cylinders of radius 0) and corners (spheres of radius 0)."""
+    """Roll over faces (planes), edges (cylinders of radius 0) and corners (spheres of radius 0)."""
     h = shape.half_extents
     point = (
         min(max(center[0], -h[0]), h[0]),
@@ -202,7 +202,7 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
 
 @jit
 def to_the_rim_by_barrel(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> ToRim:
-    """Share of the tick until a path on the barrel reaches the rim, at most 1, and centre, motion and spin by then."""
+    """Return the share of the tick, at most 1, until a path on the barrel is at the rim; centre, motion, spin there."""
     distance, n = radius + shape.radius, unit((normal[0], normal[1], 0.0), normal)
     share = turning_share(radius, distance)
     time = min(leaving_barrel(shape.half_length, center[2], share, radius, n, w)[0], 1.0)
@@ -212,7 +212,7 @@ def to_the_rim_by_barrel(shape: CappedCylinder, radius: float, center: Vec3, nor
 
 @jit
 def to_the_rim_by_end(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> ToRim:
-    """The same on one of the flat ends, where the square of the distance from the axis is a parabola."""
+    """Return the same on a flat end: the squared distance from the axis is a parabola."""
     velocity = vec3.scale(radius, vec3.cross(w, normal))
     room = shape.radius * shape.radius - center[0] * center[0] - center[1] * center[1]
     closing = -2.0 * (center[0] * velocity[0] + center[1] * velocity[1])
@@ -223,10 +223,10 @@ def to_the_rim_by_end(shape: CappedCylinder, radius: float, center: Vec3, normal
 
 @unroll.of(CappedCylinder)
 def unroll_on_capped_cylinder(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
-    """Barrel (a cylinder) and flat ends (planes) in closed form; from the rim on, which has none, integrated."""
+    """Roll over barrel (a cylinder) and flat ends (planes) in closed form; from the rim on, by integration."""
     over_barrel = abs(center[2]) <= shape.half_length
     over_end = center[0] * center[0] + center[1] * center[1] <= shape.radius * shape.radius
-    if over_barrel == over_end:  # neither: over the rim; both: inside the solid
+    if over_barrel == over_end:  # neither: on the rim; both: inside the solid
         return integrate(shape, radius, center, normal, w, RIM_TOLERANCE)
     if over_barrel:
         time, end, motion, spin = to_the_rim_by_barrel(shape, radius, center, normal, w)

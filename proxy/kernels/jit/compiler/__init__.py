@@ -1,4 +1,4 @@
-"""What stands between kernels and numba: all that numba does not document, and what is done with kernels just now.
+"""Interface to numba: all uses of its undocumented parts, and the progress of compilation.
 
-No kernel, and no options: those are in `jit.py`.
+No kernels and no options (`decorators.py`).
 """

@@ -1,32 +1,33 @@
-"""All that is used of numba and llvmlite beyond what they document, in one file.
+"""Undocumented parts of numba and llvmlite, all used in this file only.
 
-What each is for, and what there is without it:
+Their purposes, and the consequences without them:
 
-_nrt                     Kernels have no allocator. Without: an allocation in the loop compiles, and stalls a tick.
-forceinline              A small kernel is compiled into its callers. Without: a kept kernel brings functions along
-                         under names that are unique in one process only, and the linker takes those of another.
+_nrt                     Kernels have no allocator. Without: an allocation in the loop compiles, and delays a tick.
+forceinline              A small kernel is compiled into its callers. Without: a cached kernel contains functions under
+                         names that are unique in one process only, and the linker uses the ones of another.
 no_cpython_wrapper, no_cfunc_wrapper
-                         No wrapper round what only kernels call. Without: a scene compiles for 1.6 times as long.
-CPUDispatcher            Such a kernel, called from Python, is compiled once more. Without: numba jumps to address 0.
+                         Kernels called only by kernels have no wrapper. Without: a scene compiles for 1.6 times as
+                         long.
+CPUDispatcher            Such a kernel is compiled again when called from Python. Without: numba jumps to address 0.
 _optimize_functions, _optimize_final_module, _codegen
                          Such a kernel is optimised lightly. Without: a scene compiles for 1.14 times as long.
 global_compiler_lock     Needed where no dispatcher compiles. Without: an assertion of numba fails.
 JITCodeLibrary, get_executable, compile_result, CompilerBase and its passes
-                         Such a kernel has no machine code, and is spared passes without work. Without: a scene compiles
-                         for 1.2 times as long, and half as much again is kept on the disk.
+                         Such a kernel has no machine code, and skips passes without effect. Without: a scene compiles
+                         for 1.2 times as long, and takes 1.5 times the disk space.
 _cache, NullCache, serialize.dumps, CompileResult._reduce and ._rebuild, lifted, has_dynamic_globals
-                         A cache that trusts nobody (`cache.py`). Without: numba unpickles what it finds, and ends the
-                         program where a file is damaged.
+                         A cache that trusts no other user (`cache.py`). Without: numba unpickles any file found, and
+                         ends the program if a file is damaged.
 magic_tuple, _final_module, refresh
-                         For which processor a kept kernel is, and what it calls. Without: one that calls what is not
-                         there ends the program.
+                         The processor of a cached kernel, and its callees. Without: a kernel with a missing callee
+                         ends the program.
 CFunc, cpu_target, get_pointer_to_function, llvm_cfunc_wrapper_name
-                         C functions in that cache, and under a symbol. Without: `numba.cfunc` has numba's cache.
+                         C functions in that cache, and under a symbol. Without: `numba.cfunc` uses numba's cache.
 types.Callable, resolve_value_type, lower_constant
-                         A kernel that is chosen by type is kept, too. Without: `overload` compiles it for every scene.
+                         A kernel chosen by type is cached, too. Without: `overload` compiles it for every scene.
 
-SEEN names the versions of numba in which they were seen; `tests/proxy/test_numba_internals.py` asks for each. One file,
-though it is a long one: it is read whole before another version of numba is taken.
+SEEN names the versions of numba tested with these; `tests/proxy/test_numba_internals.py` checks each. They are in one
+long file because it has to be read completely before an upgrade of numba.
 """
 
 from __future__ import annotations
@@ -57,25 +58,25 @@ from numba.core.untyped_passes import InlineClosureLikes
 from numba.extending import models, register_model, typeof_impl
 
 from softfinger.proxy.kernels.jit.cache import WRITTEN, Folder, kinds_in, sources_of
-from softfinger.proxy.kernels.jit.compiler.doing import DOING
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
 SEEN: Final = ("0.67", "0.68")
-"""Versions of numba in which all of this was seen to work."""
+"""Versions of numba with which all of this was tested."""
 
 WITHOUT_ALLOCATOR: Final = {"_nrt": False}
 WITHOUT_WRAPPERS: Final = {"no_cfunc_wrapper": True}
 FOR_KERNELS: Final = {"no_cpython_wrapper": True, "forceinline": True}
 
 UNIT: Final = "softfinger_unit_"
-"""What symbols of outlined kernels begin with."""
+"""Prefix of the symbols of outlined kernels."""
 
 log: Final = logging.getLogger(__name__)
 
 
 class KernelCache(NullCache):  # type: ignore[misc]
-    """What numba asks for a kernel's machine code: one file for each kernel and signature.
+    """Disk cache of one kernel, as numba's dispatchers use it: one file for each kernel and signature.
 
-    kind  of code: a kernel that is called in two ways is kept twice
+    kind  of code: a kernel that is compiled in two ways is cached twice
     """
 
     def __init__(self, function: Callable[..., Any], folder: Folder, kind: str = "") -> None:
@@ -87,28 +88,28 @@ class KernelCache(NullCache):  # type: ignore[misc]
         return str(self._folder.path)
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
-        """The compiled kernel, or None.
+        """Return the compiled kernel, or None.
 
-        numba's own cache first makes numba ready to compile, which imports half of it, and SciPy where that is
-        installed. Machine code needs none of that but the addresses it calls; `compile` makes itself ready.
+        numba's cache first prepares numba to compile, which imports half of it, and SciPy if that is installed. Machine
+        code needs only the addresses of its callees; `compile` does the preparation itself.
         """
         key = self.key(signature, target_context.codegen())
         return None if key is None else load(self._folder, self._name(key), target_context, key)
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Keep a compiled kernel, if that can be."""
+        """Store a compiled kernel if possible."""
         key = self.key(signature, compiled.codegen)
         if key is not None:
             self.save(self._name(key), key, compiled)
 
     def save(self, name: str, key: tuple[Any, ...], compiled: Any) -> None:
         if compiled.lifted or compiled.library.has_dynamic_globals:
-            log.warning("%s is compiled at every start: it holds addresses of this process", self._function)
+            log.warning("%s is compiled at every start: it contains addresses of this process", self._function)
             return
         self._folder.write(name, dumps((key, _calls(compiled.library), compiled._reduce())))
 
     def key(self, signature: Any, codegen: Any) -> tuple[Any, ...] | None:
-        """What the kernel was made of; None if that is not all known."""
+        """Return everything that determines the kernel's code; None if part of it is unknown."""
         files = [sorted(WRITTEN.get(kind, {}).items()) for kind in kinds_in(signature)]
         sources = [self._own, *(content for each in files for _, content in each)]
         if None in sources:
@@ -117,13 +118,13 @@ class KernelCache(NullCache):  # type: ignore[misc]
         code = self._function.__code__
         try:
             made = hashlib.sha256(code.co_code + (dumps(cells) if cells else b"")).hexdigest()
-        except Exception:  # it names what cannot be written down, another way to fail for each
+        except Exception:  # an object that cannot be pickled: each type raises another exception
             return None
         place = f"{self._kind} {self._function.__module__}.{self._function.__qualname__}:{code.co_firstlineno}"
         return place, signature, codegen.magic_tuple(), made, sources
 
     def _name(self, key: tuple[Any, ...]) -> str:
-        # Without the sources, so that an edited kernel takes the place of the old one.
+        # Without the sources, so that an edited kernel replaces the previous file.
         return f"{self.stem()}-{hashlib.sha256(repr(key[:4]).encode()).hexdigest()[:32]}.kernel"
 
     def stem(self) -> str:
@@ -131,9 +132,11 @@ class KernelCache(NullCache):  # type: ignore[misc]
 
 
 def load(folder: Folder, name: str, target_context: Any, key: tuple[Any, ...] | None = None) -> Any:
-    """What is kept under a name, with all that it calls, as numba's CompileResult; None if it is not there, not sound,
-    or not made of what `key` says."""
-    with DOING.loading():
+    """Load a cached kernel with all its callees as numba's CompileResult.
+
+    Returns None if it is missing, invalid, or compiled for another key than `key`.
+    """
+    with COMPILE_PROGRESS.loading():
         body = folder.read(name)
         if body is None:
             return None
@@ -144,24 +147,24 @@ def load(folder: Folder, name: str, target_context: Any, key: tuple[Any, ...] | 
             units = [each for each in calls if each.startswith(UNIT)]
             if not all(_linked(folder, each, target_context) for each in units):
                 return None
-            if not all(llvm.address_of_symbol(each) is not None for each in calls):  # what numba's runtime offers
+            if not all(llvm.address_of_symbol(each) is not None for each in calls):  # symbols of numba's runtime
                 target_context.refresh()
             rebuild = InlinedCode.rebuild if reduced[0][1] == InlinedCode.FORM else CompileResult._rebuild
             return rebuild(target_context, *reduced)
-        except Exception as error:  # what another version of a library made of it
+        except Exception as error:  # written by another version of a library
             folder.reject(name, error)
             return None
 
 
 def _calls(library: Any) -> list[str]:
-    """Names that machine code takes from the process that loads it; where one is missing, LLVM ends the program."""
+    """Return the symbols that machine code requires from the process; LLVM ends the program if one is missing."""
     module = library._final_module
     names = [each.name for each in (*module.functions, *module.global_variables) if each.is_declaration]
     return [name for name in names if not name.startswith("llvm.")]
 
 
 class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
-    """The code of a kernel that is compiled into its callers: optimised, but without machine code, which none calls."""
+    """Code of a kernel that is compiled into its callers: optimised LLVM code, without unused machine code."""
 
     FORM: Final = "inlined"
 
@@ -186,7 +189,7 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
 
     @classmethod
     def rebuild(cls, context: Any, code: Any, described: Any, environment: Any, signature: Any, *rest: Any) -> Any:
-        """What `CompileResult._reduce` made of a kernel with such code."""
+        """Return the CompileResult of a kernel with such code, from the output of `CompileResult._reduce`."""
         name, _, bitcode = code
         library = cls(context.codegen(), name)
         library._final_module = llvm.parse_bitcode(bitcode)
@@ -199,24 +202,24 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
             signature=signature,
             objectmode=False,
             entry_point=context.get_executable(library, described, environment),
-            referenced_envs=rest[-1],  # which live as long as this does
+            referenced_envs=rest[-1],  # the result keeps them alive
         )
 
     @property
     def codegen(self) -> InlinedCode:
-        """numba asks for it to call `set_env` alone."""
+        """Return self: numba reads this property only to call `set_env`."""
         return self
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Nothing: an environment is for what Python calls. numba would write to an address that is not there."""
+        """Do nothing: only functions called from Python use an environment, and numba would write to address 0."""
 
 
 IDLE: Final = (NopythonRewrites, AnnotateTypes)
-"""Passes without work in a kernel: expressions of whole arrays, and a listing for people, which would be kept, too."""
+"""Passes without effect in a kernel: array expressions, and an annotated listing, which would be cached, too."""
 
 
 class InlinedCompiler(CompilerBase):  # type: ignore[misc]
-    """Compiles a kernel that only kernels call."""
+    """Compiler of a kernel that is called only by kernels."""
 
     def define_pipelines(self) -> list[Any]:
         self.state.library = InlinedCode(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
@@ -229,9 +232,9 @@ class InlinedCompiler(CompilerBase):  # type: ignore[misc]
 
 
 class Inlined(CPUDispatcher):  # type: ignore[misc]
-    """A kernel for other kernels, without a wrapper for Python.
+    """Kernel for other kernels, without a Python wrapper.
 
-    called  makes of the function what Python may call: without a wrapper numba jumps to address 0
+    called  function that compiles the kernel for Python: without a wrapper numba jumps to address 0
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], called: Callable[[Any], Any]) -> None:
@@ -248,11 +251,11 @@ class Inlined(CPUDispatcher):  # type: ignore[misc]
 
 
 class Choice:
-    """What a kernel calls by one name, and which of several kernels that is.
+    """Kernel with several implementations under one name.
 
-    declaration  what it does, with its signature
-    choose       the kernel for numba's types of the arguments, None where there is none
-    plain        what Python calls
+    declaration  its signature and docstring
+    choose       returns the implementation for numba's types of the arguments, None without one
+    plain        implementation for calls from Python
     """
 
     def __init__(self, declaration: Callable[..., Any], choose: Callable[..., Any], plain: Callable[..., Any]) -> None:
@@ -269,7 +272,7 @@ class Choice:
 
 
 class _ChoiceType(types.Callable, types.Opaque):  # type: ignore[misc]
-    """What a Choice is to the compiler: whatever it chooses."""
+    """numba type of a Choice: calls resolve to the chosen implementation."""
 
     def __init__(self, choice: Choice) -> None:
         self._choice, self._chosen = choice, dict[Any, Any]()
@@ -284,7 +287,7 @@ class _ChoiceType(types.Callable, types.Opaque):  # type: ignore[misc]
         signature = chosen.get_call_type(context, known, named)
         self._chosen[signature.args] = chosen
         takes_any = any(each.kind == each.VAR_POSITIONAL for each in signature.pysig.parameters.values())
-        return signature.replace(pysig=None) if takes_any else signature  # they would be looked for in a tuple
+        return signature.replace(pysig=None) if takes_any else signature  # numba would search for them in a tuple
 
     def get_call_signatures(self) -> tuple[list[Any], bool]:
         return [], True
@@ -307,7 +310,7 @@ def _nothing(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 
 
 class CFunction(CFunc):
-    """A kernel with a C address, which is compiled when that is first asked for."""
+    """Kernel with a C address, compiled on first access to the address."""
 
     def __init__(self, function: Callable[..., Any], signature: Any, cache: Any = None, **options: Any) -> None:
         given = {"error_model": "numpy"} | options
@@ -321,16 +324,16 @@ class CFunction(CFunc):
         return super().address
 
     def _compile_uncached(self) -> Any:
-        """numba says nothing of these."""
-        DOING.begin()
+        """Compile, and record it in COMPILE_PROGRESS: numba sends no event for C functions."""
+        COMPILE_PROGRESS.begin()
         try:
             return super()._compile_uncached()  # type: ignore[misc]
         finally:
-            DOING.end()
+            COMPILE_PROGRESS.end()
 
 
 _LINKED: Final[dict[str, Any]] = {}
-"""Code of outlined kernels in this process, by its symbol: numba's libraries, which hold it."""
+"""Code of outlined kernels in this process by symbol: numba's libraries, which own the memory."""
 
 
 def _link(symbol: str, compiled: Any) -> None:
@@ -340,7 +343,7 @@ def _link(symbol: str, compiled: Any) -> None:
 
 
 def _linked(folder: Folder, symbol: str, target_context: Any) -> bool:
-    """Whether the process has an outlined kernel; it is loaded where it has not."""
+    """Return whether the process has an outlined kernel, after loading it if necessary."""
     if symbol not in _LINKED:
         compiled = load(folder, f"{symbol}.kernel", target_context)
         if compiled is None:
@@ -354,9 +357,9 @@ _IN_AND_OUT: Final = types.void(types.voidptr, types.voidptr)
 
 @global_compiler_lock
 def link_unit(function: Callable[..., Any], folder: Folder, given: Any, make: Callable[[], Callable[..., Any]]) -> str:
-    """The symbol of a kernel for arguments of the types `given`, a tuple; its code is there, from the disk or compiled.
+    """Return the symbol of a kernel for arguments of the types `given`, a tuple; load or compile its code if necessary.
 
-    make  the C function that is compiled: void of two addresses
+    make  returns the C function to compile: void of two addresses
     """
     cache, context = KernelCache(function, folder, "unit"), cpu_target.target_context
     key = cache.key((given,), context.codegen())
@@ -372,5 +375,5 @@ def link_unit(function: Callable[..., Any], folder: Folder, given: Any, make: Ca
 
 
 def code_of(symbol: str) -> str:
-    """LLVM's code of an outlined kernel that was compiled in this process, empty of one that was loaded."""
+    """Return the LLVM code of an outlined kernel compiled in this process, empty for one loaded from disk."""
     return str(_LINKED[symbol].get_llvm_str())

@@ -1,6 +1,6 @@
-"""Height maps: the surface through the heights, its tiles, the nearest point, a fingertip on several support points.
+"""Height maps: the spline surface, its tiles, the nearest point, and a fingertip on several support points.
 
-No other shape, and nothing that asks all objects of a scene.
+Independent of other shapes and of the objects of a scene.
 """
 
 from softfinger.proxy.kernels.shapes.heightmap import multipoint, nearest, surface

@@ -1,15 +1,16 @@
-"""Where the proxy rests on a surface that may touch the fingertip in several places at once: a height map.
+"""Rest position of the proxy on a height map, which may touch the fingertip at several points at once.
 
-Hills may stand closer than the fingertip is wide, and valleys bend more than it. So the surface that its centre moves
-on has creases, in which it lies on two feet or three, and no single nearest point says where it may go. It is found
-by cutting planes: of each foot the tangent plane, moved out by r; the point nearest to where probe and friction want
-the centre that is behind none of them; there the feet anew, and whether some other place of the map is nearer than r,
-which is a foot then, too. On one foot alone the curvature of the offset surface makes that Newton's
-method. What the tick ends with has been asked of the whole map: the proxy is never inside of it. And no step is longer
-than the fingertip's clearance, so it goes round no ridge.
+Hills may be closer together than the fingertip's diameter, and valleys more curved than the fingertip. So the offset
+surface has creases, where the fingertip touches two or three support points, and a single nearest point does not
+constrain it. The rest position is found by cutting planes. Each iteration takes the tangent planes of the support
+points, moved out by r, and computes the point behind none of them that is closest to the goal given by probe and
+friction. There it updates the support points, and adds the nearest point of the map if that is closer than r. With one
+support point, the curvature of the offset surface makes this Newton's method. The final position is checked against the
+entire map, so the proxy is never inside. No step exceeds the fingertip's clearance, so it cannot jump over a ridge.
 
-What a tick asks has a budget, counted as in `nearest`: one for coming to rest, one for the end of a roll, and one for a
-first touch, that of meshes. Where it is used up the proxy stays where it was, outside, and the next tick asks anew.
+The searches have budgets, counted as in `nearest`: one for the rest position, one for the end of a roll, and that of
+meshes for a first contact. If a budget is exhausted, the proxy stops at its last position known to be outside, and the
+next tick repeats the search.
 """
 
 from typing import Any, Final, NamedTuple
@@ -34,31 +35,32 @@ from softfinger.proxy.kernels.shapes.protocol import (
 )
 
 INSIDE: Final = 1e-10
-"""Depth, as a share of the fingertip's radius, that is rounding; the same as in `constraints`, as is the next."""
+"""Penetration depth, as a share of the fingertip's radius, that counts as rounding; as in `contact/rest`."""
 SETTLED: Final = 1e-13
-"""Step, as a share of the fingertip's radius, below which the proxy is at rest."""
+"""Step, as a share of the fingertip's radius, below which the proxy is at rest; as in `contact/rest`."""
 ROUNDS: Final = 8
-"""Of cutting planes in a tick; on one foot two or three are taken, in a crease some five."""
+"""Limit of the iterations of cutting planes in a tick: two or three with one support point, about five in a crease."""
 SLIDING_ROUND: Final = 1
-"""The round with which a proxy that slides may end: what is left the next tick takes up."""
+"""First iteration after which a sliding proxy may stop: the next tick corrects the remaining error."""
 STRIDE: Final = 0.9
-"""Share of the radius that the centre goes in one step: nothing is nearer than the radius, so nothing is crossed."""
+"""Largest step of the centre as a share of the radius: no surface is closer than the radius, so none is crossed."""
 SAME: Final = 1e-6
-"""Share of the radius within which two feet are one."""
+"""Distance, as a share of the radius, within which two support points count as one."""
 ON: Final = 1e-9
-"""Share of the radius, and sine, by which the fingertip's lowest point may miss the surface and still be its foot."""
+"""Tolerance at the start of a roll for the support point: distance as a share of the radius, and 1 - cosine of the
+normal's deviation."""
 REST_BUDGET: Final = 1000
-"""Tiles that are asked for where the proxy rests, all rounds together."""
+"""Budget of `rest_on_support_points`, for all iterations together, in tiles."""
 ROLL_BUDGET: Final = 300
-"""For whether there is room where a roll ends."""
+"""Budget of the check for room at the end of a roll."""
 END_BUDGET: Final = 200
-"""For whether there is room at the end of a way to a first touch."""
+"""Budget of the check for room at the end of the path to a first contact."""
 SHORTEST: Final = 0.25
-"""1 - depth x curvature at the least: Newton's step is four times that in the tangent plane at the most."""
+"""Lower bound of 1 - depth x curvature: Newton's step is at most four times the step in the tangent plane."""
 
 
 class SupportPoints(NamedTuple):
-    """Surface points (3,) m that hold the fingertip, `many` of them."""
+    """Surface points (3,) m that touch the fingertip; `many` is their number."""
 
     many: int
     one: Vec3
@@ -68,7 +70,7 @@ class SupportPoints(NamedTuple):
 
 @jit
 def is_support_point(feet: SupportPoints, point: Vec3, within: float) -> bool:
-    """Whether that is one of them, within a distance, m."""
+    """Return True if `point` is within a distance (m) of one of the support points."""
     if vec3.norm(vec3.sub(point, feet.one)) <= within:
         return True
     if feet.many > 1 and vec3.norm(vec3.sub(point, feet.two)) <= within:
@@ -78,7 +80,7 @@ def is_support_point(feet: SupportPoints, point: Vec3, within: float) -> bool:
 
 @jit
 def with_support_point(feet: SupportPoints, point: Vec3) -> SupportPoints:
-    """With one more; in place of the last, where there are three."""
+    """Add a support point; of three, replace the last."""
     if feet.many == 1:
         return SupportPoints(2, feet.one, point, point)
     return SupportPoints(3, feet.one, feet.two, point)
@@ -86,7 +88,7 @@ def with_support_point(feet: SupportPoints, point: Vec3) -> SupportPoints:
 
 @jit
 def along_one(shape: Any, radius: float, goal: Vec3, foot: Vec3, normal: Vec3) -> Vec3:
-    """From one foot the centre (3,) m nearest to `goal`, by Newton's step on the offset surface."""
+    """Return the centre (3,) m closest to `goal` on one support point, by a Newton step on the offset surface."""
     center = vec3.add_scaled(foot, radius, normal)
     way = vec3.sub(goal, center)
     depth = max(-vec3.dot(way, normal), 0.0)
@@ -105,7 +107,7 @@ def at_most(way: Vec3, longest: float) -> Vec3:
 
 @jit
 def among_several(feet: SupportPoints, radius: float, goal: Vec3, n1: Vec3, n2: Vec3, n3: Vec3) -> tuple[Vec3, Vec3]:
-    """From two or three feet the push (3,) m and the centre (3,) m nearest to `goal`, on their tangent planes."""
+    """Return push (3,) m and centre (3,) m closest to `goal` on the tangent planes of two or three support points."""
     b1 = vec3.dot(n1, vec3.sub(feet.one, goal)) + radius
     b2 = vec3.dot(n2, vec3.sub(feet.two, goal)) + radius
     b3 = vec3.dot(n3, vec3.sub(feet.three, goal)) + radius
@@ -117,9 +119,10 @@ def among_several(feet: SupportPoints, radius: float, goal: Vec3, n1: Vec3, n2: 
 def rest_on_support_points(
     shape: Any, radius: float, probe: Vec3, center: Vec3, lag: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
-    """Near `center` the centre nearest to the probe and `lag` (3,) m, in the frame of the shape.
+    """Find the rest position of the centre near `center`, in the frame of the shape.
 
-    returns  proxy (3,) m, normal (3,), and 1 if the budget was used up before it was known where there is room
+    lag      (3,)  m  deflection by friction: the goal is the probe plus the tangential part of it
+    returns  proxy (3,) m, normal (3,), and 1 if the budget was exhausted before a position with room was found
     """
     rest, up, slides = center, normal, lag != (0.0, 0.0, 0.0)
     budget, bounded = REST_BUDGET, 0.0
@@ -143,7 +146,7 @@ def rest_on_support_points(
             clear = gap >= radius * (1.0 - INSIDE)
             if budget <= 0 and not clear:
                 bounded = 1.0
-                if vec3.norm(vec3.sub(rest, other)) < radius * (1.0 - SAME):  # it began inside: the way out is up
+                if vec3.norm(vec3.sub(rest, other)) < radius * (1.0 - SAME):  # the start was inside: move up and out
                     rest = above(shape, rest, radius)
                 break
             if not clear and not is_support_point(feet, other, SAME * radius):
@@ -175,7 +178,7 @@ def rest_on_support_points(
 
 @follows.of(Heightmap)
 def follows_over_heightmap(shape: Heightmap, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> bool:
-    """On one foot, not too far for a tick, and to a place where the fingertip has room."""
+    """Allow a roll from a single support point, at most a stride long, to a position with room for the fingertip."""
     foot = vec3.add_scaled(start, -radius, normal)
     _, point, up, _, _ = downhill(shape, start, foot)
     if vec3.norm(vec3.sub(point, foot)) > ON * radius or vec3.dot(up, normal) < 1.0 - ON:
@@ -196,11 +199,11 @@ def raised_clear_of_heightmap(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
 def meets_heightmap(
     shape: Heightmap, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
 ) -> tuple[float, float, int]:
-    """As over any shape (`travel`), but for what is farther than the way, which is not asked for.
+    """Use conservative advancement as `travel` does, but search only as far as the remaining path.
 
-    What `leaves` a height map is held by what it touches at the end of a short way, as of a mesh. The way may ask half
-    of the budget. Where that is used up the fingertip goes no farther; a short way, which leads through nothing, it
-    goes if there is room at its end.
+    With `leaves`, a short path is never a hit, as on a mesh: the rest position handles contacts at its end. The path
+    may use half of the budget. If that is exhausted, the fingertip stops there; a short path, which cannot cross the
+    surface, is allowed if there is room at its end.
     """
     way = vec3.sub(end, start)
     length, short = vec3.norm(way), STRIDE * radius
@@ -225,7 +228,7 @@ def meets_heightmap(
             return share, 0.0, rest
     if left < 0 and length > short:
         return share, 0.0, rest
-    # A glancing pass comes ever closer without meeting: it counts only if it ends inside.
+    # A grazing path gets closer in ever smaller steps: it is a hit only if it ends inside.
     near = gap_within(shape, end, radius, min(rest, END_BUDGET))
     return (share if near.gap - radius < begun else NO_HIT), 0.0, left_of(rest, True, near.spent)
 

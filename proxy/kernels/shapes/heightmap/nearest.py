@@ -1,12 +1,13 @@
-"""The nearest point of a height map, and how far it is to anything, within a budget.
+"""Nearest point of a height map, and the distance to it, within a budget.
 
-Tiles (`tiles`) are visited depth first, of four the nearer ones first, without a stack: where a tile is says what comes
-next. Those that cannot have the nearest point are left out, and in the cells that remain Newton's method runs.
+The search visits tiles (`tiles`) depth first, the closer ones of four first. It needs no stack: the next tile follows
+from the indices of the current one. It skips tiles that cannot contain the nearest point, and runs Newton's method in
+the remaining cells.
 
-What is asked is counted, 1 for a tile and LOOK for a height; that costs about what a node of a mesh does. Where the
-budget is used up the answer is the best foot so far, and a bound: the least that any tile that was left may be away.
-The surface is then taken to be that near, towards the best foot. So a fingertip is held a little too early, never late,
-and what it is put on is outside.
+A visited tile costs 1 of the budget, an evaluated height LOOK; a unit takes about as long as a node of a mesh. If the
+budget is exhausted, the result is the best foot point so far and a lower bound: the smallest possible distance of a
+skipped tile. The surface then counts as that close, in the direction of the best foot point. So contact may start a
+little early, never late, and the proxy is outside.
 """
 
 from math import sqrt
@@ -49,27 +50,27 @@ from softfinger.proxy.kernels.shapes.protocol import (
 )
 
 LOOK: Final = 2
-"""What a height costs, in tiles; of those one takes some 10 ns."""
+"""Cost of a height evaluation, in tiles; a tile takes about 10 ns."""
 AROUND: Final = 4
-"""What a look at the tiles round a foot costs."""
+"""Cost of the check of the tiles round a foot point."""
 BUDGET: Final = 700
-"""Of a question for the nearest point."""
+"""Budget of a query for the nearest point without contact."""
 UNDER: Final = 8
-"""Tiles a side, and one more, by which a fingertip is lifted over what is under it."""
+"""Tiles per side, less one, that are checked to lift a fingertip above the surface under it."""
 ASTRAY: Final = 2.0
-"""Cells that the way from a cell to its foot may lead; farther on another cell finds it."""
+"""Largest distance, in cells, of a descent from a cell; a foot point farther away is found from another cell."""
 SPENT: Final = -1
-"""What is left of a budget that was used up."""
+"""Remaining budget after it was exhausted."""
 ABOVE: Final = 1.0 + 1e-9
-"""By what a limit is passed over, so that rounding does not leave out what is at it."""
+"""Factor on a search limit, so that rounding does not exclude a point at the limit."""
 
 
 class Found(NamedTuple):
-    """The nearest foot of a point, or the nearest that is known.
+    """Nearest foot point, or the best found so far if the budget was exhausted.
 
-    bound   nothing is nearer, in pitches
-    whole   whether the budget was enough
-    spent   what was asked for it
+    bound   lower bound of the distance, in pitches
+    whole   True if the budget was sufficient
+    spent   cost of the search
     """
 
     foot: Foot
@@ -79,8 +80,11 @@ class Found(NamedTuple):
 
 
 class Touched(NamedTuple):
-    """Gap, point and normal as of `closest`; where the budget was not enough the gap is a bound, and the point the
-    nearest that is known. `spent` is what was asked."""
+    """Gap (m), point (3,) m and normal (3,) as of `closest`, and the cost.
+
+    whole   True if the budget was sufficient; otherwise gap is a lower bound, and point the nearest known
+    spent   cost of the search
+    """
 
     gap: float
     point: Vec3
@@ -90,7 +94,12 @@ class Touched(NamedTuple):
 
 
 class Gap(NamedTuple):
-    """A gap (m), or what it is not below where the budget was not enough, and what was asked for it."""
+    """Gap, and the cost of finding it.
+
+    gap    m  a lower bound unless `whole`
+    whole     True if the budget was sufficient
+    spent     cost of the search
+    """
 
     gap: float
     whole: bool
@@ -99,13 +108,13 @@ class Gap(NamedTuple):
 
 @jit
 def left_of(budget: int, whole: bool, spent: int) -> int:
-    """What is left of a budget after a question, below 0 where it was used up, then or before."""
+    """Return the remaining budget after a query, below 0 if this query or an earlier one exhausted it."""
     return SPENT if budget < 0 or not whole else max(budget - spent, 0)
 
 
 @jit
 def best_of_quarters(shape: Heightmap, p: Vec3, start: Foot, i: int, j: int) -> Foot:
-    """The nearest of a place and the middles of a cell's quarters: from there the cell's best foot is downhill."""
+    """Return the closest of `start` and the middles of the cell's quarters, from which to descend to its foot point."""
     for number in range(4):
         other = foot_at(shape, p, i + 0.25 + 0.5 * (number & 1), j + 0.25 + 0.5 * (number >> 1))
         if other.square < start.square:
@@ -115,7 +124,7 @@ def best_of_quarters(shape: Heightmap, p: Vec3, start: Foot, i: int, j: int) -> 
 
 @outlined
 def search(shape: Heightmap, p: Vec3, best: Foot, budget: int) -> Found:
-    """The nearest foot, `best` if there is no nearer one; the bound is not above its distance."""
+    """Return the nearest foot point, or `best` if none is closer, and a lower bound of the distance."""
     top = int(shape.levels) - 1
     level, i, j = top, 0, 0
     spent, left, reach = 0, FAR, sqrt(best.square)
@@ -148,7 +157,7 @@ def search(shape: Heightmap, p: Vec3, best: Foot, budget: int) -> Found:
                             best, looks = descend(shape, p, Place(foot.s, foot.t), FAR)
                             spent += LOOK * looks
                             reach = sqrt(best.square)
-        # On to the next of four, in their order from the nearer one; behind the fourth up.
+        # Next of the four tiles, ordered from the closest one; after the fourth, up one level.
         while level < top:
             near_i, near_j = nearer_half(p[0], i >> 1, level + 1), nearer_half(p[1], j >> 1, level + 1)
             number = ((i & 1) ^ near_i) + 2 * ((j & 1) ^ near_j)
@@ -173,7 +182,7 @@ def touched(shape: Heightmap, x: Vec3, found: Found) -> Touched:
 
 @outlined
 def downhill(shape: Heightmap, x: Vec3, start: Vec3) -> Touched:
-    """The foot of `x` (3,) m that is downhill from `start` (3,) m, whatever is nearer elsewhere."""
+    """Return the foot point of `x` (3,) m reached by descent from `start` (3,) m, nearest or not."""
     at = in_pitches(shape, start)
     foot, looks = descend(shape, in_pitches(shape, x), Place(at[0], at[1]), FAR)
     return touched(shape, x, Found(foot, FAR, True, LOOK * looks))
@@ -181,7 +190,7 @@ def downhill(shape: Heightmap, x: Vec3, start: Vec3) -> Touched:
 
 @outlined
 def nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> Touched:
-    """The nearest of all, sooner where the foot that is downhill from `start` is as near as any."""
+    """Return the nearest point; no search is needed if the foot point found from `start` is known to be the nearest."""
     p, at = in_pitches(shape, x), in_pitches(shape, start)
     foot, looks = descend(shape, p, Place(at[0], at[1]), FAR)
     spent = LOOK * looks + AROUND
@@ -194,7 +203,10 @@ def nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> Touched
 
 @outlined
 def gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> Gap:
-    """Of `x` (3,) m; FAR if it is above `reach`, m. Without budget no more is known than that of the box round all."""
+    """Return the gap of `x` (3,) m, or FAR if it exceeds `reach` (m).
+
+    Without budget, it is the lower bound from the bounding box of the map, -FAR inside of the box.
+    """
     p, most = in_pitches(shape, x), reach / shape.pitch * ABOVE
     whole = tile_at(shape, p, int(shape.levels) - 1, 0, 0)
     if whole.w > 0.0 and square_to_box(whole) > most * most:
@@ -209,7 +221,7 @@ def gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> Gap:
             foot = Foot(-FAR, -FAR, foot.height, most * most)
         found = search(shape, p, foot, budget - spent)
         found = Found(found.foot, found.bound, found.whole, found.spent + spent + LOOK)
-        if found.foot.s == -FAR:  # no foot is as near
+        if found.foot.s == -FAR:  # no foot point within the limit
             return Gap(FAR if found.whole else found.bound * shape.pitch, found.whole, found.spent)
     near = touched(shape, x, found)
     return Gap(near.gap, near.whole, near.spent)
@@ -217,7 +229,10 @@ def gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> Gap:
 
 @outlined
 def above(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
-    """Over `x` (3,) m where nothing that lies within `radius`, m, along the grid can reach a fingertip of that."""
+    """Return the point (3,) m above `x` (3,) m at which a fingertip of `radius` (m) is clear of the surface.
+
+    It is above the upper bounds of all tiles within `radius` along the grid.
+    """
     p, reach = in_pitches(shape, x), radius / shape.pitch
     top = -FAR
     around = tiles_around(shape, p, reach, UNDER)
@@ -230,7 +245,7 @@ def above(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
 
 @jit
 def as_asked(x: Vec3, near: Touched) -> tuple[float, Vec3, Vec3]:
-    """Gap, point and normal that belong together: where the gap is a bound the point is that far away."""
+    """Return consistent gap, point and normal: if the gap is a bound, the point is moved to that distance."""
     if near.whole or near.gap < 0.0:
         return near.gap, near.point, near.normal
     _, up = direction(vec3.sub(x, near.point), near.normal)
@@ -252,7 +267,7 @@ def closest_within_on_heightmap(shape: Heightmap, x: Vec3, budget: int) -> tuple
 
 @outlined
 def downhill_from_two(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
-    """`closest_from`; without budget of the place below `x` alone."""
+    """Return `closest_from`; without budget, for the surface point below `x`."""
     p, at = in_pitches(shape, x), in_pitches(shape, start)
     if budget < 0:
         gap, point, normal = touching(shape, x, foot_at(shape, p, p[0], p[1]))
@@ -270,8 +285,10 @@ def downhill_from_two(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tu
 
 @closest_from.of(Heightmap)
 def closest_from_on_heightmap(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
-    """Of the feet that are downhill from below `x` and from `start` the nearer: whether there is room is asked where
-    the roll ends (`follows`)."""
+    """Return the closer of two foot points, found by descent from below `x` and from `start`.
+
+    `follows` checks at the end of the roll whether there is room for the fingertip.
+    """
     return downhill_from_two(shape, x, start, budget)
 
 
@@ -279,7 +296,7 @@ def closest_from_on_heightmap(shape: Heightmap, x: Vec3, start: Vec3, budget: in
 def constraint_at_support_point(
     shape: Heightmap, center: Vec3, radius: float, normal: Vec3, budget: int
 ) -> tuple[Vec3, Vec3, int]:
-    """The foot that is downhill from where it was. Without budget the tangent plane in which the fingertip lies."""
+    """Return the foot point found from the previous support point; without budget, `center` - radius `normal`."""
     start = vec3.add_scaled(center, -radius, normal)
     if budget < 0:
         return start, normal, budget

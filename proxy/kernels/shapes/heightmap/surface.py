@@ -1,18 +1,18 @@
-"""The height map: z = h(x, y), the solid below, h a bicubic spline through the heights of a grid.
+"""Surface of a height map, z = h(x, y), with the solid below: h is a bicubic spline through the heights of a grid.
 
-A uniform cubic B-spline whose coefficients are chosen such that it goes through the heights: it is the only piecewise
-cubic that is continuous with its first and second derivatives. So the normal turns without a step and curvature has
-no jump, which is all that rolling asks of a surface; a bilinear or a Catmull-Rom surface would jerk at each pixel.
-Beyond its rim the map levels off within three pixels and goes on flat, with the same derivatives.
+The spline is a uniform cubic B-spline that interpolates the heights: the only piecewise cubic with continuous first and
+second derivatives. So normal and curvature are continuous, as rolling requires; a bilinear or Catmull-Rom surface would
+jerk at each pixel. Beyond its rim the map levels off within three pixels, with continuous derivatives, and is flat
+farther out.
 
-Inside here lengths are in pitches, and (s, t) counts the cells of the grid from its corner. A foot of the point p is
-where the distance is least nearby, found by Newton's method on D(s, t) = |(s, t, h) - p|^2 / 2,
+Lengths in this module are in pitches, and (s, t) are the coordinates in cells from the corner of the grid. A foot point
+of the point p is a local minimum of the distance, found by Newton's method on D(s, t) = |(s, t, h) - p|^2 / 2,
 
     g = (s - p_s + w h_s, t - p_t + w h_t),  H = 1 + h' h'^T + w h'',  w = h - p_z
 
-which is exact to rounding where it ends. As the surface is a graph, H is positive definite everywhere as long as w is
-below the least radius with which any valley bends (or, from below, any ridge): then the only foot is the nearest point.
-Elsewhere `nearest` finds out whether another foot is nearer.
+which converges to rounding. Since the surface is a graph, H is positive definite everywhere if |w| is below the
+smallest radius of curvature of any valley (for p below the surface: of any ridge). Then there is a single foot point,
+the nearest point. Otherwise `nearest` searches for a closer one.
 """
 
 from math import sqrt
@@ -30,26 +30,27 @@ from softfinger.proxy.kernels.shapes.protocol import (
 )
 
 STEPS = 24
-"""Of Newton's method; it takes three to five, and more only where it starts far from any foot."""
+"""Limit of Newton's steps; usually three to five, more only for a start far from any foot point."""
 HALVINGS = 8
-"""Times that a step is shortened to a quarter for want of descent; past them rounding is all that is left."""
+"""Limit of the reductions of a step to a quarter until the distance decreases; a smaller step is rounding."""
 LOOKS = 48
-"""Heights that are looked at on the way to a foot; some ten mostly."""
+"""Limit of the height evaluations in the search of a foot point; usually about ten."""
 CONVERGED = 1e-7
-"""Step, in pitches, after which the next would be below rounding: the convergence is quadratic."""
+"""Step, in pitches, below which the next would be below rounding: the convergence is quadratic."""
 SURE = 1e-3
-"""Step, in pitches, that is taken without a look at the distance, whose rounding would hide what it gains."""
+"""Steps up to this length, in pitches, are accepted without a check of the distance: its rounding would hide the
+decrease."""
 LEAST = 1e-3
-"""Of what the distance bends by in any direction, of 1 on a flat map: less is taken for it."""
+"""Lower bound of the second derivative of D in a Newton step, 1 on a flat map."""
 SQUARE = 1e-6
-"""Sine of the angle between the way to the foot and its normal above which it is no foot: the steps were not enough."""
+"""Sine of the angle between the normal and the direction to p above which a point is no foot point: too few steps."""
 
 
 Four = tuple[float, float, float, float]
 
 
 class Height(NamedTuple):
-    """h at a place and its derivatives, in pitches."""
+    """Height h at a position, and its derivatives, in pitches."""
 
     z: float
     s: float
@@ -65,7 +66,7 @@ class Place(NamedTuple):
 
 
 class Foot(NamedTuple):
-    """A place (s, t) where the distance is least nearby, what the surface is like there, and the distance's square."""
+    """Foot point (s, t), height and derivatives there, and the squared distance; all in pitches."""
 
     s: float
     t: float
@@ -75,7 +76,10 @@ class Foot(NamedTuple):
 
 @jit
 def basis(f: float) -> tuple[Four, Four, Four]:
-    """Uniform cubic B-spline: what four neighbours count for at 0 <= f <= 1 between the middle two, d/df, d2/df2."""
+    """Return the weights of a uniform cubic B-spline for four neighbours, and their first and second derivatives.
+
+    f  position between the middle two, 0 to 1
+    """
     b = 1.0 - f
     ff, bb = f * f, b * b
     value = (bb * b / 6.0, (4.0 - 3.0 * ff * (2.0 - f)) / 6.0, (4.0 - 3.0 * bb * (2.0 - b)) / 6.0, ff * f / 6.0)
@@ -85,7 +89,7 @@ def basis(f: float) -> tuple[Four, Four, Four]:
 
 @jit
 def held(place: float, count: float) -> float:
-    """The coordinate within its `count` cells; 0 for what is no number."""
+    """Clamp a coordinate to its `count` cells; return 0 for NaN."""
     if not place > 0.0:
         return 0.0
     return min(place, count)
@@ -93,7 +97,7 @@ def held(place: float, count: float) -> float:
 
 @jit
 def row_at(shape: Heightmap, at: int, a: Four, da: Four, dda: Four) -> Vec3:
-    """Four neighbours of one row, from the number `at` on, weighted, with the row's first and second derivative."""
+    """Return the weighted sum of four neighbours in one row, from index `at`, and its first and second derivatives."""
     c0, c1, c2, c3 = (
         shape.coefficients[at],
         shape.coefficients[at + 1],
@@ -114,14 +118,17 @@ def weighted(weight: Four, z0: float, z1: float, z2: float, z3: float) -> float:
 
 @jit
 def height_at(shape: Heightmap, s: float, t: float) -> Height:
-    """Anywhere: the outermost cells are level outward, and what is farther out is as their border."""
+    """Return height and derivatives at any position, outside of the map at the closest point of its border.
+
+    The outermost cells are level at the border, so that the derivatives are continuous there.
+    """
     s, t = held(s, shape.columns), held(t, shape.rows)
     i, j = min(int(s), int(shape.columns) - 1), min(int(t), int(shape.rows) - 1)
     a, da, dda = basis(s - i)
     b, db, ddb = basis(t - j)
     width = int(shape.columns) + 3
     at = j * width + i
-    # Four calls and no loop, in which the compiler would look up the weights by their number.
+    # Four calls, not a loop: in a loop, the compiler would read the weights from memory by index.
     z0, s0, ss0 = row_at(shape, at, a, da, dda)
     z1, s1, ss1 = row_at(shape, at + width, a, da, dda)
     z2, s2, ss2 = row_at(shape, at + 2 * width, a, da, dda)
@@ -145,14 +152,14 @@ def foot_at(shape: Heightmap, p: Vec3, s: float, t: float) -> Foot:
 
 @jit
 def gradient(p: Vec3, foot: Foot) -> tuple[float, float]:
-    """g: how the distance's square changes along s and t, half of it."""
+    """Return g, half of the gradient of the squared distance."""
     w = foot.height.z - p[2]
     return foot.s - p[0] + w * foot.height.s, foot.t - p[1] + w * foot.height.t
 
 
 @jit
 def newton(p: Vec3, foot: Foot) -> tuple[float, float]:
-    """The step; where the distance is not convex that of a function bent as much upward along the same two axes."""
+    """Return the Newton step; where D is not convex, with the absolute values of the eigenvalues of H."""
     h = foot.height
     w = h.z - p[2]
     gs, gt = gradient(p, foot)
@@ -170,8 +177,10 @@ def newton(p: Vec3, foot: Foot) -> tuple[float, float]:
 
 @jit
 def descend(shape: Heightmap, p: Vec3, start: Place, reach: float) -> tuple[Foot, int]:
-    """The foot of `p` that is downhill from `start`, or where the way to it goes farther than `reach`; and how many
-    heights were looked at."""
+    """Descend from `start` to a foot point of `p`; return it and the number of height evaluations.
+
+    reach  distance along s or t from `start` at which the descent stops without a foot point
+    """
     foot, looks = foot_at(shape, p, start.s, start.t), 1
     for _ in range(STEPS):
         if looks >= LOOKS:
@@ -205,14 +214,14 @@ def in_pitches(shape: Heightmap, x: Vec3) -> Vec3:
 
 @jit
 def is_below(shape: Heightmap, x: Vec3) -> bool:
-    """Whether `x` (3,) m is in the solid."""
+    """Return True if `x` (3,) m is in the solid."""
     p = in_pitches(shape, x)
     return height_at(shape, p[0], p[1]).z > p[2]
 
 
 @jit
 def touching(shape: Heightmap, x: Vec3, foot: Foot) -> tuple[float, Vec3, Vec3]:
-    """Gap, point and normal of a foot of `x`."""
+    """Return gap (m), point (3,) m and normal (3,) at a foot point of `x` (3,) m."""
     h = foot.height
     point = (
         (foot.s - 0.5 * shape.columns) * shape.pitch,
@@ -231,7 +240,7 @@ def touching(shape: Heightmap, x: Vec3, foot: Foot) -> tuple[float, Vec3, Vec3]:
 
 @curvature.of(Heightmap)
 def curvature_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    """Of the graph: a tangent a bends by -a . h'' a / |(-h', 1)|, a the part of it in the plane of the grid."""
+    """Return the curvature of the graph: -a . h'' a / |(-h', 1)| along a unit tangent with the part a in the grid."""
     at = in_pitches(shape, point)
     h = height_at(shape, at[0], at[1])
     steep = 1.0 + h.s * h.s + h.t * h.t

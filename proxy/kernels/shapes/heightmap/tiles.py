@@ -1,11 +1,12 @@
-"""Tiles of a height map, and what they say of what lies over them without a look at it.
+"""Tiles of a height map: bounds of the surface over them, without its evaluation.
 
-A tile is a square of 2^level cells at a multiple of that, level 0 the cells themselves. What lies over it is within
-`thick` of a facet, z = a + b1 (s - s_c) + b2 (t - t_c), measured along z, and bends up and down by no more than
-`valley` and `ridge`: the array `facets`, made when the scene is (proxy/heightmaps.py). So nothing of the tile is nearer
-to a point than the facet is, less `thick`: of a tile for which that is farther than the best foot nothing is looked at.
-A facet is near to what it stands for by the square of the tile's size, so few are. And where the distance is convex,
-in four tiles round a foot or in one, there is no other foot.
+A tile is a square of 2^level cells a side, aligned to a multiple of its size; tiles of level 0 are the cells. The
+surface over it is within `thick` of a facet, z = a + b1 (s - s_c) + b2 (t - t_c), measured along z, and its second
+derivatives up and down are at most `valley` and `ridge`. The array `facets` stores these numbers, computed with the
+scene (proxy/heightmaps.py). So no point of the tile is closer to p than the distance to the facet less `thick`, and a
+search skips tiles for which this exceeds the distance of the best foot point. Few tiles remain, because `thick`
+decreases with the square of the tile's size. Where the distance is convex, over one tile or four round a foot point,
+there is no second foot point.
 """
 
 from math import sqrt
@@ -16,23 +17,26 @@ from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.shapes.heightmap.surface import Foot, Place, gradient, held
 
 LEVELS: Final = 24
-"""More than any map has."""
+"""Upper bound of the number of levels of any map."""
 NUMBERS: Final = 6
-"""Of a tile: a, b1, b2, thick, valley, ridge."""
+"""Entries of `facets` per tile: a, b1, b2, thick, valley, ridge."""
 AS_NEAR: Final = 1.0 - 4e-13
-"""Share of the best square distance at which another one is no nearer, but for rounding."""
+"""Share of the best squared distance above which another one counts as equal, because of rounding."""
 FAR: Final = 1e300
 
 
 @jit
 def wide(count: float, level: int) -> int:
-    """Tiles of a level in a row of `count` cells."""
+    """Return the number of tiles of a level in a row of `count` cells."""
     return (int(count) + (1 << level) - 1) >> level
 
 
 @jit
 def beside(place: float, index: int, last: int, count: float) -> float:
-    """The coordinate as a tile sees it: one at the border goes on outward, level, so there it is next to the tile."""
+    """Return a coordinate as used for the tile at `index`: a tile at the border extends outward at constant height.
+
+    So a coordinate beyond the map becomes that of the border.
+    """
     if index == 0 and place < 0.0:
         return 0.0
     if index == last and place > count:
@@ -42,11 +46,11 @@ def beside(place: float, index: int, last: int, count: float) -> float:
 
 @jit
 def on_edge(along: float, slope: float, rest: float, half: float) -> tuple[float, float]:
-    """The nearest place of an edge, |place| <= half, and the square of the distance but for what is across it.
+    """Return the nearest position on an edge, within +-half, and the squared distance without the part across the edge.
 
     along   coordinate of the point along the edge
     slope   of the facet along the edge
-    rest    height of the point over the edge's middle
+    rest    height of the point above the edge's middle
     """
     at = min(max((along + slope * rest) / (1.0 + slope * slope), -half), half)
     d, w = at - along, slope * at - rest
@@ -54,13 +58,14 @@ def on_edge(along: float, slope: float, rest: float, half: float) -> tuple[float
 
 
 class Tile(NamedTuple):
-    """A tile as a point p sees it, in pitches.
+    """Tile relative to a point p, in pitches.
 
-    half                   of its width
+    half                   half of its width
     middle_s, middle_t     its middle
-    u, v, w                p less that and less the facet's height there
-    b1, b2, thick, rise    of its facet; how far it rises from its middle
-    convex                 whether the distance to p is convex over it
+    u, v, w                p relative to the middle of its facet
+    b1, b2, thick          of its facet
+    rise                   largest height of the facet above its middle
+    convex                 True if the distance to p is convex over the tile
     """
 
     half: float
@@ -96,7 +101,7 @@ def tile_at(shape: Heightmap, p: Vec3, level: int, i: int, j: int) -> Tile:
 
 @jit
 def square_to_box(tile: Tile) -> float:
-    """Square of the distance from the point to the box round what lies over the tile."""
+    """Return the squared distance from the point to the box round the surface over the tile."""
     u, v = max(abs(tile.u) - tile.half, 0.0), max(abs(tile.v) - tile.half, 0.0)
     w = max(abs(tile.w) - tile.rise - tile.thick, 0.0)
     return u * u + v * v + w * w
@@ -104,7 +109,7 @@ def square_to_box(tile: Tile) -> float:
 
 @jit
 def to_facet(tile: Tile) -> tuple[float, Place]:
-    """Square of the distance to the facet, and where its nearest place is from the point."""
+    """Return the squared distance from the point to the facet, and the nearest position relative to the point."""
     b1, b2, half = tile.b1, tile.b2, tile.half
     steep = 1.0 + b1 * b1 + b2 * b2
     over = (tile.w - b1 * tile.u - b2 * tile.v) / steep
@@ -112,7 +117,7 @@ def to_facet(tile: Tile) -> tuple[float, Place]:
     square = over * over * steep
     out_s, out_t = abs(s) > half, abs(t) > half
     if out_s or out_t:
-        # The nearest place lies on an edge beyond which the foot on the facet's plane is.
+        # The projection to the facet's plane is beyond one or two edges; the nearest point is on one of them.
         edge_s, edge_t = half if s > 0.0 else -half, half if t > 0.0 else -half
         square = FAR
         if out_s:
@@ -129,12 +134,12 @@ def to_facet(tile: Tile) -> tuple[float, Place]:
 
 @jit
 def place_of(place: float, level: int, count: float) -> int:
-    """The tile in a row of them that has the coordinate, or is next to it."""
+    """Return the index, in its row of tiles, of the tile that contains the coordinate or is closest to it."""
     return min(int(held(place, count)) >> level, wide(count, level) - 1)
 
 
 class Around(NamedTuple):
-    """Tiles of a level, from `left` to `right` and from `top` to `bottom`."""
+    """Tiles of a level from `left` to `right` and from `top` to `bottom`, inclusive."""
 
     level: int
     left: int
@@ -145,7 +150,7 @@ class Around(NamedTuple):
 
 @jit
 def tiles_around(shape: Heightmap, p: Vec3, reach: float, side: int) -> Around:
-    """The tiles in which all is that lies within `reach`, in pitches, along the grid: `side` + 1 a side at most."""
+    """Return the tiles that cover everything within `reach` (pitches) along the grid: at most `side` + 1 per side."""
     level, top = 0, int(shape.levels) - 1
     while level < top and side * (1 << level) < 2.0 * reach:
         level += 1
@@ -160,7 +165,10 @@ def tiles_around(shape: Heightmap, p: Vec3, reach: float, side: int) -> Around:
 
 @jit
 def convex_around(shape: Heightmap, p: Vec3, foot: Foot) -> bool:
-    """Whether the distance is convex wherever something may be nearer than the foot: then it is the nearest point."""
+    """Return True if the distance is convex over all tiles that may be closer than the foot point.
+
+    The foot point is then the nearest point.
+    """
     around = tiles_around(shape, p, sqrt(foot.square), 1)
     for j in range(around.top, around.bottom + 1):
         for i in range(around.left, around.right + 1):
@@ -176,19 +184,22 @@ def has(tile: Tile, foot: Foot) -> bool:
 
 @jit
 def nearer_half(place: float, index: int, level: int) -> int:
-    """Which of the two halves of a tile a coordinate is nearer to, 0 or 1."""
+    """Return the half of a tile, 0 or 1, that is closer to a coordinate."""
     return 1 if place > (2.0 * index + 1.0) * 0.5 * (1 << level) else 0
 
 
 @jit
 def least_along(slope: float, place: float, half: float) -> float:
-    """What a linear function falls by at the most on its way from `place` to anywhere within |place| <= half."""
+    """Return the smallest change of a linear function from `place` to any position within +-half."""
     return slope * ((-half if slope > 0.0 else half) - place)
 
 
 @jit
 def beaten(p: Vec3, tile: Tile, place: Foot, square: float) -> bool:
-    """Whether nothing of the tile is nearer than that: a convex function stays above its tangent plane."""
+    """Return True if no point of the tile is closer than the squared distance `square`.
+
+    A convex function is nowhere below its tangent plane, here that at `place`.
+    """
     if not (tile.convex and has(tile, place)):
         return False
     gs, gt = gradient(p, place)

@@ -1,6 +1,6 @@
-"""Triangle meshes: the tree over the triangles, how it is built, and the nearest triangle of millions.
+"""Triangle meshes: the tree over the triangles, its construction, and the search of the nearest triangle of millions.
 
-Here and nowhere else it is known how the tree lies in memory. No contact: a triangle is an object like others to it.
+Only this folder depends on the memory layout of the tree. A contact treats a triangle as an object like any other.
 """
 
 from softfinger.proxy.kernels.shapes.mesh import contact

@@ -1,6 +1,6 @@
-"""The tree over a mesh's triangles: eight equal parts, and eight of each, cut where they are longest.
+"""Construction of the tree over a mesh's triangles: each node has up to eight equal parts, cut along the longest axis.
 
-Compiled, on arrays that the caller has made: `proxy/meshes` has them.
+Compiled kernels on arrays that the caller allocates (`proxy/meshes/tree.py`).
 """
 
 from math import acos
@@ -15,17 +15,17 @@ from softfinger.proxy.kernels.shapes.mesh.lanes import FIELDS, LANES, NODE
 from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, direction
 
 ROUNDED_PLACE, ROUNDED_AXES = 2.5e-7, 2e-6
-"""Shares of the mesh's size, and of a box's own, by which boxes are larger than what they hold: float32 has 6e-8 of a
-coordinate, and the axes that go along with it are as far from square to each other."""
+"""Margins of a box, as a share of the mesh's size and of the box's own: float32 rounds coordinates by 6e-8, and the
+axes in float32 deviate from orthogonal by as much."""
 SAMPLES = 32
-"""Triangles of a box that are looked at for which way its sides should go."""
+"""Number of a box's triangles, about, that are sampled to choose the direction of its sides."""
 NOTHING = -1e18
-"""Half of a box that holds nothing: it is farther than anything."""
+"""Half side of an empty box: its computed distance exceeds any other."""
 
 
 @jit
 def parts(count: int) -> int:
-    """Into how many parts a node with so many triangles is cut: as few as make all nodes below full."""
+    """Return the number of parts of a node with `count` triangles: as few as possible, so that nodes below are full."""
     part = LANES
     while part * LANES < count:
         part *= LANES
@@ -34,9 +34,11 @@ def parts(count: int) -> int:
 
 @entry
 def count_nodes(triangles: int, low: Any, high: Any) -> int:
-    """Nodes of a tree over so many triangles, and which triangles (int64 arrays, long enough) are in each.
+    """Fill in the range of triangles of each node; return the number of nodes.
 
-    A node's parts follow one another, and come behind all nodes of its level that come before it.
+    low, high  int64, long enough  first triangle of a node, and the one after its last
+
+    Nodes are in breadth-first order; the parts of a node are consecutive.
     """
     low[0], high[0] = 0, triangles
     count, node = 1, 0
@@ -54,7 +56,7 @@ def count_nodes(triangles: int, low: Any, high: Any) -> int:
 
 @entry
 def take_middles(vertices: Any, corners: Any, center: Vec3, middles: Any) -> None:
-    """Middles of the triangles, three times over, from `center`: (triangles, 3) float32, filled."""
+    """Fill `middles` (triangles, 3) float32 with three times the centroids relative to `center`."""
     for k in range(len(corners)):
         for axis in range(3):
             total = vertices[corners[k, 0], axis] + vertices[corners[k, 1], axis] + vertices[corners[k, 2], axis]
@@ -70,7 +72,7 @@ def swap(middles: Any, order: Any, i: int, j: int) -> None:
 
 @jit
 def longest(middles: Any, low: int, high: int) -> int:
-    """The axis along which the middles of some triangles are farthest apart."""
+    """Return the axis along which the middles of the triangles from `low` to `high` are farthest apart."""
     axis, widest = 0, np.float32(-1.0)
     for k in range(3):
         least, most = middles[low, k], middles[low, k]
@@ -83,9 +85,9 @@ def longest(middles: Any, low: int, high: int) -> int:
 
 @jit
 def cut(middles: Any, order: Any, low: int, high: int, at: int) -> None:
-    """Bring those that are first along the longest axis below `at`, the others from there on (Hoare's selection).
+    """Move triangles with smaller coordinates on the longest axis before `at`, larger ones behind (Hoare's selection).
 
-    Equal ones are shared out, so that a mesh folded into one point takes no longer.
+    Equal ones are distributed to both sides, so that a mesh collapsed to one point takes no longer.
     """
     axis = longest(middles, low, high)
     left, right = low, high - 1
@@ -112,10 +114,10 @@ def cut(middles: Any, order: Any, low: int, high: int, at: int) -> None:
 
 @entry
 def arrange(middles: Any, order: Any, low: Any, high: Any, nodes: int, first_node: int) -> int:
-    """Sort triangles into the tree, as many nodes as a part of a second takes; returns the next node, of all `nodes`.
+    """Sort the triangles of some nodes, for a fraction of a second; return the next node to sort, `nodes` at the end.
 
-    middles  (triangles, 3)  float32, moved along with
-    order    (triangles,)    int32   which triangle is where
+    middles  (triangles, 3)  float32  sorted, too
+    order    (triangles,)    int32    triangle at each position
     """
     work, node = 0, first_node
     while node < nodes and work < 4_000_000:
@@ -123,7 +125,7 @@ def arrange(middles: Any, order: Any, low: Any, high: Any, nodes: int, first_nod
         if size > LANES:
             k = parts(size)
             step = k
-            # Halves, their halves and theirs: each cut is where parts meet.
+            # Cut into halves, quarters and eighths, each time at a boundary between parts.
             while step > 1:
                 half = (step + 1) // 2
                 i = 0
@@ -145,7 +147,7 @@ def corner(vertices: Any, corners: Any, triangle: int, i: int) -> Vec3:
 
 @jit
 def area_normal(vertices: Any, corners: Any, triangle: int) -> Vec3:
-    """Normal (3,) of the triangle, twice its area long."""
+    """Return the normal (3,) of a triangle; its length is twice the area."""
     a = corner(vertices, corners, triangle, 0)
     return vec3.cross(
         vec3.sub(corner(vertices, corners, triangle, 1), a), vec3.sub(corner(vertices, corners, triangle, 2), a)
@@ -153,7 +155,7 @@ def area_normal(vertices: Any, corners: Any, triangle: int) -> Vec3:
 
 
 class Box(NamedTuple):
-    """A box in a frame of its own: its middle (3,) m, unit axes (3,) along its sides, halves of them (3,) m."""
+    """Oriented box: middle (3,) m, unit axes (3,) along its sides, and half sides (3,) m."""
 
     middle: Vec3
     one: Vec3
@@ -164,9 +166,9 @@ class Box(NamedTuple):
 
 @jit
 def box_along(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec3, side: Vec3) -> Box:
-    """The box round some triangles whose sides go along `up` and, square to it, along `side` as far as that can be.
+    """Return the box round some triangles with sides along `up` and along the projection of `side` normal to it.
 
-    some   from the first to before the last, by steps
+    some   triangles: first, one after the last, step
     """
     size, one = direction(vec3.reject(side, up), Z_AXIS)
     if size <= 1e-6 * vec3.norm(side):
@@ -186,7 +188,7 @@ def box_along(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec3,
 
 @jit
 def longest_side(vertices: Any, corners: Any, some: tuple[int, int, int]) -> Vec3:
-    """The longest side (3,) m of some triangles."""
+    """Return the longest edge (3,) m of some triangles."""
     side, square = (0.0, 0.0, 0.0), 0.0
     for k in range(some[0], some[1], some[2]):
         for i in range(3):
@@ -198,10 +200,10 @@ def longest_side(vertices: Any, corners: Any, some: tuple[int, int, int]) -> Vec
 
 @jit
 def put_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: int, center: Vec3, size: float) -> None:
-    """The box round some triangles into a lane, `at` its first number; thin along their mean normal.
+    """Write the box round some triangles to the lane with first number `at`; it is thin along their mean normal.
 
-    Of a patch it has the sides along which the tree was cut, which are those of space; of one triangle, or many that
-    lie side by side and are thin, the longest one's.
+    The other sides are along the longest edge, or, for several triangles, along an axis of space if this makes the box
+    smaller. It usually does for a patch, because the tree is cut along these axes, but not for thin parallel triangles.
     """
     total = (0.0, 0.0, 0.0)
     for k in range(low, high):
@@ -225,7 +227,11 @@ def put_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: in
 
 
 class Branches(NamedTuple):
-    """The nodes of a tree: which triangles are in each, (nodes,) int64; lanes and children as `Triangles` has them."""
+    """Nodes of a tree.
+
+    low, high  (nodes,) int64  range of triangles of each node
+    lanes, first               as `nodes` and `first` of `model.Triangles`
+    """
 
     low: Any
     high: Any
@@ -237,7 +243,7 @@ class Branches(NamedTuple):
 def enclose(
     vertices: Any, corners: Any, tree: Branches, first_node: int, child: int, center: Vec3, size: float
 ) -> tuple[int, int]:
-    """Boxes of some nodes' lanes, and where their children are; returns the next node and the next child."""
+    """Fill in the boxes and children of some nodes, for a fraction of a second; return the next node and next child."""
     low, high, lanes, first = tree
     work, node = 0, first_node
     while node < len(first) and work < 2_000_000:
@@ -264,10 +270,11 @@ def enclose(
 
 @entry
 def renumber(corners: Any, order: Any, arranged: Any, place: Any) -> int:
-    """Triangles in their order in the tree, vertices in that of their first triangle; returns how many are used.
+    """Renumber triangles in the order of the tree, vertices in that of their first triangle.
 
-    arranged  (triangles, 3)  int32, filled
-    place     (vertices,)     int32, -1 each; filled with where each vertex goes
+    arranged  (triangles, 3)  int32, filled  vertices of each triangle
+    place     (vertices,)     int32, filled  new number of each vertex; -1 at the start, and for unused ones
+    returns                                  number of used vertices
     """
     used = 0
     for k in range(len(order)):
@@ -282,11 +289,13 @@ def renumber(corners: Any, order: Any, arranged: Any, place: Any) -> int:
 
 @entry
 def join(corners: Any, begin: Any, around: Any, across: Any) -> int:
-    """What is beyond each edge; returns how many edges have no other triangle, or more than one, or one the other way.
+    """Find the triangle across each edge.
 
-    begin   (vertices + 1,)    int32, 0 each    where in `around` the edges from a vertex begin
-    around  (triangles * 3,)   int32            edges, 3 triangle + i, by the lower of their vertices
-    across  (triangles, 3)     int32            filled: the other triangle, -1 for none or for several
+    begin   (vertices + 1,)    int32, 0 each    scratch: first edge of a vertex in `around`
+    around  (triangles * 3,)   int32            scratch: edges, 3 triangle + i, sorted by the lower of their vertices
+    across  (triangles, 3)     int32, filled    the other triangle, -1 for a loose edge
+    returns                                     number of loose edges: with no other triangle, with several, or with one
+                                                of inconsistent winding
     """
     count = len(corners)
     for k in range(count):
@@ -295,7 +304,7 @@ def join(corners: Any, begin: Any, around: Any, across: Any) -> int:
             across[k, i] = -1
     for v in range(1, len(begin)):
         begin[v] += begin[v - 1]
-    for k in range(count):  # each fills its place from the end of the one before, which moves it up
+    for k in range(count):  # counting sort: begin[v] becomes the end of the edges of v
         for i in range(3):
             v = min(corners[k, i], corners[k, (i + 1) % 3])
             around[begin[v]] = 3 * k + i
@@ -322,7 +331,7 @@ def join(corners: Any, begin: Any, around: Any, across: Any) -> int:
 
 @jit
 def angle_at(a: Vec3, b: Vec3, c: Vec3) -> float:
-    """Angle (rad) of a triangle at `a`."""
+    """Return the angle (rad) of a triangle at `a`."""
     _, one = direction(vec3.sub(b, a), Z_AXIS)
     _, two = direction(vec3.sub(c, a), Z_AXIS)
     return acos(max(-1.0, min(1.0, vec3.dot(one, two))))
@@ -330,7 +339,7 @@ def angle_at(a: Vec3, b: Vec3, c: Vec3) -> float:
 
 @entry
 def raise_normals(vertices: Any, corners: Any, upward: Any) -> None:
-    """Normals at the vertices, (vertices, 3), 0 each, filled: unit, each triangle counting as its angle there does."""
+    """Fill `upward` (vertices, 3), 0 each, with the vertices' unit normals, weighted by the triangles' angles there."""
     for k in range(len(corners)):
         _, normal = direction(area_normal(vertices, corners, k), (0.0, 0.0, 0.0))
         for i in range(3):

@@ -1,7 +1,7 @@
-"""What a contact asks of a mesh: the nearest of its triangles, and what is met on a way.
+"""Queries of a contact on a mesh: the nearest triangle, and the first hit on a path.
 
-A fingertip's centre that has not gone farther than its distance from the mesh has not crossed it, whatever it touches
-now: so the short way of a tick asks nothing, and what is touched at its end is found there.
+A fingertip's centre that moves less than its distance from the mesh cannot cross it. So the short path of a tick in
+contact needs no query: the solve for the rest position finds the triangles at its end.
 """
 
 from math import sqrt
@@ -36,9 +36,9 @@ from softfinger.proxy.kernels.shapes.protocol import (
 
 NO_TRIANGLE: Vec3 = (-1.0, -1.0, -1.0)
 STRIDES = 16
-"""Looks on one way, at most: past so many a fingertip that went along the surface is stopped there."""
+"""Limit of the queries on a path: a fingertip that moves along the surface stops after them."""
 LOOKS = 6
-"""On the last stretch of a first touch."""
+"""Limit of the queries on the last part of a path to a first contact."""
 ANYWHERE = 1e300
 
 
@@ -46,11 +46,13 @@ ANYWHERE = 1e300
 def nearest_facet(
     mesh: Mesh, x: Vec3, within: float, known: Vec3, budget: int, enough: float
 ) -> tuple[float, float, int]:
-    """Distance (m) of `x` (3,) m from the mesh if it is smaller than `within`, else 1e300; the number of the nearest
-    triangle, -1 for none, and what is left of the budget. Below 0 that was used up, now or before: then the distance
-    may be only a bound, below which nothing is, and the triangle the nearest known.
+    """Return distance, number of the nearest triangle, and remaining budget.
 
-    It is signed where all distances count: at the first pose, which may be inside. From there on no centre crosses it.
+    The distance (m) of `x` (3,) m is 1e300, and the number -1, if it is not below `within` (m). If the budget was
+    exhausted (below 0), now or before, the distance may be a lower bound and the triangle the nearest known.
+
+    The distance is signed only if `within` is unlimited: at the first pose, which may be inside. Later, no centre
+    crosses the surface.
     """
     found = nearest(mesh, x, within, known, max(budget, 0), enough)
     if found.bound < found.square:
@@ -66,8 +68,10 @@ def nearest_facet(
 
 @jit
 def last_outside(mesh: Mesh, start: Vec3, way: Vec3, radius: float, budget: int) -> tuple[float, int]:
-    """Share of a way, which ends inside, that a fingertip can go and be outside still: as far as the clearance each
-    time; and what is left of the budget. The next tick goes the rest."""
+    """Return the share of a path that ends inside on which a fingertip remains outside, and the remaining budget.
+
+    Moves by the clearance in each step. The next tick continues from there.
+    """
     length, gone = vec3.norm(way), 0.0
     for _ in range(LOOKS):
         x = vec3.add_scaled(start, gone / length, way)
@@ -82,11 +86,10 @@ def last_outside(mesh: Mesh, start: Vec3, way: Vec3, radius: float, budget: int)
 def travel_to_facet(
     shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
 ) -> tuple[float, float, int]:
-    """Share of the way at which something is met, the number of the triangle, and what is left of the budget; see
-    `travel`.
+    """Return the share of the path at the first hit (see `travel`), the number of the triangle, and the budget left.
 
-    A fingertip that `leaves` rests on triangles, and is held by what it touches at the end of a short way. Where the
-    budget is used up it goes no farther.
+    With `leaves`, the fingertip already is in contact, and a short path is never a hit: the solve for the rest position
+    handles contacts at its end. If the budget is exhausted, the fingertip stops there.
     """
     way = vec3.sub(end, start)
     length = vec3.norm(way)
@@ -124,13 +127,13 @@ def closest_on_facet(shape: Facet, x: Vec3) -> tuple[float, Vec3, Vec3]:
 
 @curvature.of(Facet)
 def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    """Flat: over an edge the fingertip rolls in one tangent plane after the other."""
+    """Flat: at an edge the fingertip rolls from one tangent plane to the next."""
     return 0.0, 0.0, any_tangent(normal)
 
 
 @closest_or_bound.of(Mesh)
 def closest_known_on_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
-    """Of the whole mesh: for an effect that draws to the surface."""
+    """Search the entire mesh, for an effect that attracts to the surface."""
     found = nearest(shape, x, ANYWHERE, NO_TRIANGLE, ROOM, 0.0)
     gap, point, normal = closest_on_triangle(shape, float(max(found.number, 0)), x)
     return gap, point, normal, 1.0 if found.bound < found.square else 0.0
@@ -172,8 +175,10 @@ def facet_of_mesh(shape: Mesh, facet: float) -> Facet:
 
 @shaded.of(Facet)
 def shaded_facet(shape: Facet, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
-    """Between the vertices' normals, as the contact point lies between the vertices: Morgenbesser and Srinivasan,
-    Force shading for haptic shape perception, 1996. Only the direction of the force changes, not where the proxy is."""
+    """Interpolate the normals of the vertices at the contact point; only the direction of the force changes.
+
+    Source: Morgenbesser and Srinivasan, Force shading for haptic shape perception, 1996.
+    """
     triangles = shape.mesh.row[0]
     if triangles.shade == 0.0:
         return normal

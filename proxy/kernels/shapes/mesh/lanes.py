@@ -1,4 +1,4 @@
-"""The eight lanes of a node of the tree, asked at once: what the processor has for eight numbers side by side."""
+"""Test of all eight lanes of a tree node at once, with vector instructions; also a version in plain Python."""
 
 from typing import Any
 
@@ -13,16 +13,16 @@ from softfinger.proxy.kernels.shapes.budget import ROOM
 
 LANES = 8
 FIELDS = 12
-"""Numbers of a lane: see `Triangles.nodes`."""
+"""Numbers per lane: see `model.Triangles.nodes`."""
 NODE = LANES * FIELDS
 ROUNDED = 4e-6
-"""Share by which a squared distance in float32 may come out too large: some ten roundings of 6e-8, twice over."""
+"""Share by which a squared distance in float32 may be too large: about ten roundings of 6e-8, times two, and margin."""
 
 
 def _numbers(kind: Any, count: int) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         element = context.get_value_type(kind)
-        with builder.goto_entry_block():  # as numba's own helper does, which would clear it for every query
+        with builder.goto_entry_block():  # as numba's helper does, which would also zero the memory in every query
             memory = builder.alloca(ir.ArrayType(element, count))
         return builder.bitcast(memory, ir.PointerType(element))
 
@@ -36,7 +36,7 @@ def room_for_bounds(typing_context):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def room_for_lanes(typing_context):  # type: ignore[no-untyped-def]
-    """And for the eight that are written at a time."""
+    """Allocate eight more than ROOM: `sift` always writes eight."""
     return _numbers(types.int32, ROOM + LANES)
 
 
@@ -46,7 +46,7 @@ def room_for_nodes(typing_context):  # type: ignore[no-untyped-def]
 
 
 def _packings() -> ir.Constant:
-    """For each set of lanes, as bits, the numbers of those in it, one behind the other."""
+    """Return a table of the lanes in each bit mask, packed to the front."""
     rows = [[i for i in range(LANES) if bits >> i & 1] for bits in range(1 << LANES)]
     row = ir.ArrayType(ir.IntType(8), LANES)
     return ir.Constant(ir.ArrayType(row, len(rows)), [ir.Constant(row, (each + [0] * LANES)[:LANES]) for each in rows])
@@ -54,11 +54,11 @@ def _packings() -> ir.Constant:
 
 @intrinsic
 def sift(typing_context, nodes, node, point, top, bounds, waiting, begin):  # type: ignore[no-untyped-def]
-    """Ask the boxes of a node for their squared distances (m^2) from a point (3,) m, float32: none is larger than true.
+    """Compute the squared distances (m^2) of a node's boxes from a point (3,) m, float32, never above the exact ones.
 
-    bounds    gets the eight, from `begin` on
-    waiting   gets the places in `bounds` of those that are below `top`, one behind the other; room for eight
-    returns   how many those are
+    bounds    filled with the eight distances, from index `begin`
+    waiting   filled with the indices in `bounds` of the boxes below `top`, packed to the front; room for eight
+    returns   number of boxes below `top`
     """
     vector, whole = ir.VectorType(ir.FloatType(), LANES), ir.VectorType(ir.IntType(32), LANES)
 
@@ -82,7 +82,7 @@ def sift(typing_context, nodes, node, point, top, bounds, waiting, begin):  # ty
             return builder.fmul(a, b)
 
         def beyond(axis: Any, half: Any) -> Any:
-            """Square of how far the point is outside, along an axis."""
+            """Return the squared distance of the point from the box along an axis."""
             along = builder.fadd(builder.fadd(product(axis[0], d[0]), product(axis[1], d[1])), product(axis[2], d[2]))
             out = calling("maxnum", builder.fsub(calling("fabs", along), half), ir.Constant(vector, [0.0] * LANES))
             return product(out, out)
@@ -113,7 +113,7 @@ def sift(typing_context, nodes, node, point, top, bounds, waiting, begin):  # ty
 
 @intrinsic
 def from_there(typing_context, lanes, at):  # type: ignore[no-untyped-def]
-    """The part of that memory that begins there."""
+    """Return the address of element `at`."""
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
         return builder.gep(args[0], [args[1]])
@@ -139,7 +139,7 @@ if PLAIN:
         return out * out
 
     def sift(nodes: Any, node: int, point: Any, top: Any, bounds: Any, waiting: Any, begin: int) -> int:
-        """The same sums in the same order, so that every number is the compiled one's."""
+        """Compute the same sums in the same order as the compiled version, for identical numbers."""
         lanes = nodes.array[node * NODE : (node + 1) * NODE].reshape(FIELDS, LANES)
         d = np.array(point, np.float32)[:, None] - lanes[:3]
         up, one = lanes[3:6], lanes[6:9]

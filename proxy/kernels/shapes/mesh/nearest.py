@@ -1,13 +1,14 @@
-"""The nearest of all triangles: level by level down the tree, through whatever can be nearer than the best known one.
+"""Nearest triangle of a mesh: breadth-first search of the tree, through all boxes closer than the best known triangle.
 
-That is known from the start: a contact asks first the triangles that it rests on, and where there are none the way
-goes straight down to what seems nearest. So the order does not matter, and the nodes of a level are asked one after the
-other without waiting for each other's answers. That, not the number of nodes, is what the time of a query hangs on.
+A good candidate is known from the start: a triangle of the present contact, or else the result of a greedy descent. So
+the order of the nodes is not important, and the nodes of a level are tested without waiting for each other's results.
+These waits, not the number of nodes, determine the time of a query.
 
-Where so many triangles are about as near that this takes long, as in a hollow, the way is gone from there down the
-slope to the lowest place: of what is nearer than a fingertip's radius any will do, for all of that is in its way.
+If the search takes long because many triangles are about equally near, as in a hollow, it descends greedily after each
+level, and from there over neighbouring triangles to a local minimum of the distance. A contact accepts any triangle
+closer than the fingertip's radius, because each of them obstructs the fingertip.
 
-A query has a budget of nodes and triangles. When it is used up the answer is a bound: nothing is nearer than that.
+A query has a budget of nodes and triangles. If it is exhausted, the result includes a lower bound of the distance.
 """
 
 from typing import Any, NamedTuple
@@ -31,24 +32,26 @@ from softfinger.proxy.kernels.shapes.mesh.lanes import (
 from softfinger.proxy.kernels.shapes.mesh.triangle import beyond_edge, corners_of, foot_on
 
 FAR = 1e4
-"""Sizes of the mesh from its middle beyond which a point is moved there to be asked for: float32 has no more digits."""
+"""Distance from the middle of the mesh, in sizes of the mesh, to which points farther away are moved for the search:
+float32 has no more digits."""
 MANY = 64
-"""Nodes and triangles after which what was known is taken for far, and a way down is gone at the end of each level."""
+"""Nodes and triangles after which the known candidate counts as poor: a greedy descent then follows each level."""
 CLIMB = 24
-"""Edges that the way to a first known triangle goes over, towards what is nearer."""
+"""Limit of the edges crossed towards closer triangles after a greedy descent."""
 SLOPE = 128
-"""Edges that a way goes over which looks for the lowest place of a hollow."""
+"""Limit of the edges crossed in the search of a local minimum in a hollow."""
 SAME = 1e-11
-"""Share by which another triangle must be nearer, squared, than a known one to take its place: on an edge two are."""
+"""Share by which the squared distance of another triangle must be smaller to replace a known one: on an edge, two are
+equally near."""
 
 
 class Found(NamedTuple):
-    """The nearest triangle.
+    """Nearest triangle.
 
-    number        -1 where none is within the limit; where the budget was used up, the nearest known one
-    square  m^2   of its distance
-    bound   m^2   nothing is nearer than the root of this: `square`, or less where the budget was used up
-    spent         nodes and triangles asked
+    number        of the triangle, -1 if none is within the limit; the nearest known one if the budget was exhausted
+    square  m^2   squared distance
+    bound   m^2   lower bound of the squared distance: `square`, or less if the budget was exhausted
+    spent         nodes and triangles visited
     """
 
     number: int
@@ -59,7 +62,7 @@ class Found(NamedTuple):
 
 @jit
 def brought_near(mesh: Triangles, x: Vec3) -> Vec3:
-    """`x` from the middle of the mesh, or where the way there comes within FAR sizes."""
+    """Return `x` relative to the middle of the mesh, moved towards it to at most FAR sizes along each axis."""
     d = vec3.sub(x, mesh.center)
     largest = max(abs(d[0]), abs(d[1]), abs(d[2]))
     reach = FAR * mesh.size
@@ -70,20 +73,24 @@ def brought_near(mesh: Triangles, x: Vec3) -> Vec3:
 
 @jit
 def upward(square: float) -> np.float32:
-    """A float32 that is not below."""
+    """Convert to float32, rounded up; at most 1e35."""
     return np.float32(min(square * (1.0 + 1e-6), 1e35))
 
 
 @jit
 def middle_of(mesh: Triangles, node: int, lane: int) -> Vec3:
-    """Of the box in a lane, (3,) m from that of the mesh."""
+    """Return the middle of the box in a lane, (3,) m, relative to the middle of the mesh."""
     at = node * NODE + lane
     return (float(mesh.nodes[at]), float(mesh.nodes[at + LANES]), float(mesh.nodes[at + 2 * LANES]))
 
 
 class Guess(NamedTuple):
-    """A triangle that may be the nearest, -1 where the way to it led to none below a limit, the square of its distance,
-    m^2, and what was asked for it."""
+    """Candidate for the nearest triangle.
+
+    number        of the triangle, -1 if none was found below a limit
+    square  m^2   squared distance
+    spent         nodes and triangles visited
+    """
 
     number: int
     square: float
@@ -92,11 +99,11 @@ class Guess(NamedTuple):
 
 @jit
 def way_down(whole: Mesh, node: int, near: Vec3, x: Vec3, limit: float, bounds: Any, waiting: Any, begin: int) -> Guess:
-    """Straight down the tree from a node to what seems nearest, and from there over edges to what is nearer.
+    """Descend greedily from a node of the tree to a triangle, and from there over edges to closer ones.
 
-    near            (3,)  where x is for the tree
-    limit           m^2   nothing farther is looked for
-    bounds, waiting       room for `sift`, of the bounds from `begin` on
+    near            (3,)  m    x in the frame of the tree (`brought_near`)
+    limit                 m^2  boxes farther away are ignored
+    bounds, waiting            scratch for `sift`; of `bounds` from `begin`
     """
     mesh, spent = whole.row[0], 0
     point = (np.float32(near[0]), np.float32(near[1]), np.float32(near[2]))
@@ -128,7 +135,7 @@ def way_down(whole: Mesh, node: int, near: Vec3, x: Vec3, limit: float, bounds: 
 
 @jit
 def lowest_of(bounds: Any, waiting: Any, at: int, end: int) -> int:
-    """The place with the smallest bound of those that wait."""
+    """Return the index of the smallest bound in the queue."""
     lowest = int(waiting[at])
     for i in range(at + 1, end):
         if bounds[int(waiting[i])] < bounds[lowest]:
@@ -138,8 +145,10 @@ def lowest_of(bounds: Any, waiting: Any, at: int, end: int) -> int:
 
 @jit
 def down_slope(mesh: Triangles, begun: Guess, x: Vec3) -> Guess:
-    """Over edges to the nearest of three neighbours, as long as one is nearer. In a hollow the foot of every triangle
-    is within it, and does not tell over which edge the next one is."""
+    """Move to the closest of the three neighbours as long as one is closer.
+
+    In a hollow the nearest point of a triangle is in its interior, and does not show which edge to cross.
+    """
     number, square, spent = begun
     for _ in range(SLOPE if number >= 0 else 0):
         nearer = -1
@@ -160,11 +169,13 @@ def down_slope(mesh: Triangles, begun: Guess, x: Vec3) -> Guess:
 def first_guess(
     whole: Mesh, near: Vec3, x: Vec3, limit: float, known: Vec3, bounds: Any, waiting: Any
 ) -> tuple[Guess, int]:
-    """The nearest of the `known` triangles, or where none is known, of `way_down`; of no triangle where none is nearer
-    than `limit`. And the triangle at which it ended, -1 for none."""
+    """Return the closest of the `known` triangles within `limit` (m), and the last triangle tested, -1 for none.
+
+    Without known triangles, both are the result of `way_down`.
+    """
     mesh, number, square, spent, last = whole.row[0], -1, limit * limit, 0, -1
     for k in known:
-        if 0.0 <= k < mesh.number:  # of several meshes each is told of the others' too
+        if 0.0 <= k < mesh.number:  # `known` may contain triangles of other meshes
             last = int(k)
             foot = foot_on(corners_of(mesh, last), x)
             spent += 1
@@ -179,12 +190,11 @@ def first_guess(
 
 @outlined
 def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough: float) -> Found:
-    """The triangle nearest to `x` (3,) m among those nearer than `limit` (m).
+    """Return the triangle nearest to `x` (3,) m within `limit` (m).
 
-    known   (3,)  numbers of up to three triangles near x that are asked first, and kept where no other is nearer; -1
-                  for none
-    budget        nodes and triangles, ROOM at most
-    enough  m     where many triangles are about as near, one that is nearer than this will do; 0 for the nearest of all
+    known   (3,)  numbers of up to three triangles near x, -1 for none: tested first, and preferred to equally near ones
+    budget        nodes and triangles to visit, at most ROOM
+    enough  m     distance below which a triangle is accepted if the search takes long; 0 for the exact nearest
     """
     mesh = whole.row[0]
     near = brought_near(mesh, x)

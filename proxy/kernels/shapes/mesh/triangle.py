@@ -1,4 +1,4 @@
-"""One triangle: its point nearest to another, on which of its features that is, and on which side the other one is."""
+"""Single triangle: its point nearest to x, the feature of that point (face, edge, corner), and the side of x."""
 
 from typing import NamedTuple
 
@@ -9,20 +9,20 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, direction
 
 FACE = 6
-"""Number of the feature that is the triangle itself; 0 to 2 are its edges, 3 to 5 its corners."""
+"""Number of the face as a feature of the triangle; 0 to 2 are its edges, 3 to 5 its corners."""
 FAN = 12
-"""Triangles round a corner that are asked on either side."""
+"""Limit of the triangles visited round a corner, in each direction."""
 TIE = 1e-11
-"""Share by which squares of distances from an edge or a corner must differ to be told from rounding."""
+"""Share by which squared distances from an edge or a corner must differ, so that the difference is not rounding."""
 BESIDE = 100.0 * TIE
-"""Square of a foot's distance from a corner, as a share of its own, within which triangles round the corner may be
-nearer than the one across the edge, and that one too little nearer to be told."""
+"""Limit for a foot point on an edge: its squared distance from a corner as a share of that from x. Below it, another
+triangle round the corner may be closer, while the one across the edge is closer only by rounding."""
 ON_IT = 1e-14
-"""Distance, as a share of the mesh's size, at which a point has no direction of its own from the triangle."""
+"""Distance, as a share of the mesh's size, below which the direction from the triangle to a point is rounding."""
 
 
 class Corners(NamedTuple):
-    """The three vertices (3,) m of a triangle."""
+    """Vertices (3,) m of a triangle."""
 
     a: Vec3
     b: Vec3
@@ -30,8 +30,13 @@ class Corners(NamedTuple):
 
 
 class Foot(NamedTuple):
-    """Nearest point of a triangle: (3,) m, the square of its distance, m^2, the feature that it is on, and what each
-    corner counts for in it."""
+    """Nearest point of a triangle.
+
+    point    (3,) m
+    square   m^2     squared distance
+    feature          number of the edge or corner that it is on, otherwise FACE
+    weights  (3,)    barycentric coordinates
+    """
 
     point: Vec3
     square: float
@@ -57,7 +62,7 @@ def corners_of(mesh: Triangles, number: int) -> Corners:
 
 @jit
 def foot_at(corners: Corners, x: Vec3, feature: int, weights: Vec3) -> Foot:
-    """Measured from the corner that counts most: a sum of all three has the rounding of where the mesh is."""
+    """Compute the point relative to a corner: a weighted sum of all corners would have the rounding of coordinates."""
     a, b, c = corners
     if feature == FACE:
         point = vec3.add_scaled(vec3.add_scaled(a, weights[1], vec3.sub(b, a)), weights[2], vec3.sub(c, a))
@@ -75,8 +80,7 @@ def foot_at(corners: Corners, x: Vec3, feature: int, weights: Vec3) -> Foot:
 
 @jit
 def foot_on(corners: Corners, x: Vec3) -> Foot:
-    """By the regions of the plane that are nearest to each corner and edge: Ericson, Real-Time Collision Detection,
-    5.1.5."""
+    """Find the nearest point by Voronoi regions of corners and edges: Ericson, Real-Time Collision Detection, 5.1.5."""
     a, b, c = corners
     ab, ac, ax = vec3.sub(b, a), vec3.sub(c, a), vec3.sub(x, a)
     d1, d2 = vec3.dot(ab, ax), vec3.dot(ac, ax)
@@ -96,7 +100,7 @@ def foot_on(corners: Corners, x: Vec3) -> Foot:
         return foot_at(corners, x, 5, (0.0, 0.0, 1.0))
     vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        share = d2 / (d2 - d6) if d2 > d6 else 0.0  # of c; from c back to a the rest
+        share = d2 / (d2 - d6) if d2 > d6 else 0.0  # weight of c
         return foot_at(corners, x, 2, (1.0 - share, 0.0, share))
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 >= d3 and d5 >= d6:
@@ -110,7 +114,7 @@ def foot_on(corners: Corners, x: Vec3) -> Foot:
 
 @jit
 def face_normal(corners: Corners) -> Vec3:
-    """Unit normal (3,), to the side from which the corners go counter-clockwise."""
+    """Return the unit normal (3,), towards the side from which the corners are counter-clockwise."""
     across = vec3.cross(vec3.sub(corners.b, corners.a), vec3.sub(corners.c, corners.a))
     _, normal = direction(across, Z_AXIS)
     return normal
@@ -118,9 +122,12 @@ def face_normal(corners: Corners) -> Vec3:
 
 @jit
 def outward_at(mesh: Triangles, number: int, corners: Corners, feature: int) -> Vec3:
-    """A direction (3,), not of unit length, that tells outside from inside where the nearest point is on a feature: of
-    an edge the sum of the normals of both faces, of a corner that of all, weighted by their angles (Baerentzen and
-    Aanaes, Signed distance computation using the angle weighted pseudonormal, 2005)."""
+    """Return the pseudonormal (3,), not of unit length, of the feature that the nearest point is on.
+
+    It distinguishes outside from inside: at an edge the sum of the normals of both faces, at a corner that of all,
+    weighted by their angles. Source: Baerentzen and Aanaes, Signed distance computation using the angle weighted
+    pseudonormal, 2005.
+    """
     normal = face_normal(corners)
     if feature < 3:
         other = int(mesh.across[3 * number + feature])
@@ -134,21 +141,25 @@ def outward_at(mesh: Triangles, number: int, corners: Corners, feature: int) -> 
 
 @jit
 def is_nearer(foot: Foot, square: float) -> bool:
-    """Whether the foot on another triangle is nearer than a shared edge or corner, whose distance has that square. On
-    its face it is, by however little; on an edge or a corner by more than rounding, or two would take turns."""
+    """Return True if a foot point on another triangle is closer than a shared edge or corner at that squared distance.
+
+    On an edge or a corner, it has to be closer by more than rounding: otherwise two triangles could alternate.
+    """
     return foot.square <= square if foot.feature == FACE else foot.square < square * (1.0 - TIE)
 
 
 @jit
 def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, square: float) -> int:
-    """The nearest of the triangles round the corner `at` of one, if it is nearer to `x` than that corner, which is at
-    that square of the distance; else -1.
+    """Return the closest of the triangles round a corner if it is closer to `x` than the corner, otherwise -1.
 
-    They are asked one after the other as far as they have edges in common: most of them have just that corner nearest
-    to x, so that its neighbours do not tell which of them is nearer.
+    at      corner of the triangle `number`
+    square  m^2  squared distance of the corner
+
+    Visits the triangles connected by edges, up to FAN in each direction, without a descent: for most of them the corner
+    is the nearest point, so their distances do not show where a closer one is.
     """
     vertex, found = mesh.corners[3 * number + at], -1
-    for turn in (0, 2):  # over the edge that begins there, and over the one that ends there
+    for turn in (0, 2):  # across the edge that starts at the corner, and across the one that ends there
         here, corner = number, at
         for _ in range(FAN):
             here = int(mesh.across[3 * here + (corner + turn) % 3])
@@ -167,7 +178,7 @@ def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, square: float)
 
 @jit
 def corner_beside(corners: Corners, foot: Foot) -> int:
-    """The corner that a foot is on, or hardly beside, on an edge; -1 for none."""
+    """Return the corner at a foot point, or within the limit BESIDE of it on an edge; -1 for none."""
     if foot.feature >= 3:
         return foot.feature - 3
     for i in range(3):
@@ -179,8 +190,7 @@ def corner_beside(corners: Corners, foot: Foot) -> int:
 
 @outlined
 def beyond_edge(whole: Mesh, number: float, x: Vec3) -> float:
-    """The triangle beyond the edge, or round the corner, of this one that `x` is nearest to, if it is nearer still;
-    else this one."""
+    """Return the triangle across the edge or round the corner nearest to `x`, if it is closer; otherwise this one."""
     mesh, k = whole.row[0], int(number)
     corners = corners_of(mesh, k)
     foot = foot_on(corners, x)
@@ -197,8 +207,10 @@ def beyond_edge(whole: Mesh, number: float, x: Vec3) -> float:
 
 @outlined
 def shaded_normal(whole: Mesh, number: float, x: Vec3, normal: Vec3) -> Vec3:
-    """Unit normal (3,) at the point of a triangle nearest to `x` (3,) m, the vertices' counting as they do in it; on
-    the side of `normal`, which is taken where they cancel."""
+    """Return the unit normal (3,) interpolated from the vertices at the point of a triangle nearest to `x` (3,) m.
+
+    It is on the side of `normal`, and equal to it if the vertices' normals cancel.
+    """
     mesh, k = whole.row[0], int(number)
     foot = foot_on(corners_of(mesh, k), x)
     total = (0.0, 0.0, 0.0)
@@ -211,8 +223,10 @@ def shaded_normal(whole: Mesh, number: float, x: Vec3, normal: Vec3) -> Vec3:
 
 @outlined
 def closest_on_triangle(whole: Mesh, number: float, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """Signed gap (m) of `x` (3,) m from a triangle, its nearest point (3,) m, and the unit normal (3,) there, to the
-    side where a fingertip may be; of an open mesh to the one where x is."""
+    """Return the signed gap (m) of `x` (3,) m from a triangle, the nearest point (3,) m and the unit normal (3,) there.
+
+    The normal points to the side of the fingertip; on an open mesh, to the side of x.
+    """
     mesh, k = whole.row[0], int(number)
     corners = corners_of(mesh, k)
     foot = foot_on(corners, x)

@@ -1,0 +1,77 @@
+"""Files of a MuJoCo model: where MuJoCo looks for them, so that none outside of one folder is read.
+
+MuJoCo's own list of a model's files (`mju_getXMLDependencies`, 4.0.1) ignores `strippath`, and the `meshdir` that
+included files set. Therefore each file gets an absolute path here, by MuJoCo's rule, and MuJoCo reads that.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from softfinger.config import limits
+from softfinger.config.errors import ConfigError
+from softfinger.config.files import read_input
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+def check_place(file: str | Path, home: Path, what: str) -> None:
+    """Raise ConfigError, with `what` asks for it, if a file of a model is not below `home`."""
+    real = os.path.realpath(file)
+    if not Path(real).is_relative_to(home):
+        above = os.path.relpath(os.path.commonpath([home, real]), home)
+        raise ConfigError(
+            f"world.model {what} is outside of its folder: move the file next to the model, or name a common folder: "
+            f'[world] root = "{above}"'
+        )
+
+
+def check_flexes(folder: str, folders: Iterable[str], flexes: Iterable[str], home: Path, model: str) -> None:
+    """Check the files of flexes, which MuJoCo reads while it parses, in each folder where it may look for them."""
+    for file in flexes:
+        for below in ("", *folders):
+            check_place(os.path.join(folder, below, file), home, f"{model}: <flexcomp file={file!r}>")
+
+
+def place_files(spec: mujoco.MjSpec, listed: list[str], attaches: bool, home: Path, model: str) -> Iterator[str]:
+    """Give every mesh and height field of a model that has a file its absolute path, and yield the paths.
+
+    `listed` are the files of which MuJoCo says that the model depends on them: the files of attached models are in
+    other folders, which only they tell.
+    """
+    strips, spec.strippath = spec.strippath, False
+    for asset in (*spec.meshes, *spec.hfields):
+        if asset.file:
+            own = os.path.basename(asset.file) if strips else asset.file
+            path = os.path.abspath(os.path.join(spec.modelfiledir, spec.meshdir or "", own))
+            if attaches:
+                path = _of_attached(asset, path, listed, model)
+            check_place(path, home, f"{model}: the file {path}")
+            asset.file = path
+            yield path
+
+
+def _of_attached(asset: Any, path: str, listed: list[str], model: str) -> str:
+    name = os.path.basename(asset.file)
+    found = {os.path.abspath(each) for each in listed if os.path.basename(each) == name and os.path.exists(each)}
+    if path in found or not found:
+        found = {path}
+    if len(found) > 1:
+        files = ", ".join(sorted(found))
+        raise ConfigError(f"world.model {model}: {asset.name!r} may be one of {files}: give the files different names")
+    return found.pop()
+
+
+def has_groups(path: str) -> bool:
+    """Return whether an OBJ file has faces in several groups or objects; MuJoCo (4.0.1) reads only the first."""
+    try:
+        data = read_input(path, int(limits.MESH_BYTES.high))
+    except OSError:
+        return False
+    statements = b"".join(re.findall(rb"^[ \t]*([fgo])(?=\s)", data, re.MULTILINE))
+    return re.search(rb"f[go]+f", statements) is not None

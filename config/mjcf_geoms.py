@@ -1,0 +1,182 @@
+"""Geoms of a MuJoCo model as objects of a scene.
+
+[world] of a scene names the file. Every geom that can collide becomes an object of the same name, with one of our exact
+shapes: fingers touch it here, and other geoms touch it in MuJoCo. An object of the scene file with the name of a geom
+replaces the object of that geom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from softfinger.config import limits, schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.mjcf import compiled, mujoco_module, read_model
+from softfinger.config.mjcf_files import has_groups
+
+SQUARE: Final = 1e-6
+"""Relative difference of the sides of a pixel that counts as rounding of sizes in a file: 1 pixel in a million."""
+CONVEX: Final = 0.01
+"""Relative volume by which a convex hull exceeds a mesh that counts as convex."""
+
+
+class Taken(NamedTuple):
+    """Geom and the object made of it; None if it cannot be touched.
+
+    `note` gives the reason, or the difference from MuJoCo's geom.
+    """
+
+    name: str
+    object: schema.Object | None
+    note: str
+
+
+def with_geoms(scene: schema.Scene) -> schema.Scene:
+    """Return the scene with an object for each geom of its [world] that no object replaces."""
+    if scene.world is None:
+        return scene
+    read_model(scene.world)  # checks masses and keyframe
+    have = {thing.name for thing in scene.object}
+    geoms = list(taken(scene.world))
+    added = [each.object for each in geoms if each.object is not None and each.name not in have]
+    if not scene.object and not added:
+        why = "; ".join(f"{each.name} {each.note}" for each in geoms[:5]) or "it has none"
+        raise ConfigError(f"world.model {scene.world.model}: no geom can be touched: {why}")
+    return msgspec.structs.replace(scene, object=(*scene.object, *added))
+
+
+def taken(world: schema.World) -> Iterator[Taken]:
+    """Convert each geom of the model, in their order. Raises ConfigError for an unusable model."""
+    package = mujoco_module()
+    spec, model, _ = compiled(world.model, world.root)
+    data = package.MjData(model)
+    package.mj_kinematics(model, data)
+    paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+    for geom in spec.geoms:
+        name = geom.name or f"geom-{geom.id}"
+        if not geom.contype and not geom.conaffinity and geom.id not in paired:
+            yield Taken(name, None, "does not collide (contype and conaffinity are 0, and no <pair> has it)")
+            continue
+        material = _material(world, geom)
+        if material is None:
+            yield Taken(name, None, "has no material: give [world.material], or a [[world.geom]] that fits it")
+            continue
+        if geom.meshname and model.geom_type[geom.id] == package.mjtGeom.mjGEOM_MESH:
+            _check_groups(name, spec, int(model.geom_dataid[geom.id]))
+        yield _object(name, geom.id, world, material, model, data)
+
+
+def _material(world: schema.World, geom: Any) -> schema.Material | None:
+    material = world.material
+    for rule in world.geom:
+        of_name = rule.name is None or rule.name == geom.name
+        of_group = rule.group is None or rule.group == geom.group
+        of_default = rule.default is None or (geom.classname is not None and rule.default == geom.classname.name)
+        if of_name and of_group and of_default:
+            material = rule.material
+    return material
+
+
+def _object(name: str, geom: int, world: schema.World, material: schema.Material, model: Any, data: Any) -> Taken:
+    kinds = mujoco_module().mjtGeom
+    x, y, z = (float(each) for each in model.geom_size[geom])
+    body, number = int(model.geom_bodyid[geom]), int(model.geom_dataid[geom])
+    place: dict[str, Any] = {"name": name, "material": material}
+    there = model.geom_pos[geom], model.geom_quat[geom]
+    if moves(model, body):
+        place["motion"] = schema.Body(body=model.body(body).name or str(body))
+    else:
+        there = _on((data.xpos[body], data.xquat[body]), there)
+    place["position_m"], place["orientation_wxyz"] = map(_numbers, there)
+    match model.geom_type[geom]:
+        case kinds.mjGEOM_PLANE:
+            return Taken(name, schema.Plane(**place), "without an end" if x or y else "")
+        case kinds.mjGEOM_SPHERE:
+            return Taken(name, schema.Sphere(radius_m=x, **place), "")
+        case kinds.mjGEOM_CAPSULE:
+            return Taken(name, schema.Capsule(radius_m=x, length_m=2.0 * y, **place), "")
+        case kinds.mjGEOM_ELLIPSOID:
+            return Taken(name, schema.Ellipsoid(semi_axes_m=(x, y, z), **place), "")
+        case kinds.mjGEOM_CYLINDER:
+            return Taken(name, schema.Cylinder(radius_m=x, length_m=2.0 * y, **place), "")
+        case kinds.mjGEOM_BOX:
+            return Taken(name, schema.Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z), **place), "")
+        case kinds.mjGEOM_HFIELD:
+            source = _hfield(world, model, number)
+            if isinstance(source, str):
+                return Taken(name, None, source)
+            return Taken(name, schema.Heightmap(**source, **place), "smooth between its heights, level beyond its rim")
+        case kinds.mjGEOM_MESH:
+            source = {"file": world.model, "root": world.root, "mesh": model.mesh(number).name}
+            return Taken(name, schema.Mesh(**source, **place), _hull_note(model, number))
+    kind = kinds(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
+    return Taken(name, None, f"is of the type {kind}, which fingers do not touch")
+
+
+def _check_groups(name: str, spec: Any, number: int) -> None:
+    file = next((mesh.file for mesh in spec.meshes if mesh.id == number), "")
+    if file.lower().endswith(".obj") and has_groups(file):
+        raise ConfigError(
+            f"geom {name!r}: {file} has faces in several groups, and MuJoCo reads only the first: export it without "
+            "groups"
+        )
+
+
+def _hull_note(model: Any, number: int) -> str:
+    """Return how a mesh differs from its convex hull, with which other geoms collide; empty if it is convex."""
+    first, graph = int(model.mesh_vertadr[number]), int(model.mesh_graphadr[number])
+    face = int(model.mesh_faceadr[number])
+    vertices = model.mesh_vert[first : first + model.mesh_vertnum[number]].astype(np.float64)
+    mesh = _volume(vertices, model.mesh_face[face : face + model.mesh_facenum[number]])
+    if graph < 0:  # no other geom collides with it
+        return ""
+    corners, faces = (int(each) for each in model.mesh_graph[graph : graph + 2])
+    start = graph + 2 + 3 * corners + 3 * faces  # after numbers of vertices and faces, vertices, edges
+    hull = _volume(vertices, model.mesh_graph[start : start + 3 * faces].reshape(-1, 3))
+    if hull <= (1.0 + CONVEX) * mesh:
+        return ""
+    larger = f", which has {hull / mesh:.3g} times its volume" if mesh > 0.0 else ""
+    return f"is touched as it is; other geoms collide with its convex hull{larger}"
+
+
+def _volume(vertices: Any, faces: Any) -> float:
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def _hfield(world: schema.World, model: Any, number: int) -> dict[str, Any] | str:
+    rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
+    x, y, z = (float(each) for each in model.hfield_size[number][:3])
+    across, along = 2.0 * x / (columns - 1), 2.0 * y / (rows - 1)
+    if abs(across - along) > SQUARE * along:
+        sides = f"{across:.6g} m along x and {along:.6g} m along y"
+        return f"is a height field with pixels of {sides}: make them square, by its size or by resampling"
+    if rows * columns > limits.GRID_VALUES.high:
+        return f"is a height field of {rows} x {columns}: {limits.GRID_VALUES.high:,} values are the most"
+    source = {"file": world.model, "root": world.root, "hfield": model.hfield(number).name}
+    return source | {"pitch_m": across, "level_m": z}
+
+
+def moves(model: Any, body: int) -> bool:
+    """Return whether a body can leave the pose that the model gives it."""
+    at = body
+    while at != 0:
+        if model.body_dofnum[at] > 0 or model.body_mocapid[at] >= 0:
+            return True
+        at = int(model.body_parentid[at])
+    return False
+
+
+def _numbers(values: Any) -> Any:
+    return tuple(float(each) for each in values)
+
+
+def _on(outer: Any, inner: Any) -> Any:
+    """Return the pose `inner`, given in the frame `outer`, in the parent frame of `outer`."""
+    package, place, turn = mujoco_module(), np.zeros(3), np.zeros(4)
+    package.mju_mulPose(place, turn, outer[0], outer[1], inner[0], inner[1])
+    return place, turn

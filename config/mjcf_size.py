@@ -1,0 +1,241 @@
+"""Limits of a model's XML, checked before MuJoCo reads it: files below one folder, and at most a second of reading.
+
+A line of MJCF may expand to a million bodies, and MuJoCo cannot be interrupted while it creates them. Therefore the
+elements are counted here, times the copies that `<replicate>`, `<include>` and `<attach>` make of them.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from softfinger.config import limits
+from softfinger.config.errors import ConfigError
+from softfinger.config.files import read_input
+from softfinger.config.mjcf_files import check_place
+from softfinger.config.urdf import is_urdf, places
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+SIZE_MAX: Final = 1 << 24
+"""Largest size of a model with all files that it includes, bytes."""
+BODIES_MAX: Final = 1000
+ELEMENTS_MAX: Final = 20_000
+COPIES_MAX: Final = 5_000
+"""Elements that are copies; MuJoCo's time to make them grows with the square of their number."""
+FILE_BYTES: Final = 4096
+"""Bytes counted for each file that is read, so that a file that includes itself reaches the limit."""
+CHUNK: Final = 1 << 15
+"""Characters parsed at a time, which takes a millisecond."""
+DEPTH_MAX: Final = 8
+"""Deepest nesting of models attached to models."""
+PARSED: Final = ("include", "model")
+"""Elements whose files are XML."""
+FILES: Final = ("file", "filename", "meshdir", "texturedir", "assetdir")
+ROWS_PER_BYTE: Final = 1 / 50
+"""Vertices per byte of a mesh file, at most, in the usual notation."""
+
+
+class Bound(NamedTuple):
+    """Largest product of the values of some attributes."""
+
+    attributes: tuple[str, ...]
+    most: int
+
+
+PIXELS: Final = 1 << 24
+USERS: Final = ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
+TEXT: Final = 1 << 20
+BOUNDS: Final[Mapping[str, tuple[Bound, ...]]] = {
+    "hfield": (Bound(("nrow", "ncol"), int(limits.GRID_VALUES.high)),),
+    "texture": (Bound(("width", "height"), PIXELS), Bound(("width", "width"), PIXELS)),
+    "flexcomp": (Bound(("count",), 16_000), Bound(("cellcount",), 1000)),
+    "flex": (Bound(("cellcount",), 1000),),
+    "user": (Bound(("dim",), 1_000_000),),
+    "camera": (Bound(("resolution",), 1_000_000),),
+    "size": tuple(
+        Bound((name,), most)
+        for name, most in (
+            *(
+                (f"nuser_{each}", 1000)
+                for each in ["body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor"]
+            ),
+            ("nuserdata", 1 << 20),
+            ("nkey", 1000),
+        )
+    ),
+}
+LISTS: Final = ("vertex", "normal", "texcoord", "face", "point", "element", "elevation")
+"""Attributes that are lists of numbers."""
+
+
+class Names(NamedTuple):
+    """Names in a model with which it asks for files.
+
+    parts     XML files, without folders
+    folders   values of meshdir and assetdir
+    flexes    files of <flexcomp>
+    attaches  whether it attaches other models
+    """
+
+    parts: set[str]
+    folders: set[str]
+    flexes: set[str]
+    attaches: list[str]
+
+
+def check_files(text: str, path: Path, name: str, home: Path) -> Names:
+    """Return names in a model with this text.
+
+    Raises ConfigError if it is too large, or if it includes or attaches a file that is not below `home`.
+    """
+    model = _Model(home, name, is_urdf(str(path)))
+    model.read(text, path, name, 1, 0)
+    return model.names
+
+
+class _Model:
+    """Counts of a model so far.
+
+    home  folder below which its files must lie
+    name  name of its file, for messages
+    urdf  whether it is one
+    """
+
+    def __init__(self, home: Path, name: str, urdf: bool) -> None:
+        self._home, self._name, self._urdf = home, name, urdf
+        self.names = Names(set(), set(), set(), [])
+        self._counted = Counter[str]()
+        self._bytes = 0
+
+    def read(self, text: str, path: Path, name: str, times: int, depth: int) -> None:
+        """Count a file `times` times, including the files that it includes and attaches."""
+        models, attached = dict[str, Path](), Counter[str]()
+        folder, waiting = path.parent, [(self._root(text, name), times, name)]
+        while waiting:
+            element, times, name = waiting.pop()
+            self._check_paths(element, folder, name)
+            self._check_numbers(element, name)
+            given = element.get("file") or ""
+            match element.tag:
+                case "include":
+                    if (inner := self._text(folder / given)) is not None:
+                        within = f"{self._name}, {given}"
+                        waiting.append((self._root(inner, within), times, within))
+                case "model":
+                    models[element.get("name") or Path(given).stem] = folder / given
+                case "attach":
+                    attached[element.get("model") or ""] += times
+            self._count(element, times, folder, name)
+            copies = times * (_product(element, ("count",)) if element.tag == "replicate" else 1)
+            waiting += [(child, copies, name) for child in element]
+        unknown = sum(count for model, count in attached.items() if model not in models)
+        for model, part in models.items():
+            inner = self._text(part) if depth < DEPTH_MAX else None
+            if inner is not None:
+                self.read(inner, part, f"{self._name}, {part.name}", max(attached[model] + unknown, 1), depth + 1)
+
+    def _root(self, text: str, name: str) -> Element:
+        from xml.etree import ElementTree
+
+        self._bytes += len(text) + FILE_BYTES
+        if self._bytes > SIZE_MAX:
+            raise ConfigError(f"world.model {name}: has more than {SIZE_MAX:,} bytes with all that it includes")
+        if "<!ENTITY" in text:
+            raise ConfigError(f"world.model {name}: declares entities, and MuJoCo knows none: write them out")
+        parser: Any = ElementTree.XMLPullParser(["start"])
+        begun: list[Element] = []
+        try:
+            for place in range(0, len(text), CHUNK):  # in chunks, since parsing blocks other threads
+                parser.feed(text[place : place + CHUNK])
+                begun += [element for _, element in parser.read_events()]
+                if len(begun) > ELEMENTS_MAX:
+                    raise ConfigError(
+                        f"world.model {name}: has more than {ELEMENTS_MAX:,} elements, the most that can be read"
+                    )
+            parser.close()
+        except ElementTree.ParseError as error:
+            raise ConfigError(f"world.model {name}: is no XML: {error}") from error
+        return begun[0]
+
+    def _text(self, path: Path) -> str | None:
+        """Return the text of a part; None if it cannot be read, which MuJoCo reports."""
+        try:
+            return read_input(path, SIZE_MAX).decode("utf-8-sig")
+        except (OSError, ValueError):
+            return None
+
+    def _check_paths(self, element: Element, folder: Path, name: str) -> None:
+        """Check the files that are read here, and note those that only MuJoCo finds."""
+        given = element.get("file") or ""
+        match element.tag:
+            case "include" | "model":
+                self.names.parts.add(os.path.basename(given))
+            case "attach":
+                self.names.attaches.append(element.get("model") or "")
+            case "flexcomp":
+                self.names.flexes.add(given)
+            case "compiler":
+                self.names.folders.update(element.get(key) or "" for key in ("meshdir", "assetdir"))
+        if not self._urdf and element.tag not in PARSED:
+            return
+        for key in FILES:
+            given = element.get(key) or ""
+            for way in places(given):
+                check_place(folder / way, self._home, f"{name}: <{element.tag} {key}={given!r}>")
+
+    def _check_numbers(self, element: Element, name: str) -> None:
+        for bound in BOUNDS.get(element.tag, ()):
+            if (given := _product(element, bound.attributes)) > bound.most:
+                what = " x ".join(dict.fromkeys(bound.attributes))
+                raise ConfigError(
+                    f"world.model {name}: <{element.tag}> has {what} = {given:,}; at most {bound.most:,} can be read"
+                )
+        for key in LISTS:
+            if len(element.get(key) or "") > TEXT:
+                raise ConfigError(
+                    f"world.model {name}: <{element.tag} {key}> has more than {TEXT:,} characters: put it in a file"
+                )
+
+    def _count(self, element: Element, times: int, folder: Path, name: str) -> None:
+        bodies = int(element.tag in ("body", "link"))
+        if element.tag == "flexcomp" and (element.get("dof") or "full") in ("full", "2d"):
+            bodies = self._vertices(element, folder)
+        self._add("bodies", times * bodies, BODIES_MAX, "can be stepped in time")
+        self._add("elements", times, ELEMENTS_MAX, "can be read")
+        if times > 1:
+            self._add("copies of elements", times, COPIES_MAX, "can be made")
+
+    def _vertices(self, element: Element, folder: Path) -> int:
+        if file := element.get("file"):
+            try:
+                return math.ceil(ROWS_PER_BYTE * (folder / file).stat().st_size)
+            except OSError:
+                return 0  # MuJoCo reports it
+        if (points := element.get("point")) is not None:
+            return len(points.split()) // 3
+        return _product(element, ("count",)) if element.get("count") else 1000
+
+    def _add(self, what: str, count: int, most: int, why: str) -> None:
+        self._counted[what] += count
+        if self._counted[what] > most:
+            raise ConfigError(
+                f"world.model {self._name}: has {self._counted[what]:,} {what} or more; at most {most:,} {why}"
+            )
+
+
+def _product(element: Element, attributes: tuple[str, ...]) -> int:
+    """Return the product of the whole numbers in attributes, 1 if there are none; MuJoCo reports other values."""
+    product = 1
+    for attribute in attributes:
+        for word in (element.get(attribute) or "").split():
+            try:
+                product *= max(int(float(word)), 0)
+            except (ValueError, OverflowError):
+                continue
+    return product

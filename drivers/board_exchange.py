@@ -1,0 +1,330 @@
+"""Exchange with a board on a file descriptor: each tick, after a pause of the loop, and during silence of the board.
+
+A tick never waits: it reads everything received, uses the latest sample, and sends one packet. During a silence longer
+than `quiet` it sends no force: computed for an old position, the force may push the arm in the wrong direction. It
+wakes the board every `kick`, and reports a failure after `timeout_after`. After a pause of the loop (`pause`) it
+discards queued samples and waits for a current one. WITHHELD reports that zero replaced the force, so that the guard
+fades the force in again. HELD reports that a force was not sent, because the device keeps the previous one.
+
+A driver implements six kernels, dispatched by the type of a named tuple that it defines: `drain`, `pose`, `busy`,
+`send_zero`, `command` and `wake`. `serial.exchange` is the shortest example.
+"""
+
+from __future__ import annotations
+
+import time
+from math import isfinite
+from typing import Annotated, Any, Final, NamedTuple, Protocol
+
+from numba import types
+
+from softfinger.drivers.base import (
+    HELD,
+    LOST,
+    OK,
+    PROTOCOL,
+    SAMPLE_SIZE,
+    SAMPLE_TIME,
+    STALE,
+    TIMEOUT,
+    WITHHELD,
+    DeviceInfo,
+)
+from softfinger.drivers.block import Block, lay_out, numbers, word
+from softfinger.drivers.mounting import Mounting
+from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, shift_sample_time
+from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, poll_fd
+from softfinger.proxy.kernels.jit.decorators import c_function, jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
+
+TORQUE_MAX_NM: Final = 1e2
+"""No motor turns the handle, but torque is accepted: contact and telemetry use it."""
+WAIT_MS: Final = 10
+"""Duration of one wait for a current sample."""
+
+_POLLIN: Final = 1 << 32  # `events` of a struct pollfd, read as one little-endian word
+
+
+class Fields(NamedTuple):
+    """Fields of every exchange; the fields of the driver follow."""
+
+    fd: Annotated[int, word("file descriptor, below 0 once it is closed")]
+    armed: Annotated[int, word("whether a force may go out")]
+    lock: Annotated[int, word("lock: set during a write")]
+    has_sample: Annotated[int, word("whether there is a sample to repeat")]
+    has_force: Annotated[int, word("whether the last accepted packet had a force; written by the driver")]
+    unsent_bytes: Annotated[int, word("its bytes that the device has not accepted yet; written by the driver")]
+    misread_bytes: Annotated[int, word("bytes since the latest sample that form none; written by the driver, else 0")]
+    misread_max: Annotated[int, word("so many misread ones are an answer that is not in the protocol")]
+    opened_at: Annotated[int, word("ns")]
+    sampled_at: Annotated[int, word("time of the latest sample, ns")]
+    read_at: Annotated[int, word("ns, when the loop last read")]
+    kicked_at: Annotated[int, word("ns")]
+    quiet: Annotated[int, word("ns of silence, after which it gets no force")]
+    kick: Annotated[int, word("ns from one kick into a silence to the next")]
+    kick_awaiting: Annotated[int, word("ns, the same while a sample of now is awaited")]
+    timeout_after: Annotated[int, word("ns of silence")]
+    poll: Annotated[int, word("struct pollfd")]
+    timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
+    sample: Annotated[int, numbers("the last one", SAMPLE_SIZE)]
+
+
+BOARD: Final = lay_out(Fields)
+
+
+class Times(NamedTuple):
+    """Time spans of an exchange, s; see `Fields`."""
+
+    quiet: float
+    kick: float
+    kick_awaiting: float
+    timeout: float
+
+
+def init_exchange(block: Block, fd: int, times: Times, misread_max: int = 1) -> None:
+    """Initialize the fields of an exchange on `fd`; `misread_max` as in `Fields`."""
+    at = block.word
+    at[BOARD.fd], at[BOARD.armed], at[BOARD.misread_max] = fd, 1, misread_max
+    at[BOARD.opened_at] = time.monotonic_ns()
+    spans = (BOARD.quiet, BOARD.kick, BOARD.kick_awaiting, BOARD.timeout_after)
+    for field, seconds in zip(spans, times, strict=True):
+        at[field] = round(seconds * 1e9)
+
+
+class BoardOptions(Protocol):
+    """Keys of a rig for any board."""
+
+    @property
+    def mounting(self) -> Mounting: ...
+    @property
+    def workspace_radius_m(self) -> float: ...
+    @property
+    def force_max_n(self) -> float: ...
+    @property
+    def stiffness_max_n_per_m(self) -> float: ...
+    @property
+    def damping_max_ns_per_m(self) -> float: ...
+
+
+def make_info(board: BoardOptions, name: str, sensed_dof: int, actuated_dof: int = 3) -> DeviceInfo:
+    """Return the capabilities of a board: no motors for the handle's rotation, workspace a box around its origin."""
+    x, y, z = (float(v) for v in board.mounting.position_m)
+    r = board.workspace_radius_m
+    return DeviceInfo(
+        name=name,
+        sensed_dof=sensed_dof,
+        actuated_dof=actuated_dof,
+        force_max_n=board.force_max_n,
+        torque_max_nm=TORQUE_MAX_NM,
+        stiffness_max_n_per_m=board.stiffness_max_n_per_m,
+        damping_max_ns_per_m=board.damping_max_ns_per_m,
+        workspace_min_m=(x - r, y - r, z - r),
+        workspace_max_m=(x + r, y + r, z + r),
+    )
+
+
+# --- kernels of a driver ---------------------------------------------------------------------------
+
+
+@by_type
+def drain(driver: Any, handle: int) -> Any:
+    """Read until nothing is left and store the latest sample. Return the number of samples, or a status below 0."""
+
+
+@by_type
+def pose(driver: Any, handle: int) -> Any:
+    """Convert the latest sample into BOARD.sample, except its time. Return False if it contains no pose."""
+
+
+@by_type
+def busy(driver: Any, handle: int, has_no_sample: bool) -> Any:
+    """Return True if only a zero that ends a force may be sent now; `has_no_sample`: there is no current sample."""
+
+
+@by_type
+def send_zero(driver: Any, handle: int) -> Any:
+    """Send a zero. Return OK, HELD if the device accepts nothing at the moment, or a status below 0."""
+
+
+@by_type
+def command(driver: Any, handle: int, wrench: Any) -> Any:
+    """Send a wrench. Return like `send_zero`, or STALE if the driver limited it."""
+
+
+@by_type
+def wake(driver: Any, handle: int) -> Any:
+    """Send a packet without force that makes a silent device answer. Return like `send_zero`."""
+
+
+# --- common to all drivers -------------------------------------------------------------------------
+
+
+@jit
+def _now(handle: int) -> int:
+    return monotonic_ns(handle + 8 * BOARD.timespec)
+
+
+@jit
+def _kick(driver: Any, handle: int) -> int:
+    """Wake the device, unless another thread is writing to stop it: then its write wakes the device."""
+    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
+        return STALE
+    status: int = wake(driver, handle)
+    int64_at(handle)[BOARD.kicked_at] = _now(handle)
+    exchange_int64(handle + 8 * BOARD.lock, 0)
+    return status
+
+
+@jit
+def _silence_status(handle: int, misread_bytes: int) -> int:
+    """Return the status of a silence in which `misread_bytes` unusable bytes arrived."""
+    return PROTOCOL if misread_bytes >= int64_at(handle)[BOARD.misread_max] else TIMEOUT
+
+
+@jit
+def _wait_ready(handle: int, wait_ms: int) -> None:
+    """Wait until the device has sent something, or `wait_ms` have passed."""
+    at = int64_at(handle)
+    at[BOARD.poll] = at[BOARD.fd] | _POLLIN
+    poll_fd(int64_at(handle + 8 * BOARD.poll), 1, wait_ms)
+
+
+@jit
+def _await(driver: Any, handle: int) -> int:
+    """Discard queued samples and wait for a current one, waking the device. Return like `drain`.
+
+    The wait is short if there is a sample to repeat.
+    """
+    at = int64_at(handle)
+    count: int = drain(driver, handle)
+    if count >= 0:
+        _wait_ready(handle, 0)  # poll makes a terminal deliver bytes in transit before it reports that there are none
+        count = drain(driver, handle)
+    start = now = _now(handle)
+    misread_bytes = at[BOARD.misread_bytes]
+    is_running = at[BOARD.has_sample] != 0
+    at[BOARD.kicked_at] = start - at[BOARD.kick_awaiting]
+    while count >= 0:
+        if now - at[BOARD.kicked_at] >= at[BOARD.kick_awaiting]:
+            status = _kick(driver, handle)
+            if status < 0:
+                return status
+        _wait_ready(handle, WAIT_MS)
+        count = drain(driver, handle)
+        if count != 0:
+            break
+        now = _now(handle)
+        if is_running and now - start > RESUME_WAIT_NS:
+            break
+        if not is_running and now - start > at[BOARD.timeout_after]:
+            return _silence_status(handle, at[BOARD.misread_bytes] - misread_bytes)
+    return count
+
+
+@jit
+def read_once(driver: Any, handle: int, sample: Any) -> int:
+    """Implement `read` of a driver."""
+    at = int64_at(handle)
+    if at[BOARD.fd] < 0:
+        return LOST
+    now = _now(handle)
+    had_force = at[BOARD.has_force] != 0
+    was_paused = now - at[BOARD.read_at] > RESUME_NS or at[BOARD.has_sample] == 0
+    if was_paused:
+        at[BOARD.sampled_at] = shift_sample_time(at[BOARD.sampled_at], at[BOARD.read_at], now, at[BOARD.quiet])
+    at[BOARD.read_at] = now
+    count = _await(driver, handle) if was_paused else drain(driver, handle)
+    if count < 0:
+        return int(count)
+    last_sample = float64_at(handle + 8 * BOARD.sample)
+    status = STALE
+    if count > 0:
+        at[BOARD.sampled_at] = _now(handle)
+        if not pose(driver, handle):
+            return PROTOCOL
+        last_sample[SAMPLE_TIME] = (at[BOARD.sampled_at] - at[BOARD.opened_at]) * 1e-9
+        at[BOARD.has_sample] = 1
+        status = OK
+    else:
+        silence = now - at[BOARD.sampled_at]
+        if silence > at[BOARD.timeout_after]:
+            return _silence_status(handle, at[BOARD.misread_bytes])
+        if silence > at[BOARD.quiet] and now - at[BOARD.kicked_at] >= at[BOARD.kick]:
+            wake_status = _kick(driver, handle)
+            if wake_status < 0:
+                return wake_status
+    if was_paused:
+        at[BOARD.read_at] = _now(handle)  # waiting for the device is no pause of the loop
+    if had_force and at[BOARD.has_force] == 0:
+        status = WITHHELD  # waking has removed the force, and the answer to it must not restore the force at once
+    for k in range(SAMPLE_SIZE):
+        sample[k] = last_sample[k]
+    return status
+
+
+@jit
+def write_once(driver: Any, handle: int, wrench: Any) -> int:
+    """Implement `write` of a driver."""
+    at = int64_at(handle)
+    # Never wait here: the lock's owner may be stopping the device, and then refusing is right as well.
+    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
+        return WITHHELD
+    finite, zero = True, True
+    for k in range(3):  # no motor turns the handle: torque is accepted, but not displayed
+        finite = finite and isfinite(wrench[k])
+        zero = zero and wrench[k] == 0.0
+    status = OK
+    if at[BOARD.fd] < 0:
+        status = OK if zero else WITHHELD
+    else:
+        has_no_sample = _now(handle) - at[BOARD.sampled_at] > at[BOARD.quiet] or at[BOARD.has_sample] == 0
+        if zero or not finite or not at[BOARD.armed] or has_no_sample:
+            if at[BOARD.has_force] != 0 or not busy(driver, handle, has_no_sample):
+                status = send_zero(driver, handle)
+            if status >= 0 and not zero:
+                status = WITHHELD
+        else:
+            status = command(driver, handle, wrench)
+    exchange_int64(handle + 8 * BOARD.lock, 0)
+    return status
+
+
+@jit
+def silence_once(driver: Any, handle: int) -> int:
+    """Disarm and send a zero. Return 1 if that is done, 0 if it was not accepted and the call must be repeated."""
+    at = int64_at(handle)
+    at[BOARD.armed] = 0
+    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
+        return 0  # a write is in progress
+    status = OK
+    if at[BOARD.fd] >= 0:
+        status = send_zero(driver, handle)
+    exchange_int64(handle + 8 * BOARD.lock, 0)
+    return 0 if status == HELD or at[BOARD.unsent_bytes] > 0 else 1
+
+
+class Functions(NamedTuple):
+    """C functions of a driver: `read` and `write` for the servo, `silence(handle)` as `silence_once`."""
+
+    read: Any
+    write: Any
+    silence: Any
+
+
+def compile_functions(driver: tuple[()]) -> Functions:
+    """Compile the exchange of a driver; its kernels must be registered for the type of `driver` before."""
+
+    @c_function(IO_SIGNATURE)
+    def read(handle: int, sample: Any) -> int:
+        return read_once(driver, handle, sample)
+
+    @c_function(IO_SIGNATURE)
+    def write(handle: int, wrench: Any) -> int:
+        return write_once(driver, handle, wrench)
+
+    @c_function(types.int64(types.int64))
+    def silence(handle: int) -> int:
+        return silence_once(driver, handle)
+
+    return Functions(read, write, silence)

@@ -1,0 +1,101 @@
+"""Selection of the attached device that a rig describes, and diagnosis if none can be opened."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+from typing import Final, NoReturn
+
+from softfinger.config.errors import (
+    DeviceBusy,
+    DeviceError,
+    DeviceNotFound,
+    DevicePermission,
+    DeviceTimeout,
+)
+from softfinger.drivers.forcedimension import library, usb
+from softfinger.drivers.forcedimension.models import Model, find_model
+from softfinger.drivers.forcedimension.options import Options
+
+log: Final = logging.getLogger(__name__)
+
+
+def find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
+    """Open the device that the options select, or the first that opens; return its ID and model."""
+    count = call.dhdGetDeviceCount()
+    if count <= 0:
+        _raise_not_found(call, count)
+    numbers = range(count) if options.number is None else [options.number]
+    rejected: list[str] = []
+    failed: DeviceError | None = None
+    for number in numbers:
+        device = call.drdOpenID(number)
+        if device < 0:
+            failed = failed or _open_error(call, number)
+            continue
+        try:
+            model, serial = find_model(call.dhdGetSystemType(device)), read_serial(call, device)
+            if options.serial in (None, serial) and options.model in (None, model.name):
+                return device, model
+        except BaseException:
+            call.drdClose(device)
+            raise
+        rejected.append(f"{model.full_name}, serial {serial}")
+        call.drdClose(device)
+    if failed is not None:
+        raise failed
+    criteria = {"model": options.model, "serial": options.serial, "number": options.number}
+    criteria_text = ", ".join(f"{key} = {value}" for key, value in criteria.items() if value is not None)
+    raise DeviceNotFound(
+        f"no device fits {criteria_text or 'this driver'}: attached are {'; '.join(rejected)}: "
+        "change [device] in the rig, or attach the device"
+    )
+
+
+def load(named: str | None) -> ctypes.CDLL:
+    """Load the library; if it is missing, the error also lists devices attached over USB."""
+    try:
+        loaded = library.load(named)
+    except DeviceNotFound as error:
+        devices = [str(device) if device.permitted else usb.how_to_permit(device) for device in usb.attached()]
+        attached = f". Attached over USB: {'; '.join(devices)}" if devices else ""
+        raise DeviceNotFound(f"{error}{attached}") from None
+    parts = [ctypes.c_int() for _ in range(4)]
+    loaded.dhdGetSDKVersion(*map(ctypes.byref, parts))
+    log.info("Force Dimension's library, version %s", ".".join(str(part.value) for part in parts))
+    return loaded
+
+
+def read_serial(call: ctypes.CDLL, device: int) -> int:
+    serial = ctypes.c_ushort()
+    if call.dhdGetSerialNumber(ctypes.byref(serial), device) < 0:
+        raise DeviceError(f"serial number: {library.error_text(call)}: switch the device off and on, then start again")
+    return serial.value
+
+
+def _raise_not_found(call: ctypes.CDLL, count: int) -> NoReturn:
+    devices = usb.attached()
+    for device in devices:
+        if not device.permitted:
+            raise DevicePermission(usb.how_to_permit(device))
+    if count < 0:
+        raise DeviceError(f"the devices cannot be counted: {library.error_text(call)}: check cable and power")
+    if devices:
+        raise DeviceError(f"the library does not see {devices[0]}: switch the device on, or off and on again")
+    raise DeviceNotFound("no device of Force Dimension is attached: check cable and power (USB vendor 1451)")
+
+
+def _open_error(call: ctypes.CDLL, number: int) -> DeviceError:
+    code, text = call.dhdErrorGetLast(), library.error_text(call)
+    if code in (library.ERROR_BUSY, library.ERROR_IN_USE):
+        by = ", ".join(name for device in usb.attached() for name in usb.holders(device)) or "another process"
+        return DeviceBusy(f"device {number} is used by {by} ({text}): end that process, then start again")
+    if code == library.ERROR_NO_DEVICE:
+        return DeviceNotFound(f"device {number} is not there any more ({text}): check cable and power")
+    if code in (library.ERROR_COM, library.ERROR_NO_DRIVER):
+        for device in usb.attached():
+            if not device.permitted:
+                return DevicePermission(usb.how_to_permit(device))
+    if code == library.ERROR_TIMEOUT:
+        return DeviceTimeout(f"device {number} did not answer when opened ({text}): switch it off and on")
+    return DeviceError(f"device {number} cannot be opened: {text}: check cable and power, then start again")

@@ -1,0 +1,66 @@
+"""Contacts at the start of a tick, before friction: moved with their objects, rolled, or just detected.
+
+`continuation` and `prediction` continue the contacts of the last tick, `detection` finds a first one.
+"""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.contact_friction import Prediction
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import first_of, replace
+from softfinger.proxy.kernels.model import (
+    NO_CONTACT,
+    ActiveSet,
+    FingerState,
+    Vec3,
+)
+
+NO_PREDICTION = Prediction(NO_CONTACT, (0.0, 0.0, 0.0), 0.0, False)
+"""Prediction without a contact."""
+
+
+class Approach(NamedTuple):
+    """Constraints of the proxy at the start of a tick, before friction; without contact, the first has no object.
+
+    start        (3,) m  start of the proxy's path in this tick, see `first_hit`
+    outside      (3,) m  position where the proxy is known to be outside of all objects
+    center       (3,) m  the proxy, with the roll of the only contact
+    active               constraints at `center`
+    predicted            a Prediction for each contact
+    rolled       rad     roll angle since touch
+    strays               True if the roll is only in the deflection: `center` has not followed it
+    single               True for one contact with a known path over its object: other objects are queried after
+                         friction
+    began                True if the contact starts in this tick
+    bounded              1 if a roll stopped early because the budget was exhausted
+    budget               remaining for the search
+    stuck                consecutive ticks before this one in which the proxy found no rest position
+    """
+
+    start: Vec3
+    outside: Vec3
+    center: Vec3
+    active: ActiveSet
+    predicted: Any
+    rolled: float
+    strays: bool
+    single: bool
+    began: bool
+    bounded: float
+    budget: int
+    stuck: float
+
+
+@jit
+def has_ended(active: ActiveSet) -> bool:
+    """Return True if no constraint pushes.
+
+    The probe's position is no criterion: after passing through a thin body it is outside, with the contact active.
+    """
+    return not (active[0].depth > 0.0 or active[1].depth > 0.0 or active[2].depth > 0.0)
+
+
+@jit
+def separated(state: FingerState) -> Any:
+    """Return the state without the released contacts and their wind-up."""
+    return replace(state, "contacts", first_of(state.contacts, NO_CONTACT, NO_CONTACT), "rolled", 0.0, "stuck", 0.0)

@@ -1,0 +1,147 @@
+"""Continuation of the only contact of the last tick: moved with its object, and rolled."""
+
+from typing import Any
+
+from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, has_ended, separated
+from softfinger.proxy.kernels.contact.carry import (
+    carried_direction,
+    carried_point,
+    carry_of,
+    relative_rotation,
+)
+from softfinger.proxy.kernels.contact.contact_friction import Prediction
+from softfinger.proxy.kernels.contact.detection import detect_contact
+from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
+from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
+from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.tuples import first_of, replace
+from softfinger.proxy.kernels.model import (
+    Finger,
+    FingerState,
+    Probe,
+    Quaternion,
+    Scene,
+    Vec3,
+)
+from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.query.container import object_at
+from softfinger.proxy.kernels.query.objects import slides_round_hollow
+from softfinger.proxy.kernels.shapes import is_hollow, transport
+from softfinger.proxy.kernels.shapes.budget import BUDGET
+from softfinger.proxy.record import FREE
+
+
+@by_type
+def in_hollow(
+    method: Any,
+    body: Any,
+    radius: float,
+    position: Vec3,
+    start: OffsetPoint,
+    turn: Quaternion,
+    rolled: Roll,
+) -> Any:
+    """Return the effect of a roll from `start` on the coupling in a hollow; elsewhere it is `rolled`.
+
+    returns  Roll, the part of it (3,) m that the centre has not followed, and True if the centre followed none of it
+    """
+
+
+@in_hollow.of(None)
+def no_roll_in_hollow(
+    method: None,
+    body: Any,
+    radius: float,
+    position: Vec3,
+    start: OffsetPoint,
+    turn: Quaternion,
+    rolled: Roll,
+) -> tuple[Roll, Vec3, bool]:
+    nothing = (-0.0, -0.0, -0.0)
+    if follows_on(body, radius, start, rolled.center):
+        return rolled, nothing, False
+    return Roll(start.center, start.normal, (0.0, 0.0, 0.0), 0.0, rolled.spin, True), nothing, True
+
+
+@in_hollow.otherwise
+def roll_in_hollow(
+    method: Any,
+    body: Any,
+    radius: float,
+    position: Vec3,
+    start: OffsetPoint,
+    turn: Quaternion,
+    rolled: Roll,
+) -> tuple[Roll, Vec3, bool]:
+    center, normal = start
+    beyond = (-0.0, -0.0, -0.0)
+    strays = not rolled.whole or slides_round_hollow(body, radius, center, normal, rolled.theta)
+    strays = strays or not follows_on(body, radius, start, rolled.center)
+    if strays:  # the roll winds up the coupling in the tangent plane, and friction decides where the centre moves
+        theta, axis = rotations.tilt(turn, normal)
+        beyond = vec3.scale(radius * theta, vec3.cross(axis, normal))
+        rolled = Roll(center, normal, beyond, theta, rotations.twist(turn, normal), rolled.whole)
+    elif is_hollow(body.shape):
+        # Rotating the normal makes a part of the depth tangential: u (1 + depth / (R - r)) in a round hollow.
+        begun = vec3.reject(vec3.sub(center, position), normal)
+        ended = vec3.reject(vec3.sub(rolled.center, position), rolled.normal)
+        wound = vec3.sub(ended, transport(body.shape, begun, normal, rolled.normal))
+        rolled = Roll(rolled.center, rolled.normal, wound, rolled.theta, rolled.spin, True)
+    return rolled, beyond, strays
+
+
+@jit
+def continue_contact(
+    scene: Scene, finger: Finger, body: Any, index: float, state: FingerState, probe: Probe, dt: float
+) -> Approach:
+    """Move the only contact with its object, and roll it by the fingertip's rotation relative to the object."""
+    radius, position, last = finger.radius, probe.position, state.contacts[0]
+    carried = carry_of(body)
+    old_normal, moved = carried_direction(carried, last.normal), carried_point(carried, state.center)
+    turn = relative_rotation(carried, rotations.relative(probe.orientation, state.probe.orientation))
+    rolled = roll_on(scene.rolling, body, radius, moved, old_normal, turn)
+    begun = OffsetPoint(moved, old_normal)
+    whole = rolled.whole
+    rolled, beyond, strays = in_hollow(scene.rolling, body, radius, position, begun, turn, rolled)
+    center, normal = rolled.center, rolled.normal
+    rolled_part = transport(body.shape, carried_direction(carried, last.rolled_part), old_normal, normal)
+    before = transport(body.shape, carried_direction(carried, last.deflection), old_normal, normal)
+    behind = vec3.sub(center, position)
+    depth = max(vec3.dot(behind, normal), 0.0)
+    contact = replace(
+        last, "body", index, "normal", normal, "push", depth, "share", 1.0, "mode", state.mode, "deflection", before,
+        "rolled_part", vec3.add(rolled_part, rolled.motion), "bend", carried_direction(carried, last.bend),
+    )  # fmt: skip
+    deflection = vec3.add(vec3.sub(behind, vec3.scale(depth, normal)), beyond)
+    return Approach(
+        start=state.center,
+        outside=moved,
+        center=center,
+        active=one_constraint(index, normal, depth),
+        predicted=first_of(state.contacts, Prediction(contact, deflection, rolled.spin, False), NO_PREDICTION),
+        rolled=state.rolled + rolled.theta,
+        strays=strays,
+        single=True,
+        began=False,
+        bounded=0.0 if whole else 1.0,
+        budget=BUDGET,
+        stuck=state.stuck,
+    )
+
+
+@jit
+def detect_or_continue(
+    scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
+) -> tuple[FingerState, Approach]:
+    """Continue the contact with the only object; if it is released, detect a new one in the same tick.
+
+    The returned state does not include a released contact.
+    """
+    if state.mode != FREE:
+        approach = continue_contact(scene, finger, object_at(objects, 0.0), 0.0, state, probe, dt)
+        if not has_ended(approach.active):
+            return state, approach
+    state = separated(state)
+    return state, detect_contact(finger, objects, state, probe)

@@ -1,0 +1,206 @@
+"""Forces of several contacts at the end of a tick, their sum, and the result reported for each.
+
+Friction is transferred between contacts along with their load shares.
+"""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.approach import Approach
+from softfinger.proxy.kernels.contact.contact_friction import (
+    ContactForces,
+    ProbeMotion,
+    ground_at,
+    load_on,
+    rough_ground_at,
+)
+from softfinger.proxy.kernels.contact.effects import Effects
+from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_curvature, torque_of
+from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on
+from softfinger.proxy.kernels.contact.outcome import Outcome
+from softfinger.proxy.kernels.contact.prediction import lag_of
+from softfinger.proxy.kernels.contact.rest.among import drawn_after
+from softfinger.proxy.kernels.contact.several_rest import Settled
+from softfinger.proxy.kernels.friction.contact_patch import contact_patch, winding_unit
+from softfinger.proxy.kernels.friction.laws import turned
+from softfinger.proxy.kernels.friction.stick_slip import within_cone
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.model import NO_OUTCOME, Constraint, ContactOutcome, ContactState, Finger, Vec3
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.kinds import any_multipoint
+from softfinger.proxy.kernels.query.objects import number_of
+from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, ON_ITS_WAY, UNSEARCHED
+
+ZERO: Vec3 = (0.0, 0.0, 0.0)
+
+
+class Share(NamedTuple):
+    """Part of one constraint in the wrench.
+
+    pressing    (3,) N    normal force
+    tangential  (3,) N    friction
+    torque      (3,) N m
+    torsion     N m       moment about the normal
+    radius      m         of the contact patch
+    reported              ContactOutcome
+    """
+
+    pressing: Vec3
+    tangential: Vec3
+    torque: Vec3
+    torsion: float
+    radius: float
+    reported: ContactOutcome
+
+
+NO_SHARE = Share(ZERO, ZERO, ZERO, 0.0, 0.0, NO_OUTCOME)
+
+
+class Rubbing(NamedTuple):
+    """Friction (3,) N of a constraint, its moment about the normal, N m, and resistance to rolling (3,) N m."""
+
+    force: Vec3
+    moment: float
+    bending: Vec3
+
+
+@jit
+def load_of(finger: Finger, objects: Any, constraint: Constraint, motion: ProbeMotion, touches: bool) -> float:
+    """Return the normal force of a constraint, N, 0 without one."""
+    if constraint.body < 0.0:
+        return 0.0
+    return load_on(finger, objects, ground_at(objects, constraint.body), constraint, motion, touches).size
+
+
+@jit
+def sum_of_loads(forces: Any) -> float:
+    """Return the sum of the normal forces during friction, N."""
+    return forces[0].load + forces[1].load + forces[2].load
+
+
+@jit
+def share_kept(giver: ContactState, after: Contacts) -> float:
+    """Return the fraction of its load share that a contact still has after this tick."""
+    if giver.body < 0.0 or giver.share <= 0.0:
+        return 1.0
+    return min(contact_on(after, giver.body).share / giver.share, 1.0)
+
+
+@jit
+def with_part_of(rubbing: Rubbing, giver: ContactState, forces: ContactForces, normal: Vec3, weight: float) -> Rubbing:
+    """Add a part of the friction of the contact `giver`, projected onto the tangent plane of `normal`."""
+    if weight <= 0.0 or giver.body < 0.0 or giver.share <= 0.0:
+        return rubbing
+    return Rubbing(
+        vec3.add_scaled(rubbing.force, weight, vec3.reject(forces.result.force, normal)),
+        rubbing.moment + weight * vec3.dot(giver.normal, normal) * forces.result.moment,
+        vec3.add_scaled(rubbing.bending, weight, forces.bending),
+    )
+
+
+@jit
+def rubbing_on(approach: Approach, forces: Any, after: Contacts, constraint: Constraint) -> Rubbing:
+    """Return the friction of a constraint: the remainder of its contact, and its part of what other contacts lose.
+
+    The parts follow the load shares as in `hand_over`, so the sum is the force of the spring from probe to proxy.
+    """
+    one, two, three = approach.predicted[0].contact, approach.predicted[1].contact, approach.predicted[2].contact
+    kept = (share_kept(one, after), share_kept(two, after), share_kept(three, after))
+    lost = (1.0 - kept[0]) * one.share + (1.0 - kept[1]) * two.share + (1.0 - kept[2]) * three.share
+    body, normal, gained = constraint.body, constraint.normal, 0.0
+    if lost > 0.0:
+        own = contact_on((one, two, three), body)
+        gained = max(contact_on(after, body).share - own.share, 0.0) / lost
+    found = Rubbing(ZERO, 0.0, ZERO)
+    found = with_part_of(found, one, forces[0], normal, kept[0] if one.body == body else (1.0 - kept[0]) * gained)
+    found = with_part_of(found, two, forces[1], normal, kept[1] if two.body == body else (1.0 - kept[1]) * gained)
+    weight = kept[2] if three.body == body else (1.0 - kept[2]) * gained
+    return with_part_of(found, three, forces[2], normal, weight)
+
+
+@jit
+def share_of_wrench(
+    finger: Finger, objects: Any, motion: ProbeMotion, approach: Approach, forces: Any, settled: Settled,
+    constraint: Constraint, ease: float,
+) -> Share:  # fmt: skip
+    """Compute the wrench of one constraint; `ease` is the remaining part of the normal force during friction."""
+    if constraint.body < 0.0:
+        return NO_SHARE
+    probe, normal = motion.probe, constraint.normal
+    ground = rough_ground_at(objects, constraint.body, settled.active, settled.center)
+    contact = contact_on(settled.contacts, constraint.body)
+    load = load_on(finger, objects, ground, constraint, motion, approach.began)
+    pressing = vec3.scale(load.size, load.along)
+    rubbing = rubbing_on(approach, forces, settled.contacts, constraint)
+    # The limit of the torsional moment grows by up to f_N^(4/3).
+    moment, bending = ease * ease * rubbing.moment, vec3.scale(ease * ease, rubbing.bending)
+    law = turned(ground.material.friction, ground.orientation)
+    tangential = within_cone(law, normal, vec3.scale(ease, rubbing.force), load.size, contact.slip_speed)
+    torque = torque_of(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
+    torque = vec3.add(torque, bending)
+    round_by = radius_of_curvature(finger.form, finger.radius, probe.orientation, normal)
+    area = contact_patch(finger.patch, round_by, ground.material.compliance, load.size)
+    return Share(
+        pressing,
+        tangential,
+        torque,
+        moment,
+        area.radius,
+        ContactOutcome(
+            object=ground.number,
+            point=point_under(finger.form, finger.radius, probe.orientation, settled.center, normal),
+            normal=normal,
+            force=vec3.add(pressing, tangential),
+            mode=contact.mode,
+            spin=contact.spin / winding_unit(ground.material.torsion, area, contact.share),
+            torque=torque,
+        ),
+    )
+
+
+@jit
+def outcome_of_several(
+    finger: Finger, objects: Any, shapes: Any, motion: ProbeMotion, approach: Approach, forces: Any, settled: Settled,
+    effects: Effects,
+) -> Outcome:  # fmt: skip
+    """Sum the wrenches of the contacts, and collect their states."""
+    probe, active, began = motion.probe, settled.active, approach.began
+    load = load_of(finger, objects, active[0], motion, began) + load_of(finger, objects, active[1], motion, began)
+    load, before = load + load_of(finger, objects, active[2], motion, began), sum_of_loads(forces)
+    ease = load / before if before > load else 1.0
+    one = share_of_wrench(finger, objects, motion, approach, forces, settled, active[0], ease)
+    two = share_of_wrench(finger, objects, motion, approach, forces, settled, active[1], ease)
+    three = share_of_wrench(finger, objects, motion, approach, forces, settled, active[2], ease)
+    pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)
+    extra, budget = effects.force, 0.0
+    on_its_way = settled.late and any_multipoint(shapes)
+    if on_its_way:
+        behind = vec3.sub(settled.center, vec3.add(probe.position, lag_of(settled.contacts)))
+        extra, budget = vec3.add(extra, drawn_after(shapes, active, behind)), float(ON_ITS_WAY)
+    if effects.unknown != 0.0 or (settled.late and settled.budget < 0):
+        budget = float(UNSEARCHED)
+    cause, stuck = forces[0].result.cause, 0.0
+    if began and cause == CAUSE_NONE:
+        cause = float(CAUSE_TOUCH)
+    if settled.late and settled.center == approach.outside:
+        stuck = approach.stuck + 1.0
+    return Outcome(
+        mode=settled.contacts[0].mode,
+        cause=cause,
+        object=number_of(shapes, active[0].body),
+        normal=active[0].normal,
+        center=settled.center,
+        contacts=settled.contacts,
+        reported=(one.reported, two.reported, three.reported),
+        pressing=pressing,
+        normal_force=vec3.norm(pressing),
+        tangential=vec3.add(vec3.add(one.tangential, two.tangential), three.tangential),
+        effects=extra,
+        effect_states=effects.states,
+        torque=vec3.add(vec3.add(one.torque, two.torque), three.torque),
+        torsion=one.torsion,
+        spin=one.reported.spin,
+        radius=one.radius,
+        rolled=approach.rolled,
+        stuck=stuck,
+        budget=budget,
+    )

@@ -1,0 +1,148 @@
+"""Rest position of the proxy among several contacts, after friction."""
+
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.approach import Approach
+from softfinger.proxy.kernels.contact.contact_friction import (
+    ContactForces,
+    Prediction,
+    after_friction,
+)
+from softfinger.proxy.kernels.contact.hand_over import Contacts, hand_over
+from softfinger.proxy.kernels.contact.prediction import lag_of
+from softfinger.proxy.kernels.contact.rest.active_set import active_objects, leaves_no_room
+from softfinger.proxy.kernels.contact.rest.among import (
+    over_edges,
+    settle_among_several,
+)
+from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import (
+    NO_CONTACT,
+    ActiveSet,
+    Constraint,
+    ContactState,
+    Finger,
+    Vec3,
+)
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.kinds import (
+    has_creases_at,
+)
+
+ZERO: Vec3 = (0.0, 0.0, 0.0)
+DEEP = 0.5
+"""Depth, as a share of the fingertip's radius, to which the probe is raised during the search for the rest position:
+half the smallest radius of curvature of the surface on which the proxy moves, that at an edge."""
+
+
+class Settled(NamedTuple):
+    """Proxy at the end of a tick.
+
+    center    (3,) m
+    active    constraints at `center`
+    contacts  of these constraints
+    late      True if the proxy is not yet at rest
+    budget    remaining budget, below 0 if it was exhausted
+    """
+
+    center: Vec3
+    active: ActiveSet
+    contacts: Contacts
+    late: bool
+    budget: int
+
+
+@jit
+def rubbed(predicted: Prediction, forces: ContactForces) -> ContactState:
+    """Return a contact after friction, NO_CONTACT if it has no load."""
+    nothing = predicted.contact.body < 0.0 or predicted.contact.share <= 0.0
+    return NO_CONTACT if nothing else after_friction(predicted, forces)
+
+
+@jit
+def taken_along(contact: ContactState, constraint: Constraint) -> ContactState:
+    """Return a contact at the constraint of a proxy that has moved over its object."""
+    if contact.body < 0.0:
+        return contact
+    n = constraint.normal
+    deflection, rolled_part = vec3.reject(contact.deflection, n), vec3.reject(contact.rolled_part, n)
+    return replace(contact, "normal", n, "push", constraint.depth, "deflection", deflection, "rolled_part", rolled_part)
+
+
+@jit
+def pressed_again(contacts: Contacts, active: ActiveSet) -> Contacts:
+    """Return the contacts at the constraints of a proxy that has moved."""
+    one, two, three = contacts
+    return taken_along(one, active[0]), taken_along(two, active[1]), taken_along(three, active[2])
+
+
+@jit
+def eased(active: ActiveSet, ease: float) -> ActiveSet:
+    """Return the constraints with their depths times `ease`."""
+    one, two, three = active
+    return (
+        Constraint(one.body, one.normal, ease * one.depth),
+        Constraint(two.body, two.normal, ease * two.depth),
+        Constraint(three.body, three.normal, ease * three.depth),
+    )
+
+
+@jit
+def lag_predicted(approach: Approach) -> Vec3:
+    """Return the mean deflection (3,) m of the contacts if all stick."""
+    one, two, three = approach.predicted
+    lag = vec3.scale(one.contact.share, one.deflection)
+    return vec3.add_scaled(
+        vec3.add_scaled(lag, two.contact.share, two.deflection), three.contact.share, three.deflection
+    )
+
+
+@jit
+def drawn_aside(contact: ContactState, way: Vec3) -> ContactState:
+    """Add the tangential part of a displacement (3,) m to the deflection of a contact."""
+    if contact.body < 0.0:
+        return contact
+    return replace(contact, "deflection", vec3.add(contact.deflection, vec3.reject(way, contact.normal)))
+
+
+@jit
+def settle_after_friction(
+    finger: Finger, objects: Any, shapes: Any, approach: Approach, forces: Any, position: Vec3
+) -> Settled:
+    """Move the proxy to the permitted point nearest to the displaced probe, and update the contacts to its constraints.
+
+    If the probe is below the centre of curvature of the surface on which the proxy moves, that point is not stable: a
+    sticking contact would swing round its object. So a probe deeper than `DEEP` is raised to that depth, towards the
+    position of the proxy if all contacts stick.
+    """
+    after = (
+        rubbed(approach.predicted[0], forces[0]),
+        rubbed(approach.predicted[1], forces[1]),
+        rubbed(approach.predicted[2], forces[2]),
+    )
+    radius, lag, budget = finger.radius, lag_of(after), approach.budget
+    goal, active, ease = vec3.add(position, lag), approach.active, 1.0
+    above = vec3.sub(approach.center, vec3.add(position, lag_predicted(approach)))
+    depth = vec3.norm(above)
+    if lag != ZERO and depth > DEEP * radius:
+        ease = DEEP * radius / depth
+        goal, active = vec3.add_scaled(goal, 1.0 - ease, above), eased(active, ease)
+    if approach.single and has_creases_at(shapes, approach.active[0].body):
+        budget = budget // 4  # the height map was already searched as the only object
+    rest = settle_among_several(shapes, radius, goal, approach.start, approach.outside, active, budget)
+    active = over_edges(shapes, rest.active, rest.center)
+    if active_objects(active) == (after[0].body, after[1].body, after[2].body):
+        contacts = pressed_again(after, active)
+    else:
+        contacts = pressed_again(hand_over(objects, after, active), active)
+    displaced = vec3.add(position, lag_of(contacts))
+    if displaced != goal:
+        active, place = pushed_at(shapes, radius, displaced, rest.center, active)
+        contacts = pressed_again(contacts, active)
+        if ease < 1.0 and not rest.late and not leaves_no_room(active):
+            one, two, three = contacts
+            aside = vec3.sub(rest.center, place)
+            contacts = drawn_aside(one, aside), drawn_aside(two, aside), drawn_aside(three, aside)
+    return Settled(rest.center, active, contacts, rest.late, rest.budget)

@@ -1,0 +1,195 @@
+"""GLB, the binary file of glTF 2.0: triangles of all meshes, each where the nodes of the scene place it.
+
+An extension that changes positions is refused by its name.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import limits
+from softfinger.proxy.meshes.formats.polygons import Faces, Indices, Points, strip, triangles_only
+
+_COMPONENTS: Final = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS: Final = {"SCALAR": 1, "VEC3": 3}
+_HARMLESS: Final = (
+    *("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_punctual", "KHR_xmp"),
+    *("MSFT_texture_", "EXT_lights_", "KHR_animation_pointer"),
+)
+"""Extensions, by the beginning of their names, that leave positions and triangles as they are."""
+_JSON: Final = 0x4E4F534A
+COUNT_MAX: Final = 3 * int(limits.MESH_TRIANGLES.high)
+"""Entries of an accessor."""
+
+
+def read(data: bytes) -> Faces:
+    """Return the triangles of a GLB file, in the unit of its scene."""
+    head, buffer = _chunks(data)
+    for name in head.get("extensionsRequired", []):
+        if not str(name).startswith(_HARMLESS):
+            what = "is compressed" if "compression" in str(name) else "needs an extension that is not read here"
+            raise ValueError(f"{what} ({str(name)[:60]}): export it without")
+    file = _File(head, buffer)
+    parts, promised = list[tuple[Points, Indices]](), 0
+    for mesh, place in _placed(head):
+        for primitive in head["meshes"][mesh]["primitives"]:
+            if primitive.get("mode", 4) < 4:  # points and lines have no surface
+                continue
+            points, triangles = file.triangles(primitive)
+            promised += len(triangles)
+            if promised > limits.MESH_TRIANGLES.high:
+                raise ValueError(f"has more than {limits.MESH_TRIANGLES.high:,} triangles, the most: decimate it")
+            mirrored = np.linalg.det(place[:3, :3]) < 0.0
+            parts.append((points @ place[:3, :3].T + place[:3, 3], triangles[:, ::-1] if mirrored else triangles))
+    if not parts:
+        return triangles_only(np.empty((0, 3)), np.empty((0, 3), np.int64), 0)
+    starts = np.cumsum([0, *(len(points) for points, _ in parts)])
+    triangles = np.concatenate([part + start for (_, part), start in zip(parts, starts[:-1], strict=True)])
+    return triangles_only(np.concatenate([points for points, _ in parts]), triangles, promised)
+
+
+def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """Return the JSON and the binary chunk."""
+    magic, version, size = struct.unpack_from("<4sII", data.ljust(12, b"\0"))
+    if magic != b"glTF" or version != 2:
+        raise ValueError(f"is no GLB file of glTF 2.0: it starts with {data[:8]!r}")
+    if size > len(data):
+        raise ValueError(f"is damaged, or no GLB file: {size:,} bytes, and has {len(data):,}: it was cut off")
+    length, kind = struct.unpack_from("<II", data, 12)
+    if kind != _JSON:
+        raise ValueError("is damaged, or no GLB file: its first chunk is no JSON")
+    start = 20 + length
+    binary = struct.unpack_from("<I", data, start)[0] if size >= start + 8 else 0
+    try:
+        head = json.loads(data[20:start])
+    except ValueError as error:
+        raise ValueError(f"is damaged, or no GLB file: its JSON: {error}") from error
+    if not isinstance(head, dict):
+        raise ValueError("is damaged, or no GLB file: its JSON is no object")
+    return head, data[start + 8 : start + 8 + binary]
+
+
+def _placed(head: dict[str, Any]) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """Yield each mesh of the scene and its matrix (4, 4)."""
+    nodes = head.get("nodes", [])
+    scenes = head.get("scenes") or [{"nodes": range(len(nodes))}]
+    waiting = [(int(node), np.eye(4)) for node in scenes[head.get("scene", 0)].get("nodes", [])]
+    seen = set[int]()
+    while waiting:
+        number, above = waiting.pop()
+        node = nodes[number]
+        if number in seen:
+            raise ValueError(f"is damaged: the node {number} has two parents, or is its own ancestor")
+        seen.add(number)
+        place = above @ _matrix(node)
+        waiting += [(int(child), place) for child in node.get("children", [])]
+        if "mesh" not in node:
+            continue
+        if "skin" in node:
+            raise ValueError(
+                f"is bent by a skeleton (the skin of node {number}): export it without, as it shall be felt"
+            )
+        if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
+            raise ValueError("has copies by EXT_mesh_gpu_instancing: export them as nodes")
+        if any(node.get("weights") or head["meshes"][node["mesh"]].get("weights") or []):
+            raise ValueError(f"has morph targets with weights (node {number}): export it without, as it shall be felt")
+        yield int(node["mesh"]), place
+
+
+def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
+    """Return the matrix (4, 4) from a node to the one above it."""
+    if "matrix" in node:
+        return np.array(node["matrix"], float).reshape(4, 4).T
+    x, y, z, w = (float(each) for each in node.get("rotation", (0.0, 0.0, 0.0, 1.0)))
+    turn = np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+    place = np.eye(4)
+    place[:3, :3] = turn * np.array(node.get("scale", (1.0, 1.0, 1.0)), float)
+    place[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return place
+
+
+class _File:
+    """Accessors of a file: `head` is its JSON, `buffer` its binary chunk."""
+
+    def __init__(self, head: dict[str, Any], buffer: bytes) -> None:
+        self._head, self._buffer = head, buffer
+
+    def triangles(self, primitive: dict[str, Any]) -> tuple[Points, Indices]:
+        """Return vertices and triangles of a part of a mesh."""
+        points = self._accessor(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
+        corners = np.arange(len(points))
+        if "indices" in primitive:
+            corners = self._accessor(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
+        if len(corners) and not (corners.min() >= 0 and corners.max() < len(points)):
+            raise ValueError(f"is damaged: a triangle has a corner beyond the vertices 0 to {len(points) - 1}")
+        match primitive.get("mode", 4):
+            case 4 if len(corners) % 3 == 0:
+                return points, corners.reshape(-1, 3)
+            case 5:
+                return points, strip(corners)
+            case 6:
+                first = np.full(max(len(corners) - 2, 0), corners[0] if len(corners) else 0)
+                return points, np.stack([first, corners[1:-1], corners[2:]], axis=1)
+        raise ValueError(f"is damaged: {len(corners)} corners in the mode {primitive.get('mode', 4)!r}")
+
+    def _accessor(self, number: int, kind: str) -> NDArray[Any]:
+        """Return the entries (count, width) of an accessor; integers that are normalized as fractions."""
+        accessor = self._head["accessors"][number]
+        count, component = int(accessor["count"]), np.dtype(_COMPONENTS[accessor["componentType"]])
+        if accessor["type"] != kind or not 0 <= count <= COUNT_MAX:
+            raise ValueError(f"is damaged, or no GLB file: {count:,} {accessor['type']}, must be {kind}")
+        if "bufferView" not in accessor and "sparse" not in accessor:
+            raise ValueError(
+                f"has no data for accessor {number}: it is compressed or cut off; export it without compression"
+            )
+        width = _WIDTHS[kind]
+        values = np.zeros((count, width), component)
+        if "bufferView" in accessor:
+            values = self._view(accessor["bufferView"], accessor.get("byteOffset", 0), count, width, component)
+        if sparse := accessor.get("sparse"):
+            values, entries = values.copy(), int(sparse["count"])
+            rows, new = sparse["indices"], sparse["values"]
+            kind_of_rows = np.dtype(_COMPONENTS[rows["componentType"]])
+            places = self._view(rows["bufferView"], rows.get("byteOffset", 0), entries, 1, kind_of_rows)[:, 0]
+            values[places] = self._view(new["bufferView"], new.get("byteOffset", 0), entries, width, component)
+        if accessor.get("normalized") and component.kind in "iu":
+            return np.asarray(np.maximum(values / np.iinfo(component).max, -1.0))
+        return values
+
+    def _view(self, number: int, offset: int, count: int, width: int, component: np.dtype[Any]) -> NDArray[Any]:
+        """Return rows (count, width) of a buffer view."""
+        view = self._head["bufferViews"][number]
+        if packed := [name for name in view.get("extensions", {}) if "compression" in name]:
+            raise ValueError(f"is compressed ({packed[0]}): export it without compression")
+        data = self._data(view.get("buffer", 0))
+        row = width * component.itemsize
+        stride, start = view.get("byteStride") or row, view.get("byteOffset", 0) + offset
+        end = start + max(count - 1, 0) * stride + row * min(count, 1)
+        if (
+            min(start, offset, count) < 0
+            or stride < row
+            or end > min(len(data), view.get("byteOffset", 0) + view["byteLength"])
+        ):
+            raise ValueError(f"is damaged, or no GLB file: buffer view {number} ends before its {count:,} entries")
+        return np.ndarray((count, width), component, data, start, (stride, component.itemsize))
+
+    def _data(self, number: int) -> bytes:
+        address = self._head["buffers"][number].get("uri")
+        if address is None and number == 0:
+            return self._buffer
+        if not str(address).startswith("data:"):
+            raise ValueError(f"has its numbers in another file, {str(address)[:80]!r}: export it as one file")
+        return base64.b64decode(str(address).partition(",")[2])

@@ -1,0 +1,69 @@
+"""Wavefront OBJ: vertices and faces of all groups; normals, texture coordinates and materials are skipped."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+import numpy as np
+
+from softfinger.proxy.meshes.formats.polygons import Faces, Indices, Points
+from softfinger.proxy.meshes.formats.text import clean, numbers, words_per_line
+
+_VERTEX: Final = re.compile(rb"^[ \t]*v[ \t]+([^\n]*)", re.MULTILINE)
+_FACE: Final = re.compile(rb"^[ \t]*fo?[ \t]+([^\n]*)", re.MULTILINE)
+_REFUSED: Final = re.compile(rb"^[ \t]*(surf|curv2?|call|csh)[ \t]", re.MULTILINE)
+_REASONS: Final = {b"call": "has its numbers in another file", b"csh": "calls a program"}
+
+
+def read(data: bytes) -> Faces:
+    """Return the faces of an OBJ file. Raises ValueError for free-form surfaces and for numbers in other files."""
+    text = clean(data)
+    if b"\\\n" in text:  # a line that goes on
+        text = text.replace(b"\\\n", b" ")
+    if b"#" in text:
+        text = re.sub(rb"#[^\n]*", b"", text)
+    if refused := _REFUSED.search(text):
+        reason = _REASONS.get(refused[1], "has free-form surfaces")
+        raise ValueError(f"{reason} ({refused[1].decode()}): export it as triangles in one file")
+    points = _points(_VERTEX.findall(text))
+    rows = b"\n".join(_FACE.findall(text))
+    if b"/" in rows:
+        rows = re.sub(rb"/[^\s]*", b"", rows)
+    if not rows:
+        return Faces(points, np.empty(0, np.int64), np.empty(0, np.int64), 0)
+    counts = words_per_line(rows)
+    corners = numbers(rows, np.int64)
+    if len(corners) != counts.sum():
+        raise ValueError(f"is damaged: {counts.sum():,} corners of faces, and {len(corners):,} numbers for them")
+    return Faces(points, _zero_based(text, corners, counts), counts, len(counts))
+
+
+def _points(rows: list[bytes]) -> Points:
+    """Return the coordinates (n, 3) in lines of x y z, with a weight or a colour behind them, or not."""
+    text = b"\n".join(rows)
+    values, words = numbers(text, np.float64), words_per_line(text) if rows else np.empty(0, np.int64)
+    if (words == 3).all():
+        return values.reshape(-1, 3)
+    if (words < 3).any():
+        bad = int((words < 3).argmax())
+        raise ValueError(f"is damaged: vertex {bad + 1} has {words[bad]} coordinates, must have three coordinates")
+    return np.asarray(values[(np.cumsum(words) - words)[:, None] + np.arange(3)])
+
+
+def _zero_based(text: bytes, corners: Indices, counts: Indices) -> Indices:
+    """Return the corners as indices from 0; in the file they count from 1, or back from the last vertex if negative."""
+    if (corners > 0).all():
+        return corners - 1
+    if (corners == 0).any():
+        face = int(np.searchsorted(np.cumsum(counts), (corners == 0).argmax(), side="right"))
+        raise ValueError(f"is damaged: face {face + 1} names the vertex 0, and they count from 1")
+    vertices, faces = (np.array([each.start() for each in kind.finditer(text)]) for kind in (_VERTEX, _FACE))
+    before = np.repeat(np.searchsorted(vertices, faces), counts)
+    relative = np.where(corners < 0, before + corners, corners - 1)
+    if (relative < 0).any():
+        bad = int((relative < 0).argmax())
+        raise ValueError(
+            f"is damaged: a face names the vertex {corners[bad]} where there are {before[bad]:,} before it"
+        )
+    return relative

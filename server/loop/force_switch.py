@@ -1,0 +1,72 @@
+"""Switch of the force: shared memory by which Python turns the force on and off, read in every tick.
+
+A write needs neither a lock nor a new tuning, and the loop needs no interpreter. A missing heartbeat therefore turns
+the force off while Python is busy, and so does a request that the publisher received (`publishing/brake.py`).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.server.loop.guard import Guard, GuardState
+from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
+
+IS_REQUESTED: Final = 0
+"""1: force is requested."""
+DEADLINE_NS: Final = 1
+"""Time, ns on CLOCK_MONOTONIC, at which the force turns off unless it is extended."""
+IS_ACTIVE: Final = 2
+"""Written by the loop: 1 if a hand was given a force in the last tick, or the switch was on."""
+FOREVER: Final = np.iinfo(np.int64).max
+MAX_OFF_S: Final = 0.006
+"""Longest time, s, from the largest force to zero once the switch is off: that of 12 N at the default slew limit. A rig
+with a slower limit, for a softer feel, must not delay `disarm` by it."""
+
+
+def make_switch(words: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
+    """Return the memory of a switch that is on without a time limit."""
+    switch = np.zeros(8, np.int64) if words is None else words
+    switch[IS_REQUESTED], switch[DEADLINE_NS] = 1, FOREVER
+    return switch
+
+
+@jit
+def is_on(switch: NDArray[np.int64], now: int) -> bool:
+    """Return whether the force is on at a time (ns)."""
+    # The counts first: the daemon writes IS_REQUESTED before STOPS_HANDLED.
+    handled = load_acquire(switch, STOPS_HANDLED) == load_acquire(switch, STOPS_RECEIVED)
+    return handled and load_acquire(switch, IS_REQUESTED) != 0 and now <= load_acquire(switch, DEADLINE_NS)
+
+
+@jit
+def is_zero(guard_state: GuardState) -> bool:
+    f, t = guard_state.force, guard_state.torque
+    return f[0] == 0.0 and f[1] == 0.0 and f[2] == 0.0 and t[0] == 0.0 and t[1] == 0.0 and t[2] == 0.0
+
+
+@jit
+def apply_switch(guard: Guard, guard_state: GuardState, on: bool) -> Guard:
+    """Return the guard; if off, one that brings the wrench `guard_state` to zero within MAX_OFF_S and then disarms."""
+    if on:
+        return guard
+    armed = 0.0 if is_zero(guard_state) else guard.armed
+    force_slew = max(guard.force_slew, guard.force_max / MAX_OFF_S)
+    torque_slew = max(guard.torque_slew, guard.torque_max / MAX_OFF_S)
+    return replace(
+        guard, "force_max", 0.0, "torque_max", 0.0, "armed", armed, "force_slew", force_slew, "torque_slew", torque_slew
+    )
+
+
+@jit
+def store_active(switch: NDArray[np.int64], hands: Any, on: bool) -> None:
+    """Write IS_ACTIVE after a tick."""
+    is_active = on
+    for hand in hands:
+        is_active |= not is_zero(hand.guard_state)
+    store_release(switch, IS_ACTIVE, 1 if is_active else 0)

@@ -1,0 +1,10 @@
+"""Indices of the force switch that the publisher process uses; a separate file, as that process imports no kernels."""
+
+from __future__ import annotations
+
+from typing import Final
+
+STOPS_RECEIVED: Final = 3
+"""Number of requests to turn the force off; written by the publisher."""
+STOPS_HANDLED: Final = 4
+"""Number of such requests that the daemon has handled."""

@@ -1,0 +1,107 @@
+"""Texts on materials and fingertips of the library: an entry, its sources, and changes of it in a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any, Final
+
+import msgspec
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, describe
+from softfinger.config.materials import FINGERTIPS, MATERIALS, Entry, Measured, flat, papers
+from softfinger.config.schema import Fingertip, Material
+from softfinger.config.schema.contact import Form
+from softfinger.config.schema.fields import unit
+from softfinger.config.words import near, shown
+
+LIBRARIES: Final = {"material": MATERIALS, "fingertip": FINGERTIPS}
+_TABLES: Final[dict[str, type[msgspec.Struct]]] = {"material": Material, "fingertip": Fingertip}
+
+
+def entries() -> dict[str, tuple[str, Entry]]:
+    """Return all entries by name, each with its kind, `material` or `fingertip`."""
+    return {name: (kind, entry) for kind, each in LIBRARIES.items() for name, entry in each.entries().items()}
+
+
+def find_entry(name: str) -> tuple[str, Entry]:
+    """Return one of `entries`. Raises ConfigError if the name is unknown."""
+    by_name = entries()
+    if name not in by_name:
+        raise ConfigError(
+            f"no material or fingertip is called {shown(name)}{near(name, by_name)}; there are {', '.join(by_name)}"
+        )
+    return by_name[name]
+
+
+def library_table(kind: str, name: str) -> Any:
+    """Return the table of an entry, as built from a scene that gives only its name."""
+    return build(_TABLES[kind], {LIBRARIES[kind].key: name}, name)
+
+
+def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
+    """Return rows for `check`: the entry that a table of a scene names, and the values that differ from it.
+
+    Returns no rows if the table names none.
+    """
+    kind = "fingertip" if isinstance(table, Form) else "material"
+    library, mapping = LIBRARIES[kind], describe(table)
+    name = mapping.get(library.key)
+    if name is None:
+        return []
+    if name not in library.entries():
+        return [
+            ("  library", f"{name}, which is not in the library of this version; the values are those of the scene")
+        ]
+    library_values = dict(flat(describe(library_table(kind, name))))
+    keys = _TABLES[kind].__struct_fields__
+    scene_values = {key: value for key, value in flat(mapping) if key.partition(".")[0] in keys}
+    changed = [
+        f"{key} {shown(value)}"
+        for key, value in scene_values.items()
+        if library_values.get(key, msgspec.UNSET) != value
+    ]
+    missing = sorted(
+        {key.partition(".")[0] for key in library_values} - {key.partition(".")[0] for key in scene_values}
+    )
+    changes = [*changed, *(f"no {key}" for key in missing)]
+    return [("  library", f"{name}; of the scene itself: {', '.join(changes)}" if changes else f"{name}, all of it")]
+
+
+def value_rows(entry: Entry) -> list[tuple[str, str]]:
+    """Return each value that a scene gets from an entry, with its unit."""
+    return [(key, f"{value:g} {unit(key)}".rstrip()) for key, value in flat(entry.values)]
+
+
+def measured_text(each: Measured) -> str:
+    """Format a published value: `0.38 +- 0.13: palm on aluminium (buchholz-1988)`."""
+    if each.youngs_modulus_pa is not None:
+        low, high = (1e-3 * value for value in each.youngs_modulus_pa)
+        text = f"Young's modulus {low:g} to {high:g} kPa"
+    elif each.patch_exponent is not None:
+        low, high = each.patch_exponent
+        text = f"exponent of the patch {low:.3g}" + (f" to {high:.3g}" if high > low else "")
+    else:
+        text = f"friction {each.friction:g}" + (f" +- {each.sd:g}" if each.sd is not None else "")
+    if each.load_n is not None:
+        low, high = each.load_n
+        text += f" at {low:g}" + (f" to {high:g} N" if high > low else " N")
+    return f"{text}: {each.of} ({each.paper})"
+
+
+def paper_rows(names: Collection[str]) -> list[tuple[str, str]]:
+    """Return name and reference of each of the papers, with the extent to which it was read."""
+    return [
+        (name, f"{paper.text}{f', doi {paper.doi}' if paper.doi else ''} (read: {paper.read})")
+        for name, paper in papers().items()
+        if name in names
+    ]
+
+
+def cited_papers(entry: Entry) -> set[str]:
+    """Return the names of the papers cited for an entry's values, measurements and range."""
+    return {
+        *entry.papers,
+        *(each.paper for each in entry.measured),
+        *(each for each in papers() if each in entry.holds),
+    }

@@ -1,0 +1,47 @@
+"""Requests that turn the force off: the publisher makes the loop do so before the daemon has read them.
+
+Both processes count these requests, and the force is off while the counts differ (`loop/force_switch.py`).
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from typing import Final
+
+import msgspec
+
+from softfinger.server.loop.switch_fields import STOPS_RECEIVED
+
+SHORT: Final = 4096
+"""Longest such request in bytes; longer requests are not decoded."""
+
+
+class _Named(msgspec.Struct):
+    method: str
+
+
+_decoder: Final = msgspec.msgpack.Decoder(_Named)
+
+
+def takes_force_off(body: bytes) -> bool:
+    """Return whether an encoded request turns the force off."""
+    if len(body) > SHORT or not (b"disarm" in body or b"stop" in body):
+        return False
+    try:
+        return _decoder.decode(body).method in ("disarm", "stop")
+    except (msgspec.DecodeError, ValueError, RecursionError):
+        return False
+
+
+class Brake:
+    """The publisher's side of the force switch; takes ownership of its file."""
+
+    def __init__(self, file: int) -> None:
+        self._memory = mmap.mmap(file, 0)
+        os.close(file)
+        self._words = memoryview(self._memory).cast("q")
+
+    def count(self, requests: int) -> None:
+        """Add to the count of requests, or subtract from it."""
+        self._words[STOPS_RECEIVED] += requests

@@ -1,0 +1,151 @@
+"""Socket of libzmq for peers: bound, protected by CURVE if keys are required, and recreated when a key is revoked."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, cast
+
+import zmq
+from zmq.utils.monitor import recv_monitor_message
+
+if TYPE_CHECKING:  # they take time to import, and most daemons use no keys
+    from zmq.auth.thread import ThreadAuthenticator
+
+    from softfinger.server.keys import KeyPair
+    from softfinger.server.publishing.allowed import Allowed
+
+HANDSHAKE_MS: Final = 2000
+LINGER_MS: Final = 200
+"""Time for which the end waits until the last messages have been sent."""
+SEND_BUFFER_BYTES: Final = 262144
+"""Send buffer of the system for each peer; without a limit it grows to megabytes, which is latency for a subscriber."""
+FILES_MAX: Final = 256
+"""Limit of file descriptors, and so of connections: libzmq has none, and connections beyond it wait in the system's
+queue."""
+MEMORY_MAX: Final = 1 << 30
+"""Limit of writable memory in bytes: a peer can make libzmq allocate without end. Beyond it, the process ends."""
+EVENTS_AT_ONCE: Final = 1024
+"""Connection events handled per call: a peer that only connects and disconnects must not delay ticks."""
+_REFUSED: Final = (
+    zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+)
+_WATCHED: Final = zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | _REFUSED
+
+
+class BoundEndpoint(Protocol):
+    """Endpoint that is already bound; its owner frees it."""
+
+    @property
+    def endpoint(self) -> str: ...
+
+    @property
+    def fd(self) -> int: ...
+
+
+class KeyLock(NamedTuple):
+    """Key pair of the server, and the keys of peers that may connect."""
+
+    pair: KeyPair
+    allowed: Allowed
+
+
+class SocketContext(NamedTuple):
+    """Context of the sockets, and authenticator of keys; None if no key is required."""
+
+    context: zmq.Context[Any]
+    authenticator: ThreadAuthenticator | None
+
+
+class PeerSocket:
+    """Socket on an endpoint that is already bound; without a lock, every peer that reaches it may connect.
+
+    options  of the socket, by name
+    """
+
+    def __init__(
+        self, gate: SocketContext, kind: int, bound: BoundEndpoint, lock: KeyLock | None, options: dict[str, int]
+    ) -> None:
+        self.endpoint: Final = bound.endpoint
+        self.lock: Final = lock
+        self._domain: Final = f"front-{kind}"
+        """Name by which libzmq identifies this socket to the authenticator."""
+        if lock is not None:  # before the first peer connects: a rejected peer does not connect again
+            assert gate.authenticator is not None
+            gate.authenticator.configure_curve_callback(self._domain, lock.allowed)
+        self.max_connections = self.refused = 0
+        """Largest number of simultaneous connections, and number of failed handshakes, for any reason."""
+        self.renewals = 0
+        """Number of times that all peers were disconnected; `socket` and `monitor` are replaced each time."""
+        self._context, self._kind, self._bound, self._options = gate.context, kind, bound, options
+        self.connected: Final[dict[int, int]] = {}
+        """Number of each open connection, unique for this process, by its file descriptor, which the next may reuse."""
+        self._accepted = 0
+        self._open()
+
+    def _open(self) -> None:
+        self.socket: zmq.Socket[bytes] = self._context.socket(self._kind)
+        self.socket.linger, self.socket.handshake_ivl, self.socket.sndbuf = LINGER_MS, HANDSHAKE_MS, SEND_BUFFER_BYTES
+        for name, value in self._options.items():
+            setattr(self.socket, name, value)
+        if self.lock is not None:
+            self.socket.curve_server = True
+            self.socket.curve_publickey, self.socket.curve_secretkey = self.lock.pair
+            self.socket.zap_domain = self._domain.encode()
+            self.socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
+        self.monitor: zmq.Socket[bytes] = self.socket.get_monitor_socket(_WATCHED)
+        # libzmq closes the listener with its socket, and another socket may follow.
+        self.socket.setsockopt(zmq.USE_FD, os.dup(self._bound.fd))
+        self.socket.bind(self.endpoint)
+
+    @property
+    def has_message(self) -> bool:
+        """Whether a message can be received."""
+        return bool(cast(int, self.socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
+
+    def renew(self) -> None:
+        """Disconnect all peers; allowed peers reconnect automatically."""
+        self.connected.clear()
+        self.socket.linger = 0
+        self.close()
+        self._open()
+        self.renewals += 1
+
+    def process_events(self) -> None:
+        """Process connection events."""
+        for _ in range(EVENTS_AT_ONCE):
+            if not self.monitor.poll(0):
+                break
+            event = recv_monitor_message(self.monitor)
+            if event["event"] & _REFUSED:
+                self.refused += 1
+            elif event["event"] == zmq.EVENT_ACCEPTED:
+                self._accepted += 1
+                self.connected[event["value"]] = self._accepted
+            elif event["event"] == zmq.EVENT_DISCONNECTED:
+                self.connected.pop(event["value"], None)
+        self.max_connections = max(self.max_connections, len(self.connected))
+
+    def refresh_keys(self) -> None:
+        """Read the folder of keys again; if a key was removed, disconnect all peers."""
+        if self.lock is not None and self.lock.allowed.refresh():
+            self.renew()
+
+    def close(self) -> None:
+        """Disconnect all peers; may be called repeatedly."""
+        if not self.socket.closed:
+            self.socket.disable_monitor()
+            self.monitor.close()
+            self.socket.close()
+
+
+def bound_resources() -> None:
+    """Limit the resources that peers can use in this process, since libzmq does not limit them."""
+    for kind, maximum in ((resource.RLIMIT_NOFILE, FILES_MAX), (resource.RLIMIT_DATA, MEMORY_MAX)):
+        with contextlib.suppress(ValueError, OSError):
+            soft, hard = resource.getrlimit(kind)
+            resource.setrlimit(kind, (maximum if soft < 0 else min(soft, maximum), hard))
+    # Out of memory, libzmq aborts the process: that is expected, and no core file is needed.
+    with contextlib.suppress(ValueError, OSError):
+        resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))

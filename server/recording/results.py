@@ -1,0 +1,350 @@
+"""Results files: one record per tick, written to and read from .csv, .npz and .mcap without loss of a bit.
+
+All formats follow the record table: CSV has a column per component, npz an array per field, and MCAP a protobuf message
+whose dotted names become nested messages. The message type is built at run time and stored in the file, so any MCAP
+reader can decode it.
+
+With several fingers, names of columns and arrays have the finger's name as prefix, as in `thumb.force[0]`, and MCAP has
+a topic for each, `finger/thumb`.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from itertools import groupby, repeat
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, Any, Final
+from zipfile import ZIP_DEFLATED, ZipFile
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.arrays.npz import open_npz
+from softfinger.config.errors import RecordingError
+from softfinger.config.files import followed, new_file, open_input, open_output
+from softfinger.drivers.poses import LINE_MAX
+from softfinger.proxy.record import FIELDS, RECORD_SIZE, Field, columns
+from softfinger.server.closing import Closeable
+from softfinger.server.progress import progress
+from softfinger.server.recording.reader import End, Ticks, read_contents
+from softfinger.server.recording.writer import RecordingFile
+from softfinger.server.wire.protocol import contact_topic
+
+Array = NDArray[np.float64]
+
+SUFFIXES: Final = (".csv", ".npz", ".mcap")
+BLOCK_ROWS: Final = 2_000
+RESULTS_MAX: Final = 2_000_000
+"""Limit of records read: 33 minutes at 1 kHz, 3 GB."""
+CSV_CHUNK_ROWS: Final = 500
+"""Rows formatted at a time; they fit into the processor's cache."""
+MAX_PLAIN_INTEGER: Final = 1e16
+"""Integers from here on are written with an exponent."""
+PROGRESS_MIN_ROWS: Final = 50_000  # about a second of writing; for less, the bar would only flash
+
+_JSON: Final = msgspec.json.Encoder()
+_MINUS_ZERO: Final = msgspec.Raw(b"-0")
+
+log: Final = logging.getLogger(__name__)
+
+
+def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> None:
+    """Write records in the format of the file ending: .csv, .npz or .mcap.
+
+    The file appears complete or not at all. Long writes show their progress if stderr is a terminal.
+
+    Parameters
+    ----------
+    path
+        File to write or replace.
+    records
+        (n, RECORD_SIZE), or a mapping with records of equal length by finger name.
+
+    Raises
+    ------
+    RecordingError
+        If the records have another shape, or the file cannot be written.
+    """
+    by_finger = records if isinstance(records, Mapping) else {"": records}
+    fingers = {name: np.asarray(each, dtype=np.float64) for name, each in by_finger.items()}
+    for each in fingers.values():
+        if each.ndim != 2 or each.shape[1] != RECORD_SIZE:
+            raise RecordingError(f"{path}: records of shape {each.shape}, must be (n, {RECORD_SIZE})")
+    write_blocks(path, list(fingers), _blocks(list(fingers.values()), Path(path).suffix[1:]))
+
+
+def write_blocks(path: str | Path, fingers: Sequence[str], blocks: Iterable[Array]) -> None:
+    """Write records given as blocks (m, fingers, RECORD_SIZE), of which only one is in memory at a time.
+
+    Otherwise as `write_results`. An exception of `blocks` is propagated and no file is written.
+    """
+    target = Path(path)
+    writer = {".csv": _write_csv, ".npz": _write_npz, ".mcap": _write_mcap}.get(target.suffix.lower())
+    if writer is None:
+        raise RecordingError(_unknown_suffix(target))
+    try:
+        with new_file(target) as file:
+            writer(target, file, fingers, blocks)
+    except OSError as error:
+        raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from error
+
+
+def read_results(path: str | Path, finger: str = "") -> Array:
+    """Read the records of a file from `write_results`.
+
+    Parameters
+    ----------
+    path
+        File with the ending .csv, .npz or .mcap.
+    finger
+        Name of the finger to read; empty for a file of a single finger.
+
+    Returns
+    -------
+    Array
+        Records (n, RECORD_SIZE), equal bit for bit to the written ones.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, or has more than RESULTS_MAX records.
+    """
+    source = Path(path)
+    reader = {".csv": _read_csv, ".npz": _read_npz, ".mcap": _read_mcap}.get(source.suffix.lower())
+    if reader is None:
+        raise RecordingError(_unknown_suffix(source))
+    try:
+        return reader(source, finger)
+    except OSError as error:
+        raise RecordingError(f"{source}: cannot be read: {error.strerror or error}") from error
+
+
+def _check_count(path: Path, count: int) -> None:
+    if count > RESULTS_MAX:
+        raise RecordingError(f"{path}: more than {RESULTS_MAX:,} records, the most that are read")
+
+
+def _unknown_suffix(path: Path) -> str:
+    suffix = f"'{path.suffix}'" if path.suffix else "no ending"
+    return f"{path}: {suffix} names no results format: use one of {', '.join(SUFFIXES)}"
+
+
+def _prefix(finger: str) -> str:
+    """Return the prefix of column and array names."""
+    return f"{finger}." if finger else ""
+
+
+def _write_csv(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
+    file.write((",".join(_prefix(name) + column for name in fingers for column in columns()) + "\n").encode())
+    for block in blocks:
+        file.write(csv_lines(block.reshape(len(block), -1)))
+
+
+def csv_lines(rows: Array) -> bytes:
+    """Format rows (n, width) as lines of CSV, which restore every float64 exactly."""
+    return b"".join(_format_chunk(rows[at : at + CSV_CHUNK_ROWS]) for at in range(0, len(rows), CSV_CHUNK_ROWS))
+
+
+def _format_chunk(rows: Array) -> bytes:
+    """Format rows with the JSON encoder: the shortest exact digits, several times as fast as in Python."""
+    if not np.isfinite(rows).all():
+        line = ",".join(repeat("%.17g", rows.shape[1])) + "\n"  # 17 digits restore every float64
+        return "".join([line % tuple(row) for row in rows.tolist()]).encode()
+    by_column = np.array(rows.T, order="C")
+    bits = by_column.view(np.int64)
+    is_constant = (bits == bits[:, :1]).all(axis=1)
+    # JSON writes an integral float with `.0` unless it is an int, and no int is -0.
+    is_integral = (np.rint(by_column) == by_column) & (np.abs(by_column) < MAX_PLAIN_INTEGER)
+    has_integral = is_integral.any(axis=1).tolist()
+    columns: list[Iterable[Any]] = []
+    for is_constant_group, group in groupby(range(len(by_column)), is_constant.tolist().__getitem__):
+        if is_constant_group:  # values that are constant over the rows are formatted once
+            text = _JSON.encode(by_column[list(group), 0].tolist())[1:-1] + b","
+            columns.append(repeat(msgspec.Raw(text.replace(b".0,", b",")[:-1]), len(rows)))
+        else:
+            columns.extend(
+                _with_integers(by_column[at], is_integral[at]) if has_integral[at] else by_column[at].tolist()
+                for at in group
+            )
+    return _JSON.encode_lines(list(zip(*columns, strict=True))).translate(None, b"[]")
+
+
+def _with_integers(column: Array, is_integral: NDArray[np.bool_]) -> list[Any]:
+    """Return the numbers of a column (n,), with integral ones as int, which JSON writes without `.0`."""
+    numbers: list[Any] = column.tolist()
+    for row in is_integral.nonzero()[0].tolist():
+        numbers[row] = int(numbers[row]) or (_MINUS_ZERO if math.copysign(1.0, numbers[row]) < 0.0 else 0)
+    return numbers
+
+
+def _read_csv(path: Path, finger: str) -> Array:
+    try:
+        with open_input(path) as file:
+            header = file.readline(LINE_MAX).decode("ascii").rstrip("\n").split(",")
+            expected = [_prefix(finger) + column for column in columns()]
+            first = header.index(expected[0]) if expected[0] in header else 0
+            if header[first : first + RECORD_SIZE] != expected or len(header) % RECORD_SIZE:
+                raise RecordingError(
+                    f"{path}, line 1: not the columns of this version's results{_finger_suffix(finger)}"
+                )
+            values = array("d")
+            while line := file.readline(LINE_MAX):
+                cells = line.split(b",")
+                if len(cells) != len(header):
+                    raise ValueError(f"a line of {len(cells)} numbers, must be {len(header)}")
+                values.extend(map(float, cells[first : first + RECORD_SIZE]))
+                _check_count(path, len(values) // RECORD_SIZE)
+        return np.array(values, dtype=np.float64).reshape(-1, RECORD_SIZE)
+    except ValueError as error:
+        raise RecordingError(f"{path}: not a results file: {error}") from error
+
+
+def _finger_suffix(finger: str) -> str:
+    return f" of a finger '{finger}'" if finger else ""
+
+
+def _write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
+    """Write an array per field, and all fields together as `records`.
+
+    Arrays of an archive are stored in sequence, so the blocks are collected in an unnamed temporary file first.
+    """
+    with (
+        TemporaryFile(dir=followed(path).parent) as file_of_fields,
+        ZipFile(file, "w", ZIP_DEFLATED, compresslevel=1) as archive,
+    ):
+        stored = _Fields(file_of_fields, len(fingers))
+        for block in blocks:
+            stored.append(block)
+        for index, finger in enumerate(fingers):
+            _add_array(archive, _prefix(finger) + "records", (stored.count, RECORD_SIZE), stored.rows(index))
+            for f in FIELDS:
+                shape = (stored.count, f.size)[: 2 if f.size > 1 else 1]
+                _add_array(archive, _prefix(finger) + f.name, shape, stored.field(index, f))
+
+
+class _Fields:
+    """Blocks of records in a file, stored by column: the fields of each finger in sequence."""
+
+    def __init__(self, file: IO[bytes], fingers: int) -> None:
+        self._file, self._fingers = file, fingers
+        self._lengths: list[int] = []
+
+    @property
+    def count(self) -> int:
+        return sum(self._lengths)
+
+    def append(self, block: Array) -> None:
+        """Append a block (m, fingers, RECORD_SIZE)."""
+        self._lengths.append(len(block))
+        for index in range(self._fingers):
+            for f in FIELDS:
+                self._file.write(np.ascontiguousarray(block[:, index, f.at : f.at + f.size]).data)
+
+    def field(self, index: int, f: Field) -> Iterator[Array]:
+        """Yield for each block the columns (m, size) of a field of a finger."""
+        at, row = 0, 8 * RECORD_SIZE
+        for length in self._lengths:
+            self._file.seek(at + length * (index * row + 8 * f.at))
+            yield np.frombuffer(self._file.read(8 * length * f.size)).reshape(length, f.size)
+            at += length * self._fingers * row
+
+    def rows(self, index: int) -> Iterator[Array]:
+        """Yield for each block the records (m, RECORD_SIZE) of a finger."""
+        for parts in zip(*(self.field(index, f) for f in FIELDS), strict=True):
+            yield np.concatenate(parts, axis=1)
+
+
+def _add_array(archive: ZipFile, name: str, shape: tuple[int, ...], blocks: Iterable[Array]) -> None:
+    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+        np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": shape})
+        for block in blocks:
+            member.write(block.data.cast("B"))
+
+
+def _read_npz(path: Path, finger: str) -> Array:
+    try:
+        with open_input(path) as file:
+            records = open_npz(file)[_prefix(finger) + "records"]
+    except OSError:
+        raise
+    except Exception as error:  # zip and npy decoders raise many types of errors on damaged bytes
+        raise RecordingError(f"{path}: not a results file: {type(error).__name__}: {error}") from error
+    _check_count(path, len(records) if records.ndim else 0)
+    if records.dtype != np.float64 or records.ndim != 2 or records.shape[1] != RECORD_SIZE:
+        raise RecordingError(f"{path}: records of {records.dtype}, shape {records.shape}, must be (n, {RECORD_SIZE})")
+    return records
+
+
+def _write_mcap(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
+    with McapResults(path, file, fingers) as recording:
+        for block in blocks:
+            for index, finger in enumerate(fingers):
+                recording.append(block[:, index], finger)
+
+
+def _read_mcap(path: Path, finger: str) -> Array:
+    blocks: list[Array] = []
+    count = 0
+    for part in read_contents(path):
+        if isinstance(part, Ticks) and part.finger == finger:
+            try:
+                blocks.append(part.records())
+            except RecordingError as error:
+                raise RecordingError(f"{path}: not results of this version: {error}") from error
+            count += len(part.rows)
+            _check_count(path, count)
+        elif isinstance(part, End) and part.cut and count:
+            log.warning("%s is cut short or damaged (%s): %d messages read", path, part.cut, count)
+    if not count:
+        raise RecordingError(f"{path}: has no message of topic '{contact_topic(finger)}'")
+    return np.concatenate(blocks)
+
+
+class McapResults(Closeable):
+    """Records streamed into an MCAP file, on topic `contact`, or on a topic for each of several fingers.
+
+    Chunks of 64 KiB are passed to the system as soon as they are full: after a crash or a kill, all but the last one
+    can be read. The constructor raises RecordingError if the file cannot be created, `append` and `close` if it cannot
+    be written (a full disk).
+    """
+
+    def __init__(self, path: str | Path, file: IO[bytes] | None = None, fingers: Sequence[str] = ("",)) -> None:
+        """Open the file; `file` replaces the path as the target, and is closed at the end."""
+        self._path = Path(path)
+        with self._translate_errors():
+            self._recording = RecordingFile(file or open_output(path, 0), fingers, with_pictures=False)
+
+    def append(self, records: Array, finger: str = "") -> None:
+        """Add records (n, RECORD_SIZE) of a finger; a single one may be (RECORD_SIZE,)."""
+        with self._translate_errors():
+            self._recording.ticks(np.atleast_2d(records), finger)
+
+    def close(self) -> None:
+        """Write the remaining records and the index. May be called repeatedly."""
+        with self._translate_errors():
+            self._recording.close()
+
+    @contextmanager
+    def _translate_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise RecordingError(f"{self._path}: cannot be written: {error.strerror or error}") from error
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
+
+
+def _blocks(fingers: Sequence[Array], kind: str) -> Iterator[Array]:
+    """Yield the fingers' records (n, RECORD_SIZE) in joint blocks, with a progress bar on a terminal."""
+    count = min(map(len, fingers))
+    with progress(f"writing {kind}", count) if count >= PROGRESS_MIN_ROWS else nullcontext(lambda number: None) as done:
+        for start in range(0, count, BLOCK_ROWS):
+            block = [records[start : min(start + BLOCK_ROWS, count)] for records in fingers]
+            yield block[0][:, None] if len(block) == 1 else np.stack(block, axis=1)
+            done(min(start + BLOCK_ROWS, count))

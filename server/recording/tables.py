@@ -1,0 +1,144 @@
+"""Poses from numeric tables of other programs; the caller gives meaning and unit of each column."""
+
+from __future__ import annotations
+
+import re
+from array import array
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.config.files import new_file, open_input
+from softfinger.drivers.poses import LINE_MAX, POSE_COLUMNS, POSES_MAX, Poses, check_poses
+from softfinger.server.recording.results import csv_lines
+
+SKIPPED: Final = "-"
+"""Name of a column that does not belong to the pose."""
+_COMMENT: Final = re.compile(rb"\s*(#|%|//|;|$)")
+_SEPARATORS: Final = tuple(re.compile(each) for each in (r"\s*;\s*", r" *\t *", r"\s*,\s*", r"\s+", r"\s*[,;\s]\s*"))
+"""Separators of cells; the first that gives as many cells as there are columns is used."""
+
+
+class Layout(NamedTuple):
+    """Format of a table.
+
+    columns  one of POSE_COLUMNS or SKIPPED for each column of the table
+    unit_s   s   unit of times
+    unit_m   m   unit of positions
+    rate_hz  Hz  for a table without times, else None
+    skip     lines before the first numbers
+    """
+
+    columns: tuple[str, ...]
+    unit_s: float = 1.0
+    unit_m: float = 1.0
+    rate_hz: float | None = None
+    skip: int = 0
+
+
+def make_layout(columns: str, unit_s: float, unit_m: float, rate_hz: float | None, skip: int) -> Layout:
+    """Return a Layout; `columns` is a comma-separated list. Raises ConfigError if it does not describe poses."""
+    names = tuple(name.strip() for name in columns.split(","))
+    invalid = [name for name in names if name != SKIPPED and (name not in POSE_COLUMNS or names.count(name) > 1)]
+    if invalid:
+        raise ConfigError(
+            f"--columns {columns}: '{invalid[0]}' is not one of {','.join(POSE_COLUMNS)}, each once, or {SKIPPED} for "
+            "a column that is left out"
+        )
+    missing = [name for name in "xyz" if name not in names]
+    quaternion_names = [name for name in POSE_COLUMNS[4:] if name in names]
+    if missing or len(quaternion_names) not in (0, 4):
+        raise ConfigError(
+            f"--columns {columns}: a pose needs x, y and z, and of qw, qx, qy, qz all or none; without them the "
+            "fingertip is not turned"
+        )
+    if ("t" in names) == (rate_hz is not None):
+        raise ConfigError(f"--columns {columns}: times come from a column t or from --rate, one of the two")
+    for option, value in (("--unit-s", unit_s), ("--unit-m", unit_m), ("--rate", rate_hz)):
+        if value is not None and not 0.0 < value < np.inf:
+            raise ConfigError(f"{option} {value:g}: must be above 0")
+    if skip < 0:
+        raise ConfigError(f"--skip {skip}: must be 0 or more lines")
+    return Layout(names, unit_s, unit_m, rate_hz, skip)
+
+
+def read_table(path: Path, layout: Layout) -> Poses:
+    """Read the poses in a text file of numbers separated by commas, semicolons, tabs or blanks, one row per line.
+
+    Numbers have decimal points, or decimal commas if another character separates them. Empty lines and lines that start
+    with #, %, // or ; are skipped. Times are relative to the first row. Raises RecordingError, with the line, if the
+    table is malformed.
+    """
+    numbers, values, commas = array("q"), array("d"), set[bool]()
+    try:
+        with open_input(path) as file:
+            number = 0
+            while line := file.readline(LINE_MAX):
+                number += 1
+                line = line.removeprefix(b"\xef\xbb\xbf") if number == 1 else line
+                if number <= layout.skip or (_COMMENT.match(line) and line.count(b";") != len(layout.columns) - 1):
+                    continue
+                if len(numbers) >= POSES_MAX:
+                    raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the most that are read: cut it up")
+                numbers.append(number)
+                values.extend(_parse_row(f"{path}, line {number}", line, layout, commas))
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+    table = np.frombuffer(values).reshape(-1, len(layout.columns))
+    columns_by_name = {name: table[:, at] for at, name in enumerate(layout.columns)}
+    if layout.rate_hz is None:
+        t = layout.unit_s * (columns_by_name["t"] - columns_by_name["t"][:1])
+    else:
+        t = np.arange(len(table)) / layout.rate_hz
+    position = layout.unit_m * np.column_stack([columns_by_name[name] for name in "xyz"])
+    orientation = np.tile([1.0, 0.0, 0.0, 0.0], (len(table), 1))
+    if "qw" in columns_by_name:
+        orientation = np.column_stack([columns_by_name[name] for name in POSE_COLUMNS[4:]])
+    return check_poses(
+        t, position, orientation, lambda row: f"{path}, line {numbers[row]}" if row < len(numbers) else str(path)
+    )
+
+
+def _parse_row(location: str, line: bytes, layout: Layout, commas: set[bool]) -> list[float]:
+    """Return the numbers of a line; `commas` gets whether a decimal comma or a decimal point was found."""
+    try:
+        text = line.decode().strip()
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{location}: not a text file (not UTF-8)") from error
+    row = []
+    for name, cell in zip(layout.columns, _cells(location, text, len(layout.columns)), strict=True):
+        try:
+            row.append(0.0 if name == SKIPPED else float(cell.replace(",", ".")))
+        except ValueError as error:
+            what = f"{cell[:40]!r} is not a number" if cell else "the cell is empty"
+            raise RecordingError(f"{location}, column '{name}': {what}; --skip N skips a heading") from error
+        commas |= {mark == "," for mark in ",." if name != SKIPPED and mark in cell}
+    if len(commas) > 1:
+        raise RecordingError(f"{location}: has decimal commas and decimal points: write all numbers with points")
+    return row
+
+
+def _cells(location: str, text: str, columns: int) -> list[str]:
+    """Return the cells of a line, without empty ones at its end that exceed the number of columns."""
+    counts = []
+    for separator in _SEPARATORS:
+        cells = separator.split(text)
+        while len(cells) > columns and not cells[-1]:
+            cells.pop()
+        if len(cells) == columns:
+            return cells
+        counts.append(len(cells))
+    found = next((count for count in counts if count > 1), 1)
+    raise RecordingError(
+        f"{location}: {found} values where --columns has {columns}: give a name or {SKIPPED} for each; "
+        "--skip N skips lines at the start"
+    )
+
+
+def write_poses(path: Path, poses: Poses) -> None:
+    """Write the table for a replay; the file appears complete or not at all."""
+    with new_file(path) as file:
+        file.write(",".join(POSE_COLUMNS).encode() + b"\n")
+        file.write(csv_lines(np.column_stack(poses)))

@@ -1,0 +1,123 @@
+"""Common parts of both command clients: the socket, requests with their parameters, and answers."""
+
+from __future__ import annotations
+
+import uuid
+from typing import Any, Final, TypeVar
+
+import msgpack
+import msgspec
+import numpy as np
+import zmq
+
+from softfinger.config.errors import CommandRefused, ConfigError, HapticError
+from softfinger.config.schema import Telemetry, commands_beside, runtime_folder
+from softfinger.server.keys import ClientKeys
+from softfinger.server.publishing.setup import ANSWER_MAX, REQUEST_MAX
+from softfinger.server.wire.endpoint import check_runtime_folder
+from softfinger.server.wire.envelope import expiry
+
+R = TypeVar("R")
+
+TIMEOUT_S: Final = 5.0
+SCENE_TIMEOUT_S: Final = 300.0
+"""A scene is compiled first, which takes half a minute, and longer on a busy machine."""
+
+
+class NoAnswer(HapticError):
+    """No answer arrived from an endpoint."""
+
+    exit_code = 9
+
+
+def default_commands() -> str:
+    """Return the default command endpoint of a daemon of this user."""
+    return commands_beside(Telemetry().endpoint)
+
+
+def connect(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:
+    """Connect a DEALER to the commands of a daemon; if that fails, close it and raise ConfigError."""
+    socket.linger = 0
+    # A unique name that does not start with 0: an answer reaches it even if the publisher was restarted in between.
+    socket.routing_id = b"c" + uuid.uuid4().bytes
+    socket.maxmsgsize = ANSWER_MAX  # ZeroMQ disconnects a peer that sends more, before it allocates
+    socket.ipv6 = "[" in endpoint
+    if keys is not None:
+        keys.apply_to(socket)
+    try:
+        if endpoint.startswith(f"ipc://{runtime_folder()}/"):
+            check_runtime_folder()
+    except ConfigError:
+        socket.close()
+        raise
+    try:
+        socket.connect(endpoint)
+    except zmq.ZMQError as error:
+        socket.close()
+        raise ConfigError(
+            f"cannot connect to endpoint {endpoint!r}: {error}; it looks like ipc:///path or tcp://127.0.0.1:5556"
+        ) from error
+
+
+def encode_request(method: str, params: Any, wait_s: float) -> tuple[str, list[bytes]]:
+    """Return the id and the frames of a request; raises ConfigError if it cannot be encoded."""
+    command_id = uuid.uuid4().hex
+    request = {"command_id": command_id, "method": method, "params": params, "expires": expiry(wait_s)}
+    try:
+        body = msgspec.msgpack.encode(request, enc_hook=_plain)
+    except (TypeError, ValueError, OverflowError) as error:  # text that is not valid Unicode raises a ValueError
+        raise ConfigError(f"{method}: cannot be sent: {error}") from error
+    if len(body) > REQUEST_MAX:
+        raise ConfigError(f"{method}: a request of {len(body)} bytes: a daemon takes at most {REQUEST_MAX}")
+    return command_id, [b"", body]
+
+
+def _plain(value: Any) -> Any:
+    """Convert arrays and numbers of NumPy, as they come from records and telemetry."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{value!r} is a {type(value).__name__}: give numbers, texts, lists and mappings")
+
+
+def decode_answer(frames: list[bytes]) -> dict[str, Any]:
+    """Return the map of an answer, or an empty one if it is invalid."""
+    try:
+        answer = msgpack.unpackb(frames[1]) if len(frames) == 2 else {}
+    except Exception:  # a dozen classes are possible
+        return {}
+    return answer if isinstance(answer, dict) else {}
+
+
+def result_of(answer: dict[str, Any], kind: type[R]) -> R:
+    """Return the result in an answer; raises CommandRefused if the daemon refused the request."""
+    if answer.get("success") is not True:
+        raise CommandRefused(str(answer.get("error")))
+    return msgspec.convert(answer.get("result"), kind)
+
+
+def no_answer(method: str, endpoint: str, waited_s: float) -> NoAnswer:
+    """Return the error, with possible causes."""
+    return NoAnswer(
+        f"no answer to {method} from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
+        "as this user, and is this its [commands] endpoint, which its first lines say?"
+    )
+
+
+def timeout_for(method: str, timeout_s: float | None) -> float:
+    """Return the time (s) to wait for an answer: the user's value, or the default of the method."""
+    if timeout_s is not None:
+        return timeout_s
+    return SCENE_TIMEOUT_S if method in ("set_scene", "reset_world") else TIMEOUT_S
+
+
+def or_unset(value: R | None) -> R | msgspec.UnsetType:
+    """Return a parameter, or UNSET for None."""
+    return msgspec.UNSET if value is None else value
+
+
+def parse_number(text: str) -> str | float:
+    """Convert the text of an answer to a number, if it is one."""
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return text.strip()[:64]

@@ -1,0 +1,116 @@
+"""Endpoints of a rig, bound before anything else starts, so that errors are reported at once.
+
+Both the publisher and the daemon have the listening sockets: if the publisher exits, peers wait in the system's queue
+for the next one.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from contextlib import ExitStack
+from typing import Final
+
+from softfinger.config import schema
+from softfinger.config.schema import commands_beside, is_public
+from softfinger.server.publishing.setup import ListeningSocket
+from softfinger.server.wire.endpoint import listen
+
+TELEMETRY: Final = "telemetry"
+COMMANDS: Final = "commands"
+
+
+class Endpoints:
+    """Bound endpoints; `close` frees them, and until then the publisher uses `entrances`.
+
+    For an endpoint that is open to the network there are two: that endpoint, which requires keys, and another one in a
+    folder of this user only, for programs on this machine.
+    """
+
+    def __init__(self) -> None:
+        self.files: Final = ExitStack()
+        self.entrances: Final[list[ListeningSocket]] = []
+        self.telemetry = ""
+        """Telemetry endpoint for programs of this user."""
+        self.commands: str | None = None
+        """Command endpoint for programs of this user; None if there is none."""
+        self.public: Final[dict[str, str]] = {}
+        """Endpoints that other machines can reach, by the name of their table."""
+
+    @property
+    def announced_commands(self) -> str:
+        """Command endpoint announced in the telemetry; empty without commands.
+
+        It is the endpoint that other machines can reach, if there is one.
+        """
+        return self.public.get(COMMANDS, self.commands or "")
+
+    def close(self) -> None:
+        """Free all endpoints; may be called repeatedly."""
+        self.files.close()
+
+    def bind(self, name: str, endpoint: str, own: bool = False, keys: tuple[str, str] | None = None) -> str:
+        """Bind an endpoint; return it with the chosen port. Raises the errors of `listen`.
+
+        name  telemetry or commands
+        own   as for `listen`
+        keys  file of the server's secret key, and the folder of the keys of peers that may connect
+        """
+        bound = listen(endpoint, f"[{name}] endpoint", public=keys is not None, own=own)
+        self.files.enter_context(bound.files)
+        self.entrances.append(ListeningSocket(name, bound.endpoint, bound.fd, *(keys or ("", ""))))
+        if keys is not None:
+            self.public[name] = bound.endpoint
+        return bound.endpoint
+
+
+def bind_telemetry(endpoint: str) -> Endpoints:
+    """Bind telemetry only, on one endpoint that is not open to the network; raises the errors of `listen`."""
+    endpoints = Endpoints()
+    endpoints.telemetry = endpoints.bind(TELEMETRY, endpoint)
+    return endpoints
+
+
+def bind_rig(rig: schema.Rig) -> Endpoints:
+    """Bind the endpoints of a rig.
+
+    Raises ConfigError for unusable keys, and the errors of `listen`; no endpoint remains bound then.
+    """
+    endpoints, telemetry, commands = Endpoints(), rig.telemetry.endpoint, rig.commands_endpoint
+    with ExitStack() as undo:
+        undo.callback(endpoints.close)
+        keys = _keys(rig)
+        folder = ""
+        if is_public(telemetry) or is_public(commands or ""):
+            folder = endpoints.files.enter_context(_private_folder())
+        if is_public(telemetry):
+            endpoints.bind(TELEMETRY, telemetry, keys=keys[TELEMETRY])
+            telemetry = f"ipc://{folder}/{TELEMETRY}"
+        if commands is not None and is_public(commands):
+            endpoints.bind(COMMANDS, commands, keys=keys[COMMANDS])
+            commands = f"ipc://{folder}/{COMMANDS}"
+        endpoints.telemetry = endpoints.bind(TELEMETRY, telemetry)
+        if commands is not None:
+            is_beside = rig.commands.endpoint is None and COMMANDS not in endpoints.public
+            # The port chosen for the telemetry, if the rig does not set one.
+            commands_endpoint = commands_beside(endpoints.telemetry) if is_beside else commands
+            endpoints.commands = endpoints.bind(COMMANDS, commands_endpoint, own=is_beside)
+        undo.pop_all()
+    return endpoints
+
+
+def _keys(rig: schema.Rig) -> dict[str, tuple[str, str]]:
+    """Return the secret key and the folder of public keys of each table."""
+    if not (is_public(rig.telemetry.endpoint) or is_public(rig.commands_endpoint or "")):
+        return {}
+    from softfinger.server.publishing.allowed import key_folders  # imports libzmq, which takes time
+
+    assert rig.security is not None  # the rig is refused without it
+    readers, commanders = key_folders(rig.security)
+    return {TELEMETRY: (rig.security.key, readers), COMMANDS: (rig.security.key, commanders)}
+
+
+def _private_folder() -> tempfile.TemporaryDirectory[str]:
+    """Create a folder that only this user may enter."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    return tempfile.TemporaryDirectory(prefix="softfinger-", dir=runtime if os.path.isdir(runtime) else None)

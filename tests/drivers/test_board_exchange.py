@@ -1,0 +1,484 @@
+"""What every conversation with a board does, call by call: a board by a script, and a clock that goes on as it says.
+
+The emulated boards of the other tests answer in real time, which shows no limit to the nanosecond.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterator
+from math import inf, nan
+from types import SimpleNamespace
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import pytest
+from numba import config
+from numpy.typing import NDArray
+
+from softfinger.drivers import board_exchange
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, SAMPLE_TIME, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.block import Block
+from softfinger.drivers.board_exchange import BOARD, WAIT_MS, Times
+from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS
+
+pytestmark = [
+    pytest.mark.plain,
+    pytest.mark.skipif(not config.DISABLE_JIT, reason="a board by a script is Python, which no compiled kernel calls"),
+]
+
+MS = 1_000_000
+FD = 7
+QUIET, KICK, AWAITING, TIMEOUT_NS = 20 * MS, 50 * MS, 25 * MS, 200 * MS
+TIMES = Times(0.02, 0.05, 0.025, 0.2)
+START = 10_000 * MS
+"""When the loop first reads, ns of the clock."""
+OPENED = 9_000 * MS
+FORCE = (1.0, 2.0, 3.0, 0.0, 0.0, 0.0)
+ZERO = (0.0,) * 6
+
+
+class Scripted(NamedTuple):
+    """Marks the kernels of a board by a script."""
+
+
+class Board:
+    """What happens, and what was asked of it.
+
+    comes    how many samples a read finds, by what is left of the list; then none
+    arrives  when one comes (ns of the clock) that a read finds from then on
+    """
+
+    def __init__(self) -> None:
+        self.block = Block(BOARD, BOARD)
+        self._functions = board_exchange.compile_functions(Scripted())
+        self.now = OPENED
+        self.done: list[Any] = []
+        self.comes: list[int] = []
+        self.arrives: list[int] = []
+        self.usable, self.busy = True, False
+        self.zero, self.force, self.woken = OK, OK, OK
+        self.wake_ends_a_force = False
+        self.sample = np.zeros(SAMPLE_SIZE)
+        board_exchange.init_exchange(self.block, FD, TIMES, misread_max=8)
+        self.now = START
+
+    @property
+    def word(self) -> NDArray[np.int64]:
+        return self.block.word
+
+    def read(self) -> int:
+        """The status of a read; the calls that it made are in `done`."""
+        self.done = []
+        return int(self._functions.read(self.block.handle, self.sample))
+
+    def write(self, wrench: tuple[float, ...]) -> int:
+        self.done = []
+        return int(self._functions.write(self.block.handle, wrench))
+
+    def silence(self) -> int:
+        self.done = []
+        return int(self._functions.silence(self.block.handle))
+
+    def heard(self) -> None:
+        """A first sample, as of a board that has been talked to for long."""
+        self.comes = [0, 0, 1]
+        assert self.read() == OK
+
+    def later(self, ns: int) -> None:
+        """So much time, in which the loop reads nothing but is no pause."""
+        self.now += ns
+        self.word[BOARD.read_at] = self.now
+
+
+@pytest.fixture
+def board(monkeypatch: pytest.MonkeyPatch) -> Iterator[Board]:
+    made: list[Board] = []
+
+    def clock(timespec: int) -> int:
+        assert timespec == made[0].block.handle + 8 * BOARD.timespec
+        return made[0].now
+
+    def poll(fds: Any, count: int, wait_ms: int) -> int:
+        assert (fds[0], count) == (
+            made[0].word[BOARD.fd] | 1 << 32,
+            1,
+        )  # POLLIN is 1, in the upper half of a struct pollfd
+        said(f"wait {wait_ms}")
+        made[0].now += wait_ms * MS
+        return 0
+
+    def exchange(address: int, value: int) -> int:
+        word = ctypes.c_int64.from_address(address)
+        before, word.value = word.value, value
+        return before
+
+    monkeypatch.setattr(board_exchange.time, "monotonic_ns", lambda: OPENED)
+    monkeypatch.setattr(board_exchange, "monotonic_ns", clock)
+    monkeypatch.setattr(board_exchange, "poll_fd", poll)
+    monkeypatch.setattr(board_exchange, "exchange_int64", exchange)
+    made.append(Board())
+    SCRIPT.append(made[0])
+    yield made[0]
+    SCRIPT.clear()
+    assert made[0].word[BOARD.lock] == 0
+
+
+SCRIPT: list[Board] = []
+"""The board of the test that runs: kernels know their handle alone."""
+
+
+def said(what: Any) -> None:
+    SCRIPT[0].done.append(what)
+    assert len(SCRIPT[0].done) < 200, "it waits for ever"
+
+
+@board_exchange.drain.of(Scripted)
+def _drain(driver: Scripted, handle: int) -> int:
+    said("drain")
+    board = SCRIPT[0]
+    if board.arrives and board.now >= board.arrives[0]:
+        board.arrives.pop(0)
+        return 1
+    return board.comes.pop(0) if board.comes else 0
+
+
+@board_exchange.pose.of(Scripted)
+def _pose(driver: Scripted, handle: int) -> bool:
+    board = SCRIPT[0]
+    board.block.numbers(BOARD.sample, SAMPLE_SIZE)[0] += 1.0  # each is another place
+    return board.usable
+
+
+@board_exchange.busy.of(Scripted)
+def _busy(driver: Scripted, handle: int, deaf: bool) -> bool:
+    said(f"busy? {'deaf' if deaf else 'hears'}")
+    return SCRIPT[0].busy
+
+
+@board_exchange.send_zero.of(Scripted)
+def _send_zero(driver: Scripted, handle: int) -> int:
+    said("zero")
+    board = SCRIPT[0]
+    board.word[BOARD.has_force] = 0
+    return board.zero
+
+
+@board_exchange.command.of(Scripted)
+def _command(driver: Scripted, handle: int, wrench: Any) -> int:
+    said(tuple(wrench))
+    board = SCRIPT[0]
+    board.word[BOARD.has_force] = 1
+    return board.force
+
+
+@board_exchange.wake.of(Scripted)
+def _wake(driver: Scripted, handle: int) -> int:
+    board = SCRIPT[0]
+    said(("wake", board.now))
+    if board.wake_ends_a_force:
+        board.word[BOARD.has_force] = 0
+    return board.woken
+
+
+def locked(board: Board) -> None:
+    """Who stops the device is writing."""
+    board.word[BOARD.lock] = 1
+
+
+# --- the first sample, and one after a pause ----------------------------------------------------------
+
+
+def test_the_words_of_a_conversation_are_what_was_given(board: Board) -> None:
+    """Spans in ns, the file, and a device that may be given a force."""
+    at = board.word
+    assert [at[BOARD.quiet], at[BOARD.kick], at[BOARD.kick_awaiting], at[BOARD.timeout_after]] == [
+        QUIET, KICK, AWAITING, TIMEOUT_NS,
+    ]  # fmt: skip
+    assert (at[BOARD.fd], at[BOARD.armed], at[BOARD.misread_max], at[BOARD.has_sample], at[BOARD.lock]) == (
+        FD,
+        1,
+        8,
+        0,
+        0,
+    )
+
+
+def test_a_device_that_is_closed_is_lost(board: Board) -> None:
+    """Nothing is asked of a file that was closed; a zero is taken, a force withheld; 0 is the number of a file."""
+    board.word[BOARD.fd] = -1
+    assert board.read() == LOST and board.done == []
+    assert (board.write(ZERO), board.write(FORCE)) == (OK, WITHHELD) and board.done == []
+    assert board.silence() == 1 and board.done == []
+    board.word[BOARD.fd] = 0
+    assert board.write(ZERO) == OK and board.done == ["busy? deaf", "zero"]
+    assert board.silence() == 1 and board.done == ["zero"]
+    board.heard()
+
+
+def test_what_waited_is_thrown_away_and_a_first_sample_awaited(board: Board) -> None:
+    """Both reads before the first wait are of before; then the board is woken at once and every AWAITING ns. A sample
+    of now is told with the time of its reading since the opening."""
+    board.comes, board.arrives = [3, 2], [START + 62 * MS]
+    board.word[BOARD.kicked_at] = START - 1
+    assert board.read() == OK
+    waits = ["wait 10", "drain"]
+    expected: list[Any] = ["drain", "wait 0", "drain", ("wake", START)]
+    expected += 3 * waits + [("wake", START + 30 * MS)] + 3 * waits + [("wake", START + 60 * MS)] + waits
+    assert board.done == expected
+    assert board.sample[SAMPLE_TIME] == pytest.approx((START + 70 * MS - OPENED) * 1e-9, rel=1e-15)
+    assert (
+        board.word[BOARD.has_sample] == 1
+        and board.word[BOARD.sampled_at] == board.word[BOARD.read_at] == START + 70 * MS
+    )
+
+
+@pytest.mark.parametrize("reads", [0, 1, 2])
+def test_a_device_that_goes_while_it_is_awaited_is_lost_at_once(reads: int, board: Board) -> None:
+    """In the first read, the second, or the one behind the wait: nothing more is asked of it."""
+    board.comes = [0] * reads + [LOST]
+    assert board.read() == LOST
+    calls: list[Any] = ["drain", "wait 0", "drain", ("wake", START), "wait 10", "drain"]
+    assert board.done == calls[: (1, 3, 6)[reads]]
+
+
+@pytest.mark.parametrize("status", [LOST, OK, HELD])
+def test_a_wake_that_fails_ends_the_wait(status: int, board: Board) -> None:
+    """A status below 0 is the read's; a port that is full is woken again later."""
+    board.woken, board.arrives = status, [START + 5 * MS]
+    assert board.read() == (status if status < 0 else OK)
+
+
+@pytest.mark.parametrize(("misread", "status"), [(0, TIMEOUT), (7, TIMEOUT), (8, PROTOCOL), (9, PROTOCOL)])
+def test_a_board_that_says_nothing_of_use_is_given_up_once_its_time_is_over(
+    misread: int, status: int, board: Board
+) -> None:
+    """At the first look later than TIMEOUT_NS; bytes of as much as an answer, which make none, are no silence. What it
+    had said before does not count."""
+    board.word[BOARD.misread_bytes] = 100
+    begun = board.word[BOARD.misread_bytes]
+    real = board_exchange.drain
+
+    def reads(driver: Any, handle: int) -> int:
+        board.word[BOARD.misread_bytes] = begun + (misread if board.now > START else 0)
+        return int(real(driver, handle))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(board_exchange, "drain", reads)
+        assert board.read() == status
+    assert board.now == START + TIMEOUT_NS + WAIT_MS * MS
+    assert board.done.count("drain") == 2 + 21
+
+
+@pytest.mark.parametrize(("ns", "paused"), [(RESUME_NS, False), (RESUME_NS + 1, True)])
+def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, board: Board) -> None:
+    """Then what waits is of before, and one of now is awaited; else the newest is taken."""
+    board.heard()
+    board.now += ns
+    board.comes = [1, 0, 1]
+    assert board.read() == OK
+    assert board.done == (["drain", "wait 0", "drain", ("wake", board.now - 10 * MS), "wait 10", "drain"]
+                          if paused else ["drain"])  # fmt: skip
+
+
+def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board: Board) -> None:
+    """RESUME_WAIT_NS and a wait; the sample of before is repeated, and its board is deaf until it speaks again, though
+    the pause counts for no time-out."""
+    board.heard()
+    board.now += 150 * MS
+    begun, before = board.now, board.sample.copy()
+    assert board.read() == STALE
+    assert board.now - begun == RESUME_WAIT_NS + WAIT_MS * MS
+    assert board.sample.tolist() == before.tolist()
+    assert board.word[BOARD.read_at] == board.now
+    assert board.word[BOARD.sampled_at] == begun - QUIET - 1
+    assert board.write(FORCE) == WITHHELD and "zero" in board.done
+    board.later(MS)
+    board.comes = [1]
+    assert board.read() == OK and board.write(FORCE) == OK and board.done == [FORCE]
+
+
+# --- tick by tick -------------------------------------------------------------------------------------
+
+
+def test_a_tick_takes_the_newest_and_waits_for_nothing(board: Board) -> None:
+    """A new sample is OK and has its time; without one the last is repeated, STALE, bit for bit."""
+    board.heard()
+    board.later(MS)
+    board.comes = [4]
+    assert board.read() == OK and board.done == ["drain"]
+    assert board.sample[SAMPLE_TIME] == pytest.approx((board.now - OPENED) * 1e-9, rel=1e-15)
+    assert board.sample[0] == 2.0
+    kept = board.sample.copy()
+    board.later(MS)
+    assert board.read() == STALE and board.done == ["drain"]
+    assert board.sample.tolist() == kept.tolist()
+
+
+def test_ticks_that_come_slowly_are_no_pause(board: Board) -> None:
+    """Each counts from the one before."""
+    board.heard()
+    for _ in range(3):
+        board.now += RESUME_NS
+        board.comes = [1]
+        assert board.read() == OK and board.done == ["drain"]
+
+
+def test_a_sample_without_a_pose_is_not_in_the_protocol(board: Board) -> None:
+    """And so is what the driver says of a device that has gone."""
+    board.heard()
+    board.later(MS)
+    board.comes, board.usable = [1], False
+    assert board.read() == PROTOCOL
+    board.comes = [LOST]
+    assert board.read() == LOST
+
+
+@pytest.mark.parametrize(("misread", "status"), [(7, TIMEOUT), (8, PROTOCOL)])
+def test_a_silence_longer_than_the_time_out_ends_it(misread: int, status: int, board: Board) -> None:
+    """Not one of just as long."""
+    board.heard()
+    board.word[BOARD.misread_bytes] = misread
+    board.later(TIMEOUT_NS)
+    assert board.read() == STALE
+    board.later(1)
+    assert board.read() == status
+
+
+def test_a_silence_is_woken_into_once_it_is_quiet_and_every_kick(board: Board) -> None:
+    """Not at QUIET but behind it, and again from KICK on, at which there is one."""
+    board.heard()
+    board.word[BOARD.kicked_at] = START - KICK
+    board.later(QUIET)
+    assert board.read() == STALE and board.done == ["drain"]
+    board.later(1)
+    first = board.now
+    assert board.read() == STALE and board.done == ["drain", ("wake", first)]
+    board.later(KICK - 1)
+    assert board.read() == STALE and board.done == ["drain"]
+    board.later(1)
+    assert board.read() == STALE and board.done == ["drain", ("wake", first + KICK)]
+    board.later(KICK)
+    board.woken = LOST
+    assert board.read() == LOST
+
+
+def test_who_stops_the_device_is_not_written_over(board: Board) -> None:
+    """While the lock is held neither a wake nor a force nor a second zero goes out, and the lock stays."""
+    board.heard()
+    board.word[BOARD.kicked_at] = START - KICK
+    board.later(QUIET + 1)
+    locked(board)
+    kicked = board.word[BOARD.kicked_at]
+    assert board.read() == STALE and board.done == ["drain"]
+    assert board.word[BOARD.kicked_at] == kicked and board.word[BOARD.lock] == 1
+    board.comes = [1]
+    assert board.read() == OK
+    assert board.write(FORCE) == WITHHELD and board.write(ZERO) == WITHHELD and board.done == []
+    assert board.word[BOARD.lock] == 1
+    assert board.silence() == 0 and board.done == [] and board.word[BOARD.armed] == 0
+    assert board.word[BOARD.lock] == 1
+    board.word[BOARD.lock] = 0
+
+
+def test_a_wake_that_ended_a_force_is_told(board: Board) -> None:
+    """The answer to it must not bring the force back at once: WITHHELD, once, be there a sample or none."""
+    board.heard()
+    assert board.write(FORCE) == OK
+    board.word[BOARD.kicked_at], board.wake_ends_a_force = START - KICK, True
+    board.later(QUIET + 1)
+    assert board.read() == WITHHELD and board.read() == STALE
+    board.later(MS)
+    board.comes = [1]
+    assert board.read() == OK
+
+
+# --- forces -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("status", [OK, STALE, HELD, LOST])
+def test_a_force_goes_out_and_the_driver_has_the_word(status: int, board: Board) -> None:
+    """Whole, to a board that was heard QUIET ago at the most."""
+    board.heard()
+    board.later(QUIET)
+    board.force = status
+    assert board.write(FORCE) == status and board.done == [FORCE]
+
+
+def deaf(board: Board) -> None:
+    board.later(QUIET + 1)
+
+
+def unarmed(board: Board) -> None:
+    board.word[BOARD.armed] = 0
+
+
+def unsensed(board: Board) -> None:
+    board.word[BOARD.has_sample] = 0
+
+
+@pytest.mark.parametrize("why", [deaf, unarmed, unsensed])
+@pytest.mark.parametrize("status", [OK, HELD, LOST])
+def test_a_force_that_may_not_go_out_is_a_zero(why: Callable[[Board], None], status: int, board: Board) -> None:
+    """And is told as withheld, but where the device is lost."""
+    board.heard()
+    why(board)
+    board.zero = status
+    assert board.write(FORCE) == (status if status < 0 else WITHHELD)
+    assert board.done == ["busy? hears" if why is unarmed else "busy? deaf", "zero"]
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize("number", [nan, inf, -inf])
+def test_a_force_that_is_not_finite_is_a_zero(place: int, number: float, board: Board) -> None:
+    """In each of its three numbers; a torque, which no motor displays, may be anything."""
+    board.heard()
+    wrench = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    wrench[place] = number
+    assert board.write(tuple(wrench)) == WITHHELD and board.done == ["busy? hears", "zero"]
+    assert board.write((0.0, 0.0, 0.0, 1.0, 0.0, 0.0)) == OK and board.done == ["busy? hears", "zero"]
+    force = (0.0, 0.0, 1.0, nan, 0.0, 0.0)
+    assert board.write(force) == OK and len(board.done) == 1 and board.done[0][:3] == force[:3]
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_force_along_one_axis_is_none_of_zero(place: int, board: Board) -> None:
+    """However small."""
+    board.heard()
+    wrench = tuple(5e-324 * (k == place) for k in range(6))
+    assert board.write(wrench) == OK and board.done == [wrench]
+
+
+def test_a_zero_waits_for_a_board_that_is_busy_and_not_if_it_ends_a_force(board: Board) -> None:
+    """Nothing goes to one that has not answered, and that is no failure; the end of a force does."""
+    board.heard()
+    board.busy = True
+    assert board.write(ZERO) == OK and board.done == ["busy? hears"]
+    board.later(QUIET + 1)
+    assert board.write(FORCE) == WITHHELD and board.done == ["busy? deaf"]
+    board.word[BOARD.has_force] = 1
+    assert board.write(ZERO) == OK and board.done == ["zero"]
+
+
+@pytest.mark.parametrize(("status", "left", "done"), [(OK, 0, 1), (HELD, 0, 0), (OK, 1, 0), (LOST, 0, 1)])
+def test_silence_is_done_once_the_zero_is_gone(status: int, left: int, done: int, board: Board) -> None:
+    """Whole; one that was not taken, or in part, is tried again, and a device that has gone needs none. No force
+    follows."""
+    board.heard()
+    board.zero, board.word[BOARD.unsent_bytes] = status, left
+    assert board.silence() == done and board.done == ["zero"]
+    assert board.word[BOARD.armed] == 0 and board.word[BOARD.lock] == 0
+    board.zero = OK
+    assert board.write(FORCE) == WITHHELD
+
+
+def test_what_a_board_can_do_is_about_its_origin() -> None:
+    """A box of its radius to each side, its limits as the rig has them."""
+    rig = SimpleNamespace(
+        mounting=SimpleNamespace(position_m=(1.0, 2.0, 3.0)), workspace_radius_m=0.25, force_max_n=5.0,
+        stiffness_max_n_per_m=700.0, damping_max_ns_per_m=3.0,
+    )  # fmt: skip
+    info = board_exchange.make_info(cast(Any, rig), "board", sensed_dof=5, actuated_dof=2)
+    assert (info.workspace_min_m, info.workspace_max_m) == ((0.75, 1.75, 2.75), (1.25, 2.25, 3.25))
+    assert (info.name, info.sensed_dof, info.actuated_dof, info.force_max_n) == ("board", 5, 2, 5.0)
+    assert (info.stiffness_max_n_per_m, info.damping_max_ns_per_m) == (700.0, 3.0)

@@ -1,0 +1,237 @@
+"""Every way in which a connection with Haply's service may end: what the service received before it did.
+
+Two devices of one emulated service push; the service then breaks the protocol, closes or falls silent. The service's
+own list of received forces decides: the end of a session, which takes its force too, is not in that list.
+"""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from helpers.haply_devices import ID, Service, fresh, opened, settle
+
+from softfinger.drivers.base import LOST, PROTOCOL, TIMEOUT, WITHHELD
+from softfinger.drivers.haply.device import HaplyDevice
+from softfinger.server.driver_contract import Servo
+
+pytestmark = pytest.mark.real_time
+
+OTHER = "0A11"
+CONTINUATION, TEXT, BINARY, CLOSE, PING = 0x0, 0x1, 0x2, 0x8, 0x9
+MAX = 262_144
+"""Bytes of the longest message that the driver takes."""
+
+
+def frame(opcode: int, payload: bytes = b"", fin: bool = True, bits: int = 0, claims: int | None = None) -> bytes:
+    """A frame as a server sends it (RFC 6455, 5.2); `bits` are the reserved ones, `claims` the length it announces."""
+    size = len(payload) if claims is None else claims
+    if size < 126:
+        length = bytes([size])
+    elif size < 1 << 16:
+        length = b"\x7e" + size.to_bytes(2, "big")
+    else:
+        length = b"\x7f" + size.to_bytes(8, "big")
+    return bytes([fin << 7 | bits << 4 | opcode]) + length + payload
+
+
+def close(code: int, reason: bytes = b"") -> bytes:
+    return frame(CLOSE, code.to_bytes(2, "big") + reason)
+
+
+PLACE = '{"inverse3":[{"device_id":"049D","state":{"cursor_position":{"x":%s,"y":0,"z":0}}}],"minverse":[]}'
+BREACHES: dict[str, bytes] = {
+    **{f"reserved bits {bits}": frame(TEXT, b"{}", bits=bits) for bits in (1, 2, 4, 7)},
+    **{f"opcode {code:x}": frame(code, b"{}") for code in (3, 7, 0xB, 0xF)},
+    "masked": bytes([0x81, 0x82, 1, 2, 3, 4]) + bytes([ord("{") ^ 1, ord("}") ^ 2]),
+    "a byte too long": frame(TEXT, b" " * (MAX + 1)),
+    "2^62 bytes claimed": frame(TEXT, claims=1 << 62),
+    "2^63 bytes claimed": frame(TEXT, claims=1 << 63),
+    "too long in parts": frame(TEXT, b" " * MAX, fin=False) + frame(CONTINUATION, b" "),
+    "a fragmented ping": frame(PING, b"", fin=False),
+    "a long ping": frame(PING, b" " * 126),
+    "a continuation of nothing": frame(CONTINUATION, b"{}"),
+    "a message inside another": frame(TEXT, b"{", fin=False) + frame(TEXT, b"}"),
+    "a close inside a message": frame(TEXT, b"{", fin=False) + close(1000),
+    "a close of one byte": frame(CLOSE, b"\x03"),
+    "a close with a bad reason": close(1000, b"\xff\xfe"),
+    **{f"a close with code {code}": close(code) for code in (0, 999, 1004, 1005, 1006, 1015, 2999, 5000, 65535)},
+    "invalid UTF-8": frame(TEXT, b'{"inverse3":[{"device_id":"\xff\xfe"}]}'),
+    "no JSON": frame(TEXT, b"}{"),
+    "a list": frame(TEXT, b"[]"),
+    "a number": frame(BINARY, b"7"),
+    "null": frame(TEXT, b"null"),
+    "NaN": frame(TEXT, (PLACE % "NaN").encode()),
+    "an infinite number": frame(TEXT, (PLACE % "1e400").encode()),
+    "noise": b"\xff" * 64,
+}
+GOODBYES: dict[str, bytes] = {
+    **{
+        f"close {code}": close(code, b"bye")
+        for code in (1000, 1001, 1002, 1003, *range(1007, 1015), 3000, 4999)
+    },
+    "close without a code": frame(CLOSE),
+    "an empty list": frame(TEXT, b"{}"),
+    "other devices alone": frame(TEXT, b'{"inverse3":[],"minverse":[]}'),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def service() -> Iterator[Service]:
+    with Service(devices=(f"inverse3:{ID}", f"minverse:{OTHER}")) as running:
+        yield running
+
+
+@pytest.fixture
+def pushing(service: Service) -> Iterator[list[HaplyDevice]]:
+    """Both devices, each under a force."""
+    devices = [opened(service, device_id=name) for name in (ID, OTHER)]
+    for device, name in zip(devices, (ID, OTHER), strict=True):
+        servo = Servo(device)
+        fresh(servo)
+        until(lambda servo=servo, name=name: servo.write(0.0, 0.0, 1.5, 0.0, 0.0, 0.0) < 0 or any(service.force(name)))
+    yield devices
+    service.set(raw=None, end=None, deaf=False, streams=False)
+    for device in devices:
+        device.close()
+
+
+def until(met: Callable[[], object]) -> None:
+    end = time.monotonic() + 10.0
+    while not met():
+        assert time.monotonic() < end
+        time.sleep(0.001)
+
+
+def received(service: Service, name: str, after: float = 0.0) -> list[tuple[float, ...]]:
+    """Return the forces (N) that the service received for a device, from a time (s, monotonic clock) on, in order."""
+    return [tuple(force) for at, force in service.commands(name) if at > after]
+
+
+def end_with(service: Service, devices: list[HaplyDevice], raw: bytes, end: str | None = None) -> list[int]:
+    """Have the service send bytes to each session; the statuses with which the devices fail."""
+    service.set(raw=raw.hex(), end=end)
+    statuses = []
+    for device in devices:
+        servo = Servo(device, arm=False)
+        until(lambda servo=servo: servo.read()[0] < 0)
+        statuses.append(servo.read()[0])
+        until(lambda device=device: not device._thread.running)
+    return statuses
+
+
+@pytest.mark.parametrize("case", [*BREACHES, *GOODBYES])
+def test_a_zero_comes_before_the_end(case: str, service: Service, pushing: list[HaplyDevice]) -> None:
+    """Whatever the service sends in place of a state, the last force that it receives for each device is zero, without
+    anybody stopping the devices, and their zero is confirmed."""
+    raw = (BREACHES | GOODBYES)[case]
+    assert end_with(service, pushing, raw) == [PROTOCOL if case in BREACHES else LOST] * 2
+    for device, name in zip(pushing, (ID, OTHER), strict=True):
+        forces = received(service, name)
+        assert forces[-1] == (0.0, 0.0, 0.0)
+        assert any(any(force) for force in forces)
+        device.stop()
+        assert not device.zero_failure()
+
+
+def test_a_service_that_only_stops_sending_receives_a_zero(service: Service, pushing: list[HaplyDevice]) -> None:
+    """A half-closed connection still takes a message."""
+    assert end_with(service, pushing, b"", "fin") == [LOST, LOST]
+    for name in (ID, OTHER):
+        assert received(service, name)[-1] == (0.0, 0.0, 0.0)
+
+
+def test_a_reset_lets_no_zero_through(service: Service, pushing: list[HaplyDevice]) -> None:
+    """TCP delivers nothing behind a reset; the session is over, and takes its force with it."""
+    assert end_with(service, pushing, b"", "rst") == [LOST, LOST]
+    for name in (ID, OTHER):
+        assert received(service, name)[-1] == (0.0, 0.0, 1.5)
+        assert not any(service.force(name))
+
+
+@pytest.mark.scaled
+def test_whatever_bytes_come_the_last_force_is_zero(service: Service, cases: Callable[[int, int], int]) -> None:
+    """Random frames, some of them whole: once a device is stopped, the last force that the service received is zero."""
+    draw = random.Random(7)
+    for _ in range(cases(20, 1000)):
+        raw = b"".join(
+            frame(draw.randrange(16), draw.randbytes(draw.choice((0, 2, 20, 200))), draw.random() < 0.8,
+                  draw.choice((0, 0, 0, draw.randrange(8))), draw.choice((None, None, draw.randrange(1 << 63))))
+            for _ in range(draw.randrange(1, 4))
+        )  # fmt: skip
+        with opened(service, device_id=ID) as device:
+            servo = Servo(device)
+            fresh(servo)
+            servo.write(0.0, 0.0, 1.5, 0.0, 0.0, 0.0)
+            settle(device)
+            service.set(raw=raw.hex())
+            until(lambda servo=servo: servo.read()[0] in (PROTOCOL, LOST, TIMEOUT))
+            service.set(raw=None)
+            device.stop()
+        assert received(service, ID)[-1] == (0.0, 0.0, 0.0), raw.hex()
+
+
+def test_a_service_that_stops_reading_gets_one_more_force(service: Service, pushing: list[HaplyDevice]) -> None:
+    """However long the loop writes to a service that reads nothing, one force waits there, and zeros behind it. Nothing
+    confirms the zero of a stop, which waits for it once."""
+    service.set(deaf=True)
+    deaf_at = time.monotonic()
+    servos = [Servo(device, arm=False) for device in pushing]
+    failed: set[int] = set()
+
+    def push() -> bool:
+        for number, servo in enumerate(servos):
+            if servo.read()[0] == TIMEOUT:
+                failed.add(number)
+            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        return len(failed) == 2
+
+    until(push)
+    assert [servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) for servo in servos] == [WITHHELD] * 2
+    for device in pushing:
+        device.stop()
+        begun = time.monotonic()
+        device.stop()
+        assert time.monotonic() - begun < 0.5  # the first one has waited a second
+        assert "has not answered it for 1 s" in device.zero_failure()
+        device.close()
+    service.set(deaf=False)
+    for name in (ID, OTHER):
+        until(lambda name=name: not any(service.force(name)))
+        late = received(service, name, deaf_at)
+        assert sum(any(force) for force in late) <= 1
+        assert late[-1] == (0.0, 0.0, 0.0)
+
+
+def test_a_service_that_sends_without_reading_is_given_no_more_force() -> None:
+    """States that come unasked look like answers, but the connection's send queue shows that nobody reads: forces are
+    withheld, with a warning, until the unasked states end the exchange. With the session its force ends, and what
+    waited is no more than the service's own receive buffer holds."""
+    room = 2048
+    with Service(room=room) as service, opened(service) as device:
+        servo = Servo(device)
+        fresh(servo)
+        until(lambda: servo.write(0.0, 0.0, 1.5, 0.0, 0.0, 0.0) < 0 or any(service.force()))
+        service.set(streams=True)
+        service.set(deaf=True)
+        deaf_at, warned, statuses = time.monotonic(), set(), set()
+
+        def push() -> bool:
+            servo.write(0.0, 0.0, 1.5, 0.0, 0.0, 0.0)
+            statuses.add(servo.read()[0])
+            warned.add(device.warning())
+            return PROTOCOL in statuses
+
+        until(push)
+        assert WITHHELD in statuses and any("reads no messages" in words for words in warned)
+        assert "unexpected states" in device.reason()
+        device.stop()
+        assert "has not read it" in device.zero_failure()
+        service.set(streams=False)
+        service.set(deaf=False)
+        until(lambda: not any(service.force()))
+        late = received(service, ID, deaf_at)
+        # Linux doubles `room`; a message has more than 60 bytes; two may wait on this side, one was being answered.
+        assert sum(any(force) for force in late) <= 2 * room / 60 + 3

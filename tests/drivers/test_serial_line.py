@@ -1,0 +1,90 @@
+"""Refusal of rigs whose frames do not fit the baud rate, by `check` and before a port is opened."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from helpers.described_boards import rig_options
+
+from softfinger.config.errors import ConfigError, DeviceNotFound
+from softfinger.config.load import find, load_rig, shipped
+from softfinger.config.schema import Rig
+from softfinger.drivers import registry
+from softfinger.drivers.serial import line
+from softfinger.server.cli import main
+
+pytestmark = pytest.mark.plain
+
+SERIAL = [name for name in shipped(Rig) if 'driver = "serial"' in find(name, Rig).read_text()]
+
+
+@pytest.mark.parametrize("rig", SERIAL)
+def test_shipped_rigs_fit(rig: str) -> None:
+    """Every shipped serial rig fits its line at its own rate."""
+    config = load_rig(rig)
+    registry.check(config.device, config.servo.rate_hz)
+
+
+@pytest.mark.parametrize(
+    ("changes", "rate_hz", "says"),
+    [
+        # 6 bytes from the board are the longer of the two: 6 x 160 = 960
+        ({"baud": 9600}, 160.0, ""),
+        (
+            {"baud": 9600}, 161.0,
+            r"rig\.baud = 9600: the line carries 960 bytes/s each way, as a byte takes 10 bits \(8N1: .*\); a tick "
+            r"sends 4 bytes and receives 6, so servo\.rate_hz = 161 needs 644 bytes/s to the board and 966 from it, "
+            r".*: set baud to 19200 or more, .*lower servo\.rate_hz, .*, to 160 Hz, or shorten the frames",
+        ),
+        ({"baud": 115200}, 1920.0, ""),
+        ({"baud": 115200}, 1921.0, "set baud to 230400 or more"),
+        ({"baud": 2000000}, 8000.0, ""),
+        # a port that the system calls so is a board's own USB, and one of a chip is a line
+        ({"baud": 9600, "path": "/dev/ttyACM0"}, 1000.0, ""),
+        ({"baud": 9600, "path": "/dev/ttyUSB0"}, 1000.0, "960 bytes/s"),
+        ({"baud": 9600, "path": "/dev/ttyS0"}, 1000.0, "960 bytes/s"),
+        # by its vendor: FTDI, and Teensy
+        ({"baud": 9600, "vendor_id": 0x0403, "product_id": 0x6001}, 1000.0, "960 bytes/s"),
+        ({"baud": 9600, "vendor_id": 0x16C0, "product_id": 0x0483}, 1000.0, ""),
+        ({"baud": 9600, "vendor_id": 0x16C0, "product_id": 0x0483, "path": "/dev/ttyUSB3"}, 1000.0, "960 bytes/s"),
+    ],
+)  # fmt: skip
+def test_what_fits_a_line(changes: dict[str, object], rate_hz: float, says: str) -> None:
+    """Compare a hapkit's frames with baud / 10 in each direction; accept ports without a line rate."""
+    if not says:
+        line.check(rig_options("hapkit", **changes), rate_hz, "rig")
+        return
+    with pytest.raises(ConfigError, match=says):
+        line.check(rig_options("hapkit", **changes), rate_hz, "rig")
+
+
+def test_a_link_is_followed_to_its_port(tmp_path: Path) -> None:
+    """A link such as those in /dev/serial/by-id has the line rate of its target."""
+    link = tmp_path / "usb-board"
+    link.symlink_to("/dev/ttyACM0")
+    line.check(rig_options("hapkit", baud=9600, path=str(link)), 1000.0, "rig")
+
+
+def test_no_speed_is_offered_where_none_is_enough() -> None:
+    """64 bytes at 8 kHz need more than 2 MBd."""
+    text = rig_options("woodenhaptics-v3", vendor_id=None, product_id=None)
+    with pytest.raises(ConfigError, match=r"arrive late: lower servo\.rate_hz"):
+        line.check(text, 8000.0, "rig")
+
+
+def test_check_and_run_refuse_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`check` returns exit code 2, and opening raises before it looks for the port, also for a changed rate."""
+    text = find("hapkit", Rig).read_text()
+    slow, fits = tmp_path / "slow.toml", tmp_path / "fits.toml"
+    slow.write_text(re.sub(r"^baud = 115200", "baud = 9600", text, flags=re.MULTILINE))
+    fits.write_text(text)
+    assert main(["check", str(fits)]) == 0
+    assert main(["check", str(slow)]) == 2
+    assert f"{slow} [device].baud = 9600: the line carries 960 bytes/s" in capsys.readouterr().err
+    for rig in (load_rig(slow), load_rig(fits, {"servo.rate_hz": 4000.0})):
+        with pytest.raises(ConfigError, match=r"^\[device\]\.baud = .* bytes/s each way"):
+            registry.open_device(rig.device, rig.servo.rate_hz)
+    with pytest.raises(DeviceNotFound, match="the rig does not set a port"):
+        registry.open_device(load_rig(fits).device, 1000.0)

@@ -1,0 +1,404 @@
+"""Forces that wait in a serial port: frames that a simulated board receives, by board, port, line fault and exit.
+
+The simulated port follows tty_ioctl(4) and the Linux drivers: a UART counts bytes, a USB modem one buffer per write,
+and the driver of a USB chip ignores a flush. The simulated boards parse frames with their own code. The test with a
+real daemon and a real clock is in `test_serial_boards_loop`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.by_call import BY_CALL, MS, by_call
+from helpers.described_boards import rig_options
+from test_serial_exchange import Board, frame
+
+from softfinger.drivers import board_exchange
+from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.board_exchange import BOARD
+from softfinger.drivers.serial import device, exchange, queue
+from softfinger.drivers.serial.block import AT
+from softfinger.drivers.serial.device import BLOCKED, SerialDevice
+from softfinger.drivers.system.libc import EAGAIN, EIO
+from softfinger.proxy.kernels.jit.compiler.numba_internals import CFunction
+
+pytestmark = BY_CALL
+
+PUSH = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+ZERO = (0.0,) * 6
+WRITE_BYTES = 1280
+"""Buffer size of cdc-acm at full speed."""
+KINDS = ("uart", "modem", "chip")
+
+
+class Port:
+    """Simulated port with a line of `per_ms` bytes per millisecond to `board`."""
+
+    def __init__(self, kind: str, per_ms: float, board: Any) -> None:
+        self.kind, self.per_ms, self.board = kind, per_ms, board
+        self.waiting: list[tuple[int, int, int]] = []
+        """Queued bytes: time of the write (ns), number of the write, value."""
+        self.comes, self.error, self.stalled, self.writes = b"", 0, False, 0
+        self._credit, self._sent_ms = 0.0, 0
+
+    def advance(self, now: int) -> None:
+        """Advance by one millisecond."""
+        self._credit += self.per_ms
+        while self.waiting and self._credit >= 1.0 and not self.stalled:
+            written, _, byte = self.waiting.pop(0)
+            self._credit -= 1.0
+            self.comes += self.board.take(byte, (now - written) / MS)
+        self._credit = min(self._credit, self.per_ms)
+        self.comes += self.board.streams()
+
+    def read_waiting(self, fd: int, address: int, size: int, word: int) -> int:
+        if self.error:
+            return -self.error
+        given, self.comes = self.comes[:size], self.comes[size:]
+        ctypes.memmove(address, given, len(given))
+        return len(given)
+
+    def write(self, fd: int, address: int, size: int) -> int:
+        if self.error:
+            return -self.error
+        if len(self.waiting) + size > 4096:
+            return -EAGAIN
+        self.writes += 1
+        data = ctypes.string_at(int(address), size)
+        self.waiting += [(self.now(), self.writes, byte) for byte in data]
+        return size
+
+    now: Callable[[], int]
+
+    def unsent(self) -> int:
+        if self.error:
+            return -self.error
+        if self.kind == "modem":
+            return WRITE_BYTES * len({number for _, number, _ in self.waiting})
+        return len(self.waiting)
+
+    def flush(self) -> None:
+        if self.kind != "chip":
+            self.waiting.clear()
+
+
+class Reader:
+    """Frame parser of a board. `given` has one entry per frame: whether it has a force, and its age at arrival (ms)."""
+
+    def __init__(self) -> None:
+        self.given: list[tuple[bool, float]] = []
+        self.rest = b""
+
+    def take(self, byte: int, age_ms: float) -> bytes:
+        """Parse one byte and return the answer of the board."""
+        self.rest += bytes([byte])
+        return self.parse(age_ms)
+
+    def parse(self, age_ms: float) -> bytes:
+        raise NotImplementedError
+
+    def streams(self) -> bytes:
+        """Return the bytes that the board sends unasked in one millisecond."""
+        return b""
+
+    @property
+    def pushes(self) -> bool:
+        return bool(self.given) and self.given[-1][0]
+
+
+def crc8(data: bytes) -> int:
+    crc = 0
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x07) & 0xFF if crc & 0x80 else crc << 1
+    return crc
+
+
+class Hapkit(Reader):
+    """Parser of the sketch: shift by one byte until a frame fits. The board streams even if it does not read."""
+
+    bytes = 4
+
+    def parse(self, age_ms: float) -> bytes:
+        if len(self.rest) >= 4:
+            if self.rest[0] == 0x5A and crc8(self.rest[:3]) == self.rest[3]:
+                self.given.append((self.rest[1:3] != b"\0\0", age_ms))
+                self.rest = b""
+            else:
+                self.rest = self.rest[1:]
+        return b""
+
+    def streams(self) -> bytes:
+        head = b"\xa5" + struct.pack("<i", 40)
+        return head + bytes([crc8(head)])
+
+
+class Haply2diy(Reader):
+    """Parser of the firmware: a command byte, then its payload; ignore other bytes."""
+
+    bytes = 10
+
+    def parse(self, age_ms: float) -> bytes:
+        if self.rest[0] != 2:
+            self.rest = b""
+        elif len(self.rest) >= 10:
+            # a frame cut short takes resync bytes for its rest: 1e-36 N m
+            self.given.append((max(map(abs, struct.unpack("<2f", self.rest[2:]))) > 1e-9, age_ms))
+            self.rest = b""
+            return b"\5" + struct.pack("<2f", 30.0, 150.0)
+        return b""
+
+
+class Woody(Reader):
+    """Parser of text frames: ignore lines of another length."""
+
+    bytes = 64
+
+    def parse(self, age_ms: float) -> bytes:
+        if not self.rest.endswith(b"\n"):
+            return b""
+        line, self.rest = self.rest, b""
+        if len(line) == 64:
+            self.given.append((line.split()[:3] != [b"0"] * 3, age_ms))
+        return frame(1.0, 2.0, 3.0)
+
+
+BOARDS: dict[str, type[Any]] = {"hapkit": Hapkit, "haply-2diy": Haply2diy, "woodenhaptics-v3": Woody}
+
+
+class Run:
+    """Driver on a simulated port and clock; each tick commands 1 N."""
+
+    def __init__(self, rig: str, kind: str, per_ms: float, patch: pytest.MonkeyPatch, **options: Any) -> None:
+        self.reader = BOARDS[rig]()
+        self.driver = Board(rig_options(rig, **{"timeout_s": 0.2, "quiet_s": 0.02, **options}), patch)
+        self.clock, self.word = self.driver.clock, self.driver.word
+        self.port = Port(kind, per_ms, self.reader)
+        self.port.now = lambda: self.clock.now
+        self.driver.port = self.port  # type: ignore[assignment]
+        by_call(patch, queue)
+        patch.setattr(queue, "monotonic_ns", self.clock)
+        patch.setattr(exchange, "write_now", self.port.write)
+        patch.setattr(queue, "count_unsent", lambda fd, word: self.port.unsent())
+        patch.setattr(queue, "drop_unsent", lambda fd: self.port.flush())
+        patch.setattr(board_exchange, "poll_fd", lambda *_: self.sleep(0.001))
+        patch.setattr(device, "count_unsent", self._unsent)
+        patch.setattr(device, "time", SimpleNamespace(
+            monotonic=lambda: self.clock.now * 1e-9, monotonic_ns=lambda: self.clock.now, sleep=self.sleep,
+        ))  # fmt: skip
+        patch.setattr(CFunction, "ctypes", property(lambda function: lambda handle: int(function(handle))))
+        self.device = SerialDevice.__new__(SerialDevice)
+        self.device._block, self.device._zero_failure = self.driver.block, ""
+        self.device.info = SimpleNamespace(name="serial")  # type: ignore[assignment]
+        self.word[AT.counts_unsent] = 1
+        self.statuses: list[int] = []
+
+    def _unsent(self, fd: int) -> int:
+        if self.port.error:
+            raise OSError(self.port.error, "Input/output error")
+        return self.port.unsent()
+
+    def sleep(self, _: float) -> None:
+        self.clock.now += MS
+        self.port.advance(self.clock.now)
+
+    def ticks(self, count: int, wrench: tuple[float, ...] = PUSH) -> None:
+        """Run `count` ticks, or fewer if one fails."""
+        for _ in range(count):
+            self.sleep(0.001)
+            status = self.driver.block.call(exchange.read, np.zeros(SAMPLE_SIZE))
+            if status >= 0:
+                status = self.driver.write(*wrench)
+            self.statuses.append(status)
+            if status < 0:
+                return
+
+    def end(self) -> None:
+        """Exit as the servo does: write zero, then stop the device."""
+        self.driver.write(*ZERO)
+        self.device.stop()
+
+    def goes_on(self) -> None:
+        self.port.stalled = False
+        for _ in range(20 + int(len(self.port.waiting) / self.port.per_ms)):
+            self.sleep(0.001)
+
+
+def old_forces(run: Run) -> int:
+    """Count the forces older at arrival than the transmission time of three frames: two queued ones and their own."""
+    longest = 3 * run.reader.bytes / run.port.per_ms + 2.0
+    return sum(pushes and age > longest for pushes, age in run.reader.given)
+
+
+def slow(run: Run) -> None:
+    """Slow the line down to a fifth of the required rate."""
+    run.port.per_ms = 0.2 * run.reader.bytes
+    run.ticks(100)
+
+
+def dead(run: Run) -> None:
+    """Stop the board from reading; it may still stream."""
+    run.port.stalled = True
+    run.ticks(100)
+
+
+def stalls(run: Run) -> None:
+    """Stop the board from reading for 100 ms."""
+    dead(run)
+    run.port.stalled = False
+    run.ticks(100)
+
+
+def sound(run: Run) -> None:
+    run.ticks(20)
+
+
+def disarmed(run: Run) -> None:
+    run.ticks(30, ZERO)
+
+
+def stopped(run: Run) -> None:
+    run.end()
+
+
+LINES = (sound, slow, dead, stalls)
+ENDS = (stopped, disarmed)
+
+
+@pytest.mark.parametrize("end", ENDS)
+@pytest.mark.parametrize("line", LINES)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("rig", BOARDS)
+def test_no_old_force_is_played_and_the_last_is_zero(
+    rig: str, kind: str, line: Callable[[Run], None], end: Callable[[Run], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No board receives a force that waited behind two others, and the last force after an exit is zero. A USB chip
+    cannot drop what it has accepted, so at most three old forces arrive there."""
+    run = Run(rig, kind, 1.5 * BOARDS[rig].bytes, monkeypatch)
+    run.ticks(20)
+    assert run.reader.pushes
+    line(run)
+    before = len(run.reader.given)
+    end(run)
+    failure = run.device.zero_failure()
+    held = run.port.stalled
+    run.goes_on()
+    kept = 3 if kind == "chip" else 0
+    assert old_forces(run) <= kept
+    assert sum(pushes for pushes, _ in run.reader.given[before:]) <= kept + 1  # one that was being carried
+    assert not run.reader.pushes
+    # confirmed if it has gone out, and only then
+    assert bool(failure) == (held and end is stopped)
+
+
+def test_a_stop_says_why_its_zero_is_not_confirmed(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A stop reports bytes that do not leave, a full port and a lost port. It logs once, and only the first attempt
+    waits 1 s. A later stop that succeeds clears the reason."""
+    run = Run("hapkit", "uart", 10.0, monkeypatch)
+    run.ticks(20)
+    run.port.stalled = True
+    begun = run.clock.now
+    run.end()
+    assert run.device.zero_failure() == "8 bytes have been pending for 1 s"
+    assert 1000 * MS < run.clock.now - begun < 1100 * MS
+    again = run.clock.now
+    run.device.stop()
+    assert run.clock.now - again < 200 * MS
+    assert caplog.text.count("no zero has reached it: 8 bytes have been pending") == 1
+    run.port.stalled = False
+    run.device.stop()
+    assert run.device.zero_failure() == ""
+    monkeypatch.setattr(exchange, "write_now", lambda *_: -EAGAIN)
+    run.device.stop()
+    assert run.device.zero_failure() == "the port has taken nothing for 1 s"
+    run.port.error = EIO
+    monkeypatch.setattr(exchange, "write_now", run.port.write)
+    run.device.stop()
+    assert run.device.zero_failure() == "the port is gone: Input/output error"
+
+
+def test_an_unplugged_port_is_lost_and_its_zero_not_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next read returns LOST, and the stop does not wait."""
+    run = Run("hapkit", "uart", 10.0, monkeypatch)
+    run.ticks(20)
+    run.port.error = EIO
+    run.ticks(20)
+    assert run.statuses[20:] == [LOST]
+    begun = run.clock.now
+    run.end()
+    assert run.clock.now - begun < 10 * MS
+    assert "gone" in run.device.zero_failure()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With three frames in the port, two zeros replace them if the port can drop frames, and nothing else is written.
+    Forces resume once the port is empty. After `timeout_s` the write returns TIMEOUT."""
+    run = Run("hapkit", kind, 10.0, monkeypatch)
+    run.ticks(20)
+    assert set(run.statuses) == {OK} and run.device.warning() == ""
+    run.port.stalled = True
+    run.ticks(2)
+    assert run.statuses[20:] == [OK] * 2
+    waiting = len(run.port.waiting)  # the one of the tick before the stall, too
+    assert waiting == 3 * 4
+    run.ticks(50)
+    assert run.statuses[22:] == [WITHHELD] * 50
+    assert len(run.port.waiting) == 2 * 4 + (waiting if kind == "chip" else 0)
+    assert run.device.warning() == BLOCKED
+    assert run.driver.counts()["blocked"] == 1
+    run.port.stalled = False
+    run.ticks(20)
+    assert set(run.statuses[-10:]) == {OK}
+    run.clock.now += 1001 * MS
+    assert run.device.warning() == ""
+    run.port.stalled = True
+    run.ticks(400)
+    assert run.statuses[-1] == TIMEOUT
+    assert run.statuses[-2] == WITHHELD
+
+
+def test_a_port_that_counts_nothing_is_no_queue(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A descriptor without TIOCOUTQ never withholds a force."""
+    run = Run("hapkit", "uart", 10.0, monkeypatch)
+    run.word[AT.counts_unsent] = 0
+    run.port.stalled = True
+    run.ticks(50)
+    assert set(run.statuses) == {OK}
+
+
+def test_a_zero_behind_a_cut_frame_is_sent_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The board appends the first zero to the cut line and rejects the result, so a second zero has to follow."""
+    run = Run("woodenhaptics-v3", "uart", 20.0, monkeypatch)
+    run.ticks(10)
+    while not 0 < len(run.port.waiting) < 64:  # in the middle of a frame
+        run.ticks(1)
+    assert run.driver.block.call(exchange.discard) == 1
+    assert run.driver.block.call(exchange.silence) == 1
+    assert len(run.port.waiting) == 128
+    run.goes_on()
+    assert not run.reader.pushes and run.reader.rest == b""
+    assert run.driver.block.call(exchange.silence) == 1
+    assert len(run.port.waiting) == 64
+
+
+def test_who_writes_is_not_flushed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`discard` disarms while another thread writes, and returns 0 so that the caller tries again."""
+    run = Run("hapkit", "uart", 10.0, monkeypatch)
+    run.ticks(20)
+    run.word[BOARD.lock] = 1
+    assert run.driver.block.call(exchange.discard) == 0
+    assert run.word[BOARD.armed] == 0
+    run.word[BOARD.lock] = 0
+    assert run.driver.block.call(exchange.discard) == 1
+    assert run.driver.write(*PUSH) in (WITHHELD, HELD, STALE)
+    assert np.array(run.word)[AT.maybe_torn] == 0  # the write has sent zeros

@@ -1,0 +1,19 @@
+"""A user without an entry in passwd and without HOME, as cron and containers have."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import pytest
+
+NAMES: Final = (
+    *("HOME", "USER", "LOGNAME", "LNAME", "USERNAME", "SUDO_USER"),
+    *("XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "SOFTFINGER_BLACKBOX_DIR"),
+)
+
+
+def forget_user(patch: pytest.MonkeyPatch) -> None:
+    """Remove what tells this process who its user is; the environment of processes that it starts, too."""
+    for name in NAMES:
+        patch.delenv(name, raising=False)
+    patch.setattr("pwd.getpwuid", lambda uid: {}[uid])

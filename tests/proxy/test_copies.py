@@ -1,0 +1,33 @@
+"""Copies and pickles of an Engine: each continues with the same bits, of memory of its own."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softfinger.proxy.engine import Engine
+
+pytestmark = pytest.mark.plain
+
+POSE = [0.001, 0.0, 0.0095], [1.0, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("scene", ["paper-plane", "heightmap", "plates", "roll-a-pencil"])
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda engine: pickle.loads(pickle.dumps(engine))])
+def test_a_copy_continues(scene: str, duplicate: Callable[[Engine], Engine]) -> None:
+    """In contact, with arrays (heightmap) and with bodies; a change of the copy is not one of the original."""
+    engine = Engine(scene)
+    engine.step(*POSE)
+    other = duplicate(engine)
+    for x in (0.002, 0.003):
+        pose: Any = [x, 0.0, 0.009], POSE[1]
+        np.testing.assert_array_equal(other.step(*pose).record, engine.step(*pose).record)
+    before = engine._state.copy()
+    other.reset()
+    other.step(*POSE)
+    np.testing.assert_array_equal(engine._state, before)

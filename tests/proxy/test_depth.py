@@ -1,0 +1,87 @@
+"""The depth of the record, `contact.penetration`: random handling of every shape under every law."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from helpers.examples import Cases
+from helpers.meshes import icosphere, write_ply
+from numpy.typing import NDArray
+
+from softfinger.config.load import load_scene
+from softfinger.proxy.engine import Engine
+
+pytestmark = pytest.mark.plain
+
+Array = NDArray[np.float64]
+
+R: Final = 0.01
+SHAPES: Final[dict[str, dict[str, Any]]] = {
+    "plane": {"shape": "plane"},
+    "ball": {"shape": "sphere", "radius_m": 0.012},
+    "bowl": {"shape": "sphere", "radius_m": 0.03, "inside": True},
+    "rod": {"shape": "cylinder", "radius_m": 0.01},
+    "can": {"shape": "cylinder", "radius_m": 0.01, "length_m": 0.03},
+    "tube": {"shape": "cylinder", "radius_m": 0.03, "inside": True},
+    "capsule": {"shape": "capsule", "radius_m": 0.01, "length_m": 0.01},
+    "block": {"shape": "box", "size_m": [0.015, 0.01, 0.02]},
+    "room": {"shape": "box", "size_m": [0.05, 0.05, 0.05], "inside": True},
+    "egg": {"shape": "ellipsoid", "semi_axes_m": [0.02, 0.015, 0.012]},
+    "ring": {"shape": "torus", "major_radius_m": 0.03, "minor_radius_m": 0.01},
+    "hills": {"shape": "heightmap", "file": "hills.npy", "pitch_m": 0.005, "level_m": 1.0},
+    "mesh": {"shape": "mesh", "file": "ball.ply"},
+}
+NORMAL: Final[list[dict[str, Any]]] = [
+    {"damping_ns_per_m": 1.0},
+    {"normal": {"exponent": 1.5}},
+    {"normal": {"exponent": 2.0, "damping_s_per_m": 1.0}},
+]
+FRICTION: Final[list[dict[str, Any]]] = [
+    {"friction": {"static": 10.0, "kinetic": 9.0}},
+    {"friction": {"static": 0.6, "kinetic": 0.5}},
+    {},
+]
+
+
+def handled(rng: np.random.Generator, ticks: int) -> Array:
+    """Poses (ticks, 7) that go in and out of what is at the origin, up to 5 mm a tick, and turn by up to 0.2 rad."""
+    t = 0.001 * np.arange(ticks)[:, None]
+    rates, phases = rng.uniform(2.0, 40.0, (3, 3)), rng.uniform(0.0, 6.0, (3, 3))
+    points = sum(np.sin(rates[k] * t + phases[k]) for k in range(3)) * rng.uniform(0.002, 0.02) + [0.0, 0.0, 0.012]
+    angles = np.cumsum(rng.normal(0.0, 0.05, (ticks, 1)), axis=0)
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    return np.hstack([points, np.cos(angles), np.sin(angles) * axis])
+
+
+@pytest.mark.scaled
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("shape", list(SHAPES))
+def test_the_depth_is_never_negative(
+    shape: str, count: int, cases: Cases, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A force comes of a depth: alone and beside another of its kind, with friction that holds the proxy far behind,
+    and in the ticks of a release."""
+    monkeypatch.chdir(tmp_path)
+    write_ply(Path("ball.ply"), icosphere(1, 0.012))
+    np.save("hills.npy", np.random.default_rng(1).uniform(0.0, 0.005, (9, 9)))
+    rng = np.random.default_rng(list(SHAPES).index(shape))
+    touched = 0
+    for number in range(cases(3, 300)):
+        stuff = {"stiffness_n_per_m": 1000.0} | NORMAL[number % 3] | FRICTION[(number // 3 + number) % 3]
+        things = [
+            SHAPES[shape] | {"name": f"{shape}-{k}", "material": stuff, "position_m": [0.004 * k, 0.0, 0.001 * k]}
+            for k in range(count)
+        ]
+        scene = load_scene({"fingertip": {"radius_m": R}, "object": things})
+        records = Engine(scene).run(handled(rng, 150))
+        depth, force = records["contact.penetration"], records["contact.normal_force"]
+        assert (depth >= 0.0).all(), (number, depth.min())
+        assert (depth[records["contact.mode"] == 0] == 0.0).all()
+        if count == 1:  # a second object bears the rest, or all
+            assert (depth[force > 0.0] > 0.0).all()
+        touched += int((force > 0.0).sum())
+    assert touched >= 20

@@ -1,0 +1,215 @@
+"""Force of several contacts at once: what statics of a massless proxy asks of it, on flat and on round objects.
+
+A proxy at c that springs of K N/m draw to a probe at x is at rest if its contacts together push with K (c - x), each
+within its friction cone. r = 10 mm, K = K_t = 1000 N/m. Gaps are computed here, from the dimensions of the objects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.touching import Array
+
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import SLIDING
+
+pytestmark = pytest.mark.plain
+
+R, K = 0.01, 1000.0
+TO_X, TO_Y = [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0], [np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]
+"""Orientations of planes with normals along +x and +y."""
+FLOOR: dict[str, Any] = {"shape": "plane", "position_m": [-0.01, -0.01, -0.01]}
+BALL: dict[str, Any] = {"shape": "sphere", "radius_m": 0.02}
+FLAT: dict[str, list[dict[str, Any]]] = {
+    "groove": [FLOOR, FLOOR | {"orientation_wxyz": TO_X}],
+    "corner": [FLOOR, FLOOR | {"orientation_wxyz": TO_X}, FLOOR | {"orientation_wxyz": TO_Y}],
+    "room": [{"shape": "box", "size_m": [0.05, 0.05, 0.05], "inside": True}],
+}
+ROUND: dict[str, list[dict[str, Any]]] = {
+    "two balls": [BALL | {"position_m": [-0.015, 0.0, 0.0]}, BALL | {"position_m": [0.015, 0.0, 0.0]}],
+    "ball and box": [
+        BALL | {"position_m": [-0.015, 0.0, 0.0]},
+        {"shape": "box", "size_m": [0.03, 0.03, 0.03], "position_m": [0.015, 0.0, 0.0]},
+    ],
+    "ball on a plane": [BALL, {"shape": "plane", "position_m": [0.0, 0.0, -0.012]}],
+}
+SCENES = FLAT | ROUND
+START = {
+    "groove": (-1.5e-3, 0.0, -1.5e-3),
+    "corner": (-1.5e-3, -1.5e-3, -1.5e-3),
+    "room": (0.0165, 0.0165, 0.0165),
+    "two balls": (0.0, 0.0, 0.0243),
+    "ball and box": (0.001, 0.0, 0.0233),
+    "ball on a plane": (0.0283, 0.0, -0.0035),
+}
+"""Places of a probe about 1.5 mm deep in all objects of a scene."""
+FREE = {"room": (0.0, 0.0, 0.0), "groove": (0.02, 0.0, 0.02), "corner": (0.02, 0.02, 0.02)}
+"""Places in free space, elsewhere 40 mm up."""
+
+
+def engine(name: str, static: float, kinetic: float) -> Engine:
+    material: dict[str, Any] = {"stiffness_n_per_m": K}
+    scene: dict[str, Any] = {
+        "fingertip": {"radius_m": R},
+        "probe": {"velocity_time_constant_s": 0.0},
+        "coupling": {"stiffness_n_per_m": K, "damping_ns_per_m": 0.0},
+    }
+    if static > 0.0:
+        material["friction"] = {"static": static, "kinetic": kinetic}
+        scene["rolling"] = {"method": "euler_zxz"}
+    scene["object"] = [each | {"name": f"object {i}", "material": material} for i, each in enumerate(SCENES[name])]
+    return Engine(build(Scene, scene, name))
+
+
+def turned(points: Array, vectors: Array) -> Array:
+    """Poses (n, 7) of points (n, 3) m and rotation vectors (n, 3) rad."""
+    angles = np.linalg.norm(vectors, axis=1, keepdims=True) + 1e-30
+    return np.hstack([points, np.cos(0.5 * angles), np.sin(0.5 * angles) / angles * vectors])
+
+
+def deep_handling(seed: int, reach: float, turn: float) -> Array:
+    """Poses (300, 7) of a hand that goes up to three times `reach` m about the origin, out of all objects at first."""
+    rng, t = np.random.default_rng(seed), np.arange(300)[:, None] * 1e-3
+
+    def wave(size: float, fastest: float) -> Array:
+        rate, phase = rng.uniform(0.5, fastest, (2, 3)), rng.uniform(0.0, 2.0 * np.pi, (2, 3))
+        return np.asarray((size * np.sin(2.0 * np.pi * rate[:, None] * t + phase[:, None])).sum(axis=0))
+
+    return turned(wave(reach, 3.0), wave(turn, 2.0))
+
+
+def closed_path(name: str, seed: int, turn: float) -> Array:
+    """Poses (500, 7) from free space about the place where all objects are touched, and back."""
+    rng, t = np.random.default_rng(seed), np.linspace(0.0, 1.0, 500)[:, None]
+    waves = [np.sin(2.0 * np.pi * (k + 1) * t) * rng.uniform(-1.0, 1.0, (2, 1, 3)) for k in range(3)]
+    aside, vectors = sum(waves)
+    start, free = np.array(START[name]), np.array(FREE.get(name, (0.0, 0.0, 0.04)))
+    within = np.sin(np.pi * t) ** 2
+    near = np.minimum(8.0 * within, 1.0)
+    return turned(start + 5e-4 * within * aside + (1.0 - near) * 0.2 * (free - start), turn * vectors)
+
+
+def reach_of(name: str) -> float:
+    """Reach, m, that brings a hand deep into the objects and, but for round ones, out of them."""
+    return 0.025 if name in FLAT else 0.012
+
+
+def gap(thing: Mapping[str, Any], points: Array) -> Array:
+    """Distances (n,) m of points (n, 3) m from an object, negative inside."""
+    local = points - np.array(thing.get("position_m", (0.0, 0.0, 0.0)))
+    if thing["shape"] == "sphere":
+        return np.asarray(np.linalg.norm(local, axis=1) - thing["radius_m"])
+    if thing["shape"] == "plane":
+        turned_to = thing.get("orientation_wxyz")
+        return np.asarray(local[:, 2 if turned_to is None else 0 if turned_to is TO_X else 1])
+    beyond = np.abs(local) - 0.5 * np.array(thing["size_m"])
+    if thing.get("inside"):
+        return np.asarray(-beyond.max(axis=1))
+    return np.asarray(np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0))
+
+
+def check_statics(name: str, records: Any, probe: Array, static: float, at_rest: Array) -> None:
+    """Proxy outside of all objects, contacts within their cones; in ticks that are `at_rest` their sum is K (c - x)."""
+    center, touching = records["proxy.position"], records["contact.mode"] > 0
+    assert touching.mean() > 0.5
+    for thing in SCENES[name]:
+        assert gap(thing, center)[touching].min() > R * (1.0 - 1e-9)
+    total = np.zeros_like(center)
+    for i in range(3):
+        force, normal = records[f"contacts{i}.force"], records[f"contacts{i}.normal"]
+        pressing = np.sum(force * normal, axis=1)
+        rubbing = np.linalg.norm(force - pressing[:, None] * normal, axis=1)
+        assert (pressing >= -1e-12).all()
+        assert (rubbing <= static * pressing + 1e-12).all(), f"{(rubbing - static * pressing).max()} N beyond the cone"
+        total += force
+    np.testing.assert_allclose(records["force"], total, atol=1e-12)
+    still = touching & at_rest
+    spring = K * (center - probe)
+    # A search ends within 1e-13 of the radius, three linearisations of it are solved to rounding of 50 mm.
+    np.testing.assert_allclose(records["force"][still], spring[still], atol=1e-9)
+
+
+def is_stuck(records: Any) -> Array:
+    """Ticks in which no contact slides."""
+    modes = [records[f"contacts{i}.mode"] != SLIDING for i in range(3)]
+    return np.asarray(modes[0] & modes[1] & modes[2])
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_without_friction_the_force_is_within_that_of_the_spring(name: str) -> None:
+    """K times the distance of the proxy, and less while it swings round an edge that the hand is deep below."""
+    poses = deep_handling(1, reach_of(name), 0.4)
+    records = engine(name, 0.0, 0.0).run(poses)
+    check_statics(name, records, poses[:, :3], 0.0, np.full(len(poses), name in FLAT))
+    behind = np.linalg.norm(records["proxy.position"] - poses[:, :3], axis=1)
+    assert (np.linalg.norm(records["force"], axis=1) <= K * behind + 1e-9).all()
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4])
+@pytest.mark.parametrize("name", SCENES)
+def test_friction_of_each_contact_stays_in_its_cone(name: str, turn: float) -> None:
+    """In every tick, of a hand that goes through the objects too. Without rolls all that sticks is in equilibrium."""
+    for seed in (1, 2):
+        poses = deep_handling(seed, reach_of(name), turn)
+        records = engine(name, 0.6, 0.5).run(poses)
+        at_rest = is_stuck(records) if turn == 0.0 else np.zeros(len(poses), bool)
+        at_rest[:2] = False  # a first pose below an edge comes to rest in the second tick
+        check_statics(name, records, poses[:, :3], 0.6, at_rest)
+
+
+@pytest.mark.parametrize("name", ROUND)
+def test_contacts_that_stick_hold_the_proxy_at_any_depth(name: str) -> None:
+    """However deep the hand goes through round objects: the force changes by K times its way, and by nothing else."""
+    for seed in (1, 2):
+        poses = deep_handling(seed, 0.012, 0.0)
+        records = engine(name, 50.0, 50.0).run(poses)
+        begun = 2 + int(np.flatnonzero(records["contact.mode"] > 0)[0])
+        change = np.diff(records["force"][begun:], axis=0) + K * np.diff(poses[begun:, :3], axis=0)
+        assert np.abs(change).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_force_is_continuous(name: str) -> None:
+    """With equal static and kinetic friction, about 1.5 mm deep: from tick to tick it changes by no more than K times
+    the way of the hand and the roll; on a ball of 20 mm at a depth d up to 1 / (1 - d / (R + r)) = 1.1 of it."""
+    poses = closed_path(name, 3, 0.05)
+    records = engine(name, 0.6, 0.6).run(poses)
+    assert (records["contacts1.object"] >= 0).any()
+    way = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    roll = 2.0 * R * np.linalg.norm(np.diff(poses[:, 4:], axis=0), axis=1)
+    jump = np.linalg.norm(np.diff(records["force"], axis=0), axis=1)
+    assert (jump <= 1.1 * K * (way + roll) + 1e-9).all()
+
+
+def gained(records: Any, poses: Array) -> float:
+    """Work on the hand, J, from the first to the last tick in contact, and what the spring has more than before."""
+    x, w, v = poses[:, :3], poses[:, 3:4], poses[:, 4:]
+    touching = records["contact.mode"] > 0
+    stretched = np.where(touching[:, None], records["proxy.position"] - x, 0.0)
+    turns = 2.0 * (w[:-1] * v[1:] - w[1:] * v[:-1] - np.cross(v[1:], v[:-1]))  # to third order
+    force, torque = (0.5 * (records[each][1:] + records[each][:-1]) for each in ("force", "torque"))
+    work = np.sum(force * np.diff(x, axis=0) + torque * turns, axis=1)
+    stored = np.diff(0.5 * K * np.sum(stretched**2, axis=1))
+    return float(np.sum((work + stored)[touching[1:] & touching[:-1]]))
+
+
+@pytest.mark.parametrize("static", [0.6, 50.0])
+@pytest.mark.parametrize("name", SCENES)
+def test_a_closed_path_gains_nothing(name: str, static: float) -> None:
+    poses = closed_path(name, 3, 0.0)
+    assert gained(engine(name, static, static).run(poses), poses) <= 1e-9
+
+
+@pytest.mark.parametrize("static", [0.6, 50.0])
+@pytest.mark.parametrize("name", SCENES)
+def test_a_closed_path_with_rolls_gains_no_more_than_friction_held(name: str, static: float) -> None:
+    """Friction of one object holds the proxy off another, which then comes to bear it: a roll back unwinds that
+    deflection e and returns K e^2 / 2 once more. A known limit of the model, see docs/model/patches.md."""
+    poses = closed_path(name, 3, 0.05)
+    records = engine(name, static, static).run(poses)
+    assert gained(records, poses) <= 0.5 / K * records["contact.tangential_force"].max() ** 2

@@ -1,0 +1,270 @@
+"""MuJoCo models as other people make them: files in other folders, mirrored meshes, pairs, keyframes, any time step."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import load_scene
+from softfinger.config.mjcf_geoms import taken
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.meshes.prepared import about
+from softfinger.server.cli import main
+
+pytestmark = pytest.mark.plain
+RUBBER = {"stiffness_n_per_m": 500.0}
+FAR = [0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0]
+WEDGE = np.array([(-2, -2, -2), (2, -2, -2), (-2, 2, -2), (2, 2, -2), (-2, -2, 0), (2, -2, 0), (-2, 2, 2), (2, 2, 2)])
+"""Corners, cm: a prism that is higher at y = 2 cm than at y = -2 cm."""
+QUADS = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+FACES = [each for a, b, c, d in QUADS for each in ((a, b, c), (a, c, d))]
+FLOAT32 = 1e-8
+"""m: MuJoCo stores vertices of some centimetres in 32 bits, and turns them."""
+
+
+def stl(path: Path, points: Any = 0.01 * WEDGE, faces: Any = FACES) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    body = b"".join(struct.pack("<12fH", 0, 0, 0, *np.asarray(points)[list(face)].ravel(), 0) for face in faces)
+    path.write_bytes(b"".ljust(80) + struct.pack("<I", len(faces)) + body)
+
+
+def written(path: Path, body: str, option: str = "", **world: Any) -> Path:
+    """Write a model of these elements, and a scene of it in the same folder; return the scene's path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"<mujoco>{option}{body}</mujoco>")
+    keys = "".join(f'{name} = "{value}"\n' for name, value in world.items())
+    scene = path.with_suffix(".toml")
+    scene.write_text(
+        f'[fingertip]\nradius_m = 0.01\n[world]\nmodel = "{path.name}"\n{keys}'
+        "[world.material]\nstiffness_n_per_m = 500.0\n"
+    )
+    return scene
+
+
+def placed(thing: schema.Object) -> np.ndarray:
+    """Return the vertices of a mesh (n, 3), in the world."""
+    assert isinstance(thing, schema.Mesh)
+    w, x, y, z = thing.orientation_wxyz
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, np.array([w, x, y, z]))
+    return about(thing).picture.vertices @ turn.reshape(3, 3).T + thing.position_m
+
+
+def by_row(points: np.ndarray) -> np.ndarray:
+    return points[np.lexsort(np.round(points, 6).T)]
+
+
+BOX_GEOM = '<geom name="part" type="mesh" mesh="wedge"/>'
+MESH = '<asset><mesh name="wedge" file="{}"/></asset><worldbody>' + BOX_GEOM + "</worldbody>"
+
+
+def test_files_of_a_sibling_folder_need_a_root(tmp_path: Path) -> None:
+    """Without it the error names the file and the key to write; with it the mesh is there, and nothing above."""
+    stl(tmp_path / "stls/wedge.stl")
+    path = tmp_path / "models/part.xml"
+    for option, file in (("", "../stls/wedge.stl"), ('<compiler meshdir="../stls"/>', "wedge.stl")):
+        with pytest.raises(ConfigError, match=r"stls/wedge\.stl.* outside of its folder: .*\[world\] root = \"\.\.\""):
+            load_scene(written(path, MESH.format(file), option))
+        (part,) = load_scene(written(path, MESH.format(file), option, root="..")).object
+        np.testing.assert_allclose(by_row(placed(part)), by_row(0.01 * WEDGE), atol=FLOAT32)
+    stl(tmp_path.parent / "above.stl")
+    with pytest.raises(ConfigError, match=r"above\.stl.* outside of its folder: .*root = \"\.\.\""):
+        load_scene(written(path, MESH.format("../../above.stl"), root=".."))
+
+
+ATTACHED = (
+    '<asset><model name="part" file="part/part.xml"/></asset><worldbody><geom name="floor" type="plane" size="1 1 1"/>'
+    '<frame pos="0 0 0.1"><attach model="part" body="part" prefix="left_"/></frame></worldbody>'
+)
+PART = '<asset><mesh name="wedge" file="{}"/></asset><worldbody><body name="part">' + BOX_GEOM + "</body></worldbody>"
+
+
+def test_folders_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
+    """`strippath`, and a `meshdir` that an included file sets for all: its list of files has neither."""
+    stl(tmp_path / "meshes/wedge.stl")
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "inner/more.xml").write_text(
+        f'<mujocoinclude><compiler meshdir="meshes"/>{MESH.format("wedge.stl")}</mujocoinclude>'
+    )
+    scenes = [
+        written(
+            tmp_path / "strip.xml", MESH.format("../far/wedge.stl"), '<compiler meshdir="meshes" strippath="true"/>'
+        ),
+        written(tmp_path / "outer.xml", '<include file="inner/more.xml"/>'),
+        written(tmp_path / "last.xml", '<include file="inner/more.xml"/>', '<compiler meshdir="none"/>'),
+    ]
+    for scene in scenes:
+        (part,) = load_scene(scene).object
+        np.testing.assert_allclose(by_row(placed(part)), by_row(0.01 * WEDGE), atol=FLOAT32)
+    flex = (
+        '<worldbody><body name="b"><flexcomp name="f" type="mesh" file="../wedge.obj" dim="2" mass="1"/></body>'
+        '<geom name="ball" size="0.1"/></worldbody>'
+    )
+    (tmp_path / "a").mkdir()
+    with pytest.raises(ConfigError, match=r"<flexcomp file='\.\./wedge\.obj'> is outside"):
+        load_scene(written(tmp_path / "a/flex.xml", flex, '<compiler meshdir="sub"/>'))
+
+
+def test_groups_of_an_obj_file_are_refused(tmp_path: Path) -> None:
+    """MuJoCo would read the first one alone, without a word."""
+    lines = [f"v {x} {y} {z}" for x, y, z in (0.01 * WEDGE).tolist()]
+    faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]
+    path = tmp_path / "part.obj"
+    scene = written(tmp_path / "part.xml", MESH.format("part.obj"))
+    path.write_text("\n".join(["o part", *lines, "g a", *faces[:6], "g b", *faces[6:]]))
+    with pytest.raises(ConfigError, match=r"geom 'part': .*part\.obj has faces in several groups"):
+        load_scene(scene)
+    path.write_text("\n".join(["o part", *lines, "g a", *faces]))
+    (part,) = load_scene(scene).object
+    np.testing.assert_allclose(by_row(placed(part)), by_row(0.01 * WEDGE), atol=FLOAT32)
+
+
+def test_an_attached_model_reads_its_own_folder_alone(tmp_path: Path) -> None:
+    """Not one outside of the scene's, by whatever its own `meshdir` and the name of the file add up to."""
+    stl(tmp_path / "wedge.stl")
+    scene = written(tmp_path / "scene/scene.xml", ATTACHED)
+    for option, file in (("", "../../wedge.stl"), ('<compiler meshdir=".."/>', "../wedge.stl")):
+        written(tmp_path / "scene/part/part.xml", PART.format(file), option)
+        with pytest.raises(ConfigError, match=r"wedge\.stl is outside of its folder"):
+            load_scene(scene)
+    stl(tmp_path / "scene/part/meshes/sub/wedge.stl")
+    written(tmp_path / "scene/part/part.xml", PART.format("sub/wedge.stl"), '<compiler meshdir="meshes"/>')
+    floor, part = load_scene(scene).object
+    assert (floor.name, part.name) == ("floor", "left_part")
+    np.testing.assert_allclose(by_row(placed(part)), by_row(0.01 * WEDGE + [0, 0, 0.1]), atol=FLOAT32)
+
+
+def test_pictures_are_not_read(tmp_path: Path) -> None:
+    """Textures of any kind: they may lie anywhere, be missing, or be no pictures. A mesh of the same name may not."""
+    looks = (
+        '<asset><texture name="a" type="2d" file="../none/grey.png"/><material name="a" texture="a"/>'
+        '<texture name="b" type="skybox" fileright="../r.png" fileleft="l.png"/>'
+        '<texture name="c" type="cube" file="c.png" gridsize="3 4" gridlayout=".U..LFRB.D.."/></asset>'
+        '<worldbody><geom name="can" type="cylinder" size="0.03 0.05" material="a"/></worldbody>'
+    )
+    (can,) = load_scene(written(tmp_path / "a/can.xml", looks)).object
+    assert isinstance(can, schema.Cylinder)
+    stl(tmp_path / "x.stl")
+    both = f'<asset><texture name="a" type="2d" file="x.stl"/></asset>{MESH.format("../x.stl")}'
+    with pytest.raises(ConfigError, match=r"x\.stl is outside of its folder"):
+        load_scene(written(tmp_path / "a/both.xml", both))
+
+
+def test_meshes_are_where_mujoco_has_them(tmp_path: Path) -> None:
+    """Mirrored, stretched, moved and turned in their file's frame, and given in the model itself."""
+    stl(tmp_path / "wedge.stl")
+    inline = " ".join(f"{each:g}" for each in (0.01 * WEDGE).ravel())
+    turn = "refpos='0.01 0 0' refquat='0.7071067811865476 0 0 0.7071067811865476'"
+    meshes = {"right": "", "left": "scale='1 -1 1'", "wide": "scale='2 1 1'", "turned": turn}
+    assets = "".join(f'<mesh name="{name}" file="wedge.stl" {keys}/>' for name, keys in meshes.items())
+    assets += f'<mesh name="inline" vertex="{inline}"/>'
+    geoms = "".join(f'<geom name="{name}" type="mesh" mesh="{name}" pos="0 0 1"/>' for name in (*meshes, "inline"))
+    scene = load_scene(written(tmp_path / "all.xml", f"<asset>{assets}</asset><worldbody>{geoms}</worldbody>"))
+    corners = 0.01 * WEDGE
+    x, y, z = (corners - [0.01, 0, 0]).T
+    expected = {
+        "right": corners,
+        "left": corners * [1, -1, 1],
+        "wide": corners * [2, 1, 1],
+        "turned": np.stack([y, -x, z], axis=1),  # the reference is turned a quarter to the left
+        "inline": corners,
+    }
+    for thing in scene.object:
+        np.testing.assert_allclose(by_row(placed(thing)), by_row(expected[thing.name] + [0, 0, 1]), atol=2 * FLOAT32)
+        assert isinstance(thing, schema.Mesh)
+        report = about(thing).report
+        assert report.watertight and report.turned_triangles == 0, thing.name
+
+
+def test_a_mesh_that_changes_is_read_again(tmp_path: Path) -> None:
+    """Though the model's own file stays as it is."""
+    stl(tmp_path / "wedge.stl")
+    path = written(tmp_path / "part.xml", MESH.format("wedge.stl"))
+    np.testing.assert_allclose(by_row(placed(load_scene(path).object[0])), by_row(0.01 * WEDGE), atol=FLOAT32)
+    stl(tmp_path / "wedge.stl", 0.02 * WEDGE)
+    (part,) = load_scene(path).object
+    np.testing.assert_allclose(by_row(placed(part)), by_row(0.02 * WEDGE), atol=2 * FLOAT32)
+
+
+def test_a_hull_that_differs_from_its_mesh_is_said(tmp_path: Path) -> None:
+    """An L of three cubes: its hull has half a cube more. A wedge is its own hull."""
+    outline = np.array([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]) * 0.01
+    corners = np.array([(x, y, z) for z in (0.0, 0.01) for x, y in outline])
+    lid = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
+    sides = [each for k in range(6) for each in ((k, (k + 1) % 6, k + 6), ((k + 1) % 6, (k + 1) % 6 + 6, k + 6))]
+    faces = [face[::-1] for face in lid] + [tuple(k + 6 for k in face) for face in lid] + sides
+    stl(tmp_path / "wedge.stl")
+    stl(tmp_path / "l.stl", corners, faces)
+    body = (
+        '<asset><mesh name="wedge" file="wedge.stl"/><mesh name="l" file="l.stl"/></asset><worldbody>'
+        f'{BOX_GEOM}<body><freejoint/><geom name="l" type="mesh" mesh="l"/></body></worldbody>'
+    )
+    world = load_scene(written(tmp_path / "two.xml", body)).world
+    assert world is not None
+    notes = {each.name: each.note for each in taken(world)}
+    assert notes["part"] == ""
+    assert notes["l"] == (
+        "is touched as it is; other geoms collide with its convex hull, which has 1.17 times its volume"
+    )
+
+
+def test_geoms_of_pairs_collide(tmp_path: Path) -> None:
+    """Though their contype and conaffinity are 0."""
+    body = (
+        '<default><geom contype="0" conaffinity="0"/></default><worldbody>'
+        '<geom name="floor" type="plane" size="1 1 1"/>'
+        '<geom name="seen" size="0.1"/><body><freejoint/><geom name="ball" size="0.02"/></body></worldbody>'
+        '<contact><pair geom1="floor" geom2="ball"/></contact>'
+    )
+    assert [thing.name for thing in load_scene(written(tmp_path / "pairs.xml", body)).object] == ["floor", "ball"]
+
+
+ARM = """
+<worldbody><body name="arm" pos="0 0 0.2"><joint name="hinge" type="hinge" axis="0 1 0" damping="0.05"/>
+  <geom name="link" type="capsule" fromto="0 0 0 0.15 0 0" size="0.01" mass="0.2"/></body></worldbody>
+<actuator><position name="servo" joint="hinge" kp="20" kv="0.5"/></actuator>
+<keyframe><key name="home" qpos="-0.8" ctrl="-0.8"/><key name="down" qpos="1.0"/></keyframe>
+"""
+
+
+def test_bodies_begin_at_a_keyframe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With its controls, and again after a reset. The time step is a tick's, or the file's if that is asked for."""
+    option = '<option timestep="0.005"/>'
+    path = written(tmp_path / "arm.xml", ARM, option, keyframe="home")
+    engine = Engine(str(path))
+    for _ in range(2):
+        engine.reset()
+        assert (engine.data.qpos[0], engine.data.ctrl[0]) == (-0.8, -0.8)
+        engine.run([FAR] * 400)
+        assert engine.model.opt.timestep == 0.001 and engine.data.time == pytest.approx(0.4)
+        # The servo holds it: gravity turns it by less than m g l / kp.
+        assert abs(engine.data.qpos[0] + 0.8) < 0.2 * 9.81 * 0.075 / 20.0
+    assert main(["check", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "a tick's, 0.001 s at 1000 Hz; the model's own is 0.005 s" in said and "home" in said
+    written(tmp_path / "arm.xml", ARM, option, keyframe="hme")
+    assert main(["check", str(path)]) == 2
+    assert "world.keyframe = 'hme'" in (said := capsys.readouterr().err) and "it has: home, down" in said
+    written(tmp_path / "arm.xml", ARM, option, timestep="file")
+    assert main(["check", str(path)]) == 2
+    assert "its timestep of 0.005 s, world.substeps = 1 times, is not a tick of 0.001 s" in capsys.readouterr().err
+    (tmp_path / "slow.toml").write_text('[device]\ndriver = "simulated"\n[servo]\nrate_hz = 200.0\n')
+    assert main(["check", str(path), str(tmp_path / "slow.toml")]) == 0
+    assert "0.005 s, the model's own: a tick at servo.rate_hz = 200" in capsys.readouterr().out
+    written(tmp_path / "arm.xml", ARM, '<option timestep="0.0005"/>')
+    assert main(["check", str(path)]) == 0 and "substeps = 2 would keep to it" in capsys.readouterr().out
+
+
+def test_check_refuses_bodies_that_cannot_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As `run` does: here there is no memory for the contacts of the start."""
+    boxes = '<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>' * 4
+    path = written(tmp_path / "full.xml", f"<worldbody>{boxes}</worldbody>", '<size memory="30K"/>')
+    assert main(["check", str(path)]) == 2
+    assert "cannot be simulated from its initial state" in capsys.readouterr().err

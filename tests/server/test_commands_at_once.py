@@ -1,0 +1,223 @@
+"""What takes the force off waits for nobody: for no request of another client, and not for Python."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+from helpers.faulty_device import FaultyDevice, Options
+from helpers.pressed import pressed_scene
+
+from softfinger.config.load import load_rig
+from softfinger.drivers import registry
+from softfinger.server.app import Daemon
+from softfinger.server.publishing.brake import SHORT, takes_force_off
+from softfinger.server.services.commands import AT_ONCE, WAITING_MAX
+from softfinger.server.wire.commands import METHODS
+from softfinger.server.wire.control import Control
+
+WAIT_S = 120.0
+BEFORE = 12
+"""Requests that wait before the one in question; each takes some milliseconds to answer."""
+
+
+class Driver:
+    """Opens devices that press for ever."""
+
+    Options = Options
+
+    def open_device(self, options: Options, rate_hz: float) -> FaultyDevice:
+        return FaultyDevice(options)
+
+
+@contextmanager
+def running(monkeypatch: pytest.MonkeyPatch, folder: Path, **changes: Any) -> Iterator[tuple[Daemon, FaultyDevice]]:
+    """A daemon whose device is given force; it takes it off within two ticks."""
+    load = registry.load
+    monkeypatch.setattr(registry, "load", lambda name: Driver() if name == "faulty" else load(name))
+    rig = load_rig("replay", {
+        "device.driver": "faulty", "telemetry.endpoint": f"ipc://{folder}/telemetry", "servo.realtime": "off",
+        "guard.ramp_s": 0.01, "guard.force_slew_n_per_s": 20_000.0, "recording.directory": str(folder), **changes,
+    })  # fmt: skip
+    with Daemon(rig, pressed_scene(), scene_name="pressed") as daemon:
+        daemon.start()
+        (device,) = daemon.devices
+        assert isinstance(device, FaultyDevice)
+        yield daemon, device
+        daemon.stop()
+        assert daemon.wait(WAIT_S)
+
+
+def eventually(what: Callable[[], bool]) -> bool:
+    until = time.monotonic() + WAIT_S
+    while not what() and time.monotonic() < until:
+        time.sleep(0.0005)
+    return what()
+
+
+def forced(device: FaultyDevice) -> bool:
+    """Whether the last wrench that the device was given is a force."""
+    wrenches = device.wrenches
+    return len(wrenches) > 0 and bool(wrenches[-1].any())
+
+
+class Asking:
+    """A client that sends without waiting for answers."""
+
+    def __init__(self, endpoint: str) -> None:
+        self._socket = zmq.Context.instance().socket(zmq.DEALER)
+        self._socket.linger = 0
+        self._socket.connect(endpoint)
+
+    def send(self, method: str, params: Any, command_id: str) -> None:
+        request = {"command_id": command_id, "method": method, "params": params}
+        self._socket.send_multipart([b"", msgpack.packb(request)])
+
+    def answers(self, wait_s: float = 0.0) -> Iterator[str]:
+        """Ids of the answers that have come, or come within a time of each other."""
+        while self._socket.poll(1000.0 * wait_s):
+            yield msgpack.unpackb(self._socket.recv_multipart()[1])["command_id"]
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def many_bodies(folder: Path) -> str:
+    """A model that takes MuJoCo tenths of a second, with more geoms than a scene may have."""
+    body = '<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>'
+    path = folder / "many.xml"
+    path.write_text(
+        f'<mujoco><option timestep="0.001"/><worldbody><replicate count="900" offset="1 0 0">{body}</replicate>'
+        "</worldbody></mujoco>"
+    )
+    return str(path)
+
+
+def requests_of_all(folder: Path) -> dict[str, Any]:
+    """Parameters of each method that another client sends: large ones where there are any."""
+    long = "x" * 2 * SHORT
+    rubber = {"stiffness_n_per_m": 1000.0}
+    return {
+        "set_params": {f"object.{number}.{long[:200]}": 1.0 for number in range(1000)},
+        "set_scene": {
+            "scene": {"fingertip": {"radius_m": 0.01}, "world": {"model": many_bodies(folder), "material": rubber}}
+        },
+        "reset_world": {},
+        "drive": {"object": "lid.top", "position_m": [0.0, 0.0, 0.0], "more": long},
+        "hand": {"position_m": [0.0, 0.0, 0.0]},
+        "hold": {},
+        "mark": {"label": "x", "data": {"text": long}},
+        "get_prompt": {},
+        "set_prompt": {"text": long[:4096]},
+        "answer": {"value": long},
+        "record_start": {"file": "all.mcap"},
+        "record_stop": {},
+        "describe": {},
+        "mesh": {"object": 0},
+    }
+
+
+@pytest.mark.real_time
+def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path):
+    """Of each method: the device is given zero before that request has its answer, whatever waits before it. So it is
+    while more requests wait than one client may have at a time, which `stop` overtakes as well."""
+    asked = requests_of_all(tmp_path)
+    assert set(asked) == METHODS.keys() - AT_ONCE
+    with running(monkeypatch, tmp_path) as (daemon, device):
+        endpoint = str(daemon.commands_endpoint)
+        with Control(endpoint, WAIT_S) as control:
+            for method, params in asked.items():
+                assert eventually(lambda: forced(device)), method
+                other = Asking(endpoint)
+                for number in range(BEFORE):
+                    other.send("describe", {}, f"before {number}")
+                other.send(method, params, "last")
+                answered = [next(other.answers(WAIT_S))]  # so that all have come
+                assert control.disarm().armed is False
+                assert eventually(lambda: not forced(device)), method
+                answered += other.answers()
+                assert "last" not in answered, method
+                assert len(answered) < BEFORE, method
+                while "last" not in answered:
+                    answered.append(next(other.answers(WAIT_S)))
+                other.close()
+                assert not forced(device)
+                control.arm()
+            other = Asking(endpoint)
+            for number in range(WAITING_MAX):
+                other.send("describe", {}, str(number))
+            assert next(other.answers(WAIT_S)) == "0"
+            assert control.stop().shutting_down
+            assert daemon.wait(WAIT_S)
+            assert len(list(other.answers())) < WAITING_MAX - 1
+            other.close()
+
+
+HOLD = ctypes.PyDLL(None).usleep
+"""Holds the interpreter's lock for so many us: no thread of Python does anything."""
+
+
+def ticks_without(device: FaultyDevice) -> int:
+    """How many of the last wrenches that the device was given are zero."""
+    wrenches = device.wrenches
+    return len(wrenches) - 1 - int(np.flatnonzero(wrenches.any(axis=1))[-1])
+
+
+@pytest.mark.real_time
+def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
+    """The interpreter is held for 1 s: the device is given zero from the heartbeat's end on, 0.3 s, or from a `disarm`
+    that comes then. Of the ticks that are due, half may be missed; Python alone could only have begun by the end. One
+    heartbeat brings back the first, and `arm` the second."""
+    with running(monkeypatch, tmp_path, **{"commands.heartbeat_s": 0.3}) as (daemon, device):
+        endpoint = str(daemon.commands_endpoint)
+        with Control(endpoint, WAIT_S) as control:
+            while not forced(device):
+                control.heartbeat()
+            HOLD(1_000_000)
+            assert ticks_without(device) > 350
+            control.get_state()
+            assert control.describe()["armed"] is False and not forced(device)
+            control.heartbeat()
+            assert eventually(lambda: forced(device))
+    with running(monkeypatch, tmp_path) as (daemon, device):
+        endpoint = str(daemon.commands_endpoint)
+        with Control(endpoint, WAIT_S) as control:
+            other = Asking(endpoint)
+            other.send("get_state", {}, "connected")
+            assert next(other.answers(WAIT_S)) == "connected"
+            assert eventually(lambda: forced(device))
+            other.send("disarm", {}, "off")
+            HOLD(1_000_000)
+            assert ticks_without(device) > 450
+            assert next(other.answers(WAIT_S)) == "off" and not forced(device)
+            other.send("disarm", {"now": True}, "declined")  # which takes the force off until it is declined
+            assert next(other.answers(WAIT_S)) == "declined"
+            other.close()
+            assert control.describe()["armed"] is False
+            control.arm()
+            assert eventually(lambda: forced(device))
+
+
+@pytest.mark.plain
+def test_which_requests_take_the_force_off():
+    """By their method alone, in a map of any other keys; nothing else does, whatever it is."""
+
+    def request(**keys: Any) -> bytes:
+        return bytes(msgpack.packb(keys))
+
+    assert takes_force_off(request(command_id="a", method="disarm", params={}))
+    assert takes_force_off(request(method="stop", other=[1, {"a": None}], command_id="a"))
+    for body in (
+        b"", b"disarm", request(method="arm", command_id="disarm"), request(command_id="stop"),
+        request(method="record_stop"), request(method=["disarm"]), msgpack.packb(["method", "disarm"]),
+        request(method="disarm", data="x" * SHORT), b"\x91" * 2000 + b"disarm", b"\xdf\xff\xff\xff\xffdisarm",
+    ):  # fmt: skip
+        assert not takes_force_off(body), body

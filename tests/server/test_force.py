@@ -1,0 +1,98 @@
+"""Switch of the force: reasons to keep it off, and the ticks after which a change has taken effect."""
+
+from __future__ import annotations
+
+from math import ceil
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softfinger.config import limits
+from softfinger.server.loop.force_switch import IS_ACTIVE, IS_REQUESTED, MAX_OFF_S, apply_switch, is_zero, make_switch
+from softfinger.server.loop.guard import Guard, GuardState, guard_wrench
+from softfinger.server.services.force import SWITCH_TICKS, Force
+from softfinger.server.states import FAST, UNARMED, States
+
+pytestmark = pytest.mark.plain
+
+TICKS = st.integers(0, 10_000)
+
+
+class Loop:
+    """A switch, and the ticks that a loop has done."""
+
+    def __init__(self, unarmed: bool = False) -> None:
+        self.ticks, self.switch = 0, make_switch()
+        self.force = Force(unarmed, States(), self.switch, lambda: self.ticks)
+
+
+@given(TICKS)
+def test_a_force_is_off_once_the_loop_has_read_the_switch_and_given_none(at: int) -> None:
+    """The tick that was under way may not have read the switch; the hands may still fade after that."""
+    loop = Loop()
+    loop.ticks, loop.switch[IS_ACTIVE] = at, 0
+    loop.force.inhibit(FAST)
+    assert loop.switch[IS_REQUESTED] == 0 and not loop.force.is_requested
+    loop.ticks = at + SWITCH_TICKS - 1
+    assert not loop.force.is_off
+    loop.ticks = at + SWITCH_TICKS
+    assert loop.force.is_off
+    loop.switch[IS_ACTIVE] = 1
+    assert not loop.force.is_off
+
+
+@given(TICKS)
+def test_a_force_is_given_once_no_reason_is_left(at: int) -> None:
+    """`switched_on_tick` excludes ticks that may have begun without the force."""
+    loop = Loop(unarmed=True)
+    loop.ticks = at
+    assert loop.switch[IS_REQUESTED] == 0
+    loop.force.inhibit(FAST)
+    loop.force.allow(UNARMED)
+    assert (
+        loop.switch[IS_REQUESTED] == 0 and loop.force.is_inhibited_by(FAST) and not loop.force.is_inhibited_by(UNARMED)
+    )
+    loop.force.allow(FAST)
+    assert loop.switch[IS_REQUESTED] == 1 and loop.force.switched_on_tick == at + SWITCH_TICKS
+    loop.ticks = at + 100
+    loop.force.allow(FAST)
+    assert loop.force.switched_on_tick == at + SWITCH_TICKS  # it was given already
+
+
+@given(TICKS)
+def test_a_suspended_force_returns_by_itself_unless_a_reason_came_meanwhile(at: int) -> None:
+    """A suspension is no reason of its own, and ends none."""
+    loop = Loop()
+    loop.ticks = at
+    with loop.force.suspended():
+        assert loop.switch[IS_REQUESTED] == 0 and loop.force.is_requested
+    assert loop.switch[IS_REQUESTED] == 1 and loop.force.switched_on_tick == at + SWITCH_TICKS
+    with loop.force.suspended():
+        loop.force.inhibit(UNARMED)
+    assert loop.switch[IS_REQUESTED] == 0
+
+
+def within(span: limits.Range) -> st.SearchStrategy[float]:
+    return st.floats(span.low, span.high)
+
+
+@given(
+    within(limits.FORCE_MAX_N), within(limits.TORQUE_MAX_NM), within(limits.FORCE_SLEW_N_PER_S),
+    within(limits.TORQUE_SLEW_NM_PER_S), within(limits.RATE_HZ),
+)  # fmt: skip
+def test_no_rig_delays_the_end_of_the_force(
+    force: float, torque: float, force_slew: float, torque_slew: float, rate_hz: float
+) -> None:
+    """From the limits of any rig to zero in MAX_OFF_S, to the tick, whatever the contact asks for."""
+    guard = Guard(force, torque, force_slew, torque_slew, 0.5, 1.0)
+    guarded = GuardState((0.0, 0.0, force), (0.0, torque, 0.0), 1.0)
+    for _ in range(ceil(MAX_OFF_S * rate_hz * (1.0 + 1e-12))):  # rounding of the product
+        now = apply_switch(guard, guarded, False)
+        guarded, _bits = guard_wrench(now, guarded, (0.0, 0.0, 99.0), (0.0, 9.0, 0.0), 1.0 / rate_hz, 1.0 / rate_hz)
+    assert max(map(abs, guarded.force + guarded.torque)) <= 1e-12 * (force + torque)  # rounding of the steps
+    if not is_zero(guarded):
+        guarded, _bits = guard_wrench(
+            apply_switch(guard, guarded, False), guarded, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0 / rate_hz, 1.0 / rate_hz
+        )
+    assert is_zero(guarded)

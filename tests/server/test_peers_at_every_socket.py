@@ -1,0 +1,383 @@
+"""Hostile peers at every socket that reads from peers: too large, malformed, slow, inconsistent subscriptions.
+
+One daemon with a page and metrics, and one gateway. Each attack runs at each socket. Afterwards the owning process is
+still the same one, has not stored the payload, and serves the next peer.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import socket
+import struct
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+
+import pytest
+import viser
+import zmq
+from helpers.programs import Program
+from helpers.raw_peers import GREETING, frame
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import CloseCode
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin, Subprotocol
+
+from softfinger.server.publishing.peer_socket import SocketContext
+from softfinger.server.publishing.readers import TOPICS_MAX, Readers
+from softfinger.server.viewer.door.access import BROWSERS_MAX
+from softfinger.server.wire.client import Subscription
+from softfinger.server.wire.control import Control
+from softfinger.server.wire.endpoint import listen
+
+pytestmark = pytest.mark.real_time
+
+COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
+LARGE = 45_000_000
+"""Bytes of a message that no socket may read into memory. viser's own limit is 50 MB."""
+GROWN_MAX = 20_000_000
+"""Largest growth of a process during an attack, bytes: room for its own work, less than half of LARGE."""
+CUT_S = 30.0
+"""Longest wait. The servers' own time-outs are 2 s for a ZMTP handshake and 10 s for a browser's."""
+
+
+class Peers(NamedTuple):
+    """Address of each socket, and process id of each owner, by name."""
+
+    addresses: dict[str, str]
+    owners: dict[str, int]
+
+
+OWNERS = {
+    "telemetry": "publisher",
+    "commands": "publisher",
+    "forwarded telemetry": "gateway",
+    "forwarded commands": "gateway",
+    "metrics": "daemon",
+    "page": "page",
+}
+"""Owner of each socket: the process that reads it."""
+ZMTP = {"telemetry": b"SUB", "commands": b"DEALER", "forwarded telemetry": b"SUB", "forwarded commands": b"DEALER"}
+"""Sockets of ZeroMQ with the socket type of their peers."""
+
+
+def child_of(parent: int, word: bytes) -> int:
+    """Return the process id of the child with `word` in its command line."""
+    until = time.monotonic() + CUT_S
+    while time.monotonic() < until:
+        for children in Path(f"/proc/{parent}/task").glob("*/children"):
+            for child in children.read_text().split():
+                with contextlib.suppress(OSError):  # it has ended meanwhile
+                    if word in Path(f"/proc/{child}/cmdline").read_bytes():
+                        return int(child)
+        time.sleep(0.01)
+    raise AssertionError(f"no child with {word!r}")
+
+
+def after(program: Program, words: str) -> str:
+    """Return the word behind `words` in the stderr of a program."""
+    assert program.stderr is not None
+    for line in program.stderr:
+        if words in line:
+            return str(line.split(words)[1].split()[0].rstrip(";,"))
+    raise AssertionError(f"nothing was said of {words!r}")
+
+
+@pytest.fixture(scope="module")
+def peers() -> Iterator[Peers]:
+    ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*", "--metrics", "0", "--view"]
+    daemon = Program(
+        [*COMMAND, "run", "--realtime", "off", "--rig", "replay", *ends], stderr=subprocess.PIPE, text=True
+    )
+    with daemon:
+        try:
+            addresses = {"page": after(daemon, "the page is ")}
+            for name, words in (
+                ("telemetry", "telemetry on "),
+                ("commands", "commands on "),
+                ("metrics", "metrics on "),
+            ):
+                addresses[name] = after(daemon, words)
+            after(daemon, "real time: ")  # it is compiled, and ticks
+            words = ["forward", "--from", addresses["telemetry"], "--commands-from", addresses["commands"]]
+            words += ["--to", "tcp://127.0.0.1:*", "--commands-to", "tcp://127.0.0.1:*"]
+            with Program([*COMMAND, *words], stderr=subprocess.PIPE, text=True) as gateway:
+                addresses["forwarded telemetry"] = after(gateway, "telemetry forwarded on ")
+                addresses["forwarded commands"] = after(gateway, "commands forwarded on ")
+                owners = {
+                    "daemon": daemon.pid,
+                    "gateway": gateway.pid,
+                    "publisher": child_of(daemon.pid, b"softfinger.server.publishing"),
+                    "page": child_of(daemon.pid, b"\0view\0"),
+                }
+                try:
+                    yield Peers(addresses, owners)
+                    assert (daemon.poll(), gateway.poll()) == (None, None)
+                    assert owners["publisher"] == child_of(daemon.pid, b"softfinger.server.publishing")
+                    assert owners["page"] == child_of(daemon.pid, b"\0view\0")
+                finally:
+                    gateway.terminate()
+                    gateway.communicate(timeout=60.0)
+        finally:
+            daemon.terminate()
+            daemon.communicate(timeout=60.0)
+    assert (daemon.returncode, gateway.returncode) == (0, 0)
+
+
+def dialled(address: str) -> socket.socket:
+    made = socket.create_connection(("127.0.0.1", urlsplit(address).port or 0), CUT_S)
+    made.settimeout(CUT_S)
+    return made
+
+
+def greeted(address: str, kind: bytes) -> socket.socket:
+    """Return a ZMTP connection with a finished handshake."""
+    made = dialled(address)
+    made.sendall(GREETING + frame(b"\x05READY\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind, 4))
+    heard = b""
+    while b"Socket-Type" not in heard:
+        heard += (more := made.recv(1000))
+        assert more, "turned away"
+    return made
+
+
+def browser(address: str) -> ClientConnection:
+    """Open the page's WebSocket as the page's own script does."""
+    where = urlsplit(address)
+    return connect(
+        f"ws://127.0.0.1:{where.port}{where.path}", origin=Origin(f"http://127.0.0.1:{where.port}"), compression=None,
+        subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], max_size=None, max_queue=None,
+    )  # fmt: skip
+
+
+def refused(peer: socket.socket) -> None:
+    """Wait until the server has closed a connection; TimeoutError if it does not."""
+    with contextlib.suppress(ConnectionError):  # with bytes that it has not read
+        while peer.recv(1 << 16):
+            pass
+
+
+def too_large(name: str, address: str) -> None:
+    """Send a message of LARGE bytes, announced by its header."""
+    with greeted(address, ZMTP[name]) if name in ZMTP else dialled(address) as peer:
+        with contextlib.suppress(ConnectionError):
+            if name in ZMTP:
+                peer.sendall(b"\2" + struct.pack(">Q", LARGE) + bytes(LARGE))
+            else:
+                peer.sendall(b"GET / HTTP/1.1\r\nX: " + b"x" * LARGE)
+        refused(peer)
+
+
+def one_byte_too_large(name: str, address: str) -> None:
+    """Send a frame of the largest size in docs/protocol.md, which is read, and one with a byte more, which is not."""
+    most = 512 if name.endswith("telemetry") else 262144
+    with greeted(address, ZMTP[name]) as peer:
+        peer.sendall(frame(bytes(most)))
+        peer.settimeout(0.2)
+        with contextlib.suppress(TimeoutError):
+            assert peer.recv(1000), "a frame of the largest size is refused"
+        peer.settimeout(CUT_S)
+        peer.sendall(frame(bytes(most + 1)))
+        refused(peer)
+
+
+def malformed(name: str, address: str) -> None:
+    """Send random bytes, before and after a handshake."""
+    chance = random.Random(name)
+    for begin in (dialled, *([lambda address: greeted(address, ZMTP[name])] if name in ZMTP else [])):
+        with begin(address) as peer:
+            with contextlib.suppress(ConnectionError):
+                peer.sendall(b"\x06" + chance.randbytes(100_000) + b"\r\n\r\n")  # no flags of ZMTP begin so
+            refused(peer)
+
+
+def slow(name: str, address: str) -> None:
+    """Send a byte every 0.1 s: each is in time, the whole request is not."""
+    said = GREETING if name in ZMTP else b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 1000
+    with dialled(address) as peer, contextlib.suppress(ConnectionError):
+        peer.settimeout(0.1)
+        until = time.monotonic() + CUT_S
+        for byte in said * 10:
+            assert time.monotonic() < until, "it is not cut off"
+            peer.sendall(bytes((byte,)))
+            with contextlib.suppress(TimeoutError):
+                while heard := peer.recv(1000):
+                    pass
+                if not heard:
+                    return
+
+
+ATTACKS: dict[str, Callable[[str, str], None]] = {
+    "too large": too_large, "one byte too large": one_byte_too_large, "malformed": malformed,
+}  # fmt: skip
+
+
+def high_water(pid: int) -> int:
+    """Return the peak memory (bytes) of a process since the last call, and reset it."""
+    (line,) = [line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("VmHWM")]
+    Path(f"/proc/{pid}/clear_refs").write_text("5")
+    return 1024 * int(line.split()[1])
+
+
+def serves(name: str, address: str) -> bool:
+    """Return whether a well-behaved peer is served."""
+    if name.endswith("telemetry"):
+        with Subscription(address, ("contact",)) as reader:
+            return reader.receive(CUT_S) is not None
+    if name.endswith("commands"):
+        with Control(address, CUT_S) as control:
+            return bool(control.describe())
+    with urllib.request.urlopen(address, timeout=CUT_S) as answer:
+        return bool(answer.status == 200)
+
+
+@contextlib.contextmanager
+def unharmed(peers: Peers, name: str) -> Iterator[None]:
+    """Assert that the owner of a socket does not grow during the block, and serves afterwards."""
+    pid = peers.owners[OWNERS[name]]
+    assert serves(name, peers.addresses[name])
+    high_water(pid)
+    before = high_water(pid)
+    yield
+    assert high_water(pid) - before < GROWN_MAX
+    assert serves(name, peers.addresses[name])
+
+
+@pytest.mark.parametrize(
+    ("name", "attack"),
+    [(name, attack) for name in OWNERS for attack in ATTACKS if name in ZMTP or attack != "one byte too large"],
+)
+def test_a_socket_refuses_and_serves_on(name: str, attack: str, peers: Peers) -> None:
+    """Each attack at each socket ends with a connection that the server closes, and costs no memory."""
+    with unharmed(peers, name):
+        ATTACKS[attack](name, peers.addresses[name])
+
+
+@pytest.mark.parametrize(
+    "names", [[name for name in OWNERS if name != "page"], pytest.param(["page"], marks=pytest.mark.exhaustive)],
+    ids=["2 s", "10 s"],
+)  # fmt: skip
+def test_slow_peers_are_cut_off(names: list[str], peers: Peers) -> None:
+    """All at the same time. Each socket serves another peer during the attack."""
+    with ThreadPoolExecutor() as threads, contextlib.ExitStack() as owners:
+        for name in names:
+            owners.enter_context(unharmed(peers, name))
+        cut = [threads.submit(slow, name, peers.addresses[name]) for name in names]
+        assert all(serves(name, peers.addresses[name]) for name in names)
+        for each in cut:
+            each.result()
+
+
+@pytest.mark.parametrize("message", [bytes(LARGE), [bytes(32768)] * 1300, bytes(65537)],
+                         ids=["one frame", "fragments", "a byte too many"])  # fmt: skip
+def test_the_page_refuses_a_large_message_at_its_header(message: Any, peers: Peers) -> None:
+    """In one frame or in fragments, whose sizes add up: the close code says so, and the payload is never in memory."""
+    with unharmed(peers, "page"), browser(peers.addresses["page"]) as large:
+        large.recv(timeout=CUT_S)
+        with contextlib.suppress(ConnectionClosed):  # at the first fragment too many
+            large.send(message)
+        with contextlib.suppress(ConnectionClosed):
+            while large.recv(timeout=CUT_S):
+                pass
+        assert large.protocol.close_code == CloseCode.MESSAGE_TOO_BIG
+
+
+def test_the_page_has_a_bounded_number_of_browsers(peers: Peers) -> None:
+    """One browser too many is closed with a reason. When another one closes, the next is accepted."""
+    address = peers.addresses["page"]
+    with contextlib.ExitStack() as opened:
+        first = browser(address)
+        first.recv(timeout=CUT_S)
+        for _ in range(BROWSERS_MAX - 1):
+            opened.enter_context(browser(address)).recv(timeout=CUT_S)
+        assert refused_browser(address) == CloseCode.TRY_AGAIN_LATER
+        first.close()
+        until = time.monotonic() + CUT_S
+        while refused_browser(address) is not None:  # until the page has taken note of it
+            assert time.monotonic() < until, "none is accepted after one has closed"
+
+
+def refused_browser(address: str) -> int | None:
+    """Return the code with which the page closes one browser more; None if it is accepted."""
+    with browser(address) as late, contextlib.suppress(ConnectionClosed):
+        late.recv(timeout=CUT_S)
+        return None
+    return late.protocol.close_code
+
+
+@pytest.mark.parametrize("name", ["telemetry", "forwarded telemetry"])
+def test_ends_of_subscriptions_that_never_were_count_nothing(name: str, peers: Peers) -> None:
+    """Fifty ends, of the empty topic and of one that others read, leave `health.subscribers` unchanged."""
+    with Subscription(peers.addresses["telemetry"], ("health",)) as reader:
+        assert reader.receive(CUT_S) is not None  # its own connection is counted by the next
+        before = reader.receive(CUT_S)
+        assert before is not None and before.data.subscribers >= 2  # this one and the gateway
+        with greeted(peers.addresses[name], b"SUB") as peer:
+            peer.sendall((frame(b"\0") + frame(b"\0health")) * 50 + frame(b"\1contact"))
+            assert peer.recv(1000)  # a tick, so all frames before were read
+            counted = [reader.receive(CUT_S) for _ in range(2)]
+        more = before.data.subscribers + (name == "telemetry")
+        assert [each.data.subscribers for each in counted if each is not None][-1] == more
+
+
+def test_subscribers_are_the_connections_that_subscribe() -> None:
+    """Up to four peers subscribe, unsubscribe and close at random; those with a subscription are counted throughout."""
+    chance, asked = random.Random(7), list[bytes]()
+    bound = listen("tcp://127.0.0.1:*", "endpoint")
+    with zmq.Context() as context, bound.files, contextlib.ExitStack() as ends:
+        readers = Readers(SocketContext(context, None), bound, None, 1000, asked.append)
+        ends.callback(readers.peers.close)
+        had: dict[socket.socket, dict[bytes, int]] = {}
+
+        def until(true: Callable[[], bool]) -> None:
+            end = time.monotonic() + CUT_S
+            while not true():
+                assert time.monotonic() < end, (readers.subscribers, had)
+                readers.take()
+                readers.peers.process_events()
+
+        for number in range(120):
+            if len(had) < 4 and chance.random() < 0.5:
+                had[ends.enter_context(greeted(bound.endpoint, b"SUB"))] = {}
+            if not had:
+                continue
+            peer, topic = chance.choice([*had]), chance.choice([b"", b"a", b"ab"])
+            if chance.random() < 0.1:
+                peer.close()
+                del had[peer]
+            else:
+                ends_it, count = chance.random() < 0.6, had[peer].get(topic, 0)
+                had[peer][topic] = max(count - 1, 0) if ends_it else count + 1
+                sync = b"sync%d" % number
+                peer.sendall(frame((b"\0" if ends_it else b"\1") + topic) + frame(b"\1" + sync))
+                until(lambda sync=sync: sync in asked)
+                with_sync = sum(other is peer or any(topics.values()) for other, topics in had.items())
+                assert readers.subscribers == with_sync
+                peer.sendall(frame(b"\0" + sync))
+            until(lambda: readers.subscribers == sum(any(topics.values()) for topics in had.values()))
+        assert len(asked) > 60
+
+
+def test_topics_of_one_peer_are_counted_up_to_a_bound() -> None:
+    """Topics beyond TOPICS_MAX are not stored; the peer is one subscriber."""
+    asked = list[bytes]()
+    bound = listen("tcp://127.0.0.1:*", "endpoint")
+    with zmq.Context() as context, bound.files:
+        readers = Readers(SocketContext(context, None), bound, None, 1000, asked.append)
+        with greeted(bound.endpoint, b"SUB") as peer:
+            for number in range(2 * TOPICS_MAX):
+                peer.sendall(frame(b"\1%d" % number))
+            end = time.monotonic() + CUT_S
+            while len(asked) < 2 * TOPICS_MAX and time.monotonic() < end:
+                readers.take()
+            assert readers.subscribers == 1
+            (topics,) = readers._topics.values()
+            assert len(topics) == TOPICS_MAX
+        readers.peers.close()

@@ -1,0 +1,78 @@
+"""Devices that fall silent under a force: what the emulated device of each driver receives.
+
+The time-outs are the defaults, as in docs/reference/faults.md. The scene is that of `test_injected_faults.py`, so its
+loop is compiled once for both.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.far_ends import FAR_ENDS, RATE_HZ
+from helpers.faults_seen import SEEN
+from helpers.injected_run import run
+from test_injected_faults import TURN, ticks_of
+
+from softfinger.config.errors import DeviceTimeout
+from softfinger.drivers.haply.options import Options as HaplyOptions
+from softfinger.tools.pages.hazards import GIVEN_UP_S, QUIET_S, default
+
+pytestmark = pytest.mark.real_time
+
+DRIVERS = {"serial": "serial", "hid": "hid", "falcon": "falcon", "haply": "haply", "haply-2diy": "serial",
+           "hapkit": "serial"}  # fmt: skip
+"""Driver of each device that can fall silent."""
+PRESSED_TICKS = 200
+"""Ticks before the silence: the ramp, and enough to see that the hand presses."""
+ANSWERS = 2
+"""Ticks by which an answer under way may delay the begin of the silence."""
+
+
+def silences(driver: str) -> dict[str, float]:
+    """Return a driver's time-outs with their defaults."""
+    key = "kick_s" if driver in ("falcon", "hid") else "quiet_s"
+    stale = {"stale_s": default(HaplyOptions, "stale_s")} if driver == "haply" else {}
+    return {key: QUIET_S[driver], "timeout_s": GIVEN_UP_S[driver], **stale}
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+def test_a_device_that_falls_silent_is_given_zero_and_then_given_up(
+    name: str, tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    """The far end receives zero within QUIET_S of its driver, and no force afterwards. The run ends after GIVEN_UP_S.
+
+    Both are counted in ticks: a stall of the machine makes a tick long.
+    """
+    driver = DRIVERS[name]
+    with FAR_ENDS[name](tmp_path, **silences(driver)) as far:
+        assert far.hush is not None
+        hushed: list[float] = []
+
+        def hush(ticks: int) -> None:
+            if ticks >= PRESSED_TICKS and not hushed:
+                far.hush()
+                hushed.append(time.monotonic())
+
+        seen = run(far.device, [], 20_000, RATE_HZ, tmp_path, hush)
+        given = far.received()
+    assert type(seen.error) is DeviceTimeout, seen.error
+    (at,) = ticks_of(np.array(hushed), seen)
+    ticks, norms = ticks_of(given[:, 0], seen), np.linalg.norm(given[:, 1:], axis=1)
+    assert norms[ticks < at].max() > 0.0, "the hand did not press before the silence"
+    assert norms[-1] == 0.0
+    zero = np.flatnonzero(norms)[-1] + 1  # a board keeps its last force until it is sent another
+    left = int(ticks[zero] - at)
+    assert left <= round(QUIET_S[driver] * RATE_HZ) + far.handover + TURN
+    assert seen.ticks <= at + round(GIVEN_UP_S[driver] * RATE_HZ) + ANSWERS + TURN
+    record_property(
+        SEEN,
+        {
+            "hazard": "a device that is silent, or sends invalid data", "driver": name, "fault": "silence",
+            "ticks": left, "event": "state faulted", "state": "faulted", "recovery": "start again", "back": None,
+            "handover": far.handover,
+        },
+    )  # fmt: skip

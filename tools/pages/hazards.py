@@ -1,0 +1,351 @@
+"""Fault model: every hazard that is handled, its reaction, and the test that injects it.
+
+`docs/reference/faults.md` is generated from it. Each number is computed from the constant of the program that sets it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import ceil, floor, log
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from softfinger.config.errors import DeviceError, HapticError, SafetyStop
+from softfinger.config.schema.guard import Guard
+from softfinger.drivers.falcon.options import Options as FalconOptions
+from softfinger.drivers.haply.options import Options as HaplyOptions
+from softfinger.drivers.hid.options import Options as HidOptions
+from softfinger.drivers.openhaptics.exchange import TIMEOUT_NS
+from softfinger.drivers.serial.options import Options as SerialOptions
+from softfinger.server.loop import health, limits
+from softfinger.server.loop.force_switch import MAX_OFF_S
+from softfinger.server.services import device_warnings, swapping
+from softfinger.server.viewer.door import process
+from softfinger.server.wire import link
+
+SEEN_IN: Final = Path(__file__).with_name("faults_seen.json")
+"""Results of the tests below, written by `make faults-seen`."""
+TICK_S: Final = 0.001
+"""Period at 1 kHz, the rate of the table."""
+
+
+def default(options: type[Any], key: str) -> float:
+    """Return the default (SI) of a numeric key of a table."""
+    return float(next(field.default for field in msgspec.structs.fields(options) if field.name == key))
+
+
+QUIET_S: Final = {
+    "falcon": default(FalconOptions, "kick_s"),
+    "haply": default(HaplyOptions, "quiet_s"),
+    "hid": default(HidOptions, "kick_s"),
+    "openhaptics": TIMEOUT_NS * 1e-9,
+    "serial": default(SerialOptions, "quiet_s"),
+}
+"""Silence after which each driver removes the force.
+
+A call of Force Dimension's library that does not return is a loop that stalls.
+"""
+GIVEN_UP_S: Final = {
+    "falcon": default(FalconOptions, "timeout_s"),
+    "haply": default(HaplyOptions, "timeout_s"),
+    "hid": default(HidOptions, "timeout_s"),
+    "openhaptics": TIMEOUT_NS * 1e-9,
+    "serial": default(SerialOptions, "timeout_s"),
+}
+"""Silence after which each driver abandons the device."""
+
+
+def by_driver(seconds: Mapping[str, float]) -> str:
+    """Return durations as text, each with its drivers."""
+    spans = sorted({*seconds.values()})
+    return "; ".join(
+        f"{span:g} s of {', '.join(name for name, each in seconds.items() if each == span)}" for span in spans
+    )
+
+
+def starved_s(gap_s: float, period_s: float = TICK_S) -> float:
+    """Return the time (s) after which stalls of `gap_s`, one after the other with a tick between, end the run.
+
+    Notes
+    -----
+    `health.examine` adds `gap_s - LOST_SHARE * (gap_s + period_s)` for each.
+    """
+    lost = gap_s - health.LOST_SHARE * (gap_s + period_s)
+    return (floor(health.LOST_MAX_S / lost) + 1) * (gap_s + period_s)
+
+
+def starved() -> tuple[float, float]:
+    """Return the shortest and the longest time (s) of consecutive stalls, of every length that counts."""
+    times = [starved_s(float(gap)) for gap in np.linspace(health.GAP_MIN_S, health.GAP_MAX_S, 1000)]
+    return min(times), max(times)
+
+
+def ticks_to_exceed(limit: float, speed: float, period_s: float = TICK_S) -> int:
+    """Return the ticks until a handle that starts with `speed` (m/s) exceeds `limit` (m/s); see `smooth_velocity`."""
+    return floor(log(1.0 - limit / speed) / log(limits.SPEED_S / (limits.SPEED_S + period_s))) + 1
+
+
+class Hazard(NamedTuple):
+    """Row of the fault model.
+
+    name      of the hazard
+    detection part of the program that detects it
+    reaction  ticks, or s, from the first tick with it until `state` holds
+    state     force at the hand after the reaction, and state of the run
+    recovery  condition for a new force
+    events    kind and name of each event that reports it
+    tests     node ids of the tests that inject it
+    within    largest reaction, ticks at 1 kHz, that the tests allow with their rig; None if no force is removed
+    """
+
+    name: str
+    detection: str
+    reaction: str
+    state: str
+    recovery: str
+    events: tuple[str, ...]
+    tests: tuple[str, ...]
+    within: int | None = None
+
+
+FAILED: Final = "state faulted"
+"""Event of an error that ends a run; its cause is the error."""
+_LOST: Final = f"zero; the run ends, exit code {DeviceError.exit_code}"
+_STOPPED: Final = f"zero; the run ends, exit code {SafetyStop.exit_code}"
+_START: Final = "start again"
+_NONE: Final = "none needed"
+_RAMP: Final = f"the ramp; {health.NO_FORCE_MAX_S:g} s of it end the run"
+_JUMPS: Final = floor(health.NO_FORCE_MAX_S / (health.JUMP_S + TICK_S)) + 1
+_FROZEN: Final = 120
+"""`frozen_s = 0.1` of the tests' rig, and a fifth more."""
+_HELD: Final = round(health.IGNORED_WRENCH_MAX_S / TICK_S) + 2
+"""Including the tick in which it ends."""
+_STALLED: Final = round(health.STALL_MAX_S / TICK_S)
+_QUIET: Final = round(max(QUIET_S.values()) / TICK_S)
+_STARVED: Final = starved()
+_FAST: Final = default(Guard, "handle_speed_max_m_per_s")
+_FASTER: Final = 1.5 * _FAST
+_CAUGHT: Final = f"{ticks_to_exceed(_FAST, _FASTER)} ticks at {_FASTER:g} m/s"
+_STILL: Final = f"{default(Guard, 'frozen_s'):g} s by default"
+_GAPS: Final = (
+    f"{health.LOST_MAX_S:g} s lost above {health.LOST_SHARE:.0%} of the time, in gaps of {health.GAP_MIN_S:g} s or more"
+)
+_TRIED: Final = f"every {link.PAUSE_MAX_S:g} s or sooner while memory or file descriptors are missing"
+_INJECTED: Final = "tests/server/test_injected_faults.py::test_an_injected_fault_leaves_no_force_that_it_may_not"
+_EVERYWHERE: Final = "tests/server/test_injected_faults.py::test_on_every_driver"
+_PROCESS: Final = "tests/server/test_process_faults.py"
+_NO_FILES: Final = (
+    "tests/server/test_out_of_memory.py::test_a_process_that_ends_while_no_descriptor_is_left_is_started_again"
+)
+
+HAZARDS: Final = (
+    Hazard(
+        "a wall that is unstable", "energy given in contacts, `energy_max_j`", "at once",
+        "the force fades, to zero in the end", f"by itself, over {limits.FORGET_S:g} s", ("guard energy_spent",),
+        ("tests/server/test_limits.py::test_an_unstable_wall_fades",),
+    ),
+    Hazard(
+        "a force that is not finite", "the guard", "0 ticks", "zero", _RAMP,
+        ("guard not_finite", FAILED),
+        ("tests/server/test_guard.py::test_what_is_not_finite_becomes_zero_and_ramps_anew",
+         "tests/server/test_health.py::test_half_a_second_without_a_force_is_a_fault"),
+    ),
+    Hazard(
+        "a pose that is not finite, out of range or short", "before the contact step", "0 ticks", "zero",
+        _RAMP, ("guard pose_refused", FAILED), (_INJECTED, _EVERYWHERE), within=0,
+    ),
+    Hazard(
+        "a pose that jumps", "`speed_max_m_per_s`, `turn_max_rad_per_s`", "0 ticks", "zero",
+        f"the ramp; {_JUMPS} in a row end the run", ("guard pose_jumped", FAILED), (_INJECTED, _EVERYWHERE), within=0,
+    ),
+    Hazard(
+        "a pose that does not change under a force", "`frozen_s`", _STILL, "zero", "once it moves, the ramp",
+        ("guard pose_frozen",), (_INJECTED, _EVERYWHERE), within=_FROZEN,
+    ),
+    Hazard(
+        "a handle that runs away", "`handle_speed_max_m_per_s`", _CAUGHT,
+        "zero", f"slow for {limits.SLOW_S:g} s, or `arm`, as `arm` in the rig says", ("guard too_fast", FAILED),
+        ("tests/server/test_limits.py::test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says",
+         "tests/server/test_arming.py::test_a_handle_that_is_too_fast_gets_its_force_back_by_itself",
+         "tests/server/test_arming.py::test_a_handle_that_is_too_fast_waits_for_whoever_arms"),
+    ),
+    Hazard(
+        "motors that heat", "thermal model, `continuous_force_n`", "before they are hot",
+        "the force falls to `continuous_force_n`", "by itself as they cool", ("guard motor_hot",),
+        ("tests/server/test_limits.py::test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears",),
+    ),
+    Hazard(
+        "a device that warns", f"the driver, every {device_warnings.PERIOD_S:g} s",
+        f"{device_warnings.PERIOD_S:g} s", "as before", "as its message says",
+        ("fault device_warning",), ("tests/server/test_device_warnings.py::test_each_warning_is_told_once",),
+    ),
+    Hazard(
+        "the end of the workspace", "`[guard.workspace]`", "0 ticks", "a soft wall pushes back", "by itself",
+        ("guard workspace_edge",),
+        ("tests/server/test_limits.py::test_the_soft_wall_pushes_back_by_the_depth_behind_it",),
+    ),
+    Hazard(
+        "a device that is lost or breaks its protocol", "status of the driver", "0 ticks, 1 of a write", _LOST, _START,
+        (FAILED,),
+        (_INJECTED, _EVERYWHERE, "tests/server/test_daemon.py::test_device_failure_is_named_and_force_is_zero"),
+        within=1,
+    ),
+    Hazard(
+        "a device that is silent, or sends invalid data",
+        "the driver: `quiet_s`, `kick_s` of falcon and hid, then `timeout_s`", by_driver(QUIET_S),
+        f"{_LOST}, after {by_driver(GIVEN_UP_S)}; until then the force of before",
+        "the ramp; start again after the end", ("guard ramping", FAILED),
+        ("tests/server/test_silent_devices.py::test_a_device_that_falls_silent_is_given_zero_and_then_given_up",
+         "tests/drivers/test_openhaptics_exchange.py::test_a_silent_library_is_given_up"),
+        within=_QUIET,
+    ),
+    Hazard(
+        "a device that takes no force", "status of the driver", f"{health.IGNORED_WRENCH_MAX_S:g} s",
+        f"{_LOST}; until then the force of before", _START, (FAILED,), (_INJECTED, _EVERYWHERE), within=_HELD,
+    ),
+    Hazard(
+        "a maker's service that breaks its protocol, closes, or reads nothing (Haply)", "the connection",
+        "before the connection ends",
+        f"{_LOST}. Nothing follows a TCP reset: the session's force ends with the session",
+        _START, (FAILED,),
+        ("tests/drivers/test_haply_ends.py::test_a_zero_comes_before_the_end",
+         "tests/drivers/test_haply_ends.py::test_a_reset_lets_no_zero_through",
+         "tests/drivers/test_haply_ends.py::test_a_service_that_stops_reading_gets_one_more_force"),
+    ),
+    Hazard(
+        "a maker's library that calls too rarely (Touch)", "the time between its frames, `force_age_max_s`",
+        "the next frame", "zero, for as long as it lasts", "the ramp", ("fault device_warning",),
+        ("tests/drivers/test_openhaptics.py::test_frames_that_are_too_far_apart_are_told",),
+    ),
+    Hazard(
+        "a device that removes its force", "status of the driver", "0 ticks", _STOPPED, _START,
+        (FAILED,), (_INJECTED, _EVERYWHERE), within=0,
+    ),
+    Hazard(
+        "a loop that stalls", "supervisor: no tick",
+        f"{health.STALL_POLLS * health.STALL_POLL_S:.2f} to {health.STALL_MAX_S:.2f} s",
+        f"{_STOPPED}; until then the last force", _START, ("fault stalled", FAILED),
+        (_INJECTED, _EVERYWHERE,
+         "tests/server/test_supervisor.py::test_a_stall_is_told_and_every_device_stopped_whatever_fails"),
+        within=_STALLED,
+    ),
+    Hazard(
+        "ticks that are missed", "the loop's clock", "the next tick", "the force changes as in one tick", _NONE,
+        ("servo missed",), (_INJECTED, _EVERYWHERE, "tests/server/test_servo.py::test_a_stall_is_no_licence_to_jump"),
+    ),
+    Hazard(
+        "a machine that starves the loop",
+        _GAPS,
+        f"{floor(10 * _STARVED[0]) / 10} to {ceil(10 * _STARVED[1]) / 10} s of nothing but gaps, later with fewer",
+        f"{_STOPPED}; until then the force of before in each gap", _START, (FAILED,),
+        ("tests/server/test_daemon.py::test_repeated_stalls_end_the_run",
+         "tests/server/test_health.py::test_gaps_of_every_length_end_the_run_when_the_fault_model_says"),
+        within=ceil(_STARVED[1] / TICK_S),
+    ),
+    Hazard(
+        "a machine that slept, a process that was stopped", "the time since the last tick, and that of CLOCK_BOOTTIME",
+        "0 ticks",
+        "the force starts at zero", "the ramp", ("guard ramping",),
+        ("tests/server/test_servo.py::test_after_a_long_pause_the_force_fades_in",
+         "tests/server/test_signals.py::test_no_force_while_the_process_is_stopped",
+         f"{_PROCESS}::test_processes_that_sleep_wake_with_zero_force",
+         f"{_PROCESS}::test_a_machine_that_was_suspended_wakes_with_zero_force"),
+        within=1,
+    ),
+    Hazard(
+        "a commanding program that has ended", "`heartbeat_s`", f"`heartbeat_s` and {1e3 * MAX_OFF_S:g} ms", "zero",
+        "the next heartbeat, or `arm`", ("command heartbeat_missed", FAILED),
+        ("tests/server/test_commands.py::test_without_a_heartbeat_there_is_no_force_until_the_next",
+         "tests/server/test_commands_at_once.py::test_the_force_ends_while_python_does_nothing"),
+    ),
+    Hazard(
+        "a scene that cannot be rendered", "checked and compiled before the swap", "none", "as before",
+        "send another scene", (),
+        ("tests/server/test_replace.py::test_what_cannot_be_built_changes_nothing",
+         "tests/server/test_commands.py::test_a_compiler_that_fails_is_told"),
+    ),
+    Hazard(
+        "bodies that diverge, take too long, or an error of MuJoCo", "the step of bodies", "the next tick",
+        "zero, along the slew limit; the run continues", "`ctl reset_world`", ("fault bodies",),
+        ("tests/server/test_world.py::test_bodies_that_fail_are_let_go_and_put_back",
+         "tests/server/test_world.py::test_bodies_that_take_too_long_are_let_go"),
+    ),
+    Hazard(
+        "an exception in the servo's thread", "the thread's end", "0 ticks",
+        f"zero; the run ends, exit code {HapticError.exit_code}", "report it", (FAILED,),
+        ("tests/server/test_servo.py::test_exception_in_the_servo_thread_zeroes_the_device",),
+    ),
+    Hazard(
+        "a supervisor that fails", "the thread's end", "at once", _STOPPED, _START, (FAILED,),
+        ("tests/server/test_supervisor.py::test_a_supervisor_that_fails_ends_the_run",),
+    ),
+    Hazard(
+        "a daemon that is killed", "the device's own watchdog, or `run --watcher`", "as the device or the watcher",
+        "zero with either; else the last force", _START, (),
+        ("tests/server/test_signals.py::test_watcher_takes_the_force_off_a_killed_daemon",),
+    ),
+    Hazard(
+        "a publisher that ends, also while no memory or file descriptor is left", "the daemon", "none",
+        "as before; with `heartbeat_s`, zero until heartbeats come again", f"it is started again, {_TRIED}",
+        ("fault publisher",),
+        ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",
+         "tests/server/test_out_of_memory.py::test_a_publisher_without_memory_is_started_again", _NO_FILES),
+    ),
+    Hazard(
+        "a page that ends, also while no memory or file descriptor is left", "the daemon", "none", "as before",
+        f"it is started again at the same address, {process.RESTARTS} times in a run", ("fault page",),
+        ("tests/server/viewer/test_page_process.py::test_a_page_that_dies_is_started_again_at_the_same_address",
+         "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_started_again", _NO_FILES),
+    ),
+    Hazard(
+        "a publisher that hangs, a lost network", "none needed: no other thread waits for it", "none",
+        "as before; subscribers miss ticks", _NONE, (),
+        (f"{_PROCESS}::test_a_publisher_that_stands_still_holds_up_nothing",
+         f"{_PROCESS}::test_a_network_that_is_lost_costs_subscribers_alone"),
+    ),
+    Hazard(
+        "a disk that is full or stalls", "the recorder", "none",
+        "as before; the recording ends, or counts the lost records", "another recording", ("fault recording",),
+        ("tests/server/recording/test_recorder.py::test_a_full_disk_is_one_event_and_the_run_goes_on",
+         "tests/server/recording/test_recorder.py::test_a_disk_that_stalls_costs_ticks_and_no_time"),
+    ),
+    Hazard(
+        "a clock that is set", "none needed: ticks, events and recordings go by CLOCK_MONOTONIC", "none", "as before",
+        _NONE, (),
+        (f"{_PROCESS}::test_a_clock_that_is_set_puts_nothing_out_of_order",
+         "tests/server/test_service_faults.py::test_a_clock_that_is_set_back_loses_no_event_and_no_second",),
+    ),
+    Hazard(
+        "two daemons on one device or endpoint", "the device's lock; the bind", "before the start",
+        "the second ends with the process that uses the device in its message", "end the first", (),
+        ("tests/drivers/test_serial_loop.py::test_the_command_line_on_a_port",
+         "tests/drivers/test_haply_loop.py::test_a_second_daemon_and_a_zero_that_nobody_confirms",
+         "tests/server/test_cli.py::test_endpoint_in_use_has_its_own_exit_code"),
+    ),
+    Hazard(
+        "memory of the daemon in swap", f"VmSwap, at the start and every {swapping.PERIOD_S:g} s",
+        f"{swapping.PERIOD_S:g} s", "as before",
+        "end the programs that fill the memory, or let the daemon lock its memory", ("fault swapped",),
+        ("tests/server/test_swapping.py::test_memory_in_swap_is_told_once",),
+    ),
+    Hazard(
+        "a reader of ticks that fails", "the thread that hands ticks on", "none", "as before, without that reader",
+        _START, ("fault sink",),
+        ("tests/server/test_daemon.py::test_every_sink_takes_every_record_and_one_that_fails_is_left_out",),
+    ),
+    Hazard(
+        "a service that fails: hot-plugging, metrics, bodies on the wire", "the end of its thread", "none", "as before",
+        _START, ("fault hotplug", "fault metrics", "fault world"),
+        ("tests/server/test_service_faults.py::test_a_service_that_fails_is_told_and_ends_nothing",),
+    ),
+    Hazard(
+        "commands that cannot be taken", "an error in their thread", "none",
+        f"as before; with `heartbeat_s` the run ends, exit code {SafetyStop.exit_code}", _START,
+        ("fault commands", FAILED),
+        ("tests/server/test_service_faults.py::test_commands_that_fail_end_a_run_that_needs_heartbeats",),
+    ),
+)  # fmt: skip
+"""Every hazard that is handled, each injected by a test."""
