@@ -211,10 +211,14 @@ class Engine:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state from which a copy continues with the same bits: scene, contact, bodies of a [world]."""
-        return {name: vars(self)[name] for name in ("config", "scene", "fingers", "dt", "_start", "_state", "_tick")}
+        names = ("config", "scene", "fingers", "dt", "_begin", "_start", "_state", "_tick")
+        return {name: vars(self)[name] for name in names}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         vars(self).update(state)
+        start = flatten(self._begin)
+        is_address = start.view(np.int64) != self._start.view(np.int64)  # memory of the copy is at other addresses
+        self._start, self._state = start, np.where(is_address, start, self._state)
         self._make_buffers()
 
     def reset(self) -> None:

@@ -62,7 +62,7 @@ class ReadOnly:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the numbers: a copy has a different address."""
-        return ReadOnly, (self.array,)
+        return type(self), (self.array,)
 
 
 class ReadOnlyType(types.Type):  # type: ignore[misc]

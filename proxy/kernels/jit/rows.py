@@ -59,7 +59,7 @@ class Rows(ReadOnly):
         return len(self.trees)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Rows, (self.trees,)
+        return type(self), (self.trees,)
 
 
 class RowsType(ReadOnlyType):

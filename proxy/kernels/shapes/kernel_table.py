@@ -58,7 +58,11 @@ class KernelTable(ReadOnly):
     """
 
     def __init__(self, shape: Any, slots: frozenset[int]) -> None:
-        self._rows, self.slots = numba.typeof(Rows([shape])), slots
+        self._shape, self._rows, self.slots = shape, numba.typeof(Rows([shape])), slots
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy as the table of the same kind in this process: addresses of code mean nothing in another."""
+        return shared_table, (self._shape, self.slots)
 
     @functools.cached_property
     def array(self) -> Any:  # type: ignore[override]
@@ -86,7 +90,12 @@ def kernel_table(shape: Any, needs: frozenset[int]) -> KernelTable:
         and _has(choice, kind)
         and not (slot == BEND and is_two_sided(shape))
     )
-    key = kind, slots
+    return shared_table(shape, slots)
+
+
+def shared_table(shape: Any, slots: frozenset[int]) -> KernelTable:
+    """Return the only table with these slots of a shape's kind."""
+    key = type(shape), slots
     if key not in _TABLES:
         _TABLES[key] = KernelTable(shape, slots)
     return _TABLES[key]
