@@ -175,12 +175,23 @@ def read_pose(hand: FingerMemory, tool: Any, sample: Any, world: World) -> tuple
 
 
 @jit
+def pair(one: Any, other: Any) -> Any:
+    return one, other
+
+
+@jit
 def command(
-    hand: FingerMemory, start: FingerMemory, sample: Any, state: FingerState, contact: Contact, guard: Guard, tool: Any,
-    record: Any, output: Output, instant: Instant,
-) -> FingerMemory:  # fmt: skip
+    hand: FingerMemory,
+    start: FingerMemory,
+    sample: Any,
+    stepped: tuple[FingerState, Contact],
+    guard_and_tool: tuple[Guard, Any],
+    record: Any,
+    output: Output,
+    instant: Instant,
+) -> FingerMemory:
     """Return the FingerMemory of a finger after the step, with the wrench to be commanded."""
-    before = hand.contact
+    (state, contact), (guard, tool), before = stepped, guard_and_tool, hand.contact
     if has_pose(sample):
         position, orientation = state.probe.position, state.probe.orientation
         now = Pose(position, orientation)
@@ -238,9 +249,10 @@ def tick(
     """
     fingers, poses = unzip(map_each(read_pose, (memory.fingers, tuning.tools, samples), memory.world))
     state, contacts = step(tuning.scene, State(memory.world, fingers), poses, dt)
+    stepped = map_each(pair, (state.fingers, contacts))
     hands = map_each(
         command,
-        (memory.fingers, start.fingers, samples, state.fingers, contacts, tuning.guards, tuning.tools, records),
+        (memory.fingers, start.fingers, samples, stepped, map_each(pair, (tuning.guards, tuning.tools)), records),
         Output(tuning.passivity, tuning.scene.bodies),
         Instant(number, dt, period),
     )
