@@ -181,7 +181,7 @@ def test_what_is_damaged_is_compiled_anew(scripts: Path, tmp_path: Path) -> None
     assert printed.splitlines() == ["4.0 0"] * len(DAMAGED)
     for name in DAMAGED:
         (line,) = (line for line in said.splitlines() if kept[name].name in line)
-        assert "compiled anew" in line and ("damaged" in line or not name.endswith("_bit"))
+        assert "compiled again" in line and ("damaged" in line or not name.endswith("_bit"))
     assert start(script, cache) == ("\n".join(["4.0 1"] * len(DAMAGED)), "")
 
 
@@ -322,7 +322,7 @@ def test_what_another_user_planted_is_not_run(scripts: Path, tmp_path: Path) -> 
             os.chown(path, STRANGER, STRANGER)
         printed, said = start(scripts / "outer.py", tmp_path / whose)
         assert printed == "4.0 0" and not proof.exists()
-        assert ("compiled anew" if whose == "file" else f"belongs to user {STRANGER}") in said
+        assert ("compiled again" if whose == "file" else f"belongs to user {STRANGER}") in said
 
 
 def test_folders_that_others_may_write_to_are_refused(tmp_path: Path) -> None:
