@@ -363,8 +363,8 @@ BOMB = (
     '<!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;">]><mujoco model="&c;"/>'
 )
 HOSTILE = {
-    "nothing": ("", "no XML"),
-    "no XML": ("<mujoco", "no XML"),
+    "nothing": ("", "no well-formed XML"),
+    "no XML": ("<mujoco", "no well-formed XML"),
     "another root": ("<robots/>", "robots"),
     "an entity that grows": (BOMB, "declares entities"),
     "an unknown element": ("<mujoco><wheel/></mujoco>", "wheel"),
