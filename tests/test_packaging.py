@@ -36,7 +36,7 @@ KERNEL_STANDARD_LIBRARY = {
     "foreign.py": {"ctypes"},
     "rescue.py": {"ctypes"},
     "cache.py": {"contextlib", "functools", "hashlib", "logging", "os", "pathlib", "secrets", "stat", "sys"},
-    "dispatch.py": {"functools"},
+    "dispatch.py": {"functools", "inspect"},
     "numba_internals.py": {"functools", "hashlib", "logging", "pathlib", "pickle", "secrets", "types"},
     "progress.py": {"contextlib"},
     "arrays.py": {"operator"},
