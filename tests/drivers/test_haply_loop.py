@@ -83,6 +83,7 @@ def garble(service: Service) -> None:
     service.set(spoil="<html>")
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("fault", "error", "words"),
     [
@@ -134,6 +135,7 @@ def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[
         running.communicate()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("sent", "code"),
     [

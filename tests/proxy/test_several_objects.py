@@ -79,6 +79,7 @@ def test_corner_of_three_planes_holds_on_all_sides():
     np.testing.assert_allclose(force(records)[-1], [2.0, 1.0, 1.5], atol=1e-10)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("angle", [30.0, 60.0, 90.0, 120.0, 150.0])
 def test_groove_is_the_nearest_point_to_the_probe(angle):
     """Between two walls at any angle the proxy is the closed-form foot of the probe on their common line."""
