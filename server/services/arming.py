@@ -30,7 +30,7 @@ class Arming:
         each = [finger * RECORD_SIZE + at for finger in range(fingers) for at in (AT.servo_guard, AT.buttons)]
         self._columns: Final = [AT.tick, *each]
         self._pressed = -1
-        """Buttons of the previous tick, -1 before the first: a button that is pressed at the start does not arm."""
+        """Buttons of the previous tick; all bits before the first, so a button held from the start does not arm."""
         self.sink: Final = Sink("arming", self.take)
 
     def take(self, records: NDArray[np.float64], drops: int) -> None:
@@ -57,4 +57,4 @@ class Arming:
         for word in buttons:
             down |= int(word) if 0.0 <= word < _WORD else 0
         before, self._pressed = self._pressed, down
-        return before >= 0 and bool(down & ~before)
+        return bool(down & ~before)
