@@ -165,6 +165,7 @@ def test_change_a_parameter(tmp_path: Path, endpoints: tuple[str, str]) -> None:
     assert "1000 -> 500; largest normal force 1.00 N -> 0.50 N" in out
 
 
+@pytest.mark.exhaustive
 @pytest.mark.real_time
 def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
     """A picture is drawn of what arrives."""

@@ -187,6 +187,7 @@ def test_a_second_daemon_and_a_zero_that_nobody_confirms(tmp_path: Path) -> None
         assert "force is zero" not in said
 
 
+@pytest.mark.exhaustive
 def test_a_missing_library_is_one_error(tmp_path: Path) -> None:
     """Without websockets, `run` says in one line what to install."""
     (tmp_path / "websockets.py").write_text("raise ImportError('not installed')")

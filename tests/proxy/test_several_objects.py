@@ -247,7 +247,8 @@ def test_relative_rotation_of_a_rolling_ball_drives_rolling():
     np.testing.assert_allclose(moving[-1, rolled], still[-1, rolled], rtol=1e-9)
 
 
-def test_proxy_never_oscillates_at_rest():
+@pytest.mark.scaled
+def test_proxy_never_oscillates_at_rest(cases):
     """A probe that rests anywhere in a cluttered corner has a proxy that rests as well."""
     rng = np.random.default_rng(5)
     clutter = [
@@ -255,7 +256,7 @@ def test_proxy_never_oscillates_at_rest():
         wall("left", (1, 0, 0)),
         thing("ball", "sphere", (0.02, 0.01, 0.01), radius_m=0.012),
     ]
-    for _ in range(20):
+    for _ in range(cases(7, 20)):
         target = rng.uniform([-0.003, -0.01, -0.003], [0.02, 0.02, 0.012])
         records = go(engine(*clutter), np.vstack([way((0.05, 0.0, 0.05), target, 100), [target] * 60]))
         moved = np.linalg.norm(np.diff(proxy(records)[-50:], axis=0), axis=1)
