@@ -8,9 +8,11 @@ Parts:
 
     logic       marked `plain`: kernels as plain Python, which takes a scene in a millisecond where a compiler takes
                 seconds; `make test-all` runs the same tests compiled, and they have to agree
-    compiled    all others; one process, so it goes before those that are two
-    real time   marked `real_time`: they wait for the clock more than they compute, so they share the processors with
-                the other parts, which give way to them
+    compiled    all others
+    real time   marked `real_time`, in two processes: they wait for the clock more than they compute, so they share the
+                processors with the other parts, which give way to them
+
+Each process imports the tests that it runs, 6 to 10 CPU s, so the first two parts have one process each.
     put off     of those, the ones that failed; last, with nothing beside them, where a failure is one
 """
 
