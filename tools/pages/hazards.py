@@ -208,7 +208,8 @@ HAZARDS: Final = (
         f"{_LOST}; until then the force of before", _START, (FAILED,),
         (_INJECTED, _EVERYWHERE,
          "tests/drivers/test_serial_queue.py::test_a_board_that_stops_reading_is_given_up_in_time",
-         "tests/drivers/test_falcon_stub.py::test_a_force_that_hangs_is_withdrawn_and_a_zero_follows"), within=_HELD,
+         "tests/drivers/test_falcon_stub.py::test_a_force_that_hangs_is_withdrawn_and_a_zero_follows",
+         "tests/drivers/test_hid_threads.py::test_a_write_that_hangs_ends_the_run_within_any_timeout_s"), within=_HELD,
     ),
     Hazard(
         "a maker's service that breaks its protocol, closes, or reads nothing (Haply)", "the connection",
