@@ -14,7 +14,8 @@ import pytest
 from emulators.bus_servos import DYNAMIXEL, FEETECH, BusServos, Registers, crc16
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceTimeout
-from softfinger.config.load import build
+from softfinger.config.load import build, load_rig
+from softfinger.drivers import registry
 from softfinger.drivers.base import HELD, OK, TIMEOUT, WITHHELD
 from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
 
@@ -241,6 +242,16 @@ def test_a_dynamixel_stops_by_itself(urdf: Path) -> None:
             assert time.monotonic() < until
             time.sleep(0.01)
         device.close()
+
+
+def test_the_rig_of_an_so101_is_complete() -> None:
+    """Its keys are the driver's; five joints lead to the tip."""
+    registry.add("leader-arm", leader)
+    rig = load_rig(FOLDER / "so101.toml")
+    assert rig.device is not None
+    options = registry.options(rig.device)
+    assert [joint.servo for joint in options.joint] == [1, 2, 3, 4, 5]
+    assert options.force_joint == "shoulder_pan" and rig.guard.force_max_n <= options.force_max_n
 
 
 def test_refusals(urdf: Path, tmp_path: Path) -> None:
