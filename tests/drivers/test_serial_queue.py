@@ -383,6 +383,7 @@ def test_a_board_that_stops_reading_is_given_up_in_time(
     assert run.statuses[-1] == TIMEOUT
     assert 1e3 * blocked_s < len(run.statuses) - 20 < 1e3 * blocked_s + 10
     assert run.reader.pushes, "the board keeps its force"
+    assert run.device.reason() == BLOCKED
 
 
 def test_a_port_that_counts_nothing_is_no_queue(monkeypatch: pytest.MonkeyPatch) -> None:
