@@ -53,6 +53,10 @@ Matrix = NDArray[np.float64]
 COUNTS_PER_TURN: Final = 4096
 WAIT_S: Final = 0.02
 """Maximum duration of one transaction. Seven servos at 57600 Bd take 25 ms: set a higher baud rate in the servos."""
+OPEN_WAIT_S: Final = 0.2
+"""The same while the arm is opened."""
+LAST_ZEROS: Final = 3
+"""Attempts to send the last zero."""
 WATCHDOG_UNITS: Final = 5
 """100 ms without a request, then a Dynamixel stops its motor."""
 STOP_WAIT_S: Final = 1.0
@@ -143,7 +147,7 @@ class LeaderArm(Device):
 
     def __init__(self, options: Options, chain: list[Link], fd: int) -> None:
         self._options, self._chain, self._fd, self._zero_failure = options, chain, fd, ""
-        self._bus = BUSES[options.protocol](fd, WAIT_S)
+        self._bus = BUSES[options.protocol](fd, OPEN_WAIT_S)
         self._servo_of = {joint.name: joint.servo for joint in options.joint}
         self._jacobian = np.zeros(3)
         self.failure = ""
@@ -164,10 +168,10 @@ class LeaderArm(Device):
         self._is_closing = threading.Event()
         try:
             self._prepare()
-            self._read_pose()
         except BaseException:
             self._close_files()
             raise
+        self._bus.wait_s = WAIT_S
         self._thread = threading.Thread(target=self._run, name="leader arm", daemon=True)
         switch_interval.shorten()
         self._thread.start()
@@ -236,11 +240,12 @@ class LeaderArm(Device):
     # --- bus ------------------------------------------------------------------------------------
 
     def _prepare(self) -> None:
-        """Switch every motor off, and set up the one that displays force. Raises DeviceError."""
+        """Switch every motor off, set up the one that displays force, and read a pose. Raises DeviceError."""
         bus, joint = self._bus, self._options.force_joint
         try:
             for servo in self._servo_of.values():
                 bus.write(bus.enable, servo, 0)
+            self._read_pose()
             if joint is None:
                 return
             servo = self._servo_of[joint]
@@ -308,12 +313,16 @@ class LeaderArm(Device):
         joint, word = self._options.force_joint, self._block.word
         if joint is None:
             return
-        try:
-            self._bus.write(self._bus.force, self._servo_of[joint], 0)
-            self._bus.write(self._bus.enable, self._servo_of[joint], 0)
-            word[AT.stops_answered] = word[AT.stops_requested]
-        except (BusError, OSError) as error:
-            self.failure = self.failure or str(error)
+        failure = ""
+        for _ in range(LAST_ZEROS):
+            try:
+                self._bus.write(self._bus.force, self._servo_of[joint], 0)
+                self._bus.write(self._bus.enable, self._servo_of[joint], 0)
+                word[AT.stops_answered] = word[AT.stops_requested]
+                return
+            except (BusError, OSError) as error:
+                failure = str(error)
+        self.failure = self.failure or failure
 
     def _send_force(self) -> None:
         """Write the torque of the latest force, or zero if none may be sent, and wait for the confirmation."""

@@ -53,7 +53,7 @@ class Bus(ABC):
     """Value of `mode` in which the motor follows `force`."""
 
     def __init__(self, fd: int, wait_s: float) -> None:
-        self._fd, self._wait_s = fd, wait_s
+        self._fd, self.wait_s = fd, wait_s
 
     def read(self, register: Register, servos: Sequence[int]) -> list[int]:
         """Return a register of several servos, in one transaction. Raises BusError, or OSError if the port is gone."""
@@ -69,12 +69,12 @@ class Bus(ABC):
     def _transact(self, servo: int, instruction: int, parameters: bytes, expected: Sequence[int]) -> dict[int, bytes]:
         termios.tcflush(self._fd, termios.TCIFLUSH)  # late answers to an earlier request
         os.write(self._fd, self.packet(servo, instruction, parameters))
-        received, answers, until = b"", dict[int, bytes](), time.monotonic() + self._wait_s
+        received, answers, until = b"", dict[int, bytes](), time.monotonic() + self.wait_s
         while len(answers) < len(expected):
             left = until - time.monotonic()
             if left <= 0.0 or not select.select([self._fd], [], [], left)[0]:
                 missing = ", ".join(str(each) for each in expected if each not in answers)
-                raise BusError(f"servo {missing} has not answered within {self._wait_s:g} s")
+                raise BusError(f"servo {missing} has not answered within {self.wait_s:g} s")
             if not (data := os.read(self._fd, CHUNK)):
                 raise OSError("the port is gone")
             received += data
