@@ -40,6 +40,12 @@ HELD: Final = 4
 
 The guard continues from that force, so that the next one differs from it by a limited step.
 """
+IGNORED_WRENCH_MAX_S: Final = 0.25
+"""Time for which a device may ignore wrenches: then the run ends.
+
+The device keeps the previous force, which no limit of the guard can change. Equal to the tolerated stall of a loop,
+which has the same effect.
+"""
 LOST: Final = -1
 """The device is disconnected."""
 TIMEOUT: Final = -2

@@ -28,7 +28,7 @@ DAMPING_MAX_NS_PER_M: Final = 20.0
 RADIUS_M: Final = 0.04
 """Recommended maxima of the device; radius around the workspace centre."""
 STOP_WAIT_S: Final = 1.0
-"""Maximum duration of a stop. A packet that hangs is cancelled after the rig's `timeout_s`, then a zero is sent."""
+"""Maximum duration of a stop. A packet that hangs is cancelled after `STOP_HANG_NS`, then a zero is sent."""
 PAUSE_S: Final = 0.001
 """Pause between exchanges while homing; a stop is tried ten times as often."""
 

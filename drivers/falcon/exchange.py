@@ -44,6 +44,11 @@ MISSING_NS: Final = 5_000_000
 """Time after which a missing answer is considered lost, like one with a wrong byte."""
 SLICE_US: Final = 2000
 """Duration of one wait for a current reply."""
+STOP_HANG_NS: Final = 20_000_000
+"""Time after which a stop cancels a packet in progress, ten times that of a reply.
+
+Not the rig's `timeout_s`: that may be longer than a stop waits, and the packet would be delivered after it.
+"""
 
 # Indices into struct libusb_transfer: as int64 for the user data, as int32 for status and length.
 _USER_DATA, _STATUS, _ACTUAL = 5, 4, 6
@@ -341,7 +346,7 @@ def silence(handle: int) -> int:
             _process_events(handle, SLICE_US)
         if word[AT.out_done] == 0:
             must_repeat = True
-            if _now(handle) - word[AT.sent_at] > word[AT.timeout_after]:
+            if _now(handle) - word[AT.sent_at] > STOP_HANG_NS:
                 call_int32(word[AT.cancel], (word[AT.transfer_out],))
         elif word[AT.has_force] != 0 or int32_at(word[AT.transfer_out])[_STATUS] != _COMPLETED:
             must_repeat = _submit_packet(handle, (0, 0, 0)) == OK

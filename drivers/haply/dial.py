@@ -102,4 +102,4 @@ def _old_service_note(port: int) -> str:
         socket.create_connection((HOST, OLD_FORMAT_PORT), timeout=0.2).close()
     except OSError:
         return ""
-    return f", but one on port {OLD_FORMAT_PORT}: a service of 3.0, whose format is not public, has to be updated"
+    return f", but one on port {OLD_FORMAT_PORT}: a service of 3.0, which this driver does not speak: update it"

@@ -82,17 +82,12 @@ class Switch(Struct):
     scaling_factor: float = 1.0
 
 
-class Mount(Struct):
-    position: Vector
-    rotation: Turn
-    scale: Vector
-
-
 class Config(Struct):
+    type: str = ""
     gravity_compensation: Switch | None = None
     torque_scaling: Switch | None = None
     home_return: Switch | None = None
-    mount: Mount | None = None
+    mount: dict[str, Any] | None = None
 
 
 class DeviceEntry(Struct):
@@ -212,7 +207,7 @@ def parse_version(version: str) -> tuple[int, int]:
     if not FIRST_SUPPORTED <= parsed < FIRST_UNSUPPORTED:
         raise DeviceError(
             f"the Inverse Service is version {version[:EXCERPT_CHARS]}; this driver speaks 3.1 to 3.x "
-            "(the format 3.0 is not public): install a service of these, with the Haply Hub"
+            "and not the format 3.0: install a service of these, with the Haply Hub"
         )
     return parsed
 
@@ -222,10 +217,18 @@ def force_key(version: tuple[int, int]) -> str:
     return "vector" if version >= VECTOR_SINCE else "values"
 
 
-def is_identity(mount: Mount) -> bool:
-    """Return True if a mount changes neither position, orientation nor scale."""
-    at, turn, scale = mount.position, mount.rotation, mount.scale
-    return (at.x, at.y, at.z, turn.x, turn.y, turn.z, scale.x, scale.y, scale.z) == (0, 0, 0, 0, 0, 0, 1, 1, 1)
+def is_identity(mount: dict[str, Any]) -> bool:
+    """Return True if a mount, flat or below `transform`, changes neither position, orientation nor scale.
+
+    An empty one is the identity; one of unknown form is not.
+    """
+    transform = mount.get("transform", mount)
+    return transform == {} or (
+        isinstance(transform, dict)
+        and transform.get("position") == {"x": 0, "y": 0, "z": 0}
+        and transform.get("rotation") in ({"w": 1, "x": 0, "y": 0, "z": 0}, {"w": -1, "x": 0, "y": 0, "z": 0})
+        and transform.get("scale") == {"x": 1, "y": 1, "z": 1}
+    )
 
 
 def excerpt(message: bytes) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import time
 from contextlib import ExitStack
+from math import isclose
 from typing import Any, Final, NamedTuple
 from urllib.parse import quote
 
@@ -44,13 +45,11 @@ _ZERO: Final = (0.0, 0.0, 0.0)
 
 
 class Version(Struct):
+    """Answer to /version: the fields themselves, or below `data`."""
+
     git_tag: str = ""
     project_version: str = ""
-
-
-class Reply(Struct):
-    ok: bool
-    error: str = ""
+    data: Version | None = None
 
 
 class Connection(NamedTuple):
@@ -68,13 +67,13 @@ def find(options: Options) -> Connection:
     """Find, lock and set up the device of a rig. Raises DeviceNotFound, DeviceBusy, DeviceTimeout, DeviceError."""
     library()  # report a missing library before a missing service
     until = time.monotonic() + OPEN_S
-    version = parse_version(options.version or _version(options.port, until))
+    version = _checked_version(options, until)
     with ExitStack() as opened:
         link = Link(options.port, until)
         opened.callback(link.close)
         try:
             inventory = _inventory(link, until)
-            device, listed = choose_device(inventory, options.device_id)
+            device, listed = choose_device(inventory, options.device_id, options.models)
             grip = choose_grip(inventory, options.grip)
             lock = opened.enter_context(claim(options.port, device))
             _apply_filters(options, version, device, listed.config, inventory.session_id, until)
@@ -101,20 +100,32 @@ def identify(port: int, version: str | None) -> dict[str, Any]:
     return {"service": version_info} | {key: [str(ref) for ref, _ in inventory.of(of)] for key, of in names.items()}
 
 
-def choose_device(inventory: Inventory, wanted: str | None) -> tuple[DeviceRef, Listed]:
-    """Return the device with the id `wanted`, or the only one; raises DeviceNotFound."""
+def choose_device(inventory: Inventory, wanted: str | None, models: tuple[str, ...] | None) -> tuple[DeviceRef, Listed]:
+    """Return the device of `models` with the id `wanted`, or the only one; raises DeviceNotFound."""
     entries = inventory.of(GROUPS)
-    matching = [one for one in entries if wanted in (None, one[0].name)]
+    named = [one for one in entries if wanted in (None, one[0].name)]
+    matching = [one for one in named if models is None or _model(*one) in models]
     if len(matching) == 1:
         return matching[0]
     listed = ", ".join(str(ref) for ref, _ in entries)
     if matching:
         raise DeviceNotFound(f"{len(matching)} devices are at the Inverse Service: name one with device_id: {listed}")
+    if named and models is not None:
+        found = ", ".join(f"{ref} (type {_model(ref, one)})" for ref, one in named)
+        raise DeviceNotFound(
+            f"the Inverse Service lists {found}, but the rig is for {', '.join(models)}: take rig haply-inverse3 or "
+            "haply-minverse, or change models, limits and mounting under [device]"
+        )
     id_text = f" with device_id = '{wanted}'" if wanted is not None else ""
     raise DeviceNotFound(
         f"no Inverse3, Inverse3x or Minverse{id_text} is at the Inverse Service, which lists {listed or 'no device'}: "
         "plug it in, switch it on and wait for its light"
     )
+
+
+def _model(ref: DeviceRef, listed: Listed) -> str:
+    """Return the kind of a device as its configuration names it, or else its list."""
+    return listed.config.type if listed.config.type in GROUPS else ref.group
 
 
 def choose_grip(inventory: Inventory, wanted: str) -> DeviceRef | None:
@@ -143,12 +154,35 @@ def _version(port: int, until: float) -> str:
         version_info = msgspec.json.decode(body, type=Version)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         version_info = Version()
+    version_info = version_info.data or version_info
     if status == 200 and (version := version_info.project_version or version_info.git_tag):
         return version
     raise DeviceError(
-        f"what listens on port {port} says no version (GET /version: {status} {excerpt(body)}): "
-        'is it the Inverse Service? If so, name its version: version = "3.4" under [device]'
+        f"what listens on port {port} says no version (GET /version: {status} {excerpt(body)}): is it the Inverse "
+        "Service? If so, name the version that the Haply Hub shows with version under [device]; with a wrong one the "
+        "service ignores forces"
     )
+
+
+def _checked_version(options: Options, until: float) -> tuple[int, int]:
+    """Return the version that the rig names, or else the service's.
+
+    Raises DeviceError if they have different keys of forces.
+    """
+    if options.version is None:
+        return parse_version(_version(options.port, until))
+    version = parse_version(options.version)
+    try:
+        reported = _version(options.port, until)
+        differs = force_key(parse_version(reported)) != force_key(version)
+    except DeviceError:
+        return version  # the service does not say
+    if differs:
+        raise DeviceError(
+            f"version = {options.version} under [device], but the Inverse Service is version {reported}, which ignores "
+            "forces in that form: remove version from the rig"
+        )
+    return version
 
 
 def _inventory(link: Link, until: float) -> Inventory:
@@ -172,12 +206,31 @@ def _apply_filters(
         device, config, options.filters, session
     ):
         status, answer = request(options.port, "POST", path, body, until)
-        try:
-            reply = msgspec.json.decode(answer, type=Reply)
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-            reply = Reply(False, excerpt(answer))
-        if status != 200 or not reply.ok:
-            raise DeviceError(f"{device}: the service refused {path} {body}: {status} {reply.error[:120]}")
+        if status != 200 or not is_applied(answer, body):
+            raise DeviceError(f"{device}: the service refused {path} {body}: {status} {excerpt(answer)}")
+
+
+def is_applied(answer: bytes, body: dict[str, Any]) -> bool:
+    """Return True if an answer to a POST confirms `body`: `{ok: true}`, with or without `data`, or the value alone.
+
+    A value in the answer has to be the posted one; the service may have limited it.
+    """
+    try:
+        reply = msgspec.json.decode(answer, type=dict[str, Any])
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return False
+    if "ok" in reply:
+        confirmed, value = reply["ok"] is True, reply.get("data") or {}
+    else:
+        confirmed, value = body.keys() <= reply.keys(), reply
+    return confirmed and all(_is_close(value.get(key, wanted), wanted) for key, wanted in body.items())
+
+
+def _is_close(value: Any, wanted: Any) -> bool:
+    """Return True for equal values; numbers may have been rounded to single precision."""
+    if isinstance(value, float | int) and isinstance(wanted, float):
+        return isclose(value, wanted, rel_tol=1e-6)
+    return bool(value == wanted)
 
 
 def _config_requests(device: DeviceRef, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:

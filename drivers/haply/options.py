@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from msgspec import Meta
 
@@ -41,7 +41,15 @@ class Options(Table, frozen=True, kw_only=True):
 
     port: Annotated[int, within(PORT, "of the Inverse Service on this machine", 10001)] = 10001
     version: (
-        Annotated[str, Meta(pattern=r"^\d+\.\d+(\.\d+)?$"), said("of the service, if it does not send it", "3.4")]
+        Annotated[str, Meta(pattern=r"^\d+\.\d+(\.\d+)?$"), said("of the service, if it does not send it", "3.5")]
+        | None
+    ) = None
+    models: (
+        Annotated[
+            tuple[Literal["inverse3", "inverse3x", "minverse"], ...],
+            Meta(min_length=1),
+            said("the only kinds of device to accept; absent: any", ["inverse3", "inverse3x"]),
+        ]
         | None
     ) = None
     device_id: (

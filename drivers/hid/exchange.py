@@ -105,7 +105,9 @@ class Fields(NamedTuple):
     in_buffer: Annotated[int, address("buffer of the next report; swapped with that of the latest")]
     latest_report: Annotated[int, address("the latest report")]
     out_buffer: Annotated[int, address("the last report sent")]
-    accepted_address: Annotated[int, address("how many reports the pump has handed on, 0 without one")]
+    accepted_address: Annotated[
+        int, address("how many reports the pump has handed on, and whether a write hangs; 0 without one")
+    ]
     scratch: Annotated[int, word("of a field being read or written")]
     values: Annotated[int, numbers("of the latest report", SENSED_SIZE)]
     command: Annotated[int, numbers("of the report being written", COMMANDED_SIZE)]
@@ -120,6 +122,8 @@ AT: Final = lay_out(Fields, after=BOARD)
 @drain.of(Hid)
 def _drain(driver: Hid, handle: int) -> int:
     at = int64_at(handle)
+    if at[AT.accepted_address] != 0 and int64_at(at[AT.accepted_address])[1] != 0:
+        return TIMEOUT
     count_read, size = 0, at[AT.in_bytes]
     for _ in range(DRAIN_MAX):
         count = read_now(at[BOARD.fd], at[AT.in_buffer], size + IN_SPARE)

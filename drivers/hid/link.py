@@ -7,6 +7,7 @@ import sys
 from typing import NamedTuple
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
+from softfinger.drivers.base import IGNORED_WRENCH_MAX_S
 from softfinger.drivers.hid import exchange, node, usb
 from softfinger.drivers.hid.descriptor import has_reports
 from softfinger.drivers.hid.options import Options
@@ -51,7 +52,8 @@ def open_link(options: Options) -> Link:
 def link_by_threads(device: HidApi, options: Options, lock_fd: int | None = None) -> Link:
     """Return a link through threads for a device that is open in hidapi; `lock_fd` is closed with it."""
     report = options.reports.input
-    threads = ReportThreads(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, options.timeout_s, lock_fd)
+    write_timeout_s = min(options.timeout_s, IGNORED_WRENCH_MAX_S)
+    threads = ReportThreads(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, write_timeout_s, lock_fd)
     return Link(threads.fd, threads)
 
 

@@ -46,10 +46,10 @@ class HidApi(Protocol):
 class ReportThreads:
     """Threads between a device and their end of the socket.
 
-    device      open; the pump owns it, and the thread that ends last closes it
-    read_bytes  size of one read
-    patience_s  a write that takes longer marks the device as silent: its reports are dropped
-    held        file descriptor, locked against other programs, to close with the device; None: none
+    device           open; the pump owns it, and the thread that ends last closes it
+    read_bytes       size of one read
+    write_timeout_s  a write that takes longer hangs: the exchange gives the device up
+    lock_fd          file descriptor, locked against other programs, to close with the device; None: none
 
     `fd` is the driver's end; the caller owns it.
     """
@@ -63,7 +63,7 @@ class ReportThreads:
         self.fd: Final = driver_end.detach()
         self.failure = ""
         """Error that ended the pump before it was closed; empty without one."""
-        self._accepted = np.zeros(1, dtype=np.int64)
+        self._accepted = np.zeros(2, dtype=np.int64)
         self._zero: bytes | None = None
         self._write_start: float | None = None  # s, monotonic clock: start of the write in progress
         self._ending = threading.Event()
@@ -86,7 +86,7 @@ class ReportThreads:
 
     @property
     def accepted_address(self) -> int:
-        """Address of `accepted`, an int64, valid as long as this object."""
+        """Address of two int64, valid as long as this object: `accepted`, and 1 while a write hangs."""
         return int(self._accepted.ctypes.data)
 
     def hang_duration_s(self) -> float:
@@ -136,9 +136,14 @@ class ReportThreads:
                     os.close(self._lock_fd)
 
     def _read(self) -> None:
+        hung_write: float | None = None
         while not self._ending.is_set():
             report = bytes(self._device.read(self._bytes, READ_MS))
-            if report and not self.hang_duration_s():
+            start = self._write_start if self.hang_duration_s() else None
+            # Twice in a row: after a pause of the process the writer may not have noticed yet that its write is over.
+            self._accepted[1] = start is not None and start == hung_write
+            hung_write = start
+            if report and start is None:
                 # Full: the driver has not read for long, and the new report is lost, as in the system's queue. Broken:
                 # the driver has closed its end.
                 with suppress(BlockingIOError, BrokenPipeError, ConnectionResetError):

@@ -370,8 +370,10 @@ def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
             raise DeviceBusy(f"{device} is used by {holder}: end that process, then start again ({messages})")
     if not seen:
         raise DeviceNotFound(
-            f"{which} does not answer: {messages}: check cable and power (USB vendor {usb.VENDOR:04x}), and that "
-            f"Touch_Setup {'has a default device' if name is None else 'has that name'}"
+            f"{which} does not answer: {messages}: check power and cable (USB, Ethernet or FireWire; for USB `lsusb` "
+            "shows 2988 or 0301:2988), and that Touch_Setup "
+            f"{'has a default device' if name is None else 'has that name'} for this user ($GTDD_HOME/config, else "
+            "~/.3dsystems/config)"
         )
     raise DeviceError(
         f"{which} cannot be opened, and {seen[0]} is attached: {messages}: run Touch_Setup, then start again"

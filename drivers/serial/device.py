@@ -203,9 +203,12 @@ class SerialDevice(Device):
             close_port(fd)
 
     def reason(self) -> str:
-        word, spec = self._block.word, self._options.frames
+        word = self._block.word
+        if word[AT.blocked_since]:
+            return BLOCKED
         if word[BOARD.misread_bytes] < word[BOARD.misread_max]:
             return ""
+        spec = self._options.frames
         if spec is None:
             return f"its last bytes are {self._block.raw_bytes(AT.incoming, frames.LOOKBACK).tobytes()!r}"
         last = ctypes.string_at(int(word[AT.stream]), spec.input.bytes)

@@ -6,7 +6,8 @@ queue in its buffers and forces are late; a zero after a force does not wait. A 
 frame a described board; after a missing answer, `resync` bytes precede a zero.
 
 If more frames are queued in the port than `queue` allows, they are dropped, a zero is sent, and forces are withheld
-until the port has sent everything. If that takes longer than `timeout_after`, the device is given up.
+until the port has sent everything. If that takes longer than `timeout_after` or IGNORED_WRENCH_MAX_S, the device is
+given up: a board that reads nothing keeps its force.
 """
 
 from __future__ import annotations
@@ -15,7 +16,17 @@ from typing import Any, Final, NamedTuple
 
 from numba import types
 
-from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import (
+    HELD,
+    IGNORED_WRENCH_MAX_S,
+    LOST,
+    OK,
+    SAMPLE_BUTTONS,
+    SAMPLE_GRIPPER,
+    STALE,
+    TIMEOUT,
+    WITHHELD,
+)
 from softfinger.drivers.board_exchange import BOARD, busy, command, compile_functions, drain, pose, send_zero, wake
 from softfinger.drivers.fields.table import BUTTONS, COMMANDED_SIZE, CONSTANT, GRIPPER
 from softfinger.drivers.fields.table import encode as encode_fields
@@ -50,6 +61,8 @@ from softfinger.proxy.kernels.numerics.rotations import (
 
 DRAIN_MAX: Final = 16
 """Maximum number of reads per tick, four times the kernel's buffer: a device that floods cannot block the loop."""
+BLOCKED_MAX_NS: Final = round(IGNORED_WRENCH_MAX_S * 1e9)
+"""Maximum duration of a blocked port, also with a longer `timeout_s`."""
 
 
 class Serial(NamedTuple):
@@ -84,6 +97,9 @@ def _read_packets(handle: int, wanted: int) -> tuple[int, int]:
 @drain.of(Serial)
 def _drain(driver: Serial, handle: int) -> int:
     at = int64_at(handle)
+    blocked_max = min(at[BOARD.timeout_after], BLOCKED_MAX_NS)
+    if at[AT.blocked_since] != 0 and is_blocked(handle) and at[AT.blocked_at] - at[AT.blocked_since] > blocked_max:
+        return TIMEOUT
     frames = 0
     for _ in range(DRAIN_MAX):
         count, completed = _read_text(handle, CHUNK) if at[AT.kind] == TEXT else _read_packets(handle, CHUNK)
@@ -263,8 +279,6 @@ def _send_zero(driver: Serial, handle: int) -> int:
 def _withhold(handle: int) -> int:
     """Replace all queued forces by a zero; return WITHHELD, or a status below 0."""
     at = int64_at(handle)
-    if at[AT.blocked_at] - at[AT.blocked_since] > at[BOARD.timeout_after]:
-        return TIMEOUT
     status = WITHHELD
     if at[BOARD.has_force] != 0:
         drop_frames(handle)

@@ -24,6 +24,16 @@ PUCKS: Final = (
 )
 """Ids of 3Dconnexion pucks and their receivers."""
 
+TOUCHES: Final[tuple[tuple[Bus, int, int | None], ...]] = (
+    ("serial", 0x0301, 0x2988),
+    ("serial", 0x2988, None),
+    ("hid", 0x2988, 0x0304),
+)
+"""Ids of 3D Systems' devices on USB: the first Touch with USB, its successors (0302), the Touch HID.
+
+The first one has vendor and product exchanged. Devices with Ethernet or FireWire have no ids.
+"""
+
 TEENSY_SERIAL: Final = (0x16C0, 0x0483)
 """Ids of every Teensy with a serial port, regardless of its program."""
 HAPLY: Final = "haply"
@@ -62,8 +72,13 @@ def find_claim(device: Attached) -> Claim | None:
 
 
 def claims_by_ids(device: Attached) -> list[Claim]:
-    """Return the claims to the ids of a device, regardless of its reports and product string."""
-    return [claim for claim in claims() if claim.vendor == device.vendor and claim.product in (None, device.product)]
+    """Return the claims to the ids of a device, regardless of its reports and product string.
+
+    A claim to every product of a vendor holds for those without a claim of their own.
+    """
+    of_vendor = [claim for claim in claims() if claim.vendor == device.vendor]
+    of_product = [claim for claim in of_vendor if claim.product == device.product]
+    return of_product or [claim for claim in of_vendor if claim.product is None]
 
 
 def describe_foreign_product(device: Attached) -> str | None:
@@ -130,14 +145,15 @@ def _claims() -> Iterator[Claim]:
     yield Claim("forcedimension", "usb", 0x1451, None, rigs_of("forcedimension"))
     yield Claim("falcon", "usb", 0x0403, 0xCB48, rigs_of("falcon"))
     yield Claim("haply", "serial", *TEENSY_SERIAL, rigs_of("haply"), product_prefix=HAPLY)
-    yield Claim("openhaptics", "serial", 0x2988, None, rigs_of("openhaptics"))
+    for bus, vendor, product in TOUCHES:
+        yield Claim("openhaptics", bus, vendor, product, rigs_of("openhaptics"))
     for vendor, product in PUCKS:
         yield Claim("spacemouse", "hid", vendor, product, rigs_of("spacemouse"))
     for (driver, vendor_id, product_id), by_format in rigs.items():
         if vendor_id is not None and product_id is not None:
             for format_, names in by_format.items():
-                bus: Bus = "serial" if driver == "serial" else "hid"
-                yield Claim(driver, bus, vendor_id, product_id, tuple(names), _lengths(format_))
+                described: Bus = "serial" if driver == "serial" else "hid"
+                yield Claim(driver, described, vendor_id, product_id, tuple(names), _lengths(format_))
 
 
 def _lengths(format_: str | None) -> ReportLengths | None:

@@ -81,7 +81,8 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
     options = options_for(claim, rig)
     is_named = options.get("path") == device.node or options.get("serial") == device.serial != ""
     if not is_named and (why := explain_ambiguity(device)) is not None:
-        return Diagnosis("product", why, f'if it is the one: path = "{device.node}" under [device] of the rig')
+        ask = "; a Haply device may be listed like this: softfinger devices --ask --rig haply-inverse3 asks its service"
+        return Diagnosis("product", why, f'if it is the one: path = "{device.node}" under [device] of the rig{ask}')
     return diagnose_requirements(claim, options)
 
 

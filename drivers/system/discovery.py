@@ -16,7 +16,8 @@ from typing import Any, Final, Literal, NamedTuple
 from softfinger.config.errors import DeviceError
 from softfinger.drivers.system import libusb
 
-Bus = Literal["usb", "hid", "serial"]
+Bus = Literal["usb", "hid", "serial", "library", "service"]
+"""List that has a device: a table of the system, or the maker's library or service."""
 
 ROOT: Final = Path("/")
 USB: Final = Path("sys/bus/usb/devices")

@@ -25,10 +25,6 @@ JUMP_S: Final = 0.1
 """Time that one jump of a pose adds: each removes the force for most of the ramp that follows, so five in a row, or ten
 per second, leave nothing to render."""
 
-IGNORED_WRENCH_MAX_S: Final = 0.25
-"""Time for which a device may ignore wrenches in successive ticks. It continues the previous force, which no limit of
-the guard can change. Equal to the tolerated stall of a loop, which has the same effect."""
-
 LOST_SHARE: Final = 0.5
 LOST_MAX_S: Final = 0.5
 """A loop that has lost half a second more than LOST_SHARE of its time does not render: it repeats old forces. Gaps

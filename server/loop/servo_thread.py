@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import SafetyStop
-from softfinger.drivers.base import Device
+from softfinger.drivers.base import IGNORED_WRENCH_MAX_S, Device
 from softfinger.proxy.bodies import begin_bodies, motion_size
 from softfinger.proxy.kernels.jit.seqlock import make_slot, publish
 from softfinger.proxy.record import RECORD_SIZE
@@ -26,7 +26,6 @@ from softfinger.server.loop.all_devices import Io, make_device_buffers
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.force_switch import make_switch
 from softfinger.server.loop.handover import Handover, Loop
-from softfinger.server.loop.health import IGNORED_WRENCH_MAX_S
 from softfinger.server.loop.inputs.ramp import leaves, make_ramp
 from softfinger.server.loop.servo import Schedule, Scratch, Shared, servo_loop
 from softfinger.server.loop.shared.ring import make_ring, take

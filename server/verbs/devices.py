@@ -22,6 +22,13 @@ OPENABLE_STATES: Final = ("usable", "firmware")
 """States in which a device can be opened. Only an opened Falcon can report whether its firmware is loaded."""
 
 
+UNLISTED: Final = {
+    "forcedimension": Attached("library", 0, 0, "device of Force Dimension's library", "", ""),
+    "haply": Attached("service", 0, 0, "devices of Haply's Inverse Service", "", ""),
+    "openhaptics": Attached("library", 0, 0, "device of 3D Systems' library: Ethernet, FireWire, or USB", "", ""),
+}
+"""By driver, the entry for a device that the system does not list, but the maker's library or service may know."""
+
 ListedDevice = tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None]
 """Device, claim of its driver, diagnosis, and identification that the device reported."""
 
@@ -33,7 +40,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--ask", action="store_true", help="open each free device, and read its data")
-    parser.add_argument("--rig", help="rig with the library or firmware file for the devices of its driver")
+    parser.add_argument(
+        "--rig",
+        help="rig with the library or firmware file for the devices of its driver; with --ask its maker's library "
+        "or service is asked also if USB lists none of them",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,11 +56,24 @@ def run(args: argparse.Namespace) -> int:
         if args.ask and claim is not None and diagnosis.state in OPENABLE_STATES:
             diagnosis, identification = identify_device(device, claim, rig)
         devices.append((device, claim, diagnosis, identification))
+    listed = {claim.driver for _, claim, *_ in devices if claim is not None}
+    if args.ask and rig is not None and rig.driver in UNLISTED and rig.driver not in listed:
+        devices.append(ask_rig(rig, str(args.rig)))
     if args.json:
         print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*one) for one in devices]}, indent=2))
     else:
         print("\n".join(lines(devices)))
     return 0
+
+
+def ask_rig(rig: DeviceConfig, name: str) -> ListedDevice:
+    """Ask the library or service of a rig for its device, because the system does not list one."""
+    device = UNLISTED[rig.driver]
+    claim = Claim(rig.driver, device.bus, device.vendor, device.product, (name,))
+    diagnosis, identification = diagnose_requirements(claim, rig.options), None
+    if diagnosis.state in OPENABLE_STATES:
+        diagnosis, identification = identify_device(device, claim, rig)
+    return device, claim, diagnosis, identification
 
 
 def identify_device(
@@ -96,7 +120,8 @@ def lines(devices: list[ListedDevice]) -> list[str]:
     """Return the list as text: devices with a driver first, then the others."""
     text = []
     for device, claim, diagnosis, identification in sorted(devices, key=lambda one: one[1] is None):
-        text.append(f"{device.node or 'no node'}  {device.ids}  {device.name}")
+        place = () if device.bus in ("library", "service") else (device.node or "no node", device.ids)
+        text.append("  ".join((*place, device.name)))
         if claim is None:
             hint = f": {diagnosis.remedy}" if diagnosis.remedy else ""
             text.append(f"    {diagnosis.reason}{hint}")

@@ -656,11 +656,11 @@ def test_a_zero_that_did_not_arrive_is_sent_again(usb: Usb) -> None:
 
 
 def test_a_force_that_hangs_is_withdrawn(usb: Usb) -> None:
-    """After the time-out, and not before; then the zero follows."""
+    """A stop cancels the packet after `STOP_HANG_NS` and not before; then it sends the zero."""
     usb.blocked = True
     usb.write(*PULL)
     usb.got()
-    usb.clock.now = int(usb.word[AT.sent_at]) + TIMEOUT_NS - 2 * MS  # of which the wait takes 2 ms
+    usb.clock.now = int(usb.word[AT.sent_at]) + exchange.STOP_HANG_NS - 2 * MS  # of which the wait takes 2 ms
     assert stop(usb) == 0
     assert usb.cancelled == []
     assert stop(usb) == 0

@@ -284,10 +284,13 @@ def test_only_an_armed_device_takes_a_force(stub: UsbStub) -> None:
         assert not any(stub.motors())
 
 
-def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(stub: UsbStub, bench: FalconBench) -> None:
-    """A packet with a force does not go through; when the device takes packets again, `stop` has withdrawn it, and what
-    arrives is the zero."""
-    with bench.open(timeout_s=0.05, kick_s=0.02) as device:
+@pytest.mark.parametrize("timeout_s", [0.05, 2.0])
+def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
+    timeout_s: float, stub: UsbStub, bench: FalconBench
+) -> None:
+    """The device does not receive a force whose packet hung: `stop` cancels the packet and sends zero when the device
+    accepts packets again, also with a `timeout_s` longer than the duration of the stop."""
+    with bench.open(timeout_s=timeout_s, kick_s=0.02) as device:
         servo = Servo(device)
         servo.read()
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)

@@ -3,7 +3,9 @@ The service is an emulated one in a process of its own, on real sockets; what co
 
 from __future__ import annotations
 
+import argparse
 import contextlib
+import json
 import math
 import os
 import re
@@ -14,28 +16,34 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from itertools import groupby
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numba
 import numpy as np
 import pytest
 from helpers.compiled_code import called_in, functions
-from helpers.haply_devices import ID, Service, fresh, opened, rig_options, settle
+from helpers.haply_devices import ID, RIG, Service, fresh, opened, rig_options, settle
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound
 from softfinger.config.errors import DeviceTimeout as NoAnswer
+from softfinger.config.load import find
+from softfinger.config.schema import Rig
 from softfinger.drivers import switch_interval
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.device import HaplyDevice, identify, open_device
+from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import Attached
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.server import driver_contract
 from softfinger.server.driver_contract import Servo
+from softfinger.server.verbs import devices
 
 pytestmark = pytest.mark.real_time
 
 GRIP = "wireless_verse_grip:7"
+BOARD = Attached("serial", 0x16C0, 0x0483, "Haply inverse3", "", "/dev/ttyACM0")
 
 
 @pytest.fixture(autouse=True)
@@ -245,14 +253,14 @@ def test_who_is_there_is_told() -> None:
         devices=("inverse3:049D", "minverse:0A11"), grips=("wireless_verse_grip:1", "wireless_verse_grip:2")
     ) as two:
         with pytest.raises(DeviceNotFound, match=r"2 devices.*device_id: inverse3 049D, minverse 0A11"):
-            opened(two)
+            opened(two, models=None)
         with pytest.raises(DeviceNotFound, match=r"device_id = 'FFFF'.*lists inverse3 049D, minverse 0A11.*plug it in"):
             opened(two, device_id="FFFF")
         with pytest.raises(DeviceNotFound, match=r"2 VerseGrips.*name one with grip.*wireless_verse_grip 1"):
-            opened(two, device_id="0A11")
+            opened(two, device_id="0A11", models=None)
         with pytest.raises(DeviceNotFound, match=r"no VerseGrip '3'.*pair it"):
-            opened(two, device_id="0A11", grip="3")
-        with opened(two, device_id="0A11", grip="none") as device:
+            opened(two, device_id="0A11", models=None, grip="3")
+        with opened(two, device_id="0A11", models=None, grip="none") as device:
             servo = Servo(device)
             fresh(servo)
             servo.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
@@ -300,6 +308,45 @@ def test_filters_become_the_rigs(service: Service) -> None:
         opened(service)
 
 
+@pytest.mark.parametrize("enveloped", [False, True])
+def test_answers_are_read_in_both_documented_forms(enveloped: bool, service: Service) -> None:
+    """The version and the applied filters arrive alone or below `data`. A plain answer with another value than the
+    posted one is a refusal, as is `ok: false`."""
+    service.set(enveloped=enveloped, version_enveloped=enveloped)
+    opened(service, filters={"torque_scaling": False}).close()
+    assert not service.do("settings", id=ID)["torque_scaling"]["enabled"]
+    assert identify(BOARD, rig_options(service.port))["service"] == "3.5.0.0"
+    page = f"/inverse3/{ID}/config/force_gate?session={service.do('seen')['sessions'] + 1}"
+    applied = '{"gain":0.9}'
+    service.set(pages={page: f'{{"ok":true,"data":{applied}}}' if enveloped else applied})
+    with pytest.raises(DeviceError, match=r"refused /inverse3/049D/config/force_gate.*0\.9"):
+        opened(service)
+
+
+def test_a_version_in_the_rig_that_is_not_the_services_is_refused(service: Service) -> None:
+    """A service of 3.5 ignores forces under the key of 3.4, so the rig may not select that key there."""
+    with pytest.raises(DeviceError, match=r"version = 3\.4 .*is version 3\.5\.0\.0.*remove version"):
+        opened(service, version="3.4")
+    opened(service, version="3.5").close()
+
+
+def test_another_kind_of_device_is_refused() -> None:
+    """Limits and workspace of a rig hold for the kinds that it names: by `config.type`, else by the list of the device.
+    Among several devices the rig's kind is the choice."""
+    with Service(devices=("minverse:0A11",)) as mini:
+        with pytest.raises(DeviceNotFound, match=r"lists minverse 0A11.*for inverse3, inverse3x.*haply-minverse"):
+            opened(mini)
+        opened(mini, models=["minverse"]).close()
+        opened(mini, models=None).close()
+        mini.set(types={"0A11": "inverse3x"})
+        opened(mini).close()
+        mini.set(types={"0A11": "new"})
+        with pytest.raises(DeviceNotFound, match="rig is for"):
+            opened(mini)
+    with Service(devices=("inverse3:049D", "minverse:0A11")) as both, opened(both) as device:
+        assert "inverse3 049D" in device.info.name
+
+
 def test_filters_of_an_older_service() -> None:
     """A service before 3.5 takes gravity compensation and torque scaling by its own pages; what it cannot be told is
     refused rather than ignored."""
@@ -313,11 +360,17 @@ def test_filters_of_an_older_service() -> None:
 
 
 def test_a_workspace_that_was_moved_is_refused(service: Service) -> None:
-    """A mount that turns, moves or scales positions would also do so to forces: it is refused."""
-    mount = {"position": {"x": 0, "y": 0, "z": 0}, "rotation": {"w": 1, "x": 0, "y": 0, "z": 0}}
-    service.set(mount={**mount, "scale": {"x": 2, "y": 2, "z": 2}})
-    with pytest.raises(DeviceError, match=r"moves, turns or scales.*reset its workspace"):
-        opened(service)
+    """A mount that turns, moves or scales positions would also do so to forces: it is refused, flat and below
+    `transform`, as is one of unknown form. An empty one is none."""
+    still = {"position": {"x": 0, "y": 0, "z": 0}, "rotation": {"w": 1, "x": 0, "y": 0, "z": 0}}
+    none, doubled = ({**still, "scale": dict.fromkeys("xyz", size)} for size in (1, 2))
+    for mount in (doubled, {"transform": doubled}, {"transform": still}, {"offset": 1}):
+        service.set(mount=mount)
+        with pytest.raises(DeviceError, match=r"moves, turns or scales.*reset its workspace"):
+            opened(service)
+    for mount in ({}, {"transform": {}}, {"transform": none}, None):
+        service.set(mount=mount)
+        opened(service).close()
 
 
 def test_what_the_service_warns_of_is_passed_on(service: Service) -> None:
@@ -354,7 +407,7 @@ def test_two_devices_of_one_service_run_at_once() -> None:
     with (
         Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both,
         opened(both, device_id=ID) as one,
-        opened(both, device_id="0A11") as other,
+        opened(both, device_id="0A11", models=None) as other,
     ):
         for device, force in ((one, 0.5), (other, 1.0)):
             servo = Servo(device)
@@ -580,9 +633,26 @@ def test_stop_while_the_loop_writes(service: Service) -> None:
 
 def test_the_service_is_asked_what_it_has(service: Service) -> None:
     """`devices --ask` shows its version, devices and grips."""
-    board = Attached("serial", 0x16C0, 0x0483, "Haply inverse3", "", "/dev/ttyACM0")
-    said = identify(board, rig_options(service.port))
+    said = identify(BOARD, rig_options(service.port))
     assert said == {"service": "3.5.0.0", "devices": ["inverse3 049D"], "grips": ["wireless_verse_grip 7"]}
+
+
+def test_the_service_of_a_rig_is_asked_without_a_port(
+    service: Service, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`devices --ask --rig` asks the rig's service where USB lists no device of it, as in a container."""
+    monkeypatch.setattr(discovery, "attached", list)
+    rig = tmp_path / "rig.toml"
+    rig.write_text(find(RIG, Rig).read_text("utf-8").replace("port = 10001", f"port = {service.port}"))
+    asked = argparse.Namespace(json=True, ask=True, rig=rig)
+    assert devices.run(asked) == 0
+    (found,) = json.loads(capsys.readouterr().out)["devices"]
+    assert (found["bus"], found["state"], found["rigs"]) == ("service", "usable", [str(rig)])
+    assert found["said"]["devices"] == ["inverse3 049D"]
+    service.kill()
+    assert devices.run(asked) == 0
+    (found,) = json.loads(capsys.readouterr().out)["devices"]
+    assert found["state"] == "service" and "systemctl start haply-inverse-service" in found["remedy"]
 
 
 def test_threads_take_short_turns_while_a_device_is_open() -> None:
@@ -590,7 +660,7 @@ def test_threads_take_short_turns_while_a_device_is_open() -> None:
     end, and then what it was."""
     before = sys.getswitchinterval()
     with Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both:
-        first, second = opened(both, device_id=ID), opened(both, device_id="0A11")
+        first, second = opened(both, device_id=ID), opened(both, device_id="0A11", models=None)
         assert before > switch_interval.SHORT_INTERVAL_S
         assert sys.getswitchinterval() == pytest.approx(
             switch_interval.SHORT_INTERVAL_S, rel=1e-2

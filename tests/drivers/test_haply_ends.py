@@ -87,7 +87,7 @@ def service() -> Iterator[Service]:
 @pytest.fixture
 def pushing(service: Service) -> Iterator[list[HaplyDevice]]:
     """Both devices, each under a force."""
-    devices = [opened(service, device_id=name) for name in (ID, OTHER)]
+    devices = [opened(service, device_id=name, models=None) for name in (ID, OTHER)]
     for device, name in zip(devices, (ID, OTHER), strict=True):
         servo = Servo(device)
         fresh(servo)

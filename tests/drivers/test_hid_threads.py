@@ -16,7 +16,7 @@ from helpers.hid_devices import RIGS, Answering, Api, described, ends, rig_optio
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.config.load import build
-from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.device import STOP_WAIT_S, HidDevice, Options
 from softfinger.drivers.hid.link import link_by_threads
@@ -121,6 +121,27 @@ def test_one_force_waits_behind_another() -> None:
         linked.api.held.set()
         linked.answering.settle(linked.device)
         assert [linked.force(n)[0] for n in range(known, len(linked.heard))] == [100, 200, 0]
+
+
+def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
+    """The device keeps its force while a write hangs, and still sends reports. The loop, which commands zero, ends with
+    TIMEOUT before `timeout_s`."""
+    with Linked(timeout_s=2.0) as linked:
+        linked.until(lambda status: status == OK)
+        linked.push(1.0)
+        linked.answering.settle(linked.device)
+        linked.api.held.clear()
+        linked.push(2.0)
+        assert linked.api.hung.wait(5.0)
+        begun = time.monotonic()
+        while (status := linked.servo.read()[0]) >= 0:
+            linked.answering.end.send(GOOD)
+            assert linked.push(0.0) >= 0
+            time.sleep(0.001)
+        assert status == TIMEOUT
+        assert IGNORED_WRENCH_MAX_S - 0.1 < time.monotonic() - begun < 2.0  # 0.25 s on a machine without stalls
+        assert linked.force()[0] == 1000
+        assert "a write has been under way for" in linked.device.reason()
 
 
 @pytest.mark.parametrize("talkative", [False, True])

@@ -5,7 +5,9 @@ The stand-in's thread is real, and so is its time: what is asked of the motors i
 
 from __future__ import annotations
 
+import argparse
 import ctypes
+import json
 import re
 import threading
 import time
@@ -18,14 +20,17 @@ import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, touch
 
-from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, HapticError
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, HapticError
+from softfinger.config.load import find
+from softfinger.config.schema import Rig
 from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.openhaptics import device as openhaptics
 from softfinger.drivers.openhaptics import exchange, library, usb
 from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN
 from softfinger.drivers.system.claims import find_claim
-from softfinger.drivers.system.diagnosis import diagnose_requirements
+from softfinger.drivers.system.diagnosis import diagnose, diagnose_requirements
+from softfinger.drivers.system.discovery import Attached
 from softfinger.drivers.system.rules import udev_rules
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import entry
@@ -33,6 +38,7 @@ from softfinger.proxy.kernels.jit.foreign import call_int32
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo, pulling, run_for
 from softfinger.server.loop.servo_thread import Servo as Loop
+from softfinger.server.verbs import devices
 
 __all__ = ["hd", "hd_library", "touch"]  # fixtures
 
@@ -41,6 +47,9 @@ pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason
 TURN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """From the library's frame (x right, y up, z towards the user) to the world's (x right, y away from the user, z up)."""
 NAMES = tuple(MODELS)
+OLDEST = Attached("serial", 0x0301, 0x2988, "3D Systems Touch 3D Stylus", "", "/dev/ttyACM0")
+"""Product string as the kernel logs it (jhu-saw/sawSensablePhantom)."""
+NEWEST = Attached("hid", 0x2988, 0x0304, "Touch", "", "/dev/hidraw0")
 WAIT_S = 10.0
 
 
@@ -236,7 +245,7 @@ def test_encoders_are_reset_on_the_rigs_word_alone(hd: HdStub, bench: TouchBench
     [
         (library.ALREADY_INITIATED, DeviceBusy, "in use by another program"),
         (library.INVALID_LICENSE, DeviceError, "it has no licence"),
-        (library.COMM_ERROR, DeviceNotFound, "does not answer.*0x0302.*USB vendor 2988"),
+        (library.COMM_ERROR, DeviceNotFound, "does not answer.*0x0302.*FireWire.*shows 2988 or 0301:2988"),
     ],
 )
 def test_error_of_opening_has_its_kind(
@@ -303,9 +312,67 @@ def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(library, "FOLDERS", ())
     found = diagnose_requirements(claim, {})
     assert found.state == "library" and "libHD" in found.reason and "library_file" in found.remedy
-    (rule,) = [line for line in udev_rules().splitlines() if '"2988"' in line]
-    assert 'SUBSYSTEM=="tty"' in rule and "ID_MM_DEVICE_IGNORE" in rule and "idProduct" not in rule
+    rules = [line for line in udev_rules().splitlines() if '"2988"' in line and '{idVendor}=="2988"' in line]
+    (rule,) = [line for line in rules if 'SUBSYSTEM=="tty"' in line]
+    assert "ID_MM_DEVICE_IGNORE" in rule and "idProduct" not in rule
     assert usb.how_to_permit(PORT).startswith("Geomagic Touch (2988:0302) at /dev/ttyACM0 may not be opened")
+
+
+@pytest.mark.parametrize(
+    ("device", "rule"),
+    [
+        (OLDEST, 'SUBSYSTEM=="tty", ATTRS{idVendor}=="0301", ATTRS{idProduct}=="2988"'),
+        (NEWEST, 'SUBSYSTEM=="hidraw", ATTRS{idVendor}=="2988", ATTRS{idProduct}=="0304"'),
+        (NEWEST, 'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", ATTR{idVendor}=="2988", ATTR{idProduct}=="0304"'),
+    ],
+)
+def test_each_generation_of_the_touch_is_known(
+    device: Attached, rule: str, hd: HdStub, bench: TouchBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first USB stylus is a port of 0301:2988, the newest a HID device of 2988:0304: each has driver, rig and udev
+    rules, and is named when it does not open."""
+    claim = find_claim(device)
+    assert claim is not None and (claim.driver, claim.bus, claim.rigs) == ("openhaptics", device.bus, ("touch",))
+    (line,) = [line for line in udev_rules().splitlines() if line.startswith(rule)]
+    assert ("ID_MM_DEVICE_IGNORE" in line) == (device.bus == "serial")
+    bare = device._replace(bus="usb", node="/dev/bus/usb/001/002")
+    found = diagnose(bare, find_claim(bare))
+    assert (found.state, "usbhid" in found.remedy) == ("node", device.bus == "hid")
+    hd["devices"] = 0
+    bench.ports((device,))
+    with pytest.raises(DeviceError, match=rf"{device.name} \({device.ids}\) at {device.node} is attached"):
+        bench.open()
+    bench.ports((device,), permitted=False)
+    monkeypatch.setattr(usb.discovery, "permitted", lambda node: False)
+    with pytest.raises(DevicePermission, match=rf"\({device.ids}\) at .*install --system"):
+        bench.open()
+
+
+def test_a_device_that_usb_does_not_list_is_asked_for(
+    hd: HdStub, bench: TouchBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`devices --ask --rig` opens the rig's device through the library where USB lists none, as for Ethernet and
+    FireWire, and reports the model; without a device, or without the library, the reason. Without --rig, nothing."""
+    rig = tmp_path / "touch.toml"
+    text = find("touch", Rig).read_text("utf-8")
+    rig.write_text(text.replace('driver = "openhaptics"', f'driver = "openhaptics"\nlibrary_file = "{hd.path}"'))
+
+    def listed(ask: bool = True, rig: Path | None = rig) -> Any:
+        assert devices.run(argparse.Namespace(json=True, ask=ask, rig=rig)) == 0
+        return json.loads(capsys.readouterr().out)["devices"]
+
+    (found,) = listed()
+    assert (found["bus"], found["node"], found["state"]) == ("library", "", "usable")
+    assert found["said"] == {"model": "Touch", "serial": "70001", "calibrated": True}
+    assert listed(rig=None) == listed(ask=False) == []
+    assert devices.run(argparse.Namespace(json=False, ask=True, rig=rig)) == 0
+    assert "it says: model Touch, serial 70001, calibrated True" in capsys.readouterr().out
+    hd["devices"] = 0
+    (found,) = listed()
+    assert found["state"] == "error" and "Ethernet" in found["reason"] and "GTDD_HOME" in found["reason"]
+    rig.write_text(text.replace('driver = "openhaptics"', 'driver = "openhaptics"\nlibrary_file = "/no/libHD.so"'))
+    (found,) = listed()
+    assert found["state"] == "library"
 
 
 # --- the callback --------------------------------------------------------------------------------

@@ -342,7 +342,7 @@ def test_an_unplugged_port_is_lost_and_its_zero_not_confirmed(monkeypatch: pytes
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """With three frames in the port, two zeros replace them if the port can drop frames, and nothing else is written.
-    Forces resume once the port is empty. After `timeout_s` the write returns TIMEOUT."""
+    Forces resume once the port is empty. After `timeout_s` the read returns TIMEOUT."""
     run = Run("hapkit", kind, 10.0, monkeypatch)
     run.ticks(20)
     assert set(run.statuses) == {OK} and run.device.warning() == ""
@@ -365,6 +365,25 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
     run.ticks(400)
     assert run.statuses[-1] == TIMEOUT
     assert run.statuses[-2] == WITHHELD
+
+
+@pytest.mark.parametrize("wrench", [PUSH, ZERO], ids=["in contact", "out of contact"])
+@pytest.mark.parametrize(("timeout_s", "blocked_s"), [(0.1, 0.1), (2.0, 0.25)])
+def test_a_board_that_stops_reading_is_given_up_in_time(
+    timeout_s: float, blocked_s: float, wrench: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The board keeps its force while it sends poses but reads nothing. The run ends after 0.25 s, as for any device
+    that accepts no force, or after a shorter `timeout_s`, also if the loop meanwhile commands zero."""
+    run = Run("hapkit", "uart", 10.0, monkeypatch, timeout_s=timeout_s)
+    run.ticks(20)
+    assert run.reader.pushes
+    run.port.stalled = True
+    run.ticks(5)
+    run.ticks(3000, wrench)
+    assert run.statuses[-1] == TIMEOUT
+    assert 1e3 * blocked_s < len(run.statuses) - 20 < 1e3 * blocked_s + 10
+    assert run.reader.pushes, "the board keeps its force"
+    assert run.device.reason() == BLOCKED
 
 
 def test_a_port_that_counts_nothing_is_no_queue(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,10 @@ the driver. WebSocket and HTTP share a port. A client that connects gets an inve
 messages, and nothing unasked. A command lasts until the next one or until `IDLE_S` after it; forces of several sessions
 add up, and a session's end takes its force with it. Keys that the service does not know are ignored.
 
+The maker's page "HTTP" describes each answer twice: as the value alone (the example of `/version`), and as that of all
+GET and POST in an envelope, `{"ok": true, "data": value}`. `enveloped` selects one. A mount is flat in a snapshot and
+below `transform` in a command ("Mount & Workspace"); a test sets either.
+
 A test steers it by lines of JSON on its standard input, each answered by a line (`Desk`).
 
 It does not show: how long a device keeps its last force (`IDLE_S` is assumed, for no page says), what force gate,
@@ -130,7 +134,12 @@ class Service:
         self.sessions = 0
         self.filters: dict[int, dict[str, Any]] = {}
         """By session."""
-        self.mount: dict[str, Any] = _identity()
+        self.mount: dict[str, Any] | None = _identity()
+        self.types: dict[str, str] = {}
+        """`config.type` by device, where it is not the name of its list."""
+        self.enveloped = True
+        """Answers to a POST and, if `version_enveloped`, to /version are `{ok, data}`, else the value alone."""
+        self.version_enveloped = False
         self.mute = False
         """Hears, and answers nothing."""
         self.late_s = 0.0
@@ -223,7 +232,8 @@ class Service:
             path = path.partition("?")[0]
             old = _number(self.version) < (3, 1)
             if method == "GET" and path == ("/3.0/version" if old else "/version"):
-                return 200, json.dumps({"git_tag": self.version, "project_version": f"{self.version}.0"})
+                value = {"git_tag": self.version, "project_version": f"{self.version}.0"}
+                return 200, json.dumps({"ok": True, "data": value} if self.version_enveloped else value)
             if method == "POST" and body:
                 return self._set(path.strip("/").split("/"), json.loads(body))
             return 404, json.dumps({"ok": False, "error": "not found"})
@@ -234,9 +244,9 @@ class Service:
             device, key = self.devices.get(path[0], {}).get(path[1]), path[3]
             if device is not None and key in device.settings:
                 device.settings[key] |= body
-                return 200, json.dumps({"ok": True, "data": device.settings[key]})
+                return 200, self._applied(device.settings[key])
             if device is not None and key in ("force_gate", "damping"):
-                return 200, json.dumps({"ok": True, "data": body})
+                return 200, self._applied(body)
         if len(path) == 1 and path[0] in ("gravity_compensation", "torque_scaling"):
             device = next((one for one in self.all() if one.name == body["device_id"]), None)
             if device is not None:
@@ -246,10 +256,13 @@ class Service:
                 return 200, json.dumps({"ok": True})
         return 404, json.dumps({"ok": False, "error": "no such route"})
 
+    def _applied(self, value: dict[str, Any]) -> str:
+        return json.dumps({"ok": True, "data": value} if self.enveloped else value)
+
     def _config(self, group: str, device: Inverse, session: int) -> dict[str, Any]:
         new = _number(self.version) >= (3, 5)
         config = {
-            "type": group,
+            "type": self.types.get(device.name, group),
             "port": "/dev/ttyACM0",
             "device_info": {"major_version": 7, "minor_version": 4, "id": device.name, "device_type": 4},
             "handedness": "right",
@@ -416,7 +429,12 @@ class Desk:
                 case "settings":
                     return self._device(line["id"]).settings
                 case "seen":
-                    return {"asked": service.asked, "said": service.said, "heard": service.heard}
+                    return {
+                        "asked": service.asked,
+                        "said": service.said,
+                        "heard": service.heard,
+                        "sessions": service.sessions,
+                    }
         return None
 
     def _device(self, name: str) -> Inverse:

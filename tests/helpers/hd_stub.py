@@ -92,7 +92,7 @@ def hd(hd_library: Path) -> Iterator[HdStub]:
     stub.reset()
 
 
-PORT = Attached("serial", usb.VENDOR, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0")
+PORT = Attached("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0")
 
 
 class TouchBench(Bench):

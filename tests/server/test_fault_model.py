@@ -10,6 +10,7 @@ import pytest
 from helpers.injected_run import FROZEN_S
 
 from softfinger.config.errors import DeviceError, HapticError, SafetyStop
+from softfinger.drivers import base
 from softfinger.drivers.openhaptics import exchange as openhaptics
 from softfinger.server.loop import health, limits
 from softfinger.server.loop.guard import GUARD_NAMES
@@ -101,7 +102,7 @@ SET_BY = {
     "a device that warns": [(device_warnings, "PERIOD_S")],
     "a device that is lost or breaks its protocol": [(DeviceError, "exit_code")],
     "a device that is silent, or sends invalid data": [(openhaptics, "TIMEOUT_NS"), (DeviceError, "exit_code")],
-    "a device that takes no force": [(health, "IGNORED_WRENCH_MAX_S")],
+    "a device that takes no force": [(base, "IGNORED_WRENCH_MAX_S")],
     "a device that removes its force": [(SafetyStop, "exit_code")],
     "a loop that stalls": [(health, name) for name in ("STALL_POLLS", "STALL_POLL_S", "STALL_MAX_S")],
     "a machine that starves the loop": [

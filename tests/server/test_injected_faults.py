@@ -17,8 +17,9 @@ from helpers.faults_seen import SEEN
 from helpers.injected_run import FROZEN_S, RAMP_S, Seen, run
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, SafetyStop
+from softfinger.drivers.base import IGNORED_WRENCH_MAX_S
 from softfinger.proxy.record import AT
-from softfinger.server.loop.health import IGNORED_WRENCH_MAX_S, NO_FORCE_MAX_S, STALL_MAX_S
+from softfinger.server.loop.health import NO_FORCE_MAX_S, STALL_MAX_S
 
 pytestmark = pytest.mark.real_time
 

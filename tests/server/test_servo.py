@@ -13,13 +13,13 @@ from helpers.faulty_device import FaultyDevice, Options
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.config.load import load_rig, load_scene
-from softfinger.drivers.base import HELD, LOST, PROTOCOL, TIMEOUT, WITHHELD
+from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, PROTOCOL, TIMEOUT, WITHHELD
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import run_for
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import GUARD_NAMES, POSE_FROZEN, POSE_JUMPED, POSE_REFUSED, RAMPING, SLEW_LIMITED
-from softfinger.server.loop.health import IGNORED_WRENCH_MAX_S, JUMPING, NO_FORCE_MAX_S, NO_POSE, STARVED
+from softfinger.server.loop.health import JUMPING, NO_FORCE_MAX_S, NO_POSE, STARVED
 from softfinger.server.loop.shutdown import WRITE_FAILED, device_failure
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.wire.events import RecordEvents

@@ -1,0 +1,403 @@
+"""Leader arm on a bus of servos as pose input, with force on one joint: a driver of another package.
+
+For arms such as LeRobot's SO-101 (Feetech STS3215) and GELLO (Dynamixel XL330). A thread reads all joints in one
+transaction, computes the pose of the tip from the arm's URDF, and writes the torque of one joint. Servo loop and thread
+exchange poses and forces through the block of the driver `haply`, whose functions for the loop fit every device that a
+thread serves: no force that is old, and none while poses are missing.
+
+The bus is slower than the loop: see docs/devices/leader-arms.md.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import logging
+import math
+import os
+import termios
+import threading
+import time
+from typing import Annotated, Any, Final, Literal, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+from softfinger_leader_bus import Bus, BusError, Dynamixel, Feetech
+
+from softfinger.config.errors import ConfigError, DeviceError, DeviceLost, DeviceTimeout
+from softfinger.config.files import expanded
+from softfinger.config.limits import DAMPING_NS_PER_M, STIFFNESS_N_PER_M, Range
+from softfinger.config.schema import Table, said, within
+from softfinger.drivers import switch_interval
+from softfinger.drivers.base import LOST, TIMEOUT, Device, DeviceInfo, DeviceIO
+from softfinger.drivers.block import Block
+from softfinger.drivers.haply import exchange
+from softfinger.drivers.haply.exchange import (
+    AT,
+    COUNTERS,
+    MODEL_SIZE,
+    POSE_SIZE,
+    WRENCH_NUMBER,
+    WRENCH_SIZE,
+    WRITE_TIME,
+)
+from softfinger.drivers.mounting import Mounting
+from softfinger.drivers.system.nodes import open_locked
+from softfinger.proxy.kernels.jit.pack import flatten
+from softfinger.proxy.kernels.jit.seqlock import Slot, publish, read
+from softfinger.proxy.kernels.numerics.rotations import from_matrix
+
+log: Final = logging.getLogger(__name__)
+
+Matrix = NDArray[np.float64]
+COUNTS_PER_TURN: Final = 4096
+WAIT_S: Final = 0.02
+"""Maximum duration of one transaction. Seven servos at 57600 Bd take 25 ms: set a higher baud rate in the servos."""
+OPEN_WAIT_S: Final = 0.2
+"""The same while the arm is opened."""
+LAST_ZEROS: Final = 3
+"""Attempts to send the last zero."""
+WATCHDOG_UNITS: Final = 5
+"""100 ms without a request, then a Dynamixel stops its motor."""
+STOP_WAIT_S: Final = 1.0
+TORQUE_MAX_NM: Final = 1e2
+"""No motor turns the handle about its tip, but torque is accepted: contact and telemetry use it."""
+BUSES: Final[dict[str, type[Bus]]] = {"feetech": Feetech, "dynamixel": Dynamixel}
+_NUMBER: Final = Range(0.0, 100.0, "no such arm is stronger")
+
+
+class Joint(Table, frozen=True, kw_only=True):
+    """Servo of a joint."""
+
+    name: Annotated[str, said("of the joint in the URDF", "shoulder_pan")]
+    servo: Annotated[int, within(Range(0, 252, "the ids of a bus"), "id", 1)]
+    zero: Annotated[int, within(Range(-(2**20), 2**20, "256 turns"), "counts at the URDF's angle 0", 2048)] = 2048
+    reversed: Annotated[bool, said("counts fall while the angle grows", False)] = False
+
+
+class Options(Table, frozen=True, kw_only=True):
+    """Keys of [device] for `driver = "leader-arm"`."""
+
+    path: Annotated[str, said("serial port of the bus", "/dev/ttyACM0")]
+    protocol: Annotated[Literal["feetech", "dynamixel"], said("series of the servos", "feetech")]
+    baud: Annotated[Literal[57600, 115200, 500000, 1000000, 2000000, 4000000], said("of the bus", 1000000)] = 1000000
+    urdf: Annotated[str, said("file with the arm's joints", "/home/me/so101_new_calib.urdf")]
+    tip: Annotated[str, said("link of the fingertip in the URDF", "gripper_frame_link")]
+    joint: tuple[Joint, ...]
+    force_joint: Annotated[str, said("joint that displays force; absent: none does", "shoulder_pan")] | None = None
+    torque_per_count_nm: Annotated[float, within(_NUMBER, "N m of a count of the register of force", 0.002)] = 0.002
+    torque_max_nm: Annotated[float, within(_NUMBER, "largest torque of that joint", 0.2)] = 0.2
+    mounting: Mounting = Mounting()
+    force_max_n: Annotated[float, within(_NUMBER, "most that it displays", 1.0)] = 1.0
+    stiffness_max_n_per_m: Annotated[float, within(STIFFNESS_N_PER_M, "most that it renders stably", 50.0)] = 50.0
+    damping_max_ns_per_m: Annotated[float, within(DAMPING_NS_PER_M, "the same of damping", 0.5)] = 0.5
+    workspace_radius_m: Annotated[float, within(Range(0.01, 2.0, "of arms on a table"), "about the origin", 0.4)] = 0.4
+    quiet_s: Annotated[float, within(Range(0.01, 0.2, "of the bus"), "zero after so long without a pose", 0.05)] = 0.05
+    timeout_s: Annotated[float, within(Range(0.05, 1.0, "of the bus"), "given up after so long", 0.25)] = 0.25
+
+
+class Link(NamedTuple):
+    """Joint of the chain: pose (4, 4) in the previous link at angle 0, axis (3,), and name; fixed without a name."""
+
+    origin: Matrix
+    axis: Matrix
+    name: str
+
+
+def read_chain(file: str, tip: str, names: set[str]) -> list[Link]:
+    """Return the joints of a URDF from its base to the link `tip`. Raises ConfigError."""
+    try:
+        joints = {joint.find("child").get("link"): joint for joint in ElementTree.parse(expanded(file)).iter("joint")}
+    except (OSError, ElementTree.ParseError, AttributeError) as error:
+        raise ConfigError(f"[device] urdf = '{file}' cannot be read: {error}: name a URDF file") from error
+    chain, link = list[Link](), tip
+    while (joint := joints.pop(link, None)) is not None:
+        origin, axis = joint.find("origin"), joint.find("axis")
+        place = {} if origin is None else origin.attrib
+        frame = np.eye(4)
+        frame[:3, :3] = _from_rpy(*_floats(place.get("rpy", "0 0 0")))
+        frame[:3, 3] = _floats(place.get("xyz", "0 0 0"))
+        name = joint.get("name", "") if joint.get("type") in ("revolute", "continuous") else ""
+        chain.append(Link(frame, np.array(_floats("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))), name))
+        link = joint.find("parent").get("link")
+    turning = {one.name for one in chain if one.name}
+    if not chain or turning != names:
+        raise ConfigError(
+            f"[device] tip = '{tip}': the joints on the way to that link in {file} are {sorted(turning)}, and "
+            f"[[device.joint]] names {sorted(names)}: give a servo for each, and no other"
+        )
+    return chain[::-1]
+
+
+def forward(chain: list[Link], angles: dict[str, float]) -> tuple[Matrix, dict[str, tuple[Matrix, Matrix]]]:
+    """Return pose of the tip (4, 4) at joint angles (rad), and position and axis of each joint, in the base frame."""
+    pose, joints = np.eye(4), {}
+    for link in chain:
+        pose = pose @ link.origin
+        if link.name:
+            joints[link.name] = pose[:3, 3].copy(), pose[:3, :3] @ link.axis
+            turn = np.eye(4)
+            turn[:3, :3] = _about(link.axis, angles[link.name])
+            pose = pose @ turn
+    return pose, joints
+
+
+class LeaderArm(Device):
+    """Open arm. All motors are off but that of `force_joint`, and that one until `arm`."""
+
+    def __init__(self, options: Options, chain: list[Link], fd: int) -> None:
+        self._options, self._chain, self._fd, self._zero_failure = options, chain, fd, ""
+        self._bus = BUSES[options.protocol](fd, OPEN_WAIT_S)
+        self._servo_of = {joint.name: joint.servo for joint in options.joint}
+        self._jacobian = np.zeros(3)
+        self.failure = ""
+        self._block = Block(AT)
+        word = self._block.word
+        self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(
+            exchange.Model(*options.mounting.frame(), options.force_max_n)
+        )
+        word[AT.opened_at], word[AT.increment] = time.monotonic_ns(), 1
+        for place, seconds in ((AT.quiet, options.quiet_s), (AT.timeout_after, options.timeout_s), (AT.stale, 0.05)):
+            word[place] = round(seconds * 1e9)
+        word[AT.wake] = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self.info = _info(options)
+        self._poses = self._slot(AT.pose_sequence, AT.pose, POSE_SIZE)
+        self._wrenches = self._slot(AT.wrench_sequence, AT.wrench, WRENCH_SIZE)
+        self._wrench, self._copy, self._sequence, self._sent = np.zeros(WRENCH_SIZE), np.zeros(WRENCH_SIZE), 0, 0
+        read(self._wrenches, -1, self._copy)  # compile it before the thread runs
+        self._is_closing = threading.Event()
+        try:
+            self._prepare()
+        except BaseException:
+            self._close_files()
+            raise
+        self._bus.wait_s = WAIT_S
+        self._thread = threading.Thread(target=self._run, name="leader arm", daemon=True)
+        switch_interval.shorten()
+        self._thread.start()
+
+    def io(self) -> DeviceIO:
+        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
+
+    def arm(self) -> None:
+        word = self._block.word
+        before, until = int(word[AT.states]), time.monotonic() + self._options.timeout_s
+        while word[AT.states] == before:
+            if word[AT.failed] < 0:
+                raise DeviceLost(f"{self.info.name}: {self.failure}")
+            if time.monotonic() > until:
+                raise DeviceTimeout(f"{self.info.name}: no pose: check the cable and the supply of the servos")
+            time.sleep(1e-3)
+        word[AT.dropped_reported] = word[AT.dropped]
+        word[AT.armed] = 1
+
+    def stop(self) -> None:
+        word = self._block.word
+        word[AT.armed] = 0
+        if self._options.force_joint is None or word[AT.wake] < 0:
+            return
+        word[AT.stops_requested] += 1
+        until = time.monotonic() + (0.1 if self._zero_failure else STOP_WAIT_S)
+        while self._thread.is_alive() and word[AT.stops_answered] < word[AT.stops_requested]:
+            if time.monotonic() > until:
+                break
+            time.sleep(1e-3)
+        is_confirmed = word[AT.stops_answered] == word[AT.stops_requested]
+        self._zero_failure = "" if is_confirmed else self.failure or "the servo has not confirmed it"
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
+
+    def close(self) -> None:
+        self.stop()
+        self._is_closing.set()
+        self._thread.join(STOP_WAIT_S)
+        if self._thread.is_alive():
+            log.error("%s: the thread of the bus hangs; the port stays open", self.info.name)
+        else:
+            self._close_files()
+
+    def reason(self) -> str:
+        return self.failure
+
+    def counts(self) -> dict[str, int]:
+        return self._block.counts()
+
+    def is_settled(self) -> bool:
+        """Return True if the servo has confirmed the latest wrench, or cannot any more."""
+        return bool(self._block.word[AT.answered] >= self._block.word[AT.written]) or not self._thread.is_alive()
+
+    def _slot(self, sequence: int, values: int, size: int) -> Any:
+        return Slot(self._block.word[sequence : sequence + COUNTERS], self._block.numbers(values, size))
+
+    def _close_files(self) -> None:
+        wake, port = int(self._block.word[AT.wake]), self._fd
+        self._block.word[AT.wake] = self._fd = -1
+        for fd in (wake, port):
+            if fd >= 0:
+                os.close(fd)
+
+    # --- bus ------------------------------------------------------------------------------------
+
+    def _prepare(self) -> None:
+        """Switch every motor off, set up the one that displays force, and read a pose. Raises DeviceError."""
+        bus, joint = self._bus, self._options.force_joint
+        try:
+            for servo in self._servo_of.values():
+                bus.write(bus.enable, servo, 0)
+            self._read_pose()
+            if joint is None:
+                return
+            servo = self._servo_of[joint]
+            (mode,) = bus.read(bus.mode, [servo])
+            if mode != bus.force_mode:
+                raise DeviceError(
+                    f"servo {servo} is in mode {mode}, and follows forces in mode {bus.force_mode} only: set register "
+                    f"{bus.mode.address} with the maker's program, which stores it for good"
+                )
+            bus.write(bus.force, servo, 0)
+            if bus.watchdog is not None:
+                bus.write(bus.watchdog, servo, 0)  # clears one that has run out
+                bus.write(bus.watchdog, servo, WATCHDOG_UNITS)
+            bus.write(bus.enable, servo, 1)
+        except BusError as error:
+            raise DeviceTimeout(
+                f"{self.info.name}: {error}: check path, baud, ids of [[device.joint]] and the supply of the servos"
+            ) from error
+        except OSError as error:
+            raise DeviceLost(f"{self.info.name}: the port is gone: {error}: plug it in again") from error
+
+    def _read_pose(self) -> None:
+        try:
+            counts = self._bus.read(self._bus.position, list(self._servo_of.values()))
+        except OSError as error:
+            raise DeviceLost(f"{self.info.name}: the port is gone: {error}: plug it in again") from error
+        angles = {
+            joint.name: (-1 if joint.reversed else 1) * (count - joint.zero) * math.tau / COUNTS_PER_TURN
+            for joint, count in zip(self._options.joint, counts, strict=True)
+        }
+        pose, joints = forward(self._chain, angles)
+        if self._options.force_joint is not None:
+            place, axis = joints[self._options.force_joint]
+            self._jacobian = np.cross(axis, pose[:3, 3] - place)
+        rotation = tuple(map(tuple, pose[:3, :3].tolist()))
+        publish(self._poses, np.array([*pose[:3, 3], *from_matrix(rotation), 0.0, time.monotonic_ns()]))
+        self._block.word[AT.states] += 1
+
+    def _run(self) -> None:
+        word, last = self._block.word, time.monotonic()
+        try:
+            while not self._is_closing.is_set():
+                failure: BusError | None = None
+                for step in (self._read_pose, self._send_force):  # a zero also goes out if poses are missing
+                    try:
+                        step()
+                    except BusError as error:
+                        failure = error
+                if failure is None:
+                    last = time.monotonic()
+                elif time.monotonic() - last > self._options.timeout_s:
+                    raise DeviceTimeout(str(failure))
+        except (DeviceLost, DeviceTimeout, OSError) as error:
+            self.failure = str(error)
+            word[AT.failed] = TIMEOUT if isinstance(error, DeviceTimeout) else LOST
+        except Exception as error:  # after a defect here, the loop must not wait forever
+            log.exception("%s: the exchange failed", self.info.name)
+            self.failure, word[AT.failed] = repr(error), LOST
+        finally:
+            switch_interval.restore()
+            self._end()
+
+    def _end(self) -> None:
+        """Send a last zero and switch the motor off, also to a servo that may not answer."""
+        joint, word = self._options.force_joint, self._block.word
+        if joint is None:
+            return
+        failure = ""
+        for _ in range(LAST_ZEROS):
+            try:
+                self._bus.write(self._bus.force, self._servo_of[joint], 0)
+                self._bus.write(self._bus.enable, self._servo_of[joint], 0)
+                word[AT.stops_answered] = word[AT.stops_requested]
+                return
+            except (BusError, OSError) as error:
+                failure = str(error)
+        self.failure = self.failure or failure
+
+    def _send_force(self) -> None:
+        """Write the torque of the latest force, or zero if none may be sent, and wait for the confirmation."""
+        word, joint = self._block.word, self._options.force_joint
+        sequence = read(self._wrenches, self._sequence, self._copy)
+        if sequence != self._sequence:
+            self._sequence, self._wrench[:] = sequence, self._copy
+        force, number, stops = self._wrench[:3], int(self._wrench[WRENCH_NUMBER]), int(word[AT.stops_requested])
+        is_old = not word[AT.armed] or time.monotonic_ns() - self._wrench[WRITE_TIME] > word[AT.stale]
+        if force.any() and is_old:
+            self._wrench[:3] = 0.0
+            word[AT.dropped] += 1
+        if joint is not None:
+            limit = self._options.torque_max_nm
+            torque = min(max(float(self._jacobian @ self._wrench[:3]), -limit), limit)
+            counts = round(torque / self._options.torque_per_count_nm)
+            if counts or self._sent or stops > word[AT.stops_answered]:
+                self._bus.write(self._bus.force, self._servo_of[joint], self._bus.encode_force(counts))
+                self._sent = counts
+        word[AT.handled] = word[AT.answered] = number
+        word[AT.stops_answered] = stops
+
+
+def _info(options: Options) -> DeviceInfo:
+    r = options.workspace_radius_m
+    return DeviceInfo(
+        name=f"leader arm of {len(options.joint)} {options.protocol} servos at {options.path}",
+        sensed_dof=min(6, len(options.joint)),
+        actuated_dof=0 if options.force_joint is None else 1,
+        force_max_n=options.force_max_n,
+        torque_max_nm=TORQUE_MAX_NM,
+        stiffness_max_n_per_m=options.stiffness_max_n_per_m,
+        damping_max_ns_per_m=options.damping_max_ns_per_m,
+        workspace_min_m=(-r, -r, -r),
+        workspace_max_m=(r, r, r),
+    )
+
+
+def open_device(options: Options, rate_hz: float) -> LeaderArm:
+    """Open the arm; raises ConfigError, DeviceNotFound, DeviceBusy, DevicePermission, DeviceTimeout or DeviceError."""
+    names = {joint.name for joint in options.joint}
+    if options.force_joint is not None and options.force_joint not in names:
+        raise ConfigError(f"[device] force_joint = '{options.force_joint}': no [[device.joint]] has that name")
+    chain = read_chain(options.urdf, options.tip, names)
+    fd = open_locked(options.path, "sudo usermod -aG dialout $USER, and log in again")
+    try:
+        _set_raw(fd, options.baud)
+    except (OSError, termios.error) as error:
+        os.close(fd)
+        raise DeviceError(f"{options.path} is no serial port: {error}: name the port of the bus as path") from error
+    return LeaderArm(options, chain, fd)
+
+
+def _set_raw(fd: int, baud: int) -> None:
+    fcntl.ioctl(fd, termios.TIOCEXCL)
+    settings = termios.tcgetattr(fd)
+    settings[0] = settings[1] = settings[3] = 0
+    settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
+    settings[4] = settings[5] = getattr(termios, f"B{baud}")
+    settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
+    termios.tcsetattr(fd, termios.TCSANOW, settings)
+
+
+def _floats(text: str) -> tuple[float, float, float]:
+    x, y, z = map(float, text.split())
+    return x, y, z
+
+
+def _from_rpy(roll: float, pitch: float, yaw: float) -> Matrix:
+    x, y, z = np.eye(3)
+    return _about(z, yaw) @ _about(y, pitch) @ _about(x, roll)
+
+
+def _about(axis: Matrix, angle: float) -> Matrix:
+    """Return the rotation (3, 3) about a unit axis, after Rodrigues."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross

@@ -1,0 +1,153 @@
+"""Chain of bus servos behind a pseudo terminal, in real time: Feetech STS (protocol 0) or Dynamixel X (protocol 2.0).
+
+Written from the makers' manuals, as public tables and libraries quote them (Feetech: FT-SMS-STS memory table; Robotis:
+e-Manual, protocol 2.0 and the X series' control table). Nothing comes from the driver. A byte takes ten bits of the
+baud rate, each answer begins after the servo's return delay, and the servos of a sync read answer one after the other.
+
+What it misses: the time that USB takes (about 1 ms for each transaction), collisions on the half-duplex line, the
+motors' dynamics, EEPROM and its lock, and every register but those below.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from typing import NamedTuple
+
+from emulators.farterminal import FarTerminal
+
+BROADCAST = 254
+WRITE, SYNC_READ = 0x03, 0x82
+
+
+class Registers(NamedTuple):
+    """Addresses and sizes of the registers, and their values at power-up."""
+
+    enable: int
+    mode: int
+    force: int
+    position: int
+    watchdog: int
+    """0: none."""
+    force_mode: int
+
+
+FEETECH = Registers(enable=40, mode=33, force=44, position=56, watchdog=0, force_mode=2)
+DYNAMIXEL = Registers(enable=64, mode=11, force=102, position=132, watchdog=98, force_mode=0)
+WATCHDOG_UNIT_S = 0.02
+
+
+def crc16(data: bytes) -> int:
+    """Bit by bit, from the greatest: 0x8005, from 0."""
+    crc = 0
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x8005 * (crc >> 15)) & 0xFFFF
+    return crc
+
+
+class Servo:
+    """One servo: its registers, and what its motor gives."""
+
+    def __init__(self, table: Registers, position: int) -> None:
+        self.table, self.memory = table, bytearray(256)
+        self.memory[table.mode] = table.force_mode
+        self.turn_to(position)
+        self.heard_at = time.monotonic()
+        self.mute = False
+        """Hears, and answers nothing."""
+        self.log: list[tuple[float, int]] = []
+        """Time (s, monotonic clock) and counts of each change of the motor."""
+
+    def turn_to(self, position: int) -> None:
+        struct.pack_into("<H" if self.table is FEETECH else "<i", self.memory, self.table.position, position)
+
+    def force(self, now: float) -> int:
+        """Counts that the motor gives: PWM in 0.1 % with bit 10 for the sign (Feetech), or mA (Dynamixel)."""
+        if not self.memory[self.table.enable] or self.memory[self.table.mode] != self.table.force_mode:
+            return 0
+        if self.table is FEETECH:
+            (raw,) = struct.unpack_from("<H", self.memory, self.table.force)
+            return -(raw & 0x3FF) if raw & 0x400 else raw & 0x3FF
+        limit_s = self.memory[self.table.watchdog] * WATCHDOG_UNIT_S
+        if limit_s and now - self.heard_at > limit_s:
+            return 0
+        return int(struct.unpack_from("<h", self.memory, self.table.force)[0])
+
+    def store(self, address: int, data: bytes, now: float) -> None:
+        before = self.force(now)
+        self.memory[address : address + len(data)] = data
+        if (after := self.force(now)) != before:
+            self.log.append((now, after))
+
+
+class BusServos(FarTerminal):
+    """The chain; `servos` by id."""
+
+    def __init__(
+        self, table: Registers, positions: dict[int, int], baud: int = 1_000_000, delay_s: float = 0.0
+    ) -> None:
+        super().__init__(period_s=0.0001)
+        self.table, self._byte_s, self.delay_s = table, 10.0 / baud, delay_s
+        self.servos = {number: Servo(table, position) for number, position in positions.items()}
+        self.damage: dict[int, int] = {}
+        """By id, how many of the next answers have a wrong checksum."""
+        self._rest, self._free_at = b"", 0.0
+        self.requests = 0
+
+    def turn(self) -> None:
+        self._rest += self.read()
+        while (found := self._packet()) is not None:
+            number, instruction, parameters, size = found
+            now = time.monotonic()
+            self._free_at = max(self._free_at, now) + size * self._byte_s
+            self.requests += 1
+            for servo in self.servos.values():
+                servo.heard_at = now
+            self._execute(number, instruction, parameters, now)
+
+    def _execute(self, number: int, instruction: int, parameters: bytes, now: float) -> None:
+        wide = 2 if self.table is DYNAMIXEL else 1
+        address = int.from_bytes(parameters[:wide], "little")
+        if instruction == SYNC_READ and number == BROADCAST:
+            size = int.from_bytes(parameters[wide : 2 * wide], "little")
+            for each in parameters[2 * wide :]:
+                if each not in self.servos:
+                    return  # the next one waits for its answer, and with it all that follow
+                self._answer(each, bytes(self.servos[each].memory[address : address + size]))
+        elif instruction == WRITE and number in self.servos:
+            self.servos[number].store(address, parameters[wide:], now)
+            self._answer(number, b"")
+
+    def _answer(self, number: int, data: bytes) -> None:
+        if self.servos[number].mute:
+            return
+        if self.table is FEETECH:
+            body = bytes([number, len(data) + 2, 0]) + data
+            packet = b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
+        else:
+            body = b"\x55\x00" + data
+            packet = b"\xff\xff\xfd\x00" + bytes([number]) + struct.pack("<H", len(body) + 2) + body
+            packet += struct.pack("<H", crc16(packet))
+        if self.damage.get(number, 0):
+            self.damage[number] -= 1
+            packet = packet[:-1] + bytes([packet[-1] ^ 0x55])
+        self._free_at += self.delay_s + len(packet) * self._byte_s
+        time.sleep(max(0.0, self._free_at - time.monotonic()))
+        self.write(packet)
+
+    def _packet(self) -> tuple[int, int, bytes, int] | None:
+        """Id, instruction, parameters and size of the next request; None while it is not complete."""
+        mark, head = (b"\xff\xff", 4) if self.table is FEETECH else (b"\xff\xff\xfd\x00", 7)
+        while (start := self._rest.find(mark)) >= 0 and len(self._rest) >= start + head:
+            self._rest = self._rest[start:]
+            length = self._rest[3] if self.table is FEETECH else int.from_bytes(self._rest[5:7], "little")
+            if len(self._rest) < head + length:
+                return None
+            packet, self._rest = self._rest[: head + length], self._rest[head + length :]
+            if self.table is FEETECH and sum(packet[2:]) & 0xFF == 0xFF:
+                return packet[2], packet[4], packet[5:-1], len(packet)
+            if self.table is DYNAMIXEL and crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little"):
+                return packet[4], packet[7], packet[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"), len(packet)
+        return None
