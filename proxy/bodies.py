@@ -154,7 +154,9 @@ class RigidBodies:
 
     def kernel(self, riders: tuple[float, ...]) -> kernels.Bodies:
         """Return the kernels' Bodies, with `riders` as described there."""
-        return kernels.Bodies(self.block, ReadOnly(np.array(self.moving, np.int64)), riders)
+        return kernels.Bodies(
+            self.block, ReadOnly(np.array(self.moving, np.int64)), ReadOnly(np.array(riders)), float(len(riders))
+        )
 
     def number_of(self, body: str) -> int:
         """Return the number of a body from its name or, for an unnamed body, its number in text form.

@@ -14,15 +14,16 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.load import SceneSource, load_scene, overridden
 from softfinger.proxy.bodies import RigidBodies, begin_bodies, check_bodies
-from softfinger.proxy.kernels.fingers import poses_in, rows_of, write_contacts
+from softfinger.proxy.kernels.fingers import poses_in, write_contacts
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
-from softfinger.proxy.kernels.model import Scene
+from softfinger.proxy.kernels.jit.tuples import rows_of
+from softfinger.proxy.kernels.model import Scene, State
 from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import CAUSE_NAMES, NAMED, POSITION_MAX_M, RECORD_SIZE, ContactMode
 from softfinger.proxy.records import Records
-from softfinger.proxy.scene import build_scene, other_model, start_state
+from softfinger.proxy.scene import build_scene, other_model, same_model, start_state
 
 T = TypeVar("T")
 
@@ -136,14 +137,14 @@ def step_many(
     pack(state_values, state)
 
 
-def compiled(scene: Scene) -> Callable[..., None]:
-    """Return `step_many` compiled for scenes of this type; it ignores the arguments `scene` and `start`.
+def compiled(scene: Scene, begin: State) -> Callable[..., None]:
+    """Return `step_many` compiled for scenes and states of these types; it ignores the arguments `scene` and `start`.
 
     numba's dispatcher would determine the types of both trees number by number on each call, in a hundred microseconds.
     """
     if PLAIN:
-        return lambda _scene, values, _start, *rest: step_many(scene, values, start_state(scene), *rest)
-    like, start = (types.TypeRef(numba.typeof(tree)) for tree in (scene, start_state(scene)))
+        return lambda _scene, values, _start, *rest: step_many(scene, values, begin, *rest)
+    like, start = (types.TypeRef(numba.typeof(tree)) for tree in (scene, begin))
     leaves, table = types.float64[::1], types.float64[:, :, ::1]
     kernel: Any = step_many
     made: Callable[..., None] = kernel.compile((like, leaves, start, leaves, table, types.float64, types.int64, table))
@@ -189,7 +190,8 @@ class Engine:
             raise ConfigError(f"rate_hz = {rate_hz}: must be a number from {1 / DT_MAX_S:g} to {1 / DT_MIN_S:g} Hz")
         self.dt = 1.0 / rate_hz
         begin_bodies(self.scene, self.dt)
-        self._start = flatten(start_state(self.scene))
+        self._begin = start_state(self.scene)
+        self._start = flatten(self._begin)
         self._state = self._start.copy()
         self._tick = 0
         self._make_buffers()
@@ -209,10 +211,14 @@ class Engine:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state from which a copy continues with the same bits: scene, contact, bodies of a [world]."""
-        return {name: vars(self)[name] for name in ("config", "scene", "fingers", "dt", "_start", "_state", "_tick")}
+        names = ("config", "scene", "fingers", "dt", "_begin", "_start", "_state", "_tick")
+        return {name: vars(self)[name] for name in names}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         vars(self).update(state)
+        start = flatten(self._begin)
+        is_address = start.view(np.int64) != self._start.view(np.int64)  # memory of the copy is at other addresses
+        self._start, self._state = start, np.where(is_address, start, self._state)
         self._make_buffers()
 
     def reset(self) -> None:
@@ -264,7 +270,7 @@ class Engine:
         wanted = {changes: value} if isinstance(changes, str) else changes
         config = overridden(self.config, wanted, "set")
         tree = build_scene(config, self.scene)
-        if numba.typeof(tree) != numba.typeof(self.scene):
+        if not same_model(tree, self.scene):
             raise ConfigError(f"set: {other_model(self.config, wanted)}: make another Engine")
         self._take(config, tree)
 
@@ -277,7 +283,7 @@ class Engine:
             If the scene has other parts than the compiled one.
         """
         tree = build_scene(scene, self.scene)
-        if numba.typeof(tree) != numba.typeof(self.scene):
+        if not same_model(tree, self.scene):
             raise ValueError("the new scene has other parts than the one compiled: make another engine")
         self._take(scene, tree)
 
@@ -366,7 +372,7 @@ class Engine:
     def _run(self, poses: Array, dt: float, records: Array) -> None:
         """Step with checked poses (n, fingers, 7), and fill `records` (n, fingers, RECORD_SIZE)."""
         if self._advance is None:
-            self._advance = compiled(self.scene)
+            self._advance = compiled(self.scene, self._begin)
         self._advance(None, self._values, None, self._state, poses, dt, self._tick, records)
         self._tick += len(poses)
         check_bodies(self.scene)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import singledispatch
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numba
+import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
@@ -16,20 +17,14 @@ from softfinger.proxy.bodies import bodies_of
 from softfinger.proxy.heightmaps import kernel_heightmap, read_heights
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.effects.forces import start_states
-from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.arrays import Mutable, ReadOnly
 from softfinger.proxy.kernels.jit.rows import Rows
+from softfinger.proxy.kernels.query.container import MEMORY
 from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
+from softfinger.proxy.many import many_objects
 from softfinger.proxy.meshes.prepared import Builder, tree_of
 from softfinger.proxy.record import FREE
 from softfinger.proxy.textures import kernel_texture
-
-ROWS_FROM: Final = 8
-"""Smallest number of objects of one type that share compiled code and a loop; fewer are compiled separately."""
-ROWS_OF_WORLD_FROM: Final = 2
-"""The same in a scene with simulated bodies, with a step that takes longer than any loop."""
-APART_MAX: Final = 24
-"""Largest number of separately compiled objects: each compiles for seconds, and with 32 numba's recursion never
-ends."""
 
 
 class Body(NamedTuple):
@@ -53,10 +48,12 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
     Raises
     ------
     ConfigError
-        If the file of a texture or a height map cannot be used, or more than APART_MAX objects cannot share their code.
+        If the file of a texture or a height map cannot be used.
     """
     materials, rigid = _materials(scene), bodies_of(scene, before)
-    bodies, riders = [], []
+    bodies = list[model.Object]()
+    carriers = list[model.Carrier]()
+    riders = list[float]()
     for number, (thing, material) in enumerate(zip(scene.object, materials, strict=True)):
         motion, effects = kernel_motion(thing.motion, rigid), kernel_effects(thing.effect)
         riders.append(motion.body if isinstance(motion, model.Simulated) else 0.0)
@@ -64,62 +61,44 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
         for part, (shape, position, orientation) in enumerate(shape_bodies(thing)):
             fixed = motion is None and texture is None
             shape, pose = _placed(shape, thing, position, orientation, fixed)
-            # The effects of an object with several walls act once.
-            own = effects if part == 0 else ()
+            if effects and part == 0:  # several walls of one object do together what the object does once
+                carriers.append(model.Carrier(float(len(bodies)), effects))
             made_of = material if isinstance(pose, model.Pose) else _facing(material, thing.orientation_wxyz)
-            bodies.append(model.Object(shape, pose, motion, made_of, float(number), own, texture=texture))
+            bodies.append(model.Object(shape, pose, motion, made_of, float(number), texture=texture))
+    fingers, rolling = tuple(_finger(each, scene.rolling) for each in scene.fingers), _rolling(scene)
     return model.Scene(
-        fingers=tuple(_finger(each, scene.rolling) for each in scene.fingers),
-        objects=_entries(bodies, ROWS_FROM if rigid is None else ROWS_OF_WORLD_FROM),
-        rolling=_rolling(scene),
+        fingers=fingers,
+        objects=many_objects(bodies, tuple(carriers), fingers, rolling)
+        if len(bodies) > 1 or rigid is not None
+        else model.Single(bodies[0], tuple(carriers)),
+        rolling=rolling,
         effects=kernel_effects(scene.effect),
         bodies=None if rigid is None else rigid.kernel(tuple(riders)),
     )
 
 
-def _entries(bodies: list[model.Object], rows_from: int) -> tuple[model.Object | Rows, ...]:
-    """Return the objects in the form for kernels: large groups of one type in rows, after the separate ones.
-
-    An object with its own motion, effects or a texture is separate, because the world and each finger store a state for
-    it. So is a mesh. The pose of an object attached to a body is the body's.
-    """
-    alike: dict[Any, list[model.Object]] = {}
-    for body in bodies:
-        rides = body.motion is None or isinstance(body.motion, model.Simulated)
-        if rides and not body.effects and body.texture is None and not isinstance(body.shape, model.Mesh):
-            alike.setdefault(_type(body), []).append(body)
-    many = [those for those in alike.values() if len(those) >= rows_from]
-    if len(many) == 1 and len(many[0]) == len(bodies):
-        many[0].pop(0)  # a tuple of one entry would be treated as one object with one contact
-    in_rows = {id(body) for those in many for body in those}
-    apart = [body for body in bodies if id(body) not in in_rows]
-    if len(apart) > APART_MAX:
-        raise ConfigError(
-            f"{len(apart)} walls and objects need compiled code of their own; at most {APART_MAX} can: those of "
-            f"one shape share it, from {rows_from} on, if they stand still or ride on a body, and have neither effects "
-            "nor a texture"
-        )
-    return (*apart, *map(Rows, many))
+def same_model(one: Any, other: Any) -> bool:
+    """Return whether two scenes have the same compiled code and, of many objects, room for as many."""
+    return bool(numba.typeof(one) == numba.typeof(other)) and _count(one) == _count(other)
 
 
-def _type(tree: Any) -> Any:
-    """Return the types of a tree, which determine the compiled code, without its numbers."""
-    return (type(tree), *map(_type, tree)) if isinstance(tree, tuple) else numba.typeof(tree)
+def _count(scene: model.Scene) -> float:
+    return scene.objects.size if isinstance(scene.objects, model.Many) else 1.0
 
 
 def other_model(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
     """Return a message that names the changes to a scene that require another compiled model."""
-    kind = numba.typeof(build_scene(scene))
-    alone = [key for key, value in changes.items() if _kind_with(scene, {key: value}) != kind]
+    built = build_scene(scene)
+    alone = [key for key, value in changes.items() if not _same_with(scene, built, {key: value})]
     return f"{', '.join(alone or changes)}: that is another model, to be compiled"
 
 
-def _kind_with(scene: schema.Scene, changes: Mapping[str, Any]) -> Any:
-    """Return the type of a scene with changes; None if they are not valid by themselves."""
+def _same_with(scene: schema.Scene, built: model.Scene, changes: Mapping[str, Any]) -> bool:
+    """Return whether a scene is the same model with changes; False if they are not usable without others."""
     try:
-        return numba.typeof(build_scene(overridden(scene, changes, "")))
+        return same_model(build_scene(overridden(scene, changes, "")), built)
     except ConfigError:
-        return None
+        return False
 
 
 def _finger(given: schema.FingerParts, rolling: schema.Rolling | None) -> model.Finger:
@@ -140,9 +119,7 @@ def _finger(given: schema.FingerParts, rolling: schema.Rolling | None) -> model.
 
 def start_state(scene: model.Scene) -> model.State:
     """Return the state before the first pose."""
-    bodies = [entry[0] if isinstance(entry, Rows) else entry for entry in scene.objects]  # rows have no effects
-    effects = (start_states(scene.effects), tuple(start_states(body.effects) for body in bodies))
-    alone = [None if isinstance(entry, Rows) or entry.motion is None else entry.pose for entry in scene.objects]
+    effects = (start_states(scene.effects), tuple(start_states(each.effects) for each in scene.objects.effects))
     finger = model.FingerState(
         started=0.0,
         probe=model.Probe(position=model.ZERO, orientation=(1.0, 0.0, 0.0, 0.0), velocity=model.ZERO),
@@ -153,15 +130,22 @@ def start_state(scene: model.Scene) -> model.State:
         stuck=0.0,
         effects=effects,
     )
-    poses = tuple(alone)
-    world = model.World(started=0.0, time=0.0, poses=poses, was=poses)
+    poses = _memory(scene.objects)
+    was = None if isinstance(scene.objects, model.Many) else poses
+    world = model.World(started=0.0, time=0.0, poses=poses, was=was)
     return model.State(world=world, fingers=(finger,) * len(scene.fingers))
 
 
-def patches_of(objects: tuple[model.Object, ...]) -> int:
+def _memory(objects: model.Single | model.Many) -> Any:
+    """Room for the poses of objects that can move."""
+    if isinstance(objects, model.Many):
+        return Mutable(np.zeros(MEMORY * int(objects.size)))
+    return None if objects.body.motion is None else objects.body.pose
+
+
+def patches_of(objects: model.Single | model.Many) -> int:
     """Return the largest number of contacts of a fingertip: 1 with one object that is not a mesh, otherwise 3."""
-    alone = len(objects) == 1 and not isinstance(objects[0].shape, model.Mesh)
-    return 1 if alone else 3
+    return 1 if isinstance(objects, model.Single) and not isinstance(objects.body.shape, model.Mesh) else 3
 
 
 def _placed(

@@ -86,7 +86,7 @@ def ask(like: Any, values: Array, points: Array, budget: int, found: Array) -> N
 
 def triangles_of(scene: schema.Scene) -> meshes.Mesh:
     """What is rendered, after mending."""
-    mesh: Triangles = build_scene(scene).objects[0].shape.row[0]
+    mesh: Triangles = build_scene(scene).objects.body.shape.row[0]
     return meshes.Mesh(mesh.vertices.array.reshape(-1, 3), mesh.corners.array.reshape(-1, 3))
 
 
@@ -107,7 +107,7 @@ def check_distances(scene: schema.Scene, balls: Balls, count: int, rng: np.rando
     """The largest difference from all triangles asked in turn, as a share of the mesh's size, where the search came to
     its end: it has room for so many at once, and thousands of needles that meet in a vertex are all as near. The same
     with the budget of a tick; and by how much a bound was above the distance where there was no end."""
-    mesh = build_scene(scene).objects[0].shape
+    mesh = build_scene(scene).objects.body.shape
     size = float(mesh.row[0].size)
     worst = {
         "points": 0,

@@ -40,7 +40,9 @@ KERNEL_STANDARD_LIBRARY = {
     "numba_internals.py": {"functools", "hashlib", "logging", "pathlib", "pickle", "secrets", "types"},
     "progress.py": {"contextlib"},
     "arrays.py": {"operator"},
-    "rows.py": {"operator"},
+    "rows.py": {"functools", "operator"},
+    "kernel_table.py": {"functools"},
+    "tuples.py": {"operator"},
     "outlined.py": {"functools"},
 }
 

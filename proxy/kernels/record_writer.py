@@ -3,7 +3,7 @@
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count
+from softfinger.proxy.kernels.jit.tuples import padded
 from softfinger.proxy.kernels.model import NO_OUTCOME, Contact, ContactOutcome, Quaternion, Vec3
 from softfinger.proxy.record import AT
 
@@ -57,23 +57,13 @@ def write_contact(
     row[AT.contact_budget] = contact.budget
 
 
-@by_count
-def write_each_contact(contacts: Any, row: Any) -> Any:
+@jit
+def write_each_contact(contacts: Any, row: Any) -> None:
     """Fill the fields of each contact in a record (RECORD_SIZE,)."""
-
-
-@write_each_contact.of(1)
-def write_the_only_contact(contacts: Any, row: Any) -> None:
-    write_outcome(row, AT.contacts0_object, contacts[0])
-    write_outcome(row, AT.contacts1_object, NO_OUTCOME)
-    write_outcome(row, AT.contacts2_object, NO_OUTCOME)
-
-
-@write_each_contact.of(2)
-def write_three_contacts(contacts: Any, row: Any) -> None:
-    write_outcome(row, AT.contacts0_object, contacts[0])
-    write_outcome(row, AT.contacts1_object, contacts[1])
-    write_outcome(row, AT.contacts2_object, contacts[2])
+    one, two, three = padded(contacts, NO_OUTCOME, 3)
+    write_outcome(row, AT.contacts0_object, one)
+    write_outcome(row, AT.contacts1_object, two)
+    write_outcome(row, AT.contacts2_object, three)
 
 
 @jit

@@ -5,7 +5,13 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.contact_friction import ProbeMotion, apply_friction, ground_at, load_on
+from softfinger.proxy.kernels.contact.contact_friction import (
+    ProbeMotion,
+    apply_friction,
+    ground_at,
+    load_on,
+    rough_ground_at,
+)
 from softfinger.proxy.kernels.contact.continuation import detect_or_continue
 from softfinger.proxy.kernels.contact.detection import STUCK_TICKS, is_clear
 from softfinger.proxy.kernels.contact.effects import effects_of_tick
@@ -20,10 +26,10 @@ from softfinger.proxy.kernels.contact.several_contacts import (
 )
 from softfinger.proxy.kernels.contact.several_outcome import outcome_of_several
 from softfinger.proxy.kernels.contact.several_rest import settle_after_friction
-from softfinger.proxy.kernels.contact.texture import with_texture_friction
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type_of
+from softfinger.proxy.kernels.jit.dispatch import by_type_of
 from softfinger.proxy.kernels.jit.outlined import outlined_where
+from softfinger.proxy.kernels.jit.tuples import map_each, unzip
 from softfinger.proxy.kernels.model import (
     NONE,
     Bodies,
@@ -39,7 +45,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.bodies import NO_FAULT, SUBSTEPS, faulty, push_bodies, step_bodies
-from softfinger.proxy.kernels.query.kinds import moves_by_itself
+from softfinger.proxy.kernels.query.kinds import ONE_PATCH, SEVERAL_PATCHES, by_patches, moves_by_itself
 from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 
@@ -60,8 +66,8 @@ def step(scene: Scene, state: State, poses: Any, dt: float) -> Any:
 def step_once(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     """Compute one contact step of all fingers, with all objects at their new poses."""
     world = advance(scene.objects, state.world, dt)
-    objects = place_all(scene.objects, world.poses, world.was)
-    fingers, contacts = step_fingers(scene.fingers, scene, objects, state.fingers, poses, dt)
+    objects = place_all(scene.objects, world)
+    fingers, contacts = unzip(map_each(step_finger, (scene.fingers, state.fingers, poses), scene, objects, dt))
     return State(world=world, fingers=fingers), contacts
 
 
@@ -76,11 +82,11 @@ def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
         return let_go(scene, state.world, state.fingers, poses, dt)
     count = bodies.block[SUBSTEPS]
     begin = state.fingers
-    state, contacts = step_once(scene, state, on_the_way(begin, poses, 1.0 / count), dt / count)
+    state, contacts = step_once(scene, state, map_each(on_the_way, (begin, poses), 1.0 / count), dt / count)
     push_bodies(bodies, contacts, state.fingers)
     for i in range(1, count):
         if step_bodies(bodies) == NO_FAULT:
-            there = on_the_way(begin, poses, (i + 1.0) / count)
+            there = map_each(on_the_way, (begin, poses), (i + 1.0) / count)
             state, contacts = step_once(scene, state, there, dt / count)
             push_bodies(bodies, contacts, state.fingers)
     if faulty(bodies):
@@ -91,83 +97,42 @@ def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
 @jit
 def let_go(scene: Scene, world: World, fingers: Any, poses: Any, dt: float) -> Any:
     """Return State and Contacts for an unchanged world without contact; `fingers` are the states before the tick."""
-    states, contacts = release_fingers(scene.fingers, fingers, poses, dt)
+    states, contacts = unzip(map_each(release_finger, (scene.fingers, fingers, poses), dt))
     return State(world=world, fingers=states), contacts
 
 
-@by_count
-def release_fingers(fingers: Any, states: Any, poses: Any, dt: float) -> Any:
-    """Return a tuple of FingerState and one of Contact for fingers without contact and force."""
-
-
-@release_fingers.of(1)
-def release_one_finger(fingers: Any, states: Any, poses: Any, dt: float) -> Any:
-    state, pose = states[0], poses[0]
-    velocity = filter_velocity(state, pose.position, dt, fingers[0].velocity_time_constant)
+@jit
+def release_finger(finger: Finger, state: FingerState, pose: Pose, dt: float) -> tuple[FingerState, Contact]:
+    """Return FingerState and Contact of a finger without contact and without effects."""
+    velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
-    return (remember_free(state, probe, state.effects, True),), (report_free(state, probe, (0.0, 0.0, 0.0), 0.0),)
+    return remember_free(state, probe, state.effects, True), report_free(state, probe, (0.0, 0.0, 0.0), 0.0)
 
 
-@release_fingers.of(2)
-def release_several_fingers(fingers: Any, states: Any, poses: Any, dt: float) -> Any:
-    state, contact = release_fingers(fingers[:1], states[:1], poses[:1], dt)
-    others, contacts = release_fingers(fingers[1:], states[1:], poses[1:], dt)
-    return state + others, contact + contacts
+@jit
+def on_the_way(state: FingerState, pose: Pose, share: float) -> Pose:
+    """Return the pose at the fraction `share` of the path from the last pose to the given one.
 
-
-@by_count
-def on_the_way(fingers: Any, poses: Any, share: float) -> Any:
-    """Return the poses at the fraction `share` of the path from the last poses to the given ones.
-
-    fingers  a FingerState for each finger; before its first pose, a finger is at the given pose
+    Before its first pose, a finger is at the given pose.
     """
-
-
-@on_the_way.of(1)
-def one_on_its_way(fingers: Any, poses: Any, share: float) -> Any:
-    probe, pose = fingers[0].probe, poses[0]
-    if share == 1.0 or fingers[0].started == 0.0:
-        return (pose,)
+    probe = state.probe
+    if share == 1.0 or state.started == 0.0:
+        return pose
     way = vec3.sub(pose.position, probe.position)
     turn = rotations.log(rotations.relative(pose.orientation, probe.orientation))
     turned = rotations.multiply(rotations.exp(vec3.scale(share, turn)), probe.orientation)
-    return (Pose(vec3.add_scaled(probe.position, share, way), turned),)
-
-
-@on_the_way.of(2)
-def several_on_their_way(fingers: Any, poses: Any, share: float) -> Any:
-    # numba can concatenate tuples of known types, but cannot unpack one inside another.
-    return one_on_its_way(fingers[:1], poses[:1], share) + on_the_way(fingers[1:], poses[1:], share)
-
-
-@by_count
-def step_fingers(fingers: Any, scene: Scene, objects: Any, states: Any, poses: Any, dt: float) -> Any:
-    """Call `step_finger` for each finger; return a tuple of FingerState and one of Contact."""
-
-
-@step_fingers.of(1)
-def step_the_only_finger(fingers: Any, scene: Scene, objects: Any, states: Any, poses: Any, dt: float) -> Any:
-    state, contact = step_finger(scene, fingers[0], objects, states[0], poses[0], dt)
-    return (state,), (contact,)
-
-
-@step_fingers.of(2)
-def step_several_fingers(fingers: Any, scene: Scene, objects: Any, states: Any, poses: Any, dt: float) -> Any:
-    state, contact = step_finger(scene, fingers[0], objects, states[0], poses[0], dt)
-    others, contacts = step_fingers(fingers[1:], scene, objects, states[1:], poses[1:], dt)
-    # numba can concatenate tuples of known types, but cannot unpack one inside another.
-    return (state,) + others, (contact,) + contacts  # noqa: RUF005
+    return Pose(vec3.add_scaled(probe.position, share, way), turned)
 
 
 @outlined_where(moves_by_itself)
 def step_finger(
-    scene: Scene, finger: Finger, objects: Any, state: FingerState, pose: Pose, dt: float
+    finger: Finger, state: FingerState, pose: Pose, scene: Scene, objects: Any, dt: float
 ) -> tuple[FingerState, Contact]:
     """Compute the contact of one finger in the advanced world; `objects` are those of `place_all`."""
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
     seen = seen_by(finger.form, finger.radius, objects, pose.orientation)
-    return update_contact(state.contacts, seen, scene, finger, state, probe, dt)
+    return update_contact(seen, scene, finger, state, probe, dt)
 
 
 @jit
@@ -180,25 +145,23 @@ def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant
     return vec3.add_scaled(vec3.faded(time_constant * gain, state.probe.velocity), gain, moved)
 
 
-@by_count
-def update_contact(
-    contacts: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
-) -> Any:
+@by_patches
+def update_contact(objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float) -> Any:
     """Return the finger's FingerState and Contact.
 
     A scene of one object has one contact, and its proxy follows the slip on that object.
     """
 
 
-@update_contact.of(1)
+@update_contact.of(ONE_PATCH)
 def contact_with_one_object(
-    contacts: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+    objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     shapes, motion = all_bare(objects), ProbeMotion(probe, state.probe, dt)
     state, approach = detect_or_continue(scene, finger, shapes, state, probe, dt)
     if approach.active[0].body < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
-    ground = ground_at(with_texture_friction(objects, approach.active, approach.center), 0.0)
+    ground = rough_ground_at(objects, 0.0, approach.active, approach.center)
     forces = apply_friction(finger, objects, ground, approach.predicted[0], 1.0, motion)
     landing = land_on_one(finger, shapes, approach, forces, probe.position)
     load = load_on(finger, objects, ground, landing.active[0], motion, approach.began)
@@ -207,9 +170,9 @@ def contact_with_one_object(
     return remember(probe, outcome), report(finger, probe, outcome)
 
 
-@update_contact.of(2)
+@update_contact.of(SEVERAL_PATCHES)
 def contact_with_several_objects(
-    contacts: Any, objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+    objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     shapes, motion = all_bare(objects), ProbeMotion(probe, state.probe, dt)
     if state.stuck >= STUCK_TICKS and is_clear(shapes, finger.radius, probe.position):

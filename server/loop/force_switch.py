@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.server.loop.guard import Guard, GuardState
 from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
@@ -64,37 +63,10 @@ def apply_switch(guard: Guard, guard_state: GuardState, on: bool) -> Guard:
     )
 
 
-@by_count
-def apply_switch_to_all(guards: Any, hands: Any, on: bool) -> Any:
-    """Return `apply_switch` of each guard, for the last wrenches of the FingerMemories `hands`."""
-
-
-@apply_switch_to_all.of(1)
-def apply_switch_to_one(guards: Any, hands: Any, on: bool) -> Any:
-    return (apply_switch(guards[0], hands[0].guard_state, on),)
-
-
-@apply_switch_to_all.of(2)
-def apply_switch_to_several(guards: Any, hands: Any, on: bool) -> Any:
-    return apply_switch_to_all(guards[:1], hands[:1], on) + apply_switch_to_all(guards[1:], hands[1:], on)
-
-
-@by_count
-def all_zero(hands: Any) -> Any:
-    """Return whether no hand was given a wrench."""
-
-
-@all_zero.of(1)
-def one_zero(hands: Any) -> bool:
-    return is_zero(hands[0].guard_state)
-
-
-@all_zero.of(2)
-def several_zero(hands: Any) -> bool:
-    return is_zero(hands[0].guard_state) and all_zero(hands[1:])
-
-
 @jit
 def store_active(switch: NDArray[np.int64], hands: Any, on: bool) -> None:
     """Write IS_ACTIVE after a tick."""
-    store_release(switch, IS_ACTIVE, 0 if not on and all_zero(hands) else 1)
+    is_active = on
+    for hand in hands:
+        is_active |= not is_zero(hand.guard_state)
+    store_release(switch, IS_ACTIVE, 1 if is_active else 0)

@@ -9,7 +9,8 @@ fingertip's centre.
 from typing import Any, Final, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import Bodies, Contact, ContactOutcome, FingerState, Pose, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import log, relative, rotate
@@ -86,23 +87,7 @@ def no_reactions_on(bodies: None, contact: Contact, given: GuardState, center: V
 @reactions_on.of(Bodies)
 def reactions_on_bodies(bodies: Bodies, contact: Contact, given: GuardState, center: Vec3) -> Any:
     force_share, torque_share = received_share(contact.force, given.force), received_share(contact.torque, given.torque)
-    return reactions(contact.contacts, bodies, force_share, torque_share, center)
-
-
-@by_count
-def reactions(outcomes: Any, bodies: Bodies, force_share: float, torque_share: float, center: Vec3) -> Any:
-    """Return a Reaction for each ContactOutcome."""
-
-
-@reactions.of(1)
-def one_reaction(outcomes: Any, bodies: Bodies, force_share: float, torque_share: float, center: Vec3) -> Any:
-    return (reaction(outcomes[0], bodies, force_share, torque_share, center),)
-
-
-@reactions.of(2)
-def several_reactions(outcomes: Any, bodies: Bodies, force_share: float, torque_share: float, center: Vec3) -> Any:
-    first = reactions(outcomes[:1], bodies, force_share, torque_share, center)
-    return first + reactions(outcomes[1:], bodies, force_share, torque_share, center)
+    return map_each(reaction, (contact.contacts,), bodies, force_share, torque_share, center)
 
 
 @jit

@@ -17,22 +17,21 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.pack import unpack
 from softfinger.proxy.kernels.jit.seqlock import Slot, refresh
+from softfinger.proxy.kernels.jit.tuples import field_of_each, map_each, unzip
 from softfinger.server.loop.all_devices import (
     DeviceBuffers,
     Io,
     Stamp,
     first_ended,
     guarded_bits,
-    read_all,
-    records_of,
-    samples_of,
-    stamp_all,
-    write_all,
-    write_zeros,
+    read_one,
+    stamp_one,
+    write_one,
+    write_zero_to,
 )
 from softfinger.server.loop.bodies import move_bodies
 from softfinger.server.loop.clock import NS_PER_S, Pace, first_pace, next_pace, now_ns, sleep_until, with_suspension
-from softfinger.server.loop.force_switch import apply_switch_to_all, is_on, store_active
+from softfinger.server.loop.force_switch import apply_switch, is_on, store_active
 from softfinger.server.loop.health import HEALTHY, examine
 from softfinger.server.loop.inputs.ramp import ParameterRamp, advance, set_now, set_target
 from softfinger.server.loop.shared.ring import Ring, push
@@ -138,6 +137,7 @@ def servo_loop(
     Ticks and missed deadlines continue from `shared`. In any case, the last write to every device is zero.
     """
     timespec, buffers = scratch.timespec, scratch.buffers
+    samples, records = field_of_each(buffers, "sample"), field_of_each(buffers, "record")
     version = refresh(shared.tuning, -1, scratch.values)
     set_now(scratch.ramp, scratch.values)
     tuning, memory, health = unpack(tuning_like, scratch.ramp.now), start, HEALTHY
@@ -155,17 +155,21 @@ def servo_loop(
         dt = nominal if schedule.own_clock else pace.dt
 
         version, tuning = update_parameters(shared.tuning, version, scratch.values, scratch.ramp, tuning)
-        befores, statuses = read_all(ios, buffers, tuning.guards, tuning.offsets, start.fingers, memory.fingers, dt)
+        befores, statuses = unzip(
+            map_each(read_one, (ios, buffers, tuning.guards, tuning.offsets, start.fingers, memory.fingers), dt)
+        )
         index, status = first_ended(statuses)
         if index >= 0:
             ending, finger = FINISHED if status == END else READ_FAILED, index
             break
         memory = Memory(memory.world, befores)
         on = is_on(shared.switch, woke)
-        guards = apply_switch_to_all(tuning.guards, befores, on)
+        guards = map_each(apply_switch, (tuning.guards, field_of_each(befores, "guard_state")), on)
         now = Tuning(tuning.scene, guards, tuning.passivity, tuning.tools, tuning.offsets)
-        memory = tick(now, start, memory, samples_of(buffers), dt, nominal, number, records_of(buffers))
-        hands, statuses_out = write_all(ios, buffers, tuning.tools, start.fingers, befores, memory.fingers)
+        memory = tick(now, start, memory, samples, dt, nominal, number, records)
+        hands, statuses_out = unzip(
+            map_each(write_one, (ios, buffers, tuning.tools, start.fingers, befores, memory.fingers))
+        )
         wrote = now_ns(timespec)
         move_bodies(tuning.scene.bodies, number, wrote, shared.motion, scratch.motion, timespec)
         index, status_out = first_ended(statuses_out)
@@ -176,7 +180,7 @@ def servo_loop(
         store_active(shared.switch, hands, on)
 
         stamp = make_stamp(schedule, pace, woke, wrote, busy)
-        stamp_all(buffers, stamp, statuses, statuses_out)
+        map_each(stamp_one, (buffers, statuses, statuses_out), stamp)
         number += 1
         publish_record(shared, scratch.row, number)
 
@@ -191,5 +195,5 @@ def servo_loop(
             store_release(shared.progress, 2, int(health.late > 0.5 * health.lost))
             break
 
-    write_zeros(ios, buffers)
+    map_each(write_zero_to, (ios, buffers))
     return ending, status, finger

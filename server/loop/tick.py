@@ -8,9 +8,8 @@ from typing import Any, Final, NamedTuple
 
 from softfinger.proxy.kernels.contact.outcome import report_free
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count
-from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import FingerState, Pose, Probe, Scene, State, World
+from softfinger.proxy.kernels.jit.tuples import map_each, replace, unzip
+from softfinger.proxy.kernels.model import Contact, FingerState, Pose, Probe, Scene, State, World
 from softfinger.proxy.kernels.numerics.rotations import as_unit
 from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, tip_of
 from softfinger.proxy.kernels.numerics.vec3 import norm
@@ -69,11 +68,9 @@ class Memory(NamedTuple):
 
 
 class Output(NamedTuple):
-    """Stages of each finger's output: guards and tools, one per finger, and the passivity and bodies shared by all."""
+    """Stages of the output that all fingers share."""
 
-    guards: Any
     passivity: Any
-    tools: Any
     bodies: Any
 
 
@@ -169,41 +166,33 @@ def with_start_probe(world: World, finger: FingerState, pose: Pose) -> Any:
     return replace(finger, "probe", probe)
 
 
-@by_count
-def read_poses(hands: Any, tools: Any, world: World, samples: Any) -> Any:
-    """Return the states and the poses of the fingers before the step, a tuple each."""
+@jit
+def read_pose(hand: FingerMemory, tool: Any, sample: Any, world: World) -> tuple[FingerState, Pose]:
+    """Return the state and the pose of a finger before the step."""
+    finger = hand.contact
+    pose = pose_of(tool, finger.probe, sample)
+    return with_start_probe(world, finger, pose), pose
 
 
-@read_poses.of(1)
-def read_one_pose(hands: Any, tools: Any, world: World, samples: Any) -> Any:
-    finger = hands[0].contact
-    pose = pose_of(tools[0], finger.probe, samples[0])
-    return (with_start_probe(world, finger, pose),), (pose,)
+@jit
+def pair(one: Any, other: Any) -> Any:
+    return one, other
 
 
-@read_poses.of(2)
-def read_several_poses(hands: Any, tools: Any, world: World, samples: Any) -> Any:
-    finger, pose = read_poses(hands[:1], tools[:1], world, samples[:1])
-    fingers, poses = read_poses(hands[1:], tools[1:], world, samples[1:])
-    return finger + fingers, pose + poses
-
-
-@by_count
-def command(hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any) -> Any:
-    """Return the FingerMemories after the step, with the wrenches to be commanded, one for each finger.
-
-    stepped  FingerStates and Contacts, a tuple each
-    """
-
-
-@command.of(1)
-def command_one(
-    hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any
-) -> Any:
-    hand, start, record, state, contact = hands[0], starts[0], records[0], stepped[0][0], stepped[1][0]
-    guard, tool = output.guards[0], output.tools[0]
-    before = hand.contact
-    if has_pose(samples[0]):
+@jit
+def command(
+    hand: FingerMemory,
+    start: FingerMemory,
+    sample: Any,
+    stepped: tuple[FingerState, Contact],
+    guard_and_tool: tuple[Guard, Any],
+    record: Any,
+    output: Output,
+    instant: Instant,
+) -> FingerMemory:
+    """Return the FingerMemory of a finger after the step, with the wrench to be commanded."""
+    (state, contact), (guard, tool), before = stepped, guard_and_tool, hand.contact
+    if has_pose(sample):
         position, orientation = state.probe.position, state.probe.orientation
         now = Pose(position, orientation)
         last = Pose(before.probe.position, before.probe.orientation) if before.started != 0.0 else now
@@ -240,19 +229,7 @@ def command_one(
         displayed.force, about_tip(tool, orientation, displayed.force, displayed.torque), displayed.gain
     )
     reactions = reactions_of(output.passivity, output.bodies, hand.reactions, contact, displayed_at_tip, position)
-    return (FingerMemory(state, guard_state, energy, limit_state, reactions),)
-
-
-@command.of(2)
-def command_several(
-    hands: Any, starts: Any, samples: Any, stepped: Any, output: Output, instant: Instant, records: Any
-) -> Any:
-    first = (stepped[0][:1], stepped[1][:1])
-    others = (stepped[0][1:], stepped[1][1:])
-    own = Output(output.guards[:1], output.passivity, output.tools[:1], output.bodies)
-    rest = Output(output.guards[1:], output.passivity, output.tools[1:], output.bodies)
-    hand = command(hands[:1], starts[:1], samples[:1], first, own, instant, records[:1])
-    return hand + command(hands[1:], starts[1:], samples[1:], others, rest, instant, records[1:])
+    return FingerMemory(state, guard_state, energy, limit_state, reactions)
 
 
 @jit
@@ -270,11 +247,13 @@ def tick(
     A sample without a usable pose ends that finger's contact: zero force, its state as at the `start`, and a new ramp.
     The world and the other fingers continue.
     """
-    fingers, poses = read_poses(memory.fingers, tuning.tools, memory.world, samples)
+    fingers, poses = unzip(map_each(read_pose, (memory.fingers, tuning.tools, samples), memory.world))
     state, contacts = step(tuning.scene, State(memory.world, fingers), poses, dt)
-    hands = command(
-        memory.fingers, start.fingers, samples, (state.fingers, contacts),
-        Output(tuning.guards, tuning.passivity, tuning.tools, tuning.scene.bodies),
-        Instant(number, dt, period), records,
-    )  # fmt: skip
+    stepped = map_each(pair, (state.fingers, contacts))
+    hands = map_each(
+        command,
+        (memory.fingers, start.fingers, samples, stepped, map_each(pair, (tuning.guards, tuning.tools)), records),
+        Output(tuning.passivity, tuning.scene.bodies),
+        Instant(number, dt, period),
+    )
     return Memory(state.world, hands)

@@ -13,6 +13,7 @@ import numba
 from softfinger.config import schema
 from softfinger.drivers.base import DeviceInfo
 from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics.tool import make_tool
 from softfinger.proxy.scene import build_scene
@@ -156,4 +157,6 @@ def has_same_structure(a: Any, b: Any) -> bool:
         return type(a) is type(b) and len(a) == len(b) and all(map(has_same_structure, a, b))
     if isinstance(a, float):
         return isinstance(b, float)
+    if isinstance(a, Rows) and (not isinstance(b, Rows) or len(a) != len(b)):
+        return False
     return b is None if a is None else bool(numba.typeof(a) == numba.typeof(b))

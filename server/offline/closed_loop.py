@@ -18,15 +18,14 @@ from numpy.typing import NDArray
 from softfinger.drivers.simulated.options import Simulation
 from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, Plant, PlantInputs, PlantState, advance, goal_at, sense
 from softfinger.proxy.bodies import begin_bodies, check_bodies
-from softfinger.proxy.kernels.fingers import rows_of
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry, jit
-from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
+from softfinger.proxy.kernels.jit.tuples import map_each, rows_of
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S, period_ns
-from softfinger.server.loop.tick import Memory, Tuning, begin, tick
+from softfinger.server.loop.tick import FingerMemory, Memory, Tuning, begin, tick
 from softfinger.server.progress import CHUNK, progress
 
 Array = NDArray[np.float64]
@@ -130,38 +129,19 @@ class DrivenPlant(NamedTuple):
     drive: PlantInputs
 
 
-@by_count
-def sense_all(hands: Any, states: Any) -> Any:
-    """Return the sensed pose of each device as a tuple of seven."""
+@jit
+def sense_device(hand: DrivenPlant, state: Any) -> Any:
+    """Return the sensed pose of a device as a tuple of seven."""
+    x, q = sense(hand.plant, state), state.orientation
+    return x[0], x[1], x[2], q[0], q[1], q[2], q[3]
 
 
-@sense_all.of(1)
-def sense_one(hands: Any, states: Any) -> Any:
-    x, q = sense(hands[0].plant, states[0]), states[0].orientation
-    return ((x[0], x[1], x[2], q[0], q[1], q[2], q[3]),)
-
-
-@sense_all.of(2)
-def sense_several(hands: Any, states: Any) -> Any:
-    return sense_all(hands[:1], states[:1]) + sense_all(hands[1:], states[1:])
-
-
-@by_count
-def advance_all(hands: Any, states: Any, fingers: Any, tick_number: int) -> Any:
-    """Return the states of all devices at a tick under the wrenches in `fingers`, a FingerMemory of each."""
-
-
-@advance_all.of(1)
-def advance_one(hands: Any, states: Any, fingers: Any, tick_number: int) -> Any:
-    plant, drive = hands[0].plant, hands[0].drive
+@jit
+def advance_device(hand: DrivenPlant, state: Any, finger: FingerMemory, tick_number: int) -> Any:
+    """Return the state of a device at a tick under the wrench of its FingerMemory."""
+    plant, drive = hand.plant, hand.drive
     goal, orientation = goal_at(drive.intention, drive.poses, tick_number)
-    return (advance(plant, states[0], fingers[0].guard_state.force, goal, orientation, drive.line),)
-
-
-@advance_all.of(2)
-def advance_several(hands: Any, states: Any, fingers: Any, tick_number: int) -> Any:
-    first = advance_all(hands[:1], states[:1], fingers[:1], tick_number)
-    return first + advance_all(hands[1:], states[1:], fingers[1:], tick_number)
+    return advance(plant, state, finger.guard_state.force, goal, orientation, drive.line)
 
 
 @entry
@@ -187,10 +167,10 @@ def record_ticks(
     states = unpack(states_packed.like, states_packed.values)
     for i in range(records.shape[0]):
         rows = rows_of(memory.fingers, records[i], 0)
-        memory = tick(tuning, start, memory, sense_all(hands, states), dt, dt, first + i, rows)
+        memory = tick(tuning, start, memory, map_each(sense_device, (hands, states)), dt, dt, first + i, rows)
         step_bodies(tuning.scene.bodies)
         records[i, :, 0] = (first + i) * dt
-        states = advance_all(hands, states, memory.fingers, first + i + 1)
+        states = map_each(advance_device, (hands, states, memory.fingers), first + i + 1)
     pack(memory_packed.values, memory)
     pack(states_packed.values, states)
 

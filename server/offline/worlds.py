@@ -3,20 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
 
-from softfinger.config.schema import Mesh, Servo, World
-
-if TYPE_CHECKING:
-    from softfinger.config.mjcf_geoms import Taken
-
-COMPILE_BASE_AND_PER_GEOM_S: Final = (31.0, 7.0)
-"""Compile time of a scene with bodies, and for each kind of touched geom, CPU seconds.
-
-Measured with 2, 4 and 8 free bodies of five kinds, friction and rolling, on a busy machine.
-"""
-LONG_S: Final = 90.0
-"""Estimated compile time from which the summary mentions it."""
+from softfinger.config.schema import Servo, World
 
 
 def world_rows(world: World) -> list[tuple[str, str]]:
@@ -30,10 +18,6 @@ def world_rows(world: World) -> list[tuple[str, str]]:
     rows.append(("  timestep", _timestep(world, float(compiled(world.model, world.root).model.opt.timestep))))
     if world.keyframe is not None:
         rows.append(("  keyframe", world.keyframe))
-    compiling = COMPILE_BASE_AND_PER_GEOM_S[0] + COMPILE_BASE_AND_PER_GEOM_S[1] * _compiled(geoms)
-    if compiling >= LONG_S:
-        few = "to touch fewer meshes give only these a material, by [[world.geom]]"
-        rows.append(("  compiling", f"some {round(compiling, -1):g} s at the first start; {few}"))
     return rows + [(f"  geom '{geom.name}'", geom.note) for geom in geoms if geom.note]
 
 
@@ -52,10 +36,3 @@ def _timestep(world: World, own: float) -> str:
     if own < 0.999 * step:
         text += f": substeps = {math.ceil(step * world.substeps / own - 1e-3)} would keep to it"
     return text
-
-
-def _compiled(geoms: list[Taken]) -> int:
-    """Return the number of separately compiled geoms: geoms of a kind share code, each mesh has separate code."""
-    objects = [geom.object for geom in geoms if geom.object is not None]
-    meshes = sum(isinstance(each, Mesh) for each in objects)
-    return meshes + len({(each.shape, each.motion is None) for each in objects if not isinstance(each, Mesh)})

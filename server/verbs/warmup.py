@@ -16,6 +16,7 @@ from softfinger.config.load import load_scene
 from softfinger.config.sources import shipped
 from softfinger.proxy.engine import compiled
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
+from softfinger.proxy.scene import start_state
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.progress import report_compilation
 from softfinger.server.services.compilation import compile_loop
@@ -45,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         with report_compilation(f"kernels for {name}"):
             tuning = compile_loop(scene)
             simulate(tuning, np.array([[[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]] * len(scene.fingers)]), RATE_HZ)
-            compiled(tuning.scene)
+            compiled(tuning.scene, start_state(tuning.scene))
         print(f"{name}: ready after {time.monotonic() - start_s:.1f} s")
     Relay(1).close()
     if (problem := KEPT.problem()) is not None:

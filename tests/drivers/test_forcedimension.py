@@ -400,7 +400,7 @@ def test_a_user_without_a_home_is_told_the_other_places(monkeypatch: pytest.Monk
     """Of the library and of a file with ~: neither is there, and nothing else is wrong."""
     forget_user(monkeypatch)
     for named in (None, "~/libdrd.so"):
-        with pytest.raises(DeviceNotFound, match=r"looked for /usr/local/lib|'~/libdrd.so': there is no such file"):
+        with pytest.raises(DeviceNotFound, match=r"searched for /usr/local/lib|'~/libdrd.so': there is no such file"):
             library.load(named, {})
 
 

@@ -26,6 +26,7 @@ from softfinger.proxy.kernels.fingers import poses_in
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.jit.pack import unpack
 from softfinger.proxy.kernels.query.bodies import NO_FAULT, SLOW, SLOW_STEPS, keep_to_budget, step_bodies
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.objects import NOBODY, closest_on, closest_to_within, deepest
 from softfinger.proxy.kernels.query.world import advance, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
@@ -292,16 +293,17 @@ def test_geoms_are_touched_where_mujoco_has_them(tmp_path: Path) -> None:
     engine.data.qvel[:] = [0.3, -0.2, 0.1, 2.0, 3.0, -1.0]
     engine.run([[0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0]] * 50)
     world = advance(engine.scene.objects, start_state(engine.scene).world, 1e-3)
-    objects = place_all(engine.scene.objects, world.poses, world.was)
+    objects = place_all(engine.scene.objects, world)
     random = np.random.default_rng(1)
-    for thing, placed in zip(engine.config.object, objects, strict=True):
+    for row, thing in enumerate(engine.config.object):
+        placed = object_at(objects, float(row))
         geom = engine.model.geom(thing.name).id
         for _ in range(20):
             x = engine.data.geom_xpos[geom] + random.uniform(-0.1, 0.1, 3)
             engine.data.mocap_pos[0] = x
             mujoco.mj_kinematics(engine.model, engine.data)
             theirs = mujoco.mj_geomDistance(engine.model, engine.data, geom, engine.model.geom("point").id, 1.0, None)
-            ours = closest_on(placed, tuple(x))[0]
+            ours = closest_on(placed.shape, placed.pose, tuple(x))[0]
             # MuJoCo searches ellipsoids and cylinders to its tolerance of 1e-6 m; inside it measures another distance
             if theirs > 0.0:
                 assert ours - 0.001 == pytest.approx(theirs, abs=2e-6), thing.name
@@ -323,7 +325,7 @@ def test_a_mesh_is_touched_where_mujoco_has_it(free: bool, tmp_path: Path) -> No
     )
     engine = Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
     world = advance(engine.scene.objects, start_state(engine.scene).world, 1e-3)
-    placed = place_all(engine.scene.objects, world.poses, world.was)
+    placed = place_all(engine.scene.objects, world)
     theirs = engine.model.mesh_vert @ engine.data.geom_xmat[0].reshape(3, 3).T + engine.data.geom_xpos[0]
     for vertex in theirs[::5]:
         x = tuple(vertex.tolist())
@@ -361,8 +363,8 @@ BOMB = (
     '<!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;">]><mujoco model="&c;"/>'
 )
 HOSTILE = {
-    "nothing": ("", "no XML"),
-    "no XML": ("<mujoco", "no XML"),
+    "nothing": ("", "no well-formed XML"),
+    "no XML": ("<mujoco", "no well-formed XML"),
     "another root": ("<robots/>", "robots"),
     "an entity that grows": (BOMB, "declares entities"),
     "an unknown element": ("<mujoco><wheel/></mujoco>", "wheel"),

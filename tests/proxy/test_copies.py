@@ -27,7 +27,8 @@ def test_a_copy_continues(scene: str, duplicate: Callable[[Engine], Engine]) -> 
     for x in (0.002, 0.003):
         pose: Any = [x, 0.0, 0.009], POSE[1]
         np.testing.assert_array_equal(other.step(*pose).record, engine.step(*pose).record)
-    before = engine._state.copy()
+    before, third = engine._state.copy(), duplicate(engine)
     other.reset()
     other.step(*POSE)
     np.testing.assert_array_equal(engine._state, before)
+    np.testing.assert_array_equal(engine.step(*POSE).record, third.step(*POSE).record)

@@ -48,17 +48,15 @@ STAND_INS = {
     "contact.rolling.on_objects.follows_on",
     "contact.rolling.on_objects.roll_on",
     "shapes.composite.not_shaded",
-    "effects.forces.apply_none",
-    "effects.objects.effects_of_none",
-    "effects.objects.effects_of_one",
+    "effects.forces.apply_effects",
+    "effects.objects.apply_objects_effects",
     "query.motion.pose_at_rest",
     "friction.torsion.damped_nothing",
+    "query.motion.cannot_move",
     "query.motion.no_moving_pose",
     "query.motion.not_carried",
     "shapes.protocol.never_hollow",
-    "shapes.composite.count_one",
     "shapes.composite.gap_of_it",
-    "shapes.composite.is_that_one",
     "shapes.protocol.meets_shape",
     "shapes.composite.raised_not_at_all",
     "shapes.composite.shape_itself",
@@ -68,10 +66,8 @@ STAND_INS = {
     "shapes.plane.closest_on_plane",
     "shapes.plane.transport_on_plane",
     "shapes.plane.travel_to_plane",
-    "contact.texture.with_texture_friction",
-    "contact.texture.with_texture_friction_on_one",
     "contact.texture.friction_without_texture",
-    "contact.texture.texture_depth_on_the_only_one",
+    "contact.texture.texture_depth_on",
     "contact.texture.depth_without_texture",
 }
 """All that a bare plane compiles of the modules below: the kernels for a part that is not there, and the plane's."""
@@ -114,7 +110,7 @@ ADDED = {
     ("bare", "effect"): {"effects.forces"},
     ("bare", "motion"): {"query.motion"},
     ("bare", "texture"): {"contact.texture", "shapes.charts"},
-    ("bare", "second object"): {"contact.rest.active_set", "contact.rest.among", "shapes.round"},
+    ("bare", "second object"): {"contact.rest.active_set", "shapes.any_shape"},
 }
 """Scenes that differ by one part, and modules of which the one without it must have less."""
 
@@ -223,8 +219,9 @@ found = {name: report(compile_step(build_scene(scene(name)))) for name in %r}
 """
 
 USE = """
+from softfinger.proxy.kernels.model import Single
 bare = build_scene(scene("bare"))
-found["new"] = report(compile_step(bare._replace(objects=(bare.objects[0]._replace(shape=Step(0.0)),))))
+found["new"] = report(compile_step(bare._replace(objects=Single(bare.objects.body._replace(shape=Step(0.0))))))
 """
 
 
@@ -294,10 +291,12 @@ def test_table_of_features_has_every_feature_of_the_scene_format() -> None:
 
 
 def test_pairs_of_features_differ_in_what_is_compiled() -> None:
-    """A feature is code, not a number; only inside and outside of a smooth shape are one code with another sign."""
+    """A feature is code, not a number; one code serves both sides of a smooth shape, and two objects or three."""
     names = [feature.name for feature in all_features()]
     assert len(set(names)) == len(names)
     for feature in all_features():
         types = {numba.typeof(build_scene(s)) for s in (feature.without, feature.having)}
-        one_code = feature.name.startswith("inside ") and "ends" not in feature.name and "box" not in feature.name
+        name = feature.name
+        one_code = name.startswith("inside ") and "ends" not in name and "box" not in name
+        one_code |= name.startswith("third object")
         assert len(types) == (1 if one_code else 2), feature.name

@@ -423,7 +423,7 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
         model.BoxBoundary(ZERO, (0.1, 0.1, 0.2), 300.0, 2.0, 5.0),
         model.SphereBoundary(ZERO, 0.2, 300.0, 0.0, 5.0),
     )
-    assert scene.objects[0].effects == (
+    assert scene.objects.effects[0].effects == (
         model.Viscosity(2.0, touching),
         model.ConstantForce((1.0, 0.0, 0.0), touching),
         model.NormalVibration(0.5, 60.0),
@@ -466,8 +466,8 @@ def test_the_example_of_the_page_is_a_scene() -> None:
     scene = build(Scene, tomllib.loads(example), "docs/model/effects.md")
     kernels = build_scene(scene)
     assert [type(effect) for effect in kernels.effects] == [model.Viscosity, model.SphereBoundary]
-    assert [type(effect) for effect in kernels.objects[0].effects] == [model.Magnet]
-    assert kernels.objects[0].motion == model.Turntable(UP, 0.5, ZERO)
+    assert [type(effect) for effect in kernels.objects.effects[0].effects] == [model.Magnet]
+    assert kernels.objects.body.motion == model.Turntable(UP, 0.5, ZERO)
     assert scene.object[0].material.name == "rubber"
 
 
@@ -519,7 +519,7 @@ def test_a_scene_without_effects_has_none_to_compile() -> None:
     """What no file asks for is an empty tuple, in the scene and in each object."""
     scene = build_scene(build(Scene, {"fingertip": {"radius_m": 0.01}, "object": [PLAIN]}, "test"))
     assert scene.effects == ()
-    assert scene.objects[0].effects == ()
+    assert scene.objects.effects == ()
 
 
 PLAIN = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}

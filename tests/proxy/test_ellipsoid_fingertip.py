@@ -374,8 +374,8 @@ def test_what_it_cannot_do_is_refused(tip: dict[str, Any], changes: dict[str, An
 def test_the_inside_of_a_box_is_six_planes() -> None:
     """And may be touched."""
     box = {"shape": "box", "size_m": [0.1, 0.1, 0.1], "inside": True}
-    shapes = [thing.shape for thing in build_scene(scene({"radii_m": list(AXES)}, box)).objects]
-    assert [type(shape) for shape in shapes] == [model.Plane] * 6
+    entries = build_scene(scene({"radii_m": list(AXES)}, box)).objects.entries
+    assert [type(entry.shape.sizes[0]) for entry in entries.trees] == [model.Plane] * 6
 
 
 @pytest.mark.skipif(not PLAIN, reason="calls kernels from Python, which compiled ones do not allow")

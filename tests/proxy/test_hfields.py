@@ -93,7 +93,7 @@ def test_a_height_field_is_touched_where_mujocos_rays_meet_it(joint: str, source
         engine.data.qvel[:] = [0.3, -0.2, 0.1, 2.0, 3.0, -1.0]
         engine.run([[0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0]] * 50)
     world = advance(engine.scene.objects, start_state(engine.scene).world, 1e-3)
-    placed = place_all(engine.scene.objects, world.poses, world.was)
+    placed = place_all(engine.scene.objects, world)
     mujoco.mj_kinematics(engine.model, engine.data)
     at, axes = engine.data.geom_xpos[0], engine.data.geom_xmat[0].reshape(3, 3)
     scale = TOP / np.ptp(hills())

@@ -181,7 +181,7 @@ def test_what_is_damaged_is_compiled_anew(scripts: Path, tmp_path: Path) -> None
     assert printed.splitlines() == ["4.0 0"] * len(DAMAGED)
     for name in DAMAGED:
         (line,) = (line for line in said.splitlines() if kept[name].name in line)
-        assert "compiled anew" in line and ("damaged" in line or not name.endswith("_bit"))
+        assert "compiled again" in line and ("damaged" in line or not name.endswith("_bit"))
     assert start(script, cache) == ("\n".join(["4.0 1"] * len(DAMAGED)), "")
 
 
@@ -189,7 +189,7 @@ def test_an_edit_is_obeyed_where_nothing_can_be_kept(scripts: Path) -> None:
     """Without a folder to write to kernels are compiled in memory and nowhere else: an edit of inlined code counts."""
     printed, said = start(scripts / "outer.py", "/dev/null/none")
     assert printed == "4.0 0"
-    assert said.count("not kept") == 1 and "SOFTFINGER_CACHE_DIR" in said
+    assert said.count("not cached") == 1 and "SOFTFINGER_CACHE_DIR" in said
     inner = scripts / "inner.py"
     inner.write_text(inner.read_text().replace("FACTOR = 2.0", "FACTOR = 0.25"))
     assert start(scripts / "outer.py", "/dev/null/none")[0] == "1.375 0"
@@ -208,7 +208,7 @@ def test_an_edit_beside_a_kernel_of_another_package_is_obeyed(scripts: Path, tmp
 def test_it_is_said_once() -> None:
     """A process of several kernels that cannot be kept says so once."""
     printed, said = start(PACKAGE_KERNELS, "/dev/null/none")
-    assert printed == "runs True" and said.count("not kept") == 1
+    assert printed == "runs True" and said.count("not cached") == 1
 
 
 def test_a_full_disk_is_no_reason_not_to_run(tmp_path: Path) -> None:
@@ -218,7 +218,7 @@ def test_a_full_disk_is_no_reason_not_to_run(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
     printed, said = start(PACKAGE_KERNELS, tmp_path / "cache", no_room)
-    assert printed == "runs True" and said.count("not kept") == 1 and "make room" in said
+    assert printed == "runs True" and said.count("not cached") == 1 and "make room" in said
     assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
 
 
@@ -233,7 +233,7 @@ def test_a_disk_without_room(tmp_path: Path) -> None:
         pytest.skip("this sandbox may not mount")
     try:
         printed, said = start(PACKAGE_KERNELS, disk / "cache")
-        assert printed == "runs True" and said.count("not kept") == 1 and "No space left" in said
+        assert printed == "runs True" and said.count("not cached") == 1 and "No space left" in said
         assert start(PACKAGE_KERNELS, disk / "cache")[0] == "runs True"
     finally:
         subprocess.run(["umount", str(disk)], check=True)
@@ -265,7 +265,7 @@ def test_no_home_is_no_reason_not_to_run(monkeypatch: pytest.MonkeyPatch, caplog
     for _ in range(2):
         unasked.write("a.kernel", b"")
     (said,) = caplog.messages
-    assert "not kept" in said and problem in said
+    assert "not cached" in said and problem in said
 
 
 @as_root
@@ -283,7 +283,7 @@ def test_a_user_without_a_name_still_starts() -> None:
         pytest.skip("other users may not read this Python")
     nowhere = {"HOME": None, "XDG_CACHE_HOME": None, "SOFTFINGER_CACHE_DIR": None}
     printed, said = start(PACKAGE_KERNELS, "", become, **nowhere)
-    assert printed == "runs True" and said.count("not kept") == 1 and "no home" in said
+    assert printed == "runs True" and said.count("not cached") == 1 and "no home" in said
 
 
 # --- other users -----------------------------------------------------------------------------------
@@ -322,7 +322,7 @@ def test_what_another_user_planted_is_not_run(scripts: Path, tmp_path: Path) -> 
             os.chown(path, STRANGER, STRANGER)
         printed, said = start(scripts / "outer.py", tmp_path / whose)
         assert printed == "4.0 0" and not proof.exists()
-        assert ("compiled anew" if whose == "file" else f"belongs to user {STRANGER}") in said
+        assert ("compiled again" if whose == "file" else f"belongs to user {STRANGER}") in said
 
 
 def test_folders_that_others_may_write_to_are_refused(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def is_outside(made, records):
 
 def asked_most(running, points):
     """Nodes and triangles asked for the nearest one, at most."""
-    shape = running.scene.objects[0].shape
+    shape = running.scene.objects.body.shape
     found = np.zeros((len(points), 3))
     ask(shape, flatten(shape), np.ascontiguousarray(points), BUDGET, found)
     return found[:, 2].max()

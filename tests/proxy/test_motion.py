@@ -126,9 +126,9 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
         ({"kind": "driven"}, model.Driven()),
     ]
     for motion, kernel in expected:
-        built = build_scene(plane_scene(table={"motion": motion})).objects[0].motion
+        built = build_scene(plane_scene(table={"motion": motion})).objects.body.motion
         assert (type(built), built) == (type(kernel), kernel)
-    assert build_scene(plane_scene()).objects[0].motion is None
+    assert build_scene(plane_scene()).objects.body.motion is None
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     KernelCache,
     load,
 )
-from softfinger.proxy.kernels.jit.dispatch import by_count
+from softfinger.proxy.kernels.jit.dispatch import chosen_by
 
 BY_ITSELF = """
 from numba import njit
@@ -131,8 +131,9 @@ def test_a_c_function_has_an_address() -> None:
 def test_a_choice_is_made_while_compiling() -> None:
     """`types.Callable`: a name stands for whatever kernel its argument's type chooses, with defaults and names."""
 
-    @by_count
-    def total(numbers: Any, factor: float = 2.0) -> Any: ...
+    def declared(numbers: Any, factor: float = 2.0) -> Any: ...
+
+    total = chosen_by(declared, len, lambda count: min(count, 2), lambda numbers: min(len(numbers), 2))
 
     @total.of(1)
     def of_one(numbers: Any, factor: float = 2.0) -> float:

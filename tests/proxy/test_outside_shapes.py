@@ -226,7 +226,7 @@ from softfinger.proxy.scene import build_scene
 def force_at(shape, x):
     return 1000.0 * (0.01 - closest(shape, x)[0])
 
-force = force_at(build_scene(load_scene(sys.argv[2])).objects[0].shape, (0.0, 0.0, 0.0099))
+force = force_at(build_scene(load_scene(sys.argv[2])).objects.body.shape, (0.0, 0.0, 0.0099))
 print(round(force, 9), sum(force_at.stats.cache_hits.values()))
 """
 SCENE = """
@@ -313,7 +313,7 @@ def test_balls_of_an_array_are_touched_as_spheres_are(beads: ModuleType, balls_f
 def test_results_do_not_depend_on_where_the_array_lies(beads: ModuleType, balls_file: Path) -> None:
     """Two engines whose arrays lie apart give the same bits, through one compiled kernel; nothing else is longer."""
     one, other = Engine(scene(beads_of(balls_file))), Engine(scene(beads_of(balls_file)))
-    first, second = one.scene.objects[0].shape.balls, other.scene.objects[0].shape.balls
+    first, second = one.scene.objects.body.shape.balls, other.scene.objects.body.shape.balls
     assert first.address != second.address
     assert numba.typeof(one.scene) == numba.typeof(other.scene)
     assert (flatten(one.scene) != flatten(other.scene)).sum() == 1
@@ -325,13 +325,13 @@ def test_an_array_lives_as_long_as_its_engine(beads: ModuleType, balls_file: Pat
     """The engine alone keeps it, through a change of parameters too, and nothing keeps it after the engine."""
     config = scene(beads_of(balls_file))
     engine = Engine(config)
-    was = weakref.ref(engine.scene.objects[0].shape.balls.array)
+    was = weakref.ref(engine.scene.objects.body.shape.balls.array)
     gc.collect()
     assert was() is not None
     engine.run(rolling_over(BALLS[0]))
     engine.tune(config)
     gc.collect()
-    now = weakref.ref(engine.scene.objects[0].shape.balls.array)
+    now = weakref.ref(engine.scene.objects.body.shape.balls.array)
     assert was() is None and now() is not None
     engine.run(rolling_over(BALLS[0]))
     del engine
@@ -343,12 +343,12 @@ def test_a_servo_keeps_an_array_until_its_loop_reads_another(beads: ModuleType, 
     """What was replaced is let go only when two whole ticks have passed since: the first may still have read it."""
     rig, config = load_rig("replay"), scene(beads_of(balls_file))
     servo = Servo([FaultyDevice(Options())], make_tuning(config, rig.guard), 1000.0)
-    array = [servo.tuning.scene.objects[0].shape.balls.array]
+    array = [servo.tuning.scene.objects.body.shape.balls.array]
     kept = []
     for ticks in (0, 1, 2, 3, 5):  # done by the loop, before each change
         servo.shared.progress[0] = ticks
         servo.tune(make_tuning(config, rig.guard))
-        array.append(servo._recent_tunings[-1].scene.objects[0].shape.balls.array)
+        array.append(servo._recent_tunings[-1].scene.objects.body.shape.balls.array)
         kept.append(weakref.ref(array.pop(0)))
         gc.collect()
         # Of those replaced, the first is the loop's own argument.

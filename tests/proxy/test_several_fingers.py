@@ -14,7 +14,8 @@ from softfinger.config.load import build
 from softfinger.proxy.engine import Engine, PoseError
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry
-from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
+from softfinger.proxy.kernels.jit.pack import flatten, pack, unflatten, unpack
+from softfinger.proxy.kernels.query.container import read_pose
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import AT, FREE
 from softfinger.proxy.scene import build_scene, start_state
@@ -125,7 +126,7 @@ def run(given: model.Scene, poses: Array) -> tuple[Array, Array, model.State]:
     compiled(given, flatten(given), start, state, np.ascontiguousarray(poses), DT, contacts, times)
     assert np.isfinite(contacts[..., :leaves]).all()
     assert np.isnan(contacts[..., leaves:]).all()
-    return contacts[..., :leaves], times, rebuilt(start, state)
+    return contacts[..., :leaves], times, unflatten(start, state)
 
 
 compiled = entry(step_along)
@@ -173,25 +174,12 @@ def test_time_of_the_world_goes_on_once_a_tick() -> None:
     _, times, after = run(given, poses)
     np.testing.assert_array_equal(times, np.cumsum(np.full(TICKS, DT)))
     assert after.world.time == times[-1]
-    angle, before = (2.0 * np.arctan2(q[3], q[0]) for ((_, q), _) in (after.world.poses, after.world.was))
+    poses = [read_pose(after.world.poses, at) for at in (0, 7)]  # of the first object, now and before
+    angle, before = (2.0 * np.arctan2(q[3], q[0]) for _, q in poses)
     rate = TURNS["rate_rad_per_s"]
     # An angle of up to a radian rounds to some 1e-16, and the sum of the steps of time by that much for each.
     assert angle == pytest.approx(rate * TICKS * DT, rel=0, abs=TICKS * 1e-15)
     assert angle - before == pytest.approx(rate * DT, rel=0, abs=TICKS * 1e-15)
-
-
-def rebuilt(like: Any, values: Array) -> Any:
-    """The tree of the same type as `like` whose leaves are `values`, in plain Python."""
-    leaves = iter(values.tolist())
-
-    def walk(node: Any) -> Any:
-        if isinstance(node, tuple):
-            parts = [walk(child) for child in node]
-            return type(node)(*parts) if hasattr(node, "_fields") else tuple(parts)
-        value = next(leaves)
-        return None if node is None else value
-
-    return walk(like)
 
 
 @pytest.fixture(scope="module")

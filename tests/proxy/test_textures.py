@@ -479,7 +479,7 @@ def test_texture_stays_between_its_lowest_and_highest_value(
     table = {"file": str(file), "size_m": [SIZE, SIZE], "height_m": HEIGHT, "border": border}
     thing = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": K}, "texture": table}
     built = build_scene(build(schema.Scene, {"fingertip": {"radius_m": R}, "object": [thing]}, "test"))
-    value = sample(built.objects[0].texture, u, v).value
+    value = sample(built.objects.body.texture, u, v).value
     assert -4.0 * EPS <= value <= 1.0 + 4.0 * EPS  # weights sum to 1 but for rounding
 
 
@@ -529,7 +529,7 @@ def test_files_are_beside_the_scene_that_names_them(tmp_path: Path, monkeypatch:
     (tmp_path / "trunk.toml").write_text(table)
     monkeypatch.chdir("/")
     loaded = load_scene(tmp_path / "trunk.toml")
-    texture = build_scene(loaded).objects[0].texture
+    texture = build_scene(loaded).objects.body.texture
     assert (texture.columns, texture.rows, texture.period_u) == (128.0, 128.0, 1.0)
     assert texture.per_u == pytest.approx(10 * 128 / (2.0 * np.pi * 0.05), rel=1e-15)  # ten times round, to rounding
     assert build(schema.Scene, describe(loaded), "again") == loaded

@@ -5,8 +5,17 @@ from typing import Any, NamedTuple
 import pytest
 from numba.core.errors import TypingError
 
-from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.jit.decorators import entry, jit
+from softfinger.proxy.kernels.jit.tuples import (
+    field_of_each,
+    first_of,
+    fold_each,
+    map_each,
+    padded,
+    replace,
+    same_for,
+    unzip,
+)
 
 
 class Thing(NamedTuple):
@@ -37,3 +46,37 @@ def test_a_kernel_does_not_compile_that_names_a_field_which_is_not_there() -> No
 
     with pytest.raises(TypingError, match="Thing has no fields of these names"):
         misspelt(Thing(0.5, None, 3))
+
+
+@jit
+def half_and_third(number: float, other: float, factor: float) -> tuple[float, float]:
+    return factor * number / 2.0, factor * other / 3.0
+
+
+@jit
+def behind(number: float, others: tuple[float, float]) -> tuple[float, float]:
+    """The number, and how much the others are, each doubled once more the farther behind it is."""
+    return number, others[0] + 2.0 * others[1]
+
+
+@entry
+def of_all(numbers: Any, others: Any, things: Any) -> Any:
+    halves, thirds = unzip(map_each(half_and_third, (numbers, others), 6.0))
+    none, nothing = unzip(map_each(half_and_third, ((), ()), 6.0))
+    return (
+        (halves, thirds, none, nothing, fold_each(behind, numbers, (0.0, 0.0))),
+        (same_for(numbers, 7.0), first_of(numbers, 1.0, 2.0), padded(numbers, 0.5, 4), field_of_each(things, "size")),
+    )
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_each_of_a_tuple_however_many_there_are(count: int) -> None:
+    """What kernels do to every finger, contact and effect, in order; a fold takes the last one first."""
+    numbers, others = (1.0, 2.0, 4.0)[:count], (3.0, 6.0, 9.0)[:count]
+    things = (Thing(0.5, None, 3), Thing(1.5, None, 3), Thing(2.5, None, 3))[:count]
+    mapped, made = of_all(numbers, others, things)
+    assert mapped[:4] == (tuple(3.0 * x for x in numbers), tuple(2.0 * x for x in others), (), ())
+    assert mapped[4] == {1: (1.0, 0.0), 2: (1.0, 2.0), 3: (1.0, 10.0)}[count]
+    assert made[:2] == ((7.0,) * count, (1.0, 2.0, 2.0)[:count])
+    assert made[2:] == ((*numbers, *(0.5,) * (4 - count)), (0.5, 1.5, 2.5)[:count])

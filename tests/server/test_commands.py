@@ -363,7 +363,7 @@ REFUSED = [
     ("set_params", {}, "bad_params", "length >= 1"),
     ("set_params", {"a" * 257: 1}, "bad_params", "length <= 256"),
     ("set_scene", {"scene": "sphre"}, "bad_params", "did you mean 'sphere'"),
-    ("set_scene", {"scene": "/etc/passwd"}, "bad_params", "given whole"),
+    ("set_scene", {"scene": "/etc/passwd"}, "bad_params", "as a complete map"),
     ("set_scene", {"scene": {"object": []}}, "bad_params", "fingertip: is missing"),
     ("set_scene", {"scene": "sphere", "overrides": {"object.7.name": "x"}}, "bad_params", "there is no object[7]"),
     ("set_scene", {"scene": {"fingertip": {"radius_m": 0.01}, "world": {"model": "none.xml"}}}, "bad_params",

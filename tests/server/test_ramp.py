@@ -10,6 +10,7 @@ from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import flatten, unflatten, unpack
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.scene import build_scene
 from softfinger.server.driver_contract import run_for
@@ -49,7 +50,7 @@ def test_all_that_acts_on_the_force_is_on_its_way_together():
     ramp.set_target(way, flatten(new))
     half = gone(way, old, TICKS // 2)
     np.testing.assert_allclose(flatten(half), 0.5 * (flatten(old) + flatten(new)), rtol=1e-12)  # fifty additions
-    assert half.objects[0].material.friction.kinetic < half.objects[0].material.friction.static
+    assert half.objects.body.material.friction.kinetic < half.objects.body.material.friction.static
     assert flatten(gone(way, old, TICKS // 2)).tobytes() == flatten(new).tobytes()
     assert way.ticks_left[0] == -1
 
@@ -62,21 +63,21 @@ def test_what_says_where_and_what_is_allowed_is_there_at_once():
     softer = old._replace(scene=build_scene(scene(stiffness_n_per_m=500.0)))
     way = way_from(old)
     ramp.set_target(way, flatten(softer))
-    assert gone(way, old, 60).scene.objects[0].material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
-    (table,) = softer.scene.objects
-    lifted = softer.scene._replace(objects=(table._replace(shape=table.shape._replace(offset=0.001)),))
+    assert gone(way, old, 60).scene.objects.body.material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
+    table = softer.scene.objects.body
+    lifted = softer.scene._replace(objects=model.Single(table._replace(shape=table.shape._replace(offset=0.001))))
     weak = softer._replace(guards=(old.guards[0]._replace(force_max=0.0),), scene=lifted)
     ramp.set_target(way, flatten(weak))
     now = gone(way, old, 1)
-    assert now.guards[0].force_max == 0.0 and now.scene.objects[0].shape.offset == 0.001
-    assert now.scene.objects[0].material.normal.stiffness == pytest.approx(695.0, rel=1e-12)
+    assert now.guards[0].force_max == 0.0 and now.scene.objects.body.shape.offset == 0.001
+    assert now.scene.objects.body.material.normal.stiffness == pytest.approx(695.0, rel=1e-12)
     assert gone(way, old, 39) == weak
 
 
 @pytest.mark.plain
 def test_an_array_is_another_at_once():
     """What a law of another package owns is reached by its address, of which there is no half way."""
-    old, new = (model.Object(None, None, None, model.Material(ReadOnly([k]), None, None), 0.0, ()) for k in (1.0, 2.0))
+    old, new = (model.Object(None, None, None, model.Material(ReadOnly([k]), None, None), 0.0) for k in (1.0, 2.0))
     way = way_from(old)
     ramp.set_target(way, flatten(new))
     ramp.advance(way)
@@ -90,7 +91,7 @@ def test_a_power_law_changes_its_force_evenly_at_every_depth():
         model.Material(model.PowerNormal(k * DEPTH_M / d**p, p, 0.0), None, None)
         for k, d, p in ((1000.0, DEPTH_M, 1.5), (1000.0, DEPTH_M, 2.5))
     ]
-    old, new = (model.Object(None, None, None, material, 0.0, ()) for material in ends)
+    old, new = (model.Object(None, None, None, material, 0.0) for material in ends)
     way = way_from(old)
     ramp.set_target(way, flatten(new))
     for _ in range(TICKS):
@@ -100,19 +101,19 @@ def test_a_power_law_changes_its_force_evenly_at_every_depth():
 
 @entry
 def stiffness_of(like, values, index):
-    """Of an object in rows."""
-    return unpack(like, values).objects[1][index].material.normal.stiffness
+    """Of one of many objects, with its friction."""
+    body = object_at(unpack(like, values).objects, index)
+    return body.material.normal.stiffness, body.material.friction.static
 
 
-def test_objects_that_share_their_code_are_ramped_as_well():
-    """Nine alike, of which eight stand in rows: one goes to half, the others stay, and so does what was given."""
+def test_many_objects_are_ramped_as_well():
+    """Stiffness and friction of one of nine go to half, the others stay, and so does what was given."""
 
     def tiles(softer):
-        tables = [
-            {"name": f"n{k}", "shape": "plane", "position_m": [0.0, 0.0, -k], "material": {"stiffness_n_per_m": 1000.0}}
-            for k in range(9)
-        ]
-        tables[3]["material"] = {"stiffness_n_per_m": softer}
+        rubber = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.8, "kinetic": 0.1}}
+        place = {"shape": "plane", "material": rubber}
+        tables = [{"name": f"n{k}", "position_m": [0.0, 0.0, -k]} | place for k in range(9)]
+        tables[3]["material"] = {"stiffness_n_per_m": softer, "friction": {"static": 8e-4 * softer, "kinetic": 0.1}}
         return build_scene(build(Scene, {"fingertip": {"radius_m": 0.01}, "object": tables}, "here"))
 
     old, new = tiles(1000.0), tiles(500.0)
@@ -122,9 +123,10 @@ def test_objects_that_share_their_code_are_ramped_as_well():
     for ticks, expected in ((TICKS // 2, 750.0), (TICKS // 2, 500.0)):
         for _ in range(ticks):
             ramp.advance(way)
-        felt = [stiffness_of(old, way.now, k) for k in range(8)]
-        assert felt == pytest.approx([1000.0, 1000.0, expected, *[1000.0] * 5], rel=1e-12)  # fifty additions
-    assert old.objects[1][2].material.normal.stiffness == 1000.0 and way.ticks_left[0] == -1
+        stiffness, friction = np.transpose([stiffness_of(old, way.now, float(k)) for k in range(9)])
+        assert stiffness == pytest.approx([*[1000.0] * 3, expected, *[1000.0] * 5], rel=1e-12)  # fifty additions
+        assert friction == pytest.approx(8e-4 * stiffness, rel=1e-12)
+    assert old.objects.entries[3].normal.stiffness == 1000.0 and way.ticks_left[0] == -1
 
 
 @pytest.mark.plain

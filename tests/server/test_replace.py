@@ -20,6 +20,7 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers import registry
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
+from softfinger.server.loop.force_switch import MAX_OFF_S
 from softfinger.server.services import rendering
 from softfinger.server.services.records import Sink
 from softfinger.server.states import COMMANDED, UNARMED
@@ -73,8 +74,9 @@ def left_open() -> tuple[int, int]:
 def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
     """Twenty times, the hand pressed each time: no force changes faster than the slew limit, the last of each loop is
     zero, ticks and times go on, and nothing is left of the loops before."""
-    # Close to its limit a force takes all of MAX_OFF_S to fade, six ticks.
-    rig, kept, (first, second) = load_rig(rig_name, {**QUIET, "guard.force_max_n": 0.4}), Kept(), scenes()
+    # At a low slew limit a force close to its largest takes MAX_OFF_S to fade, six ticks.
+    low = {"guard.force_max_n": 0.4, "guard.force_slew_n_per_s": 20.0}
+    rig, kept, (first, second) = load_rig(rig_name, QUIET | low), Kept(), scenes()
     begun, missed, loops, open_before = [], [], [], None
     with Daemon(rig, first, sinks=[kept.sink]) as running:
         running.start()
@@ -102,7 +104,7 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
     assert rows[begun, 2].tolist() == missed
     assert (np.diff(rows[:, 1]) > 0.0).all() and (np.diff(rows[:, 2]) >= 0.0).all()
     assert not rows[[number - 1 for number in begun], 3:].any()
-    largest = rig.guard.force_slew_n_per_s / rig.servo.rate_hz
+    largest = rig.guard.force_max_n / (MAX_OFF_S * rig.servo.rate_hz)
     for forces in (rows[:, 3:], written[:-2, :3]):  # but the last zeros, of a stop in contact
         steps = np.linalg.norm(np.diff(forces, axis=0), axis=1)
         assert steps.max() <= largest * (1.0 + 1e-9)  # rounding of the sum that makes a step

@@ -440,13 +440,13 @@ def test_parameters_change_without_stopping():
     """A new friction coefficient takes effect at a later tick, in the loop that is already compiled."""
     device, servo = make_servo(Options(), None)
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
-    thing = tuning.scene.objects[0]
+    thing = tuning.scene.objects.body
     friction = thing.material.friction._replace(static=0.1, kinetic=0.1)
     slippery = thing._replace(material=thing.material._replace(friction=friction))
     servo.start()
     run_for(servo, 1000)
     changed_at = servo.ticks
-    servo.tune(tuning._replace(scene=tuning.scene._replace(objects=(slippery,))))
+    servo.tune(tuning._replace(scene=tuning.scene._replace(objects=tuning.scene.objects._replace(body=slippery))))
     run_for(servo, changed_at + 500)
     servo.stop()
     servo.join(30.0)

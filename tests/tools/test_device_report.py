@@ -225,7 +225,7 @@ def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
     found = checked(home / "softfinger-forcedimension-report.json", home)
     assert found["ended"] == "by a fault" and not found["complete"]
     assert found["fault"] == {"kind": "DeviceNotFound", "message": found["fault"]["message"], "in_use": False}
-    assert "looked for libdrd.so*, /usr/local/lib/libdrd.so*" in found["fault"]["message"]
+    assert "searched for libdrd.so*, /usr/local/lib/libdrd.so*" in found["fault"]["message"]
     assert found["device"] is None and found["exchange"] is None
     assert not any(row["measured"] for row in found["questions"])
 

@@ -163,7 +163,7 @@ def ask(like: Any, values: Array, points: Array, found: Array) -> None:
 
 def asked(scene: schema.Scene, corners: Array, radius: float) -> dict[str, Any]:
     """Return the nodes and triangles visited for the nearest one, and the largest error of the distance."""
-    mesh = build_scene(scene).objects[0].shape
+    mesh = build_scene(scene).objects.body.shape
     points = np.ascontiguousarray(way(BLOCK, radius)[:, :3])
     found = np.zeros((len(points), 3))
     ask(mesh, flatten(mesh), points, found)

@@ -38,6 +38,7 @@ from softfinger.proxy.kernels.model import (
     Object,
     Plane,
     Scene,
+    Single,
 )
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.guard import Guard
@@ -172,11 +173,11 @@ def wall_and_weight(
     material = Material(LinearNormal(stiffness, damping), None, None, None)
     shape = Plane((0.0, 0.0, 1.0), depth - RADIUS_M)
     wall = Object(  # all fields, since a kernel does not know the defaults of a tuple
-        shape=shape, pose=None, motion=None, material=material, number=0.0, effects=(), was=None, texture=None
+        shape=shape, pose=None, motion=None, material=material, number=0.0, was=None, texture=None
     )
     weight = ConstantForce((0.0, 0.0, -stiffness * depth), None)
     finger = Finger(RADIUS_M, Coupling(1.0, 0.0, 0.0), 1.0, velocity_time_constant, 0.0, None, None)
-    scene = Scene(fingers=(finger,), objects=(wall,), rolling=None, effects=(weight,), bodies=None)
+    scene = Scene(fingers=(finger,), objects=Single(wall, ()), rolling=None, effects=(weight,), bodies=None)
     # The observer is always present; with a largest damping of 0 it does not change the force.
     return Tuning(
         scene,

@@ -5,16 +5,13 @@ Relative to a moving object, the fingertip's path in a tick starts at its last p
 
 from typing import Any, NamedTuple
 
-from numba import literal_unroll
-
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type, by_type_of
-from softfinger.proxy.kernels.model import Pose, Quaternion, Vec3
+from softfinger.proxy.kernels.model import Many, Pose, Quaternion, Single, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, pose_values, turn_into, turn_out_of
-from softfinger.proxy.kernels.query.elements import contains, count, element
-
-STILL = Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+from softfinger.proxy.kernels.query.container import object_at
+from softfinger.proxy.kernels.query.motion import can_move
 
 
 class Carry(NamedTuple):
@@ -26,21 +23,6 @@ class Carry(NamedTuple):
     moves: float
     was: Pose
     now: Pose
-
-
-@by_type
-def can_move(motion: Any) -> Any:
-    """Return 1 for a motion that can change an object's pose, otherwise 0."""
-
-
-@can_move.of(None)
-def cannot_move(motion: None) -> float:
-    return 0.0
-
-
-@can_move.otherwise
-def moves(motion: Any) -> float:
-    return 1.0
 
 
 @by_type_of("motion")
@@ -55,34 +37,28 @@ def carry_of_fixed(body: Any) -> None:
 
 @carry_of.otherwise
 def carry_of_moving(body: Any) -> Carry:
-    return Carry(1.0, pose_values(body.was), pose_values(body.pose))
-
-
-@jit
-def moving(body: Any) -> Carry:
-    """Return the motion in this tick of one of several objects: a Carry even if it cannot move."""
     return Carry(can_move(body.motion), pose_values(body.was), pose_values(body.pose))
 
 
 @jit
-def carry(objects: Any, index: float) -> Carry:
-    """Return the motion of object `index` in this tick."""
-    found = Carry(0.0, STILL, STILL)
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            found = moving(element(entry, index - at))
-        at += count(entry)
-    return found
+def carry(objects: Any, index: float) -> Any:
+    """Return the motion in this tick of the object with that index, as `carry_of`."""
+    return carry_of(object_at(objects, index))
 
 
-@jit
-def any_moves(objects: Any) -> bool:
-    """Return True if any object can move: known when the scene is compiled."""
-    found = 0.0
-    for entry in literal_unroll(objects):
-        found += can_move(element(entry, 0.0).motion)
-    return found > 0.0
+@by_type
+def any_moves(objects: Any) -> Any:
+    """Return whether any object can move."""
+
+
+@any_moves.of(Single)
+def single_moves(objects: Single) -> bool:
+    return can_move(objects.body.motion) > 0.0
+
+
+@any_moves.of(Many)
+def any_of_many_moves(objects: Many) -> bool:
+    return objects.moving > 0.0
 
 
 @by_type

@@ -6,21 +6,19 @@ this motion slips.
 
 from typing import Any, NamedTuple
 
-from numba import literal_unroll
-
-from softfinger.proxy.kernels.contact.carry import carry_of, moving, relative_velocity
+from softfinger.proxy.kernels.contact.carry import carry_of, relative_velocity
 from softfinger.proxy.kernels.contact.fingertip import radius_of_curvature, velocity_at
 from softfinger.proxy.kernels.contact.normal import normal_force_of
 from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
-from softfinger.proxy.kernels.contact.texture import texture_depth_on
+from softfinger.proxy.kernels.contact.texture import texture_depth_on, texture_friction
 from softfinger.proxy.kernels.friction.contact_patch import ContactPatch, contact_patch, torsion_under, winding_unit
 from softfinger.proxy.kernels.friction.laws import turned
 from softfinger.proxy.kernels.friction.stick_slip import stick_slip
 from softfinger.proxy.kernels.friction.torsion import share_of
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import (
+    ActiveSet,
     Constraint,
     ContactState,
     Coupling,
@@ -34,7 +32,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import pose_values
-from softfinger.proxy.kernels.query.elements import contains, count, element
+from softfinger.proxy.kernels.query.container import object_at
 
 
 class Ground(NamedTuple):
@@ -102,28 +100,22 @@ class ContactForces(NamedTuple):
     bending: Vec3
 
 
-@by_count
-def ground_at(objects: Any, index: float) -> Any:
-    """Return the Ground of object `index`; `objects` have complete materials, see `with_texture_friction`."""
+@jit
+def ground_at(objects: Any, index: float) -> Ground:
+    """Return the Ground of object `index`; `objects` have complete materials."""
+    return ground_of(object_at(objects, index))
 
 
-@ground_at.of(1)
-def ground_of_the_only_one(objects: Any, index: float) -> Ground:
-    body = element(objects[0], index)
+@jit
+def rough_ground_at(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Ground:
+    """Return `ground_at` with the friction that its texture has under the proxy's `center` (3,) m."""
+    body = object_at(objects, index)
+    return ground_of(texture_friction(body.texture, body, index, active, center))
+
+
+@jit
+def ground_of(body: Any) -> Ground:
     return Ground(body.number, body.material, pose_values(body.pose).orientation, carry_of(body))
-
-
-@ground_at.of(2)
-def ground_of_one_of_several(objects: Any, index: float) -> Ground:
-    first = element(objects[0], 0.0)
-    found = Ground(first.number, first.material, pose_values(first.pose).orientation, moving(first))
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            found = Ground(body.number, body.material, pose_values(body.pose).orientation, moving(body))
-        at += count(entry)
-    return found
 
 
 @jit

@@ -26,9 +26,8 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.objects import (
-    slides_round_hollow,
-)
+from softfinger.proxy.kernels.query.container import object_at
+from softfinger.proxy.kernels.query.objects import slides_round_hollow
 from softfinger.proxy.kernels.shapes import is_hollow, transport
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.record import FREE
@@ -141,7 +140,7 @@ def detect_or_continue(
     The returned state does not include a released contact.
     """
     if state.mode != FREE:
-        approach = continue_contact(scene, finger, objects[0], 0.0, state, probe, dt)
+        approach = continue_contact(scene, finger, object_at(objects, 0.0), 0.0, state, probe, dt)
         if not has_ended(approach.active):
             return state, approach
     state = separated(state)

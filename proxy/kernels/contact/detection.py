@@ -2,8 +2,6 @@
 
 from typing import Any, NamedTuple
 
-from numba import literal_unroll
-
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
 from softfinger.proxy.kernels.contact.carry import (
     any_moves,
@@ -15,7 +13,6 @@ from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
 from softfinger.proxy.kernels.model import (
     NONE,
@@ -28,7 +25,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
-from softfinger.proxy.kernels.query.elements import contains, count, element
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import (
     SINGLE_POINT,
     WITH_HEIGHTMAP,
@@ -74,28 +71,11 @@ class Meeting(NamedTuple):
     budget: int
 
 
-@by_count
-def first_rest(contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Any:
+@jit
+def first_rest(objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Vec3:
     """Return the initial proxy (3,) m of a contact that was detected with the proxy at `met`."""
-
-
-@first_rest.of(1)
-def first_rest_on_the_only_one(
-    contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet
-) -> Vec3:
-    return rest_over_the_probe(objects[0], radius, position, met, active[0])
-
-
-@first_rest.of(2)
-def first_rest_on_one_of_several(
-    contacts: Any, objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet
-) -> Vec3:
-    found, at = met, 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, active[0].body):
-            found = rest_over_the_probe(element(entry, active[0].body - at), radius, position, met, active[0])
-        at += count(entry)
-    return found
+    body = object_at(objects, active[0].body)
+    return rest_over_the_probe(body, radius, position, met, active[0])
 
 
 @jit
@@ -149,14 +129,10 @@ def touch_of_a_facet(
     objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
 ) -> tuple[Vec3, bool]:
     """Sweep one facet: the search of a mesh moves in steps of its clearance, and may end a little before the touch."""
-    found, at = end, 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            begin = carried_along(body.was, body.pose, start)
-            share = travel(body.shape, into(body.pose, begin), into(body.pose, end), radius, False)
-            found = vec3.add_scaled(begin, min(share, 1.0), vec3.sub(end, begin))
-        at += count(entry)
+    body = object_at(objects, index)
+    begin = carried_along(body, start)
+    share = travel(body.shape, into(body.pose, begin), into(body.pose, end), radius, False)
+    found = vec3.add_scaled(begin, min(share, 1.0), vec3.sub(end, begin))
     return found, is_outside(objects, radius, found, found, budget)
 
 
@@ -217,7 +193,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
             active, center = nothing, position  # the contact just released, up to rounding
     place, over = center, active[0].body >= 0.0 and exact
     if over:
-        place = first_rest(state.contacts, objects, radius, position, center, active)
+        place = first_rest(objects, radius, position, center, active)
     if len(state.contacts) > 1 and any_creases(objects) and state.started != 0.0 and active[0].body >= 0.0:
         center = met  # the gap is only a bound if the search of a height map did not finish
     if not any_moves(objects):

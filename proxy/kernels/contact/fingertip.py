@@ -9,9 +9,9 @@ from typing import Any
 
 from softfinger.proxy.kernels.contact.carry import relative_rotation
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import EllipsoidTip, MinkowskiSum, Probe, Quaternion, Vec3
+from softfinger.proxy.kernels.model import EllipsoidTip, Many, MinkowskiSum, Probe, Quaternion, Single, Tip, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import pose_values
 from softfinger.proxy.kernels.shapes.minkowski import support_vector
@@ -106,32 +106,26 @@ def axes_in_world(form: EllipsoidTip, orientation: Quaternion) -> Quaternion:
     return rotations.multiply(orientation, form.orientation)
 
 
-@jit
-def minkowski_sum(body: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any:
-    """Return the object with its shape replaced by the Minkowski sum with the fingertip."""
-    to_body = rotations.conjugate(pose_values(body.pose).orientation)
-    axes = rotations.multiply(to_body, axes_in_world(form, orientation))
-    return replace(body, "shape", MinkowskiSum(body.shape, form.semi_axes, axes, radius))
-
-
-@by_count
-def minkowski_sums(objects: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any: ...
-
-
-@minkowski_sums.of(1)
-def minkowski_sum_of_one(objects: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any:
-    return (minkowski_sum(objects[0], form, radius, orientation),)
-
-
-@minkowski_sums.of(2)
-def minkowski_sums_of_several(objects: Any, form: EllipsoidTip, radius: float, orientation: Quaternion) -> Any:
-    first = minkowski_sum(objects[0], form, radius, orientation)
-    return (first,) + minkowski_sums(objects[1:], form, radius, orientation)  # noqa: RUF005  # see world.poses_of_several_at
-
-
 @seen_by.of(EllipsoidTip)
 def seen_by_ellipsoid(form: EllipsoidTip, radius: float, objects: Any, orientation: Quaternion) -> Any:
-    return minkowski_sums(objects, form, radius, orientation)
+    return grown_by(objects, Tip(form.semi_axes, axes_in_world(form, orientation), radius))
+
+
+@by_type
+def grown_by(objects: Any, tip: Tip) -> Any:
+    """Return the objects as the centre of an ellipsoidal fingertip sees them."""
+
+
+@grown_by.of(Single)
+def one_grown_by(objects: Single, tip: Tip) -> Single:
+    body = objects.body
+    axes = rotations.multiply(rotations.conjugate(pose_values(body.pose).orientation), tip.orientation)
+    return replace(objects, "body", replace(body, "shape", MinkowskiSum(body.shape, tip.semi_axes, axes, tip.radius)))
+
+
+@grown_by.of(Many)
+def many_grown_by(objects: Many, tip: Tip) -> Many:
+    return replace(objects, "tip", tip)
 
 
 @point_on.of(EllipsoidTip)

@@ -7,8 +7,6 @@ touches one object, and is clear of all other objects, is treated as in a scene 
 
 from typing import Any
 
-from numba import literal_unroll
-
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, has_ended, separated
 from softfinger.proxy.kernels.contact.carry import any_moves
 from softfinger.proxy.kernels.contact.contact_friction import (
@@ -16,7 +14,7 @@ from softfinger.proxy.kernels.contact.contact_friction import (
     Prediction,
     ProbeMotion,
     apply_friction,
-    ground_at,
+    rough_ground_at,
 )
 from softfinger.proxy.kernels.contact.continuation import continue_contact
 from softfinger.proxy.kernels.contact.detection import detect_contact
@@ -29,7 +27,6 @@ from softfinger.proxy.kernels.contact.rest.among import (
     slide_over_facets,
 )
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST
-from softfinger.proxy.kernels.contact.texture import with_texture_friction
 from softfinger.proxy.kernels.friction.contact_patch import ContactPatch
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import (
@@ -43,7 +40,7 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.elements import contains, count, element
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import (
     SINGLE_POINT,
     WITH_HEIGHTMAP,
@@ -95,12 +92,8 @@ def continue_single(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
 ) -> Approach:
     """Continue the only contact of the last tick on its object."""
-    index, found, at = state.contacts[0].body, nothing_approached(probe), 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            found = continue_contact(scene, finger, element(entry, index - at), index, state, probe, dt)
-        at += count(entry)
-    return found
+    index = state.contacts[0].body
+    return continue_contact(scene, finger, object_at(objects, index), index, state, probe, dt)
 
 
 @jit
@@ -156,12 +149,13 @@ def approach_among_several(
 
 
 @jit
-def rub(finger: Finger, objects: Any, predicted: Prediction, motion: ProbeMotion) -> ContactForces:
+def rub(finger: Finger, objects: Any, approach: Approach, predicted: Prediction, motion: ProbeMotion) -> ContactForces:
     """Compute the friction of one of several contacts."""
     contact = predicted.contact
     if contact.body < 0.0 or contact.share <= 0.0:
         return NO_FORCES
-    return apply_friction(finger, objects, ground_at(objects, contact.body), predicted, contact.share, motion)
+    ground = rough_ground_at(objects, contact.body, approach.active, approach.center)
+    return apply_friction(finger, objects, ground, predicted, contact.share, motion)
 
 
 @jit
@@ -169,9 +163,12 @@ def rub_each(
     finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion
 ) -> tuple[ContactForces, ContactForces, ContactForces]:
     """Compute the friction of each contact."""
-    rough = with_texture_friction(objects, approach.active, approach.center)
     one, two, three = approach.predicted
-    return rub(finger, rough, one, motion), rub(finger, rough, two, motion), rub(finger, rough, three, motion)
+    return (
+        rub(finger, objects, approach, one, motion),
+        rub(finger, objects, approach, two, motion),
+        rub(finger, objects, approach, three, motion),
+    )
 
 
 @by_multipoint

@@ -6,7 +6,13 @@ Friction is transferred between contacts along with their load shares.
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import Approach
-from softfinger.proxy.kernels.contact.contact_friction import ContactForces, ProbeMotion, ground_at, load_on
+from softfinger.proxy.kernels.contact.contact_friction import (
+    ContactForces,
+    ProbeMotion,
+    ground_at,
+    load_on,
+    rough_ground_at,
+)
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_curvature, torque_of
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on
@@ -14,7 +20,6 @@ from softfinger.proxy.kernels.contact.outcome import Outcome
 from softfinger.proxy.kernels.contact.prediction import lag_of
 from softfinger.proxy.kernels.contact.rest.among import drawn_after
 from softfinger.proxy.kernels.contact.several_rest import Settled
-from softfinger.proxy.kernels.contact.texture import with_texture_friction
 from softfinger.proxy.kernels.friction.contact_patch import contact_patch, winding_unit
 from softfinger.proxy.kernels.friction.laws import turned
 from softfinger.proxy.kernels.friction.stick_slip import within_cone
@@ -120,7 +125,8 @@ def share_of_wrench(
     """Compute the wrench of one constraint; `ease` is the remaining part of the normal force during friction."""
     if constraint.body < 0.0:
         return NO_SHARE
-    probe, ground, normal = motion.probe, ground_at(objects, constraint.body), constraint.normal
+    probe, normal = motion.probe, constraint.normal
+    ground = rough_ground_at(objects, constraint.body, settled.active, settled.center)
     contact = contact_on(settled.contacts, constraint.body)
     load = load_on(finger, objects, ground, constraint, motion, approach.began)
     pressing = vec3.scale(load.size, load.along)
@@ -161,10 +167,9 @@ def outcome_of_several(
     load = load_of(finger, objects, active[0], motion, began) + load_of(finger, objects, active[1], motion, began)
     load, before = load + load_of(finger, objects, active[2], motion, began), sum_of_loads(forces)
     ease = load / before if before > load else 1.0
-    rough = with_texture_friction(objects, active, settled.center)
-    one = share_of_wrench(finger, rough, motion, approach, forces, settled, active[0], ease)
-    two = share_of_wrench(finger, rough, motion, approach, forces, settled, active[1], ease)
-    three = share_of_wrench(finger, rough, motion, approach, forces, settled, active[2], ease)
+    one = share_of_wrench(finger, objects, motion, approach, forces, settled, active[0], ease)
+    two = share_of_wrench(finger, objects, motion, approach, forces, settled, active[1], ease)
+    three = share_of_wrench(finger, objects, motion, approach, forces, settled, active[2], ease)
     pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)
     extra, budget = effects.force, 0.0
     on_its_way = settled.late and any_multipoint(shapes)

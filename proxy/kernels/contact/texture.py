@@ -8,25 +8,23 @@ path neither gains nor loses energy; damping also acts along m, and dissipates B
 Friction. The coefficients of the law and the torsional limit are multiplied by the texture's factor at the contact
 point.
 
-    texture_depth_on(objects, index, depth, normal, position)  -> d, m
-    with_texture_friction(objects, active, center)  -> objects  whose materials have the friction of the contact point
+    texture_depth_on(objects, index, depth, normal, position)      -> d, m
+    texture_friction(texture, body, index, active, center)         -> body  whose material has the friction there
 """
 
 from math import floor
 from typing import Any, NamedTuple
 
-from numba import literal_unroll
-
 from softfinger.proxy.kernels.friction.laws import scaled
 from softfinger.proxy.kernels.friction.torsion import with_scaled_friction
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import ActiveSet, Grip, Relief, Texture, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
 from softfinger.proxy.kernels.numerics.scalars import clamp
-from softfinger.proxy.kernels.query.elements import contains, count, element
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.shapes.charts import Chart, chart
 from softfinger.proxy.kernels.shapes.composite import shaded
 
@@ -116,6 +114,8 @@ def depth_without_texture(texture: None, body: Any, depth: float, normal: Vec3, 
 
 @texture_depth.of(Texture)
 def depth_with_texture(texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
+    if texture.columns == 0.0:  # of an object beside textured ones
+        return depth_without_texture(None, body, depth, normal, position)
     return raise_by(texture.relief, texture, body, depth, normal, position)
 
 
@@ -143,31 +143,11 @@ def raise_by_relief(
     return depth - at.inside * below, vec3.sub(normal, turn_out_of(body.pose, uphill))
 
 
-@by_count
-def texture_depth_on(objects: Any, index: float, depth: float, normal: Vec3, position: Vec3) -> Any:
+@jit
+def texture_depth_on(objects: Any, index: float, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
     """Return `texture_depth` on object `index`."""
-
-
-@texture_depth_on.of(1)
-def texture_depth_on_the_only_one(
-    objects: Any, index: float, depth: float, normal: Vec3, position: Vec3
-) -> tuple[float, Vec3]:
-    body = element(objects[0], index)
+    body = object_at(objects, index)
     return texture_depth(body.texture, body, depth, normal, position)
-
-
-@texture_depth_on.of(2)
-def texture_depth_on_one_of_several(
-    objects: Any, index: float, depth: float, normal: Vec3, position: Vec3
-) -> tuple[float, Vec3]:
-    d, m = depth, normal
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            d, m = texture_depth(body.texture, body, depth, normal, position)
-        at += count(entry)
-    return d, m
 
 
 # --- friction ------------------------------------------------------------------------------------
@@ -203,7 +183,7 @@ def scale_friction_by_grip(
 ) -> Any:
     factor = 1.0
     one, two, three = active
-    if index == one.body or index == two.body or index == three.body:
+    if texture.columns != 0.0 and (index == one.body or index == two.body or index == three.body):
         normal = one.normal if index == one.body else two.normal if index == two.body else three.normal
         at = chart_at(body, center, normal)
         # At an edge of the object, the texture fades to its highest value.
@@ -212,27 +192,3 @@ def scale_friction_by_grip(
     made_of = body.material
     friction, torsion = scaled(made_of.friction, factor), with_scaled_friction(made_of.torsion, factor)
     return replace(body, "material", replace(made_of, "friction", friction, "torsion", torsion))
-
-
-@jit
-def with_texture_friction(objects: Any, active: ActiveSet, center: Vec3) -> Any:
-    """Return the objects with their friction under the proxy's `center` (3,) m."""
-    return with_texture_friction_from(objects, 0.0, active, center)
-
-
-@by_count
-def with_texture_friction_from(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
-    """Return `with_texture_friction` for a tuple that starts with object `index`."""
-
-
-@with_texture_friction_from.of(1)
-def with_texture_friction_on_one(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
-    texture = element(objects[0], 0.0).texture
-    return (texture_friction(texture, objects[0], index, active, center),)
-
-
-@with_texture_friction_from.of(2)
-def with_texture_friction_on_several(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
-    texture = element(objects[0], 0.0).texture
-    body = texture_friction(texture, objects[0], index, active, center)
-    return (body,) + with_texture_friction_from(objects[1:], index + count(objects[0]), active, center)  # noqa: RUF005  # see world.poses_of_several_at

@@ -13,7 +13,8 @@ from math import floor, pi, sin
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.tuples import fold_each, map_each, unzip
 from softfinger.proxy.kernels.model import (
     Anchor,
     BoxBoundary,
@@ -39,6 +40,8 @@ FORCE_CEILING_N = 1e6
 """Limit that only keeps products of absurd numbers finite; the guard limits the force on the hand."""
 TURNS_CEILING = 1e15
 """Number of turns above which float64 cannot represent a fraction of a turn."""
+NO_FORCE: Vec3 = (-0.0, -0.0, -0.0)
+"""Negative zeros: adding them changes no bit of any number, so the compiler leaves the addition out."""
 NO_LENGTH_M = 1e-100
 """Shorter vectors count as zero: the squares of their components underflow."""
 
@@ -260,29 +263,11 @@ def stick_slip_force(effect: StickSlip, state: Anchor, situation: Situation) -> 
 # --- all effects ---------------------------------------------------------------------------------
 
 
-@by_count
+@jit
 def apply_effects(effects: Any, states: Any, situation: Situation) -> Any:
     """Return the total force (3,) N of a tuple of effects, and their states after this tick."""
-
-
-@apply_effects.of(0)
-def apply_none(effects: Any, states: Any, situation: Situation) -> Any:
-    # Negative zero: adding it changes no bit of any number, so the compiler removes the addition.
-    return (-0.0, -0.0, -0.0), ()
-
-
-@apply_effects.of(1)
-def apply_one(effects: Any, states: Any, situation: Situation) -> Any:
-    force, state = effect_force(effects[0], states[0], situation)
-    return force, (state,)
-
-
-@apply_effects.of(2)
-def apply_first_and_rest(effects: Any, states: Any, situation: Situation) -> Any:
-    force, state = effect_force(effects[0], states[0], situation)
-    others, states_of_others = apply_effects(effects[1:], states[1:], situation)
-    # numba concatenates tuples of known types, but does not unpack one inside another.
-    return vec3.add(force, others), (state,) + states_of_others  # noqa: RUF005
+    forces, after = unzip(map_each(effect_force, (effects, states), situation))
+    return fold_each(vec3.add, forces, NO_FORCE), after
 
 
 def start_states(effects: tuple[Any, ...]) -> tuple[Any, ...]:

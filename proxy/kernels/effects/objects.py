@@ -2,11 +2,13 @@
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
-from softfinger.proxy.kernels.jit.dispatch import by_count
-from softfinger.proxy.kernels.model import Constraint, Vec3
+from softfinger.proxy.kernels.effects.forces import NO_FORCE, Situation, apply_effects
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.tuples import fold_each, map_each, unzip
+from softfinger.proxy.kernels.model import Carrier, Constraint, Many, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.elements import element
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.motion import carried_along, moving_pose
 from softfinger.proxy.kernels.query.objects import closest_or_bound_on
 
@@ -24,43 +26,34 @@ class Touched(NamedTuple):
     before: Vec3
 
 
-@by_count
+@jit
 def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
     """Return the total force (3,) N of the effects of all objects, their states, and a flag.
 
     The flag is 1 if the gap of an object may be too large because the search for its nearest point did not finish,
     otherwise 0.
+
+
+    states  a tuple for each Carrier of the objects
     """
+    felt, after = unzip(map_each(effects_of, (objects.effects, states), objects, radius, touched, contact))
+    force, unsearched = fold_each(added, felt, (NO_FORCE, 0.0))
+    return force, after, unsearched
 
 
-@apply_objects_effects.of(1)
-def effects_of_one(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    body = objects[0]
-    force, state, unsearched = effects_of(element(body, 0.0).effects, body, states[0], radius, touched, contact)
-    return force, (state,), unsearched
+@jit
+def added(one: tuple[Vec3, float], other: tuple[Vec3, float]) -> tuple[Vec3, float]:
+    """Force of both, and 1 if the search of either did not end."""
+    return vec3.add(one[0], other[0]), max(one[1], other[1])
 
 
-@apply_objects_effects.of(2)
-def effects_of_several(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    body = objects[0]
-    force, state, unsearched = effects_of(element(body, 0.0).effects, body, states[0], radius, touched, contact)
-    others, rest, more = apply_objects_effects(objects[1:], states[1:], radius, touched, contact)
-    states = (state,) + rest  # noqa: RUF005  # see query.world.poses_of_several_at
-    return vec3.add(force, others), states, max(unsearched, more)
-
-
-@by_count
-def effects_of(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    """Return force, states and flag, as `apply_objects_effects`, for the effects of one object."""
-
-
-@effects_of.of(0)
-def effects_of_none(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    return (-0.0, -0.0, -0.0), (), 0.0  # see forces.apply_none
-
-
-def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
-    gap, _, normal, unsearched = closest_or_bound_on(body, contact.position)
+@jit
+def effects_of(
+    carrier: Carrier, states: Any, objects: Any, radius: float, touched: Touched, contact: Situation
+) -> tuple[tuple[Vec3, float], Any]:
+    """Force (3,) N of one object's effects and, as above, whether a search did not end; and their states."""
+    body = object_at(objects, carrier.row)
+    gap, _, normal, unsearched = closest_or_bound_on(whole(objects, body), contact.position)
     is_touched = 1.0
     # The normal of the contact, not of the nearest surface point: the probe may have passed through a thin body.
     if body.number == touched.one.body:
@@ -71,17 +64,28 @@ def effects_of_some(effects: Any, body: Any, states: Any, radius: float, touched
         normal = touched.three.normal
     else:
         is_touched = 0.0
-    carrier, velocity = moving_pose(body.motion, body.pose), contact.velocity
+    frame, velocity = moving_pose(body.motion, body.pose), contact.velocity
     if contact.dt > 0.0:  # relative to this object
-        way = vec3.sub(carried_along(body.was, body.pose, touched.before), touched.before)
+        way = vec3.sub(carried_along(body, touched.before), touched.before)
         velocity = vec3.add_scaled(velocity, -1.0 / contact.dt, way)
     situation = Situation(
         position=contact.position, velocity=velocity, dt=contact.dt, touched=is_touched, gap=gap - radius,
-        normal=normal, carrier=carrier,
+        normal=normal, carrier=frame,
     )  # fmt: skip
-    force, after = apply_effects(effects, states, situation)
-    return force, after, unsearched
+    force, after = apply_effects(carrier.effects, states, situation)
+    return (force, unsearched), after
 
 
-effects_of.of(1)(effects_of_some)
-effects_of.of(2)(effects_of_some)
+@by_type
+def whole(objects: Any, body: Any) -> Any:
+    """Return the object itself instead of one of its triangles."""
+
+
+@whole.of(Single)
+def whole_of_single(objects: Single, body: Any) -> Any:
+    return objects.body
+
+
+@whole.of(Many)
+def whole_of_many(objects: Many, body: Any) -> Any:
+    return body

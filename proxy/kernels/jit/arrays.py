@@ -62,7 +62,7 @@ class ReadOnly:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the numbers: a copy has a different address."""
-        return ReadOnly, (self.array,)
+        return type(self), (self.array,)
 
 
 class ReadOnlyType(types.Type):  # type: ignore[misc]
@@ -99,6 +99,57 @@ def register_address(numba_type: type[ReadOnlyType]) -> None:
 register_address(ReadOnlyType)
 
 
+class Mutable(ReadOnly):
+    """Numbers that kernels write: what a scene of any number of objects remembers, which no tuple has room for.
+
+    Copies of a state share them. Readers and writers are one thread.
+    """
+
+    __slots__ = ()
+
+    def __init__(self, values: ArrayLike) -> None:
+        super().__init__(values)
+        self.array.setflags(write=True)
+
+    def __setitem__(self, index: int, value: float) -> None:
+        self.array[index] = value
+
+
+class MutableType(ReadOnlyType):
+    """Compiler's type of `Mutable`."""
+
+    instance_class = Mutable
+
+    def __init__(self, dtype: types.Type) -> None:
+        self.dtype = dtype
+        types.Type.__init__(self, name=f"Mutable({dtype})")
+
+
+@typeof_impl.register(Mutable)
+def _typeof_mutable(value: Mutable, context: Any) -> MutableType:
+    return MutableType(from_dtype(value.array.dtype))
+
+
+register_address(MutableType)
+
+
+@intrinsic
+def _write_at(typing_context, values, index, value):  # type: ignore[no-untyped-def]
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        first = builder.inttoptr(args[0], ir.PointerType(context.get_value_type(values.dtype)))
+        builder.store(args[2], builder.gep(first, [args[1]]))
+        return context.get_dummy_value()
+
+    return types.void(values, types.int64, values.dtype), generate
+
+
+@overload(operator.setitem, jit_options=INLINED)
+def _setitem(values, index, value):  # type: ignore[no-untyped-def]
+    if type(values) is MutableType and isinstance(index, types.Integer):
+        return lambda values, index, value: _write_at(values, index, value)
+    return None
+
+
 @intrinsic
 def _number_at(typing_context, values, index):  # type: ignore[no-untyped-def]
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -110,6 +161,6 @@ def _number_at(typing_context, values, index):  # type: ignore[no-untyped-def]
 
 @overload(operator.getitem, jit_options=INLINED)
 def _getitem(values, index):  # type: ignore[no-untyped-def]
-    if type(values) is ReadOnlyType and isinstance(index, types.Integer):
+    if type(values) in (ReadOnlyType, MutableType) and isinstance(index, types.Integer):
         return lambda values, index: _number_at(values, index)
     return None

@@ -48,11 +48,6 @@ def by_type_of(field: str) -> Callable[[Callable[..., Any]], Any]:
     )
 
 
-def by_count(declaration: Callable[..., Any]) -> Any:
-    """Declare a kernel chosen by the length of a tuple: `.of(1)` for exactly one, `.of(2)` for two and more."""
-    return chosen_by(declaration, len, lambda count: min(count, 2), lambda nodes: min(len(nodes), 2))
-
-
 def chosen_by(
     declaration: Callable[..., Any],
     sort: Callable[[Any], Any],
@@ -60,6 +55,8 @@ def chosen_by(
     compiled_kind: Callable[[types.Type], Any],
 ) -> Any:
     """Return a kernel chosen by its first argument.
+
+    `.has(kind)` tells whether a kind has a kernel of its own.
 
     sort           property of the argument by which plain Python chooses: its type, or its length
     kind_of        kind for a value of `sort`
@@ -99,5 +96,6 @@ def chosen_by(
 
     choice: Any = call if PLAIN else Choice(declaration, lambda node, *rest: kernel_for(compiled_kind(node)), call)
     choice.of = of
+    choice.has = kernels.__contains__
     choice.otherwise = of(_OTHERS)
     return choice

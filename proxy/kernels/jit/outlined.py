@@ -78,7 +78,7 @@ def _declare(function: Kernel, holds: Callable[..., bool]) -> Any:
 
     @functools.cache
     def symbol_for(given: types.Type, result: types.Type) -> str:
-        return link_unit(function, KEPT, given, lambda: _in_and_out(inner, given, result))
+        return link_unit(function, KEPT, given, lambda: in_and_out(inner, given, result))
 
     @intrinsic
     def call_unit(typing_context, *args):  # type: ignore[no-untyped-def]
@@ -105,7 +105,7 @@ def _declare(function: Kernel, holds: Callable[..., bool]) -> Any:
     return choice
 
 
-def _in_and_out(inner: Any, given: types.Type, result: types.Type) -> Callable[[Any, Any], None]:
+def in_and_out(inner: Any, given: types.Type, result: types.Type) -> Callable[[Any, Any], None]:
     """Return a C function of two addresses, of the arguments and of the result, that calls `inner`."""
 
     @intrinsic

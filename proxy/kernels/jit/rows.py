@@ -1,13 +1,14 @@
 """Trees of one type in consecutive memory, which a kernel reads by index.
 
-    objects: Rows        # in a kernel: objects[i], len(objects)
+    entries: Rows        # in a kernel: entries[i]
 
 Each tree of a tuple is compiled separately. Rows are compiled once, for one tree, and their number costs only run time.
-The number is part of the type, as is the length of a tuple. Memory and lifetime are as in `arrays`.
+It is not part of the type, so kernels receive it separately. Memory and lifetime are as in `arrays`.
 """
 
 import operator
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numba
@@ -28,9 +29,11 @@ class Rows(ReadOnly):
     ------
     TypeError
         If the trees differ in type.
-    """
 
-    __slots__ = ("like", "trees")
+    Notes
+    -----
+    They are copied when a kernel first needs them, since the kernel table of a tree is compiled for its address.
+    """
 
     def __init__(self, trees: Sequence[Any]) -> None:
         self.trees = tuple(trees)
@@ -38,7 +41,16 @@ class Rows(ReadOnly):
         for tree in self.trees:
             if numba.typeof(tree) != self.like:
                 raise TypeError(f"rows of {self.like} and {numba.typeof(tree)}: all must be of one type")
-        super().__init__(np.stack([flatten(tree) for tree in self.trees]))
+
+    @cached_property
+    def array(self) -> Any:  # type: ignore[override]
+        values = np.stack([flatten(tree) for tree in self.trees]).ravel()
+        values.setflags(write=False)
+        return values
+
+    @property
+    def address(self) -> int:  # type: ignore[override]
+        return int(self.array.ctypes.data)
 
     def __getitem__(self, index: int) -> Any:
         return self.trees[index]
@@ -47,23 +59,22 @@ class Rows(ReadOnly):
         return len(self.trees)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Rows, (self.trees,)
+        return type(self), (self.trees,)
 
 
 class RowsType(ReadOnlyType):
-    """numba type of `Rows`: an address, with the type and number of the trees stored there."""
+    """numba type of `Rows`: an address, with the type of the trees stored there."""
 
     instance_class = Rows
 
-    def __init__(self, like: types.Type, count: int) -> None:
+    def __init__(self, like: types.Type) -> None:
         self.like = like
-        self.count = count
-        types.Type.__init__(self, name=f"Rows({like}, {count})")
+        types.Type.__init__(self, name=f"Rows({like})")
 
 
 @typeof_impl.register(Rows)
 def _typeof(value: Rows, context: Any) -> RowsType:
-    return RowsType(value.like, len(value))
+    return RowsType(value.like)
 
 
 register_address(RowsType)
@@ -83,11 +94,3 @@ def _getitem(rows, index):  # type: ignore[no-untyped-def]
     if isinstance(rows, RowsType) and isinstance(index, types.Integer):
         return lambda rows, index: _tree_at(rows, index)
     return None
-
-
-@overload(len, jit_options=INLINED)
-def _len(rows):  # type: ignore[no-untyped-def]
-    if not isinstance(rows, RowsType):
-        return None
-    count = rows.count
-    return lambda rows: count

@@ -2,7 +2,11 @@
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.model.vectors import Quaternion, Vec3
+
+STILL, DRIVEN, SINUSOID, TURNTABLE, SIMULATED = 0.0, 1.0, 2.0, 3.0, 4.0
+"""Kinds of `Motion`."""
 
 
 class Place(NamedTuple):
@@ -38,6 +42,29 @@ class Turntable(NamedTuple):
 
 class Driven(NamedTuple):
     """External motion: a command or a script changes the pose at run time."""
+
+
+class Motion(NamedTuple):
+    """Motion of one of many objects, as numbers; fields of other kinds are 0.
+
+    kind         STILL, DRIVEN, SINUSOID, TURNTABLE or SIMULATED
+    block, body  of Simulated
+    translation  of Sinusoid
+    axis         of Sinusoid or Turntable
+    pivot        of Turntable
+    angle, frequency, phase, rate
+    """
+
+    kind: float
+    block: ReadOnly
+    body: float
+    translation: Vec3
+    axis: Vec3
+    pivot: Vec3
+    angle: float
+    frequency: float
+    phase: float
+    rate: float
 
 
 class Simulated(NamedTuple):

@@ -2,6 +2,9 @@
 
 from typing import Any, NamedTuple
 
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.model.motions import Motion, Pose
+from softfinger.proxy.kernels.model.shapes import AnyShape
 from softfinger.proxy.kernels.model.vectors import Quaternion, Vec3
 
 
@@ -25,7 +28,6 @@ class Object(NamedTuple):
     motion    None, or the law of its motion
     material  Material, with the same types of laws for all objects of a scene
     number    index of its entry in the scene file; several shapes may form one object
-    effects   tuple of effects
     was       Pose at the last tick of an object that can move; None otherwise, and in a Scene (set in each tick)
     texture   Texture or None; its coordinates are in the frame of `pose`
     """
@@ -35,9 +37,101 @@ class Object(NamedTuple):
     motion: Any
     material: Material
     number: float
-    effects: Any
     was: Any = None
     texture: Any = None
+
+
+class Carrier(NamedTuple):
+    """Effects of an object, and its row, 0 of a single one."""
+
+    row: float
+    effects: Any
+
+
+class Single(NamedTuple):
+    """The only object of a scene, of a shape that is known when the scene is compiled.
+
+    effects  tuple of Carrier, one or none
+    """
+
+    body: Object
+    effects: Any = ()
+
+
+class Entry(NamedTuple):
+    """Shape, place and normal law of one of many objects.
+
+    shape   AnyShape in the frame of `pose`
+    pose    Pose at rest
+    motion  Motion
+    normal  law of the normal force, of the same type for all objects of a scene
+    number  of the object in the scene file
+    """
+
+    shape: AnyShape
+    pose: Pose
+    motion: Motion
+    normal: Any
+    number: float
+
+
+class Smooth(NamedTuple):
+    """Mark of objects that are each touched in one point."""
+
+    meshes: float
+
+
+class Faceted(NamedTuple):
+    """Mark of objects among which are meshes, and no height maps."""
+
+    meshes: float
+
+
+class Creased(NamedTuple):
+    """Mark of objects among which are height maps; `meshes` is their number, which may be 0."""
+
+    meshes: float
+
+
+class Tip(NamedTuple):
+    """Form of an ellipsoidal fingertip in a tick.
+
+    semi_axes    m
+    orientation  of the axes, to the world
+    radius       m, of the finger
+    """
+
+    semi_axes: Vec3
+    orientation: Quaternion
+    radius: float
+
+
+class Many(NamedTuple):
+    """Any number of objects of any kinds, as data.
+
+    An object's index is its row, plus ENTRIES times the index of the triangle if it is a mesh (`query.container`).
+
+    entries    Rows of Entry
+    size       number of entries
+    movers     int64 rows of entries that can move; `moving` is their number
+    search     Smooth, Faceted or Creased
+    materials  Rows of Material without the normal law, None among bare objects
+    textures   Rows of Texture, with 0 columns for an object without one; None in a scene without textures
+    effects    tuple of Carrier
+    poses      in a tick the World's memory of objects that can move, in a scene None
+    tip        in a tick the Tip of an ellipsoidal fingertip, else None
+    """
+
+    entries: Any
+    size: float
+    movers: ReadOnly
+    moving: float
+    search: Any
+    materials: Any
+    textures: Any
+    effects: Any
+    poses: Any = None
+    tip: Any = None
 
 
 class Coupling(NamedTuple):
@@ -85,19 +179,21 @@ class Bodies(NamedTuple):
 
     block   ReadOnly  addresses of the simulation (query.bodies)
     moving  ReadOnly  numbers of the bodies that can move
-    riders            number of the attached body for each object of the scene file, 0 if it is not attached to one
+    riders  ReadOnly  number of the attached body for each object of the scene file, 0 if it is not attached to one
+    objects           number of objects in the scene file
     """
 
     block: Any
     moving: Any
-    riders: tuple[float, ...]
+    riders: Any
+    objects: float
 
 
 class Scene(NamedTuple):
     """Scene, the type for which the contact step is compiled.
 
     fingers   tuple of Finger, one or more
-    objects   tuple of Object
+    objects   Single or Many
     rolling   rolling method or None
     effects   tuple of effects of the workspace
     bodies    Bodies, or None without a simulation

@@ -141,6 +141,29 @@ class Mesh(NamedTuple):
     row: Rows
 
 
+class AnyShape(NamedTuple):
+    """A shape whose kind is data: one of many objects.
+
+    sizes     a row with the named tuple of its kind
+    kernels   addresses of the kernels of its kind (`shapes.any_shape`)
+    facet     index of the triangle of a mesh that is meant, 0 for other shapes
+    side      -1 if it is touched from inside, else 1
+    surface   SMOOTH, FACETED for a mesh, CREASED for a height map, FLAT for a plane
+    reach  m  radius of a ball about the origin of its frame that contains it; inf if none does
+    """
+
+    sizes: ReadOnly
+    kernels: ReadOnly
+    facet: float
+    side: float
+    surface: float
+    reach: float
+
+
+SMOOTH, FACETED, CREASED, FLAT = 0.0, 1.0, 2.0, 3.0
+"""Surfaces of `AnyShape`: touched in one point, made of triangles, touched in several points as one body, a plane."""
+
+
 class Facet(NamedTuple):
     """One triangle of a mesh, as a shape."""
 

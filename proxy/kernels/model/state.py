@@ -10,8 +10,9 @@ class World(NamedTuple):
 
     started  0 before the first tick, then 1
     time     s, the sum of all time steps
-    poses    current poses of all objects, None for one that cannot move
-    was      the same at the last tick
+    poses    current pose of the only object, None if it cannot move; of several objects the memory of their poses
+             (`query.world`)
+    was      pose of the only object at the last tick, None for several
     """
 
     started: float

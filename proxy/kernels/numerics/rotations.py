@@ -183,7 +183,7 @@ def tangent_frame(n: Vec3) -> tuple[Vec3, Vec3]:
     smallest rotation from -ez to n. Continuous in each half-space, with a jump at n_z = 0.
     Source: Duff et al. (2017), Building an Orthonormal Basis, Revisited.
     """
-    sign = copysign(1.0, n[2])
+    sign = -1.0 if n[2] < 0.0 else 1.0  # not copysign: a negative zero is in the upper half-space
     a = -1.0 / (sign + n[2])
     b = n[0] * n[1] * a
     return (1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (b, sign + n[1] * n[1] * a, -n[1])

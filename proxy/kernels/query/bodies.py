@@ -12,11 +12,12 @@ until the simulation is reset.
 from typing import Any, Final
 
 from softfinger.proxy.kernels.jit.decorators import PLAIN, jit
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at
 from softfinger.proxy.kernels.jit.rescue import rescued
 from softfinger.proxy.kernels.jit.seqlock import Slot, store
-from softfinger.proxy.kernels.model import Bodies, Pose, Vec3
+from softfinger.proxy.kernels.jit.tuples import map_each
+from softfinger.proxy.kernels.model import Bodies, Contact, ContactOutcome, FingerState, Pose, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
 # Elements of a block (int64): handles and functions, then addresses of the arrays of the simulation.
@@ -100,31 +101,25 @@ def push_bodies(bodies: Bodies, contacts: Any, fingers: Any) -> None:
     fingers   a FingerState for each finger
     """
     wrench = float64_at(bodies.block[WRENCH])
-    for rider in bodies.riders:
-        at = 6 * int(rider)
+    for k in range(int(bodies.objects)):
+        at = 6 * int(bodies.riders[k])
         for i in range(6):
             wrench[at + i] = 0.0
-    push_by_fingers(contacts, fingers, bodies)
+    map_each(push_by_finger, (contacts, fingers), bodies)
 
 
-@by_count
-def push_by_fingers(contacts: Any, fingers: Any, bodies: Bodies) -> None:
-    """Subtract the wrench of each contact from the applied wrench of the touched body."""
+@jit
+def push_by_finger(contact: Contact, finger: FingerState, bodies: Bodies) -> None:
+    """Take the wrenches of a finger's contacts from what acts on the bodies that they are on."""
+    map_each(push_by_contact, (contact.contacts,), finger.probe.position, bodies)
 
 
-@push_by_fingers.of(1)
-def push_by_one_finger(contacts: Any, fingers: Any, bodies: Bodies) -> None:
-    for contact in contacts[0].contacts:
-        if contact.object >= 0.0:
-            body = int(bodies.riders[int(contact.object)])
-            if body > 0:
-                push(bodies.block, body, contact.force, contact.torque, fingers[0].probe.position)
-
-
-@push_by_fingers.of(2)
-def push_by_several_fingers(contacts: Any, fingers: Any, bodies: Bodies) -> None:
-    push_by_fingers(contacts[:1], fingers[:1], bodies)
-    push_by_fingers(contacts[1:], fingers[1:], bodies)
+@jit
+def push_by_contact(contact: ContactOutcome, center: Vec3, bodies: Bodies) -> None:
+    if contact.object >= 0.0:
+        body = int(bodies.riders[int(contact.object)])
+        if body > 0:
+            push(bodies.block, body, contact.force, contact.torque, center)
 
 
 @jit

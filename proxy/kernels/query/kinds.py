@@ -6,14 +6,11 @@ Only meshes and height maps can touch a fingertip at several points. A scene wit
 from collections.abc import Callable
 from typing import Any, Final
 
-from numba import literal_unroll
-
 from softfinger.proxy.kernels.jit.cache import kinds_in
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type, chosen_by
-from softfinger.proxy.kernels.jit.rows import Rows
-from softfinger.proxy.kernels.model import Heightmap, Mesh, Simulated
-from softfinger.proxy.kernels.query.elements import contains, count
+from softfinger.proxy.kernels.model import Bodies, Creased, Faceted, Heightmap, Many, Mesh, Single
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.shapes.composite import has_creases, is_mesh_shape
 
 
@@ -23,15 +20,15 @@ def moves_by_itself(*given: Any) -> bool:
     A tick of a simulation takes microseconds, so a call by address costs little. Inlining the code of each finger into
     each of its callers would take a minute to compile.
     """
-    return Simulated in kinds_in(given)
+    return Bodies in kinds_in(given)
 
 
 def takes_long(*given: Any) -> bool:
-    """Return True if one of the arguments contains an object on a simulated body, a mesh or a height map.
+    """Return True if one of the arguments contains several objects, a mesh or a height map.
 
     Queries of them take so long that the cost of a call by address is negligible.
     """
-    return moves_by_itself(*given) or not {Mesh, Heightmap}.isdisjoint(kinds_in(given))
+    return not {Many, Mesh, Heightmap}.isdisjoint(kinds_in(given))
 
 
 SINGLE_POINT: Final = "single point"
@@ -40,11 +37,13 @@ WITH_HEIGHTMAP: Final = "height map"
 
 
 def _kind_among(kinds: Any) -> str:
-    return WITH_HEIGHTMAP if Heightmap in kinds else WITH_MESH if Mesh in kinds else SINGLE_POINT
+    if not {Heightmap, Creased}.isdisjoint(kinds):
+        return WITH_HEIGHTMAP
+    return SINGLE_POINT if {Mesh, Faceted}.isdisjoint(kinds) else WITH_MESH
 
 
 def by_multipoint(declaration: Callable[..., Any]) -> Any:
-    """Declare a kernel chosen by the objects in a tuple; only the chosen implementation is compiled.
+    """Declare a kernel chosen by the objects of a scene; only the chosen implementation is compiled.
 
     .of(WITH_HEIGHTMAP)  at least one is a height map
     .of(WITH_MESH)       at least one is a mesh, and none a height map
@@ -52,24 +51,29 @@ def by_multipoint(declaration: Callable[..., Any]) -> Any:
     """
 
     def sort(objects: Any) -> str:
-        return _kind_among({type((entry[0] if isinstance(entry, Rows) else entry).shape) for entry in objects})
+        return _kind_among({type(objects.search if isinstance(objects, Many) else objects.body.shape)})
 
-    return chosen_by(declaration, sort, lambda kind: kind, lambda objects: _kind_among(kinds_in(tuple(objects))))
-
-
-@by_type
-def shape_in(entry: Any) -> Any:
-    """Return the shape of an entry; of rows, the shape of the first, since all have the same type."""
+    return chosen_by(declaration, sort, lambda kind: kind, lambda objects: _kind_among(kinds_in((objects,))))
 
 
-@shape_in.otherwise
-def shape_of_object(entry: Any) -> Any:
-    return entry.shape
+ONE_PATCH: Final = "one patch"
+SEVERAL_PATCHES: Final = "several patches"
 
 
-@shape_in.of(Rows)
-def shape_of_first(entry: Any) -> Any:
-    return entry[0].shape
+def by_patches(declaration: Callable[..., Any]) -> Any:
+    """Declare a kernel chosen by how many patches of contact the objects of a scene can have with a fingertip.
+
+    .of(ONE_PATCH)        a single object that is no mesh
+    .of(SEVERAL_PATCHES)  a mesh, or many objects
+    """
+
+    def among(kinds: Any) -> str:
+        return ONE_PATCH if {Many, Mesh}.isdisjoint(kinds) else SEVERAL_PATCHES
+
+    def sort(objects: Any) -> str:
+        return among({Many if isinstance(objects, Many) else type(objects.body.shape)})
+
+    return chosen_by(declaration, sort, lambda kind: kind, lambda objects: among(kinds_in((objects,))))
 
 
 @by_multipoint
@@ -82,12 +86,29 @@ def no_mesh(objects: Any) -> bool:
     return False
 
 
-@any_mesh.otherwise
+@any_mesh.of(WITH_MESH)
 def some_mesh(objects: Any) -> bool:
-    found = 0.0
-    for entry in literal_unroll(objects):
-        found += is_mesh_shape(shape_in(entry))
-    return found > 0.0
+    return True
+
+
+@any_mesh.of(WITH_HEIGHTMAP)
+def mesh_beside_heightmap(objects: Any) -> bool:
+    return has_meshes(objects)
+
+
+@by_type
+def has_meshes(objects: Any) -> Any:
+    """Return whether there is a mesh among objects one of which is a height map."""
+
+
+@has_meshes.of(Single)
+def single_has_none(objects: Single) -> bool:
+    return False
+
+
+@has_meshes.of(Many)
+def many_have_meshes(objects: Many) -> bool:
+    return bool(objects.search.meshes > 0.0)
 
 
 @by_multipoint
@@ -111,16 +132,22 @@ def any_multipoint(objects: Any) -> bool:
     return any_mesh(objects) or any_creases(objects)
 
 
-@jit
-def kind_at(objects: Any, index: float) -> float:
+@by_multipoint
+def kind_at(objects: Any, index: float) -> Any:
     """Return 1 if object `index` is a triangle of a mesh, 2 if it is a height map, 0 for any other object or none."""
-    kind = 0.0
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            kind = is_mesh_shape(shape_in(entry)) + 2.0 * has_creases(shape_in(entry))
-        at += count(entry)
-    return kind
+
+
+@kind_at.of(SINGLE_POINT)
+def kind_touched_in_one_point(objects: Any, index: float) -> float:
+    return 0.0
+
+
+@kind_at.otherwise
+def kind_of_surface(objects: Any, index: float) -> float:
+    if index < 0.0:
+        return 0.0
+    shape = object_at(objects, index).shape
+    return is_mesh_shape(shape) + 2.0 * has_creases(shape)
 
 
 @jit

@@ -11,12 +11,24 @@ from math import cos, floor, pi, sin
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import Driven, Object, Pose, Quaternion, Simulated, Sinusoid, Turntable, Vec3
+from softfinger.proxy.kernels.jit.dispatch import by_type, by_type_of
+from softfinger.proxy.kernels.model import (
+    SIMULATED,
+    SINUSOID,
+    STILL,
+    TURNTABLE,
+    Driven,
+    Motion,
+    Pose,
+    Quaternion,
+    Simulated,
+    Sinusoid,
+    Turntable,
+    Vec3,
+)
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of
-from softfinger.proxy.kernels.query.bodies import last_pose_of_body, pose_of_body
+from softfinger.proxy.kernels.query.bodies import pose_of_body
 
 TURNS_CEILING = 1e15
 """Number of turns beyond which float64 cannot represent a fraction of a turn."""
@@ -93,33 +105,56 @@ def pose_of_simulated(motion: Simulated, pose: Pose, time: float) -> Pose:
     return carried(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
 
 
+@pose_at.of(Motion)
+def pose_of_any(motion: Motion, pose: Pose, time: float) -> Pose:
+    if motion.kind == SINUSOID:
+        oscillation = Sinusoid(motion.translation, motion.axis, motion.angle, motion.frequency, motion.phase)
+        return pose_of_sinusoid(oscillation, pose, time)
+    if motion.kind == TURNTABLE:
+        return pose_of_turntable(Turntable(motion.axis, motion.rate, motion.pivot), pose, time)
+    if motion.kind == SIMULATED:
+        return carried(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
+    return pose
+
+
+@moving_pose.of(Motion)
+def moving_pose_of_any(motion: Motion, pose: Pose) -> Pose:
+    """In the world itself for one that stands still, as of a single object."""
+    return Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)) if motion.kind == STILL else pose
+
+
 @by_type
-def in_row(motion: Any, body: Object) -> Any:
-    """Return an object of a row with its poses of this tick and the last, which the World does not store for rows."""
+def can_move(motion: Any) -> Any:
+    """Return 1 for a motion that can change an object's pose, else 0."""
 
 
-@in_row.of(None)
-def still_in_row(motion: None, body: Object) -> Object:
-    return body
+@can_move.of(None)
+def cannot_move(motion: None) -> float:
+    return 0.0
 
 
-@in_row.of(Simulated)
-def riding_in_row(motion: Simulated, body: Object) -> Object:
-    rest = body.pose
-    was = carried(last_pose_of_body(motion.block, motion.body), rest.position, rest.orientation)
-    return replace(body, "pose", pose_of_simulated(motion, rest, 0.0), "was", was)
+@can_move.of(Motion)
+def any_can_move(motion: Motion) -> float:
+    return 0.0 if motion.kind == STILL else 1.0
 
 
-@by_type
-def carried_along(was: Any, pose: Any, x: Vec3) -> Any:
+@can_move.otherwise
+def moves(motion: Any) -> float:
+    return 1.0
+
+
+@by_type_of("was")
+def carried_along(body: Any, x: Vec3) -> Any:
     """Return the current position of a point that was at `x` (3,) m at the last tick and moved with the object."""
 
 
 @carried_along.of(None)
-def not_carried(was: None, pose: Any, x: Vec3) -> Vec3:
+def not_carried(body: Any, x: Vec3) -> Vec3:
     return x
 
 
 @carried_along.of(Pose)
-def carried_by_pose(was: Pose, pose: Pose, x: Vec3) -> Vec3:
-    return out_of(pose, into(was, x))
+def carried_by_pose(body: Any, x: Vec3) -> Vec3:
+    if can_move(body.motion) == 0.0:
+        return x
+    return out_of(body.pose, into(body.was, x))

@@ -1,20 +1,13 @@
-"""Queries of one or all objects of a scene, in the world frame.
-
-Objects have different types, so they are in a tuple, and an unrolled loop visits them one after the other. Objects of
-one type are one entry of the tuple, `Rows`. `index` is the flat index of an object: see `elements`.
-"""
+"""Queries of one object of a scene by its index (`container`), and of the nearest of all, in the world frame."""
 
 from typing import Any
 
-from numba import literal_unroll
-
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.jit.rows import Rows
-from softfinger.proxy.kernels.model import Material, Pose, Vec3
+from softfinger.proxy.kernels.model import Many, Material, Single, Smooth, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.frames import into, out_of, pose_values, turn_into, turn_out_of
-from softfinger.proxy.kernels.query.elements import contains, count, element
+from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
+from softfinger.proxy.kernels.query.container import ENTRIES, facet_of, facet_step, is_beyond, object_at, row_of
 from softfinger.proxy.kernels.shapes import (
     bend,
     closest,
@@ -27,17 +20,19 @@ from softfinger.proxy.kernels.shapes import (
 from softfinger.proxy.kernels.shapes.composite import Deepest, has_creases, nearest_of_shape, neighbour_of, raised_clear
 
 NOBODY: Vec3 = (-1.0, -1.0, -1.0)
-"""Three flat indices of no object."""
+"""Three indices of no object."""
+NOWHERE = 1e300
+"""Gap, m, without an object."""
 SWING = 0.2
 """Largest angle of the contact round a hollow in a tick, rad; beyond it the contact slides. At 1 kHz that is thirty
 turns per second, which no hand follows."""
 
 
 @jit
-def closest_on(body: Any, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    """Return `closest` of one object in the world frame."""
-    gap, point, normal = closest(body.shape, into(body.pose, x))
-    return gap, out_of(body.pose, point), turn_out_of(body.pose, normal)
+def closest_on(shape: Any, pose: Any, x: Vec3) -> tuple[float, Vec3, Vec3]:
+    """Return `closest` of a shape with that pose, in the world frame."""
+    gap, point, normal = closest(shape, into(pose, x))
+    return gap, out_of(pose, point), turn_out_of(pose, normal)
 
 
 @jit
@@ -50,15 +45,9 @@ def closest_or_bound_on(body: Any, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
 @jit
 def closest_to_within(objects: Any, index: float, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """Return `closest_within` of object `index` in the world frame."""
-    gap, point, normal = 0.0, x, (0.0, 0.0, 1.0)
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            gap, foot, up, budget = closest_within(body.shape, into(body.pose, x), budget)
-            point, normal = out_of(body.pose, foot), turn_out_of(body.pose, up)
-        at += count(entry)
-    return gap, point, normal, budget
+    body = object_at(objects, index)
+    gap, foot, up, budget = closest_within(body.shape, into(body.pose, x), budget)
+    return gap, out_of(body.pose, foot), turn_out_of(body.pose, up), budget
 
 
 @jit
@@ -66,68 +55,34 @@ def constraint_of(
     objects: Any, index: float, center: Vec3, radius: float, normal: Vec3, budget: int
 ) -> tuple[Vec3, Vec3, int]:
     """Return `constraint_at` of object `index` in the world frame."""
-    point, up = center, normal
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            pose = body.pose
-            foot, n, budget = constraint_at(body.shape, into(pose, center), radius, turn_into(pose, normal), budget)
-            point, up = out_of(pose, foot), turn_out_of(pose, n)
-        at += count(entry)
-    return point, up, budget
+    body = object_at(objects, index)
+    pose = body.pose
+    foot, up, budget = constraint_at(body.shape, into(pose, center), radius, turn_into(pose, normal), budget)
+    return out_of(pose, foot), turn_out_of(pose, up), budget
 
 
 @jit
 def normal_law_of(objects: Any, index: float) -> Any:
     """Return the law of the normal force of object `index`; the only part of a material that bare objects have."""
-    found = element(objects[0], 0.0).material.normal
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            found = body.material.normal
-        at += count(entry)
-    return found
+    return object_at(objects, index).material.normal
 
 
 @jit
 def material_of(objects: Any, index: float) -> Material:
     """Return the material of object `index`. All materials of a scene have the same types; not for bare objects."""
-    found = element(objects[0], 0.0).material
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            found = body.material
-        at += count(entry)
-    return found
+    return object_at(objects, index).material
 
 
 @jit
 def number_of(objects: Any, index: float) -> float:
     """Return the scene file's index of object `index`, -1 for none; several may form one object of the file."""
-    found = -1.0
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            found = body.number
-        at += count(entry)
-    return found
+    return object_at(objects, index).number if index >= 0.0 else -1.0
 
 
 @jit
 def is_inside(objects: Any, index: float) -> bool:
     """Return True if object `index` is touched from inside."""
-    inside = False
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            inside = is_hollow(body.shape)
-        at += count(entry)
-    return inside
+    return index >= 0.0 and is_hollow(object_at(objects, index).shape)
 
 
 @jit
@@ -147,92 +102,76 @@ def curvature_of(objects: Any, index: float, radius: float, center: Vec3, normal
 
     0 for a height map, which may be touched on both sides of a valley at once.
     """
-    k1, k2, first = 0.0, 0.0, normal
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            if has_creases(body.shape) == 0.0:
-                point = into(body.pose, vec3.add_scaled(center, -radius, normal))
-                k1, k2, along = curvature(body.shape, radius, point, turn_into(body.pose, normal))
-                first = turn_out_of(body.pose, along)
-        at += count(entry)
-    return k1, k2, first
-
-
-@jit
-def pose_of(objects: Any, index: float) -> Pose:
-    """Return the pose of object `index`."""
-    found = Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            found = pose_values(body.pose)
-        at += count(entry)
-    return found
+    body = object_at(objects, index)
+    if has_creases(body.shape) != 0.0:
+        return 0.0, 0.0, normal
+    point = into(body.pose, vec3.add_scaled(center, -radius, normal))
+    k1, k2, along = curvature(body.shape, radius, point, turn_into(body.pose, normal))
+    return k1, k2, turn_out_of(body.pose, along)
 
 
 @jit
 def neighbour_on(objects: Any, index: float, x: Vec3) -> float:
     """Return the index of the neighbouring facet if it is closer to `x` (3,) m than object `index`, else `index`."""
-    beyond = index
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            beyond = index + neighbour_of(body.shape, into(body.pose, x))
-        at += count(entry)
-    return beyond
+    if index < 0.0:
+        return index
+    body = object_at(objects, index)
+    return index + facet_step(objects) * neighbour_of(body.shape, into(body.pose, x))
 
 
 @by_type
-def nearest_in(entry: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Any:
-    """Return `deepest` of the entry that starts at index `at`; the returned index is relative to `at`."""
-
-
-@nearest_in.otherwise
-def nearest_of_object(entry: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
-    return nearest_of_shape(entry.shape, into(entry.pose, x), within, at, known, budget)
-
-
-@nearest_in.of(Rows)
-def smallest_gap_in_rows(entry: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
-    smallest, number = 1e300, 0.0
-    for i in range(len(entry)):
-        body = element(entry, i)
-        gap, _, budget = nearest_of_shape(body.shape, into(body.pose, x), within, at + i, known, budget)
-        if gap < smallest:
-            smallest, number = gap, float(i)
-    return Deepest(smallest, number, budget)
-
-
-@jit
-def deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
+def deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Any:
     """Return the object nearest to `x` (3,) m, with its gap.
 
     within        m  search distance: objects beyond it may be omitted; the gap is 1e300 if none is found
     known   (3,)     indices of up to three objects, -1 for none, preferred to equally near triangles of their mesh
     budget           nodes and triangles of meshes, and tiles of height maps, that may be visited
     """
-    smallest, index = 1e300, -1.0
-    at = 0.0
-    for entry in literal_unroll(objects):
-        gap, number, budget = nearest_in(entry, x, within, at, known, budget)
+
+
+@deepest.of(Single)
+def deepest_of_one(objects: Single, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
+    body = objects.body
+    gap, facet, budget = nearest_of_shape(body.shape, into(body.pose, x), within, known, budget)
+    return Deepest(gap, facet if gap < NOWHERE else -1.0, budget)
+
+
+@deepest.of(Many)
+def deepest_of_many(objects: Many, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
+    smallest, index = NOWHERE, -1.0
+    for row in range(int(objects.size)):
+        if is_beyond(objects, row, x, min(within, smallest)):
+            continue
+        body = object_at(objects, float(row))
+        facets = facets_of(objects.search, row, known)
+        gap, facet, budget = nearest_of_shape(body.shape, into(body.pose, x), within, facets, budget)
         if gap < smallest:
-            smallest, index = gap, at + number
-        at += count(entry)
+            smallest, index = gap, row + ENTRIES * facet
     return Deepest(smallest, index, budget)
+
+
+@by_type
+def facets_of(search: Any, row: int, known: Vec3) -> Any:
+    """Return the indices of triangles of one of many objects from those of up to three objects, -1 for others."""
+
+
+@facets_of.of(Smooth)
+def no_facets(search: Smooth, row: int, known: Vec3) -> Vec3:
+    return known
+
+
+@facets_of.otherwise
+def facets_of_mesh(search: Any, row: int, known: Vec3) -> Vec3:
+    return facet_in(row, known[0]), facet_in(row, known[1]), facet_in(row, known[2])
+
+
+@jit
+def facet_in(row: int, index: float) -> float:
+    return facet_of(index) if index >= 0.0 and row_of(index) == row else -1.0
 
 
 @jit
 def raised_clear_of(objects: Any, index: float, center: Vec3, radius: float) -> Vec3:
     """Return `raised_clear` of object `index` in the world frame."""
-    found = center
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            found = out_of(body.pose, raised_clear(body.shape, into(body.pose, center), radius))
-        at += count(entry)
-    return found
+    body = object_at(objects, index)
+    return out_of(body.pose, raised_clear(body.shape, into(body.pose, center), radius))

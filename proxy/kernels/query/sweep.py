@@ -6,70 +6,68 @@ object that moves is detected, too.
 
 from typing import Any
 
-from numba import literal_unroll
-
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.jit.rows import Rows
-from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.model import STILL, Many, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
-from softfinger.proxy.kernels.query.elements import count, element
+from softfinger.proxy.kernels.query.container import ENTRIES, is_beyond, object_at
 from softfinger.proxy.kernels.query.motion import carried_along
 from softfinger.proxy.kernels.shapes import NO_HIT
 from softfinger.proxy.kernels.shapes.protocol import meets
 
 
 @by_type
-def first_in(entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int) -> Any:
-    """Find the first hit in the entry that starts at index `at`: see `first_hit`.
+def first_hit(objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int) -> Any:
+    """Find the first object that the fingertip hits.
 
-    returns  share of the path at the hit, flat index of the object, start (3,) m of the path, and remaining budget
+    returns  index of the object, -1 for none, the fingertip's centre (3,) m there, and the remaining budget
+
+    If the budget runs out on a mesh or a height map, that counts as a hit.
+
+
+    start   (3,) m  start of the path, at the last tick; it moves along with an object that has moved since
+    end     (3,) m  end of the path
+    leaves          see `travel`
+    skip            indices of up to three objects to be ignored
+    budget          maximum number of nodes and triangles of meshes, and tiles of height maps, to be queried
     """
-
-
-@first_in.otherwise
-def meets_it(
-    entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
-) -> tuple[float, float, Vec3, int]:
-    met, number, begin = NO_HIT, 0.0, start
-    if at != skip[0] and at != skip[1] and at != skip[2]:
-        begin = carried_along(entry.was, entry.pose, start)
-        met, number, budget = meets(entry.shape, into(entry.pose, begin), into(entry.pose, end), radius, leaves, budget)
-    return met, at + number, begin, budget
-
-
-@first_in.of(Rows)
-def first_in_rows(
-    entry: Any, at: float, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
-) -> tuple[float, float, Vec3, int]:
-    share, index, where = NO_HIT, at, start
-    for i in range(len(entry)):
-        met, place, begin, budget = meets_it(element(entry, i), at + i, start, end, radius, leaves, skip, budget)
-        if met < share:
-            share, index, where = met, place, begin
-    return share, index, where, budget
 
 
 @jit
-def first_hit(
-    objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
-) -> tuple[float, Vec3, int]:
-    """Find the first object that a fingertip hits on its path.
+def meets_it(
+    body: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
+) -> tuple[float, float, Vec3, int]:
+    """Return the share of the path at the hit, the triangle, the centre (3,) m there, and the remaining budget."""
+    begin = carried_along(body, start)
+    met, facet, budget = meets(body.shape, into(body.pose, begin), into(body.pose, end), radius, leaves, budget)
+    return met, facet, vec3.add_scaled(begin, met, vec3.sub(end, begin)), budget
 
-    start   (3,) m  start of the path, at the last tick; for an object that has moved since, it moves with the object
-    end     (3,) m  end of the path, now
-    leaves          see `travel`
-    skip            flat indices of up to three objects to ignore
-    budget          nodes and triangles of meshes, and tiles of height maps, that may be visited
-    returns         flat index of the object, -1 for none; the fingertip's centre (3,) m at the hit; and the remaining
-                    budget. A mesh or height map whose query exhausts the budget counts as hit
-    """
+
+@first_hit.of(Single)
+def first_hit_of_one(
+    objects: Single, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
+) -> tuple[float, Vec3, int]:
+    if skip[0] == 0.0 or skip[1] == 0.0 or skip[2] == 0.0:
+        return -1.0, end, budget
+    met, facet, where, budget = meets_it(objects.body, start, end, radius, leaves, budget)
+    return (facet, where, budget) if met < NO_HIT else (-1.0, end, budget)
+
+
+@first_hit.of(Many)
+def first_hit_of_many(
+    objects: Many, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
+) -> tuple[float, Vec3, int]:
     share, index, where = NO_HIT, -1.0, end
-    at = 0.0
-    for entry in literal_unroll(objects):
-        met, place, begin, budget = first_in(entry, at, start, end, radius, leaves, skip, budget)
+    near = radius + vec3.norm(vec3.sub(end, start))
+    for row in range(int(objects.size)):
+        at = float(row)
+        if at == skip[0] or at == skip[1] or at == skip[2]:
+            continue
+        entry = objects.entries[row]
+        if entry.motion.kind == STILL and is_beyond(objects, row, start, near):
+            continue
+        met, facet, place, budget = meets_it(object_at(objects, at), start, end, radius, leaves, budget)
         if met < share:
-            share, index, where = met, place, vec3.add_scaled(begin, met, vec3.sub(end, begin))
-        at += count(entry)
+            share, index, where = met, at + ENTRIES * facet, place
     return index, where, budget

@@ -6,53 +6,50 @@ read the resulting poses from the World; the kind of motion makes no difference 
 
 from typing import Any
 
+from softfinger.proxy.kernels.jit.arrays import Mutable
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_count, by_type
-from softfinger.proxy.kernels.jit.rows import Rows
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import Material, Object, Pose, World
-from softfinger.proxy.kernels.query.elements import element
-from softfinger.proxy.kernels.query.motion import moving_pose, pose_at
-
-
-@jit
-def advance(objects: Any, world: World, dt: float) -> World:
-    """Return the world after a tick of `dt` s, with the new pose of every object that can move."""
-    time = world.time + dt
-    poses = poses_at(objects, time)
-    return World(started=1.0, time=time, poses=poses, was=before(poses, world.poses, world.started))
-
-
-@by_count
-def poses_at(objects: Any, time: float) -> Any:
-    """Return the poses of all objects at `time` (s), None for one that cannot move."""
-
-
-@poses_at.of(1)
-def pose_of_one_at(objects: Any, time: float) -> Any:
-    return (entry_at(objects[0], time),)
-
-
-@poses_at.of(2)
-def poses_of_several_at(objects: Any, time: float) -> Any:
-    # numba can concatenate tuples of known types, but cannot unpack one inside another.
-    return (entry_at(objects[0], time),) + poses_at(objects[1:], time)  # noqa: RUF005
+from softfinger.proxy.kernels.model import SIMULATED, Entry, Many, Material, Pose, Single, World
+from softfinger.proxy.kernels.query.bodies import last_pose_of_body
+from softfinger.proxy.kernels.query.container import AT_TIME, MEMORY, read_pose, write_pose
+from softfinger.proxy.kernels.query.motion import carried, moving_pose, pose_at
 
 
 @by_type
-def entry_at(entry: Any, time: float) -> Any:
-    """Return the pose of an entry at `time` (s); None if it cannot move, and for rows, which read it from bodies."""
+def advance(objects: Any, world: World, dt: float) -> Any:
+    """Return the world after a tick of `dt` s, with the new pose of every object that can move."""
 
 
-@entry_at.of(Rows)
-def rows_at(entry: Any, time: float) -> None:
-    return None
+@advance.of(Single)
+def advance_one(objects: Single, world: World, dt: float) -> World:
+    time, body = world.time + dt, objects.body
+    pose = moving_pose(body.motion, pose_at(body.motion, body.pose, time))
+    return World(started=1.0, time=time, poses=pose, was=since(world.poses, world.started, pose))
 
 
-@entry_at.otherwise
-def object_at(entry: Any, time: float) -> Any:
-    body = element(entry, 0.0)
-    return moving_pose(body.motion, pose_at(body.motion, body.pose, time))
+@advance.of(Many)
+def advance_many(objects: Many, world: World, dt: float) -> World:
+    time = world.time + dt
+    for i in range(int(objects.moving)):
+        row = objects.movers[i]
+        move_one(objects.entries[row], world, world.poses, MEMORY * row, time)
+    return World(started=1.0, time=time, poses=world.poses, was=None)
+
+
+@jit
+def move_one(entry: Entry, world: World, memory: Mutable, at: int, time: float) -> None:
+    """Write the pose of one object at `time` (s) and that of the last tick to its memory, from `at` on."""
+    motion, rest = entry.motion, entry.pose
+    pose = pose_at(motion, rest, time)
+    before = pose
+    if motion.kind == SIMULATED:
+        before = carried(last_pose_of_body(motion.block, motion.body), rest.position, rest.orientation)
+    elif world.started != 0.0 and memory[at + AT_TIME] == world.time:
+        before = read_pose(memory, at)
+    write_pose(memory, at + 7, before)
+    write_pose(memory, at, pose)
+    memory[at + AT_TIME] = time
 
 
 @by_type
@@ -73,21 +70,6 @@ def since_last_tick(was: Pose, started: float, pose: Pose) -> Pose:
     return was if started != 0.0 else pose
 
 
-@by_count
-def before(poses: Any, was: Any, started: float) -> Any:
-    """Return the poses of all objects at the last tick, see `since`."""
-
-
-@before.of(1)
-def one_before(poses: Any, was: Any, started: float) -> Any:
-    return (since(was[0], started, poses[0]),)
-
-
-@before.of(2)
-def several_before(poses: Any, was: Any, started: float) -> Any:
-    return (since(was[0], started, poses[0]),) + before(poses[1:], was[1:], started)  # noqa: RUF005  # see above
-
-
 @by_type
 def standing(pose: Any, rest: Any) -> Any:
     """Return the pose in the world: `pose`, or the base pose `rest` if the object cannot move (None)."""
@@ -104,64 +86,36 @@ def standing_where_it_moved(pose: Pose, rest: Any) -> Pose:
 
 
 @by_type
-def place(body: Any, pose: Any, was: Any) -> Any:
-    """Return the object with its poses of this tick and the last, from the World."""
-
-
-@place.of(Rows)
-def place_of_rows(body: Any, pose: Any, was: Any) -> Any:
-    return body  # the pose is computed when an element is read: `in_row`
-
-
-@place.of(Object)
-def place_of_object(body: Object, pose: Any, was: Any) -> Any:
-    return replace(body, "pose", standing(pose, body.pose), "was", was)
-
-
-@by_count
-def place_all(objects: Any, poses: Any, was: Any) -> Any:
+def place_all(objects: Any, world: World) -> Any:
     """Return all objects with their poses of this tick and the last: `poses` and `was` of the World."""
 
 
-@place_all.of(1)
-def place_one(objects: Any, poses: Any, was: Any) -> Any:
-    return (place(objects[0], poses[0], was[0]),)
+@place_all.of(Single)
+def place_one(objects: Single, world: World) -> Single:
+    body = objects.body
+    return replace(objects, "body", replace(body, "pose", standing(world.poses, body.pose), "was", world.was))
 
 
-@place_all.of(2)
-def place_several(objects: Any, poses: Any, was: Any) -> Any:
-    return (place(objects[0], poses[0], was[0]),) + place_all(objects[1:], poses[1:], was[1:])  # noqa: RUF005  # see above
+@place_all.of(Many)
+def place_many(objects: Many, world: World) -> Many:
+    return replace(objects, "poses", world.poses)
 
 
 @by_type
-def bare(body: Any) -> Any:
-    """Return the object without friction, torsion, effects and texture: geometry and normal force do not need them.
+def all_bare(objects: Any) -> Any:
+    """Return the objects without friction, torsion, effects and texture: geometry and normal force do not need them.
 
-    Kernels for bare objects are compiled once for all scenes whose objects have these shapes, and cached.
+    Kernels for bare objects are compiled once for all scenes with objects of this type, and cached.
     """
 
 
-@bare.of(Rows)
-def bare_rows(body: Any) -> Any:
-    return body  # in memory, cannot be changed
-
-
-@bare.of(Object)
-def bare_object(body: Object) -> Any:
+@all_bare.of(Single)
+def one_bare(objects: Single) -> Single:
+    body = objects.body
     material = Material(body.material.normal, None, None)
-    return replace(body, "material", material, "effects", (), "texture", None)
+    return Single(replace(body, "material", material, "texture", None))
 
 
-@by_count
-def all_bare(objects: Any) -> Any:
-    """Return all objects bare, see `bare`."""
-
-
-@all_bare.of(1)
-def one_bare(objects: Any) -> Any:
-    return (bare(objects[0]),)
-
-
-@all_bare.of(2)
-def several_bare(objects: Any) -> Any:
-    return (bare(objects[0]),) + all_bare(objects[1:])  # noqa: RUF005  # see above
+@all_bare.of(Many)
+def many_bare(objects: Many) -> Many:
+    return replace(objects, "materials", None, "textures", None, "effects", ())

@@ -6,7 +6,7 @@ Each triangle of a mesh counts as an object. Every other shape uses the defaults
     has_creases(shape)                       -> 0 or 1           1 if it can touch a fingertip at several points
     nearest_of_shape(shape, x, within, ...)  -> Deepest          nearest of its objects
     neighbour_of(shape, x)                   -> number           of the object across an edge, relative to this one
-    count_of_shape, shape_contains, element_of_shape             number of its objects, and access to them
+    element_of_shape(shape, facet)           -> shape            one of its triangles
     raised_clear(shape, x, radius)           -> (3,) m           a point that is certainly outside
     shaded(shape, pose, normal, position)    -> (3,)             direction of the force
 """
@@ -58,7 +58,7 @@ class Deepest(NamedTuple):
 
 
 @by_type
-def nearest_of_shape(shape: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Any:
+def nearest_of_shape(shape: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Any:
     """Return `query.objects.deepest` for the objects of one shape, in its frame.
 
     at      index of its first object; the returned place is relative to it
@@ -66,7 +66,7 @@ def nearest_of_shape(shape: Any, x: Vec3, within: float, at: float, known: Vec3,
 
 
 @nearest_of_shape.otherwise
-def gap_of_it(shape: Any, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
+def gap_of_it(shape: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
     gap, _, _ = closest(shape, x)
     return Deepest(gap, 0.0, budget)
 
@@ -82,33 +82,13 @@ def no_neighbour(shape: Any, x: Vec3) -> float:
 
 
 @by_type
-def count_of_shape(shape: Any) -> Any:
-    """Return the number of objects of a shape: each triangle of a mesh is one, with its own constraint and friction."""
-
-
-@count_of_shape.otherwise
-def count_one(shape: Any) -> float:
-    return 1.0
-
-
-@by_type
-def shape_contains(shape: Any, at: float, index: float) -> Any:
-    """Return `query.elements.contains` for an object with that shape."""
-
-
-@shape_contains.otherwise
-def is_that_one(shape: Any, at: float, index: float) -> bool:
-    return at == index
-
-
-@by_type
-def element_of_shape(shape: Any, body: Any, number: float) -> Any:
-    """Return `query.elements.element` for an object with that shape."""
+def element_of_shape(shape: Any, facet: float) -> Any:
+    """Return the triangle of a mesh with that index, another shape itself."""
 
 
 @element_of_shape.otherwise
-def shape_itself(shape: Any, body: Any, number: float) -> Any:
-    return body
+def shape_itself(shape: Any, facet: float) -> Any:
+    return shape
 
 
 @by_type

@@ -15,7 +15,7 @@ default if it has a better method, as the plane does.
     bend(shape, radius, point, normal)       -> 1/m                 curvature of the offset surface round the fingertip
     follows(shape, radius, start, normal, end) -> bool              True if the centre may roll there; default: True
     travel(shape, start, end, radius, leaves)  -> 0 to 1            share of the path until the fingertip hits the shape
-    rest_on(shape, body, radius, ...)                               rest position of the proxy
+    rest_on(shape, pose, radius, ...)                               rest position of the proxy
     ahead(shape, radius, center, ...)                               centre after a straight motion on the surface
     tangent_plane(shape, normal)                                    plane through the origin with that normal
     unroll(shape, radius, center, ...)                              rolling in closed form; no default
@@ -140,7 +140,7 @@ def travel(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> A
 
 
 @by_type
-def rest_on(shape: Any, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3) -> Any:
+def rest_on(shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3) -> Any:
     """Return the rest position of the proxy on a single object, the normal there, and a flag.
 
     body  object with this shape; everything except `shape` is in the world frame

@@ -39,6 +39,8 @@ _EFFECTS: Final[Mapping[type, frozenset[str]]] = {
 _RAMPED: Final[Mapping[type, frozenset[str]]] = {
     **_EFFECTS,
     model.Object: frozenset({"material"}),
+    model.Entry: frozenset({"normal"}),
+    model.Material: frozenset(model.Material._fields),
     model.Finger: frozenset({"radius", "coupling", "torque_stiffness", "patch"}),
     model.Relief: frozenset({"height"}),
     model.Grip: frozenset({"low", "high"}),
@@ -98,7 +100,7 @@ def _rows(tuning: Any) -> list[tuple[int, Rows]]:
             for child in node:
                 walk(child)
             return
-        if isinstance(node, Rows) and isinstance(node[0], model.Object):
+        if isinstance(node, Rows) and isinstance(node[0], model.Entry | model.Material | model.Texture):
             found.append((leaf, node))
         leaf += 1
 

@@ -2,15 +2,16 @@
 
 from typing import Any
 
-from numba import literal_unroll
-
 from softfinger.proxy.kernels.contact.rest.active_set import pressed
-from softfinger.proxy.kernels.jit.dispatch import by_count
-from softfinger.proxy.kernels.model import ActiveSet, Plane, Vec3
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.model import FLAT, ActiveSet, AnyShape, Plane, Pose, Vec3
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.elements import contains, count, element
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.objects import closest_on
 from softfinger.proxy.kernels.shapes import is_hollow, rest_on
+from softfinger.proxy.kernels.shapes.any_shape import UP
+from softfinger.proxy.kernels.shapes.kernel_table import REST, SLOTS, Slot, called
 
 ROUNDS = 10
 """Largest number of linearisations of a curved surface at the proxy. The digits that each of them gains depend on the
@@ -25,10 +26,14 @@ SETTLED = 1e-13
 """Motion, as a share of the fingertip's radius, below which the proxy is at rest."""
 
 
-@by_count
+NO_REST = (ZERO, ZERO, 0.0)
+SLOTS[REST] = Slot(rest_on, (Pose(ZERO, UP), 0.0, ZERO, ZERO, ZERO, ZERO), NO_REST)
+
+
+@jit
 def settle_on_one(
     objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
-) -> Any:
+) -> tuple[Vec3, ActiveSet, float]:
     """Return the rest position of the proxy on object `index`, without regard to other objects.
 
     center      (3,) m  proxy after its roll
@@ -36,43 +41,34 @@ def settle_on_one(
     normal      (3,)    of the object at `center`
     returns             proxy (3,) m, its active set, and 1 if the search exhausted its budget, otherwise 0
     """
-
-
-@settle_on_one.of(1)
-def settle_on_the_only_one(
-    objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
-) -> tuple[Vec3, ActiveSet, float]:
-    body = element(objects[0], index)
-    center, normal, bounded = rest_on(body.shape, body, radius, probe, center, deflection, normal)
+    body = object_at(objects, index)
+    center, normal, bounded = rest_on(body.shape, body.pose, radius, probe, center, deflection, normal)
     return center, pressed(index, normal, vec3.sub(center, probe)), bounded
 
 
-@settle_on_one.of(2)
-def settle_on_one_of_several(
-    objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
-) -> tuple[Vec3, ActiveSet, float]:
-    bounded, at = 0.0, 0.0
-    found, up = center, normal
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            found, up, bounded = rest_on(body.shape, body, radius, probe, center, deflection, normal)
-        at += count(entry)
-    return found, pressed(index, up, vec3.sub(found, probe)), bounded
+@rest_on.of(AnyShape)
+def rest_on_any(
+    shape: AnyShape, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, Vec3, float]:
+    if shape.surface == FLAT:
+        return rest_on_plane(shape, pose, radius, probe, center, deflection, normal)
+    if shape.kernels[REST] != 0:
+        return called(shape, REST, NO_REST, (pose, radius, probe, center, deflection, normal))
+    return rest_on_curved(shape, pose, radius, probe, center, deflection, normal)
 
 
 @rest_on.of(Plane)
 def rest_on_plane(
-    shape: Plane, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+    shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
     """Compute the rest position from the probe only, independent of the last proxy."""
-    gap, _, normal = closest_on(body, probe)
+    gap, _, normal = closest_on(shape, pose, probe)
     return vec3.add(probe, vec3.add_scaled(deflection, radius - gap, normal)), normal, 0.0
 
 
 @rest_on.otherwise
 def rest_on_curved(
-    shape: Any, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+    shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
     """Project the probe onto the tangent plane, that point onto the surface, and repeat from there.
 
@@ -84,7 +80,7 @@ def rest_on_curved(
     object. Then the normal has jumped, and the proxy moves round the object.
     """
     if deflection == (0.0, 0.0, 0.0):
-        _, point, foot_normal = closest_on(body, probe)
+        _, point, foot_normal = closest_on(shape, pose, probe)
         if vec3.dot(foot_normal, normal) > SAME_SIDE:
             return vec3.add_scaled(point, radius, foot_normal), foot_normal, 0.0
     near, rounds = (SETTLED * radius) ** 2, SLIDING_ROUNDS
@@ -94,7 +90,7 @@ def rest_on_curved(
     for _ in range(rounds):
         depth = 0.0 if hollow else vec3.dot(vec3.sub(center, probe), normal)
         goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
-        _, point, normal = closest_on(body, goal)
+        _, point, normal = closest_on(shape, pose, goal)
         moved = vec3.add_scaled(point, radius, normal)
         step = vec3.sub(moved, center)
         center = moved

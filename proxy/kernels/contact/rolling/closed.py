@@ -12,9 +12,11 @@ from typing import Any
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, land, roll
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import Cylinder, Facet, Plane, Quaternion, RotationVector, Sphere, Vec3
+from softfinger.proxy.kernels.model import AnyShape, Cylinder, Facet, Plane, Quaternion, RotationVector, Sphere, Vec3
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import unroll
+from softfinger.proxy.kernels.shapes.kernel_table import SLOTS, UNROLL, Slot, called
 
 
 @jit
@@ -69,6 +71,15 @@ def roll_rotation_vector(
 ) -> Roll:
     """Roll by a constant angular velocity between the two poses, exact to rounding; for shapes with `unroll`."""
     return unroll(shape, radius, center, normal, rotations.log(turn))
+
+
+NO_ROLL = Roll(ZERO, ZERO, ZERO, 0.0, 0.0, True)
+SLOTS[UNROLL] = Slot(unroll, (0.0, ZERO, ZERO, ZERO), NO_ROLL)
+
+
+@unroll.of(AnyShape)
+def unroll_on_any(shape: AnyShape, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
+    return called(shape, UNROLL, NO_ROLL, (radius, center, normal, w))
 
 
 @unroll.of(Plane, Facet)

@@ -13,9 +13,20 @@ from typing import Any
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, land_from, roll
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import EulerZxz, EulerZyx, Quaternion, Vec3
+from softfinger.proxy.kernels.model import AnyShape, EulerZxz, EulerZyx, Quaternion, Vec3
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import ahead, curvature, transport
+from softfinger.proxy.kernels.shapes.kernel_table import AHEAD, SLOTS, Slot, called
+
+SLOTS[AHEAD] = Slot(ahead, (0.0, ZERO, ZERO, ZERO, 0.0), ZERO)
+
+
+@ahead.of(AnyShape)
+def any_ahead(shape: AnyShape, radius: float, center: Vec3, normal: Vec3, along: Vec3, length: float) -> Vec3:
+    if shape.kernels[AHEAD] != 0:
+        return called(shape, AHEAD, ZERO, (radius, center, normal, along, length))
+    return round_ahead(shape, radius, center, normal, along, length)
 
 
 @ahead.otherwise

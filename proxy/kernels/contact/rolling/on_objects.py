@@ -2,14 +2,12 @@
 
 from typing import Any
 
-from numba import literal_unroll
-
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll, roll
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
-from softfinger.proxy.kernels.query.elements import contains, count, element
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.shapes import follows, tangent_plane
 
 
@@ -33,18 +31,12 @@ def roll_on(method: Any, body: Any, radius: float, center: Vec3, normal: Vec3, t
 @jit
 def roll_flat_on(method: Any, objects: Any, index: float, radius: float, normal: Vec3, turn: Quaternion) -> Roll:
     """Return `roll` in the tangent plane of object `index`; only `motion` and the angles of the Roll are valid."""
-    found = Roll(normal, normal, (0.0, 0.0, 0.0), 0.0, 0.0, True)
-    at = 0.0
-    for entry in literal_unroll(objects):
-        if contains(entry, at, index):
-            body = element(entry, index - at)
-            pose = body.pose
-            n, axis = turn_into(pose, normal), turn_into(pose, (turn[1], turn[2], turn[3]))
-            turned = (turn[0], axis[0], axis[1], axis[2])
-            local = roll(method, tangent_plane(body.shape, n), radius, vec3.scale(radius, n), n, turned)
-            found = Roll(normal, normal, turn_out_of(pose, local.motion), local.theta, local.spin, True)
-        at += count(entry)
-    return found
+    body = object_at(objects, index)
+    pose = body.pose
+    n, axis = turn_into(pose, normal), turn_into(pose, (turn[1], turn[2], turn[3]))
+    turned = (turn[0], axis[0], axis[1], axis[2])
+    local = roll(method, tangent_plane(body.shape, n), radius, vec3.scale(radius, n), n, turned)
+    return Roll(normal, normal, turn_out_of(pose, local.motion), local.theta, local.spin, True)
 
 
 @jit

@@ -240,9 +240,8 @@ def creases_of_heightmap(shape: Heightmap) -> float:
 
 @rest_on.of(Heightmap)
 def rest_on_heightmap(
-    shape: Heightmap, body: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+    shape: Heightmap, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
-    pose = body.pose
     rest, up, bounded = rest_on_support_points(
         shape, radius, into(pose, probe), into(pose, center), turn_into(pose, deflection), turn_into(pose, normal)
     )

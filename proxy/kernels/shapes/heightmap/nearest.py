@@ -305,6 +305,6 @@ def constraint_at_support_point(
 
 
 @nearest_of_shape.of(Heightmap)
-def gap_over_heightmap(shape: Heightmap, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
+def gap_over_heightmap(shape: Heightmap, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
     near = gap_within(shape, x, within, budget)
     return Deepest(near.gap, 0.0, left_of(budget, near.whole, near.spent))

@@ -8,7 +8,6 @@ from math import sqrt
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import Facet, Mesh, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
@@ -17,13 +16,11 @@ from softfinger.proxy.kernels.shapes.composite import (
     ENOUGH,
     EVERYWHERE,
     Deepest,
-    count_of_shape,
     element_of_shape,
     is_mesh_shape,
     nearest_of_shape,
     neighbour_of,
     shaded,
-    shape_contains,
 )
 from softfinger.proxy.kernels.shapes.mesh.nearest import nearest
 from softfinger.proxy.kernels.shapes.mesh.triangle import beyond_edge, closest_on_triangle, shaded_normal
@@ -154,15 +151,14 @@ def meets_facet(
     return travel_to_facet(shape, start, end, radius, leaves, budget)
 
 
-@is_mesh_shape.of(Mesh)
-def is_a_mesh(shape: Mesh) -> float:
+@is_mesh_shape.of(Facet)
+def is_a_facet(shape: Facet) -> float:
     return 1.0
 
 
 @nearest_of_shape.of(Mesh)
-def gap_of_nearest_facet(shape: Mesh, x: Vec3, within: float, at: float, known: Vec3, budget: int) -> Deepest:
+def gap_of_nearest_facet(shape: Mesh, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
     enough = ENOUGH * within if within < EVERYWHERE else 0.0
-    known = (known[0] - at, known[1] - at, known[2] - at)
     gap, number, left = nearest_facet(shape, x, within, known, budget, enough)
     return Deepest(gap, number, left)
 
@@ -172,21 +168,9 @@ def neighbour_of_facet(shape: Facet, x: Vec3) -> float:
     return beyond_edge(shape.mesh, shape.number, x) - shape.number
 
 
-@count_of_shape.of(Mesh)
-def count_of_mesh(shape: Mesh) -> float:
-    triangles = shape.row[0]
-    return triangles.number
-
-
-@shape_contains.of(Mesh)
-def mesh_contains(shape: Mesh, at: float, index: float) -> bool:
-    triangles = shape.row[0]
-    return at <= index < at + triangles.number
-
-
 @element_of_shape.of(Mesh)
-def facet_of_mesh(shape: Mesh, body: Any, number: float) -> Any:
-    return replace(body, "shape", Facet(shape, number))
+def facet_of_mesh(shape: Mesh, facet: float) -> Facet:
+    return Facet(shape, facet)
 
 
 @shaded.of(Facet)

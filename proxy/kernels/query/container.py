@@ -1,0 +1,194 @@
+"""The two containers of a scene's objects: one object of a known shape, or many as data.
+
+    body = object_at(objects, index)
+
+Everything that asks one object of a scene starts so. An index is that of the triangle in a scene of a single mesh, and
+0 for another single object. Of many it is the row, plus ENTRIES times the index of the triangle of a mesh.
+"""
+
+from typing import Any, Final
+
+from softfinger.proxy.kernels.jit.arrays import Mutable
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.rows import Rows
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import (
+    STILL,
+    AnyShape,
+    Entry,
+    Many,
+    Material,
+    MinkowskiSum,
+    Object,
+    Pose,
+    Single,
+    Tip,
+    Vec3,
+)
+from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.shapes.composite import element_of_shape
+
+ENTRIES: Final = 1 << 16
+"""Objects that a scene may have: with a triangle's index in the upper bits an index is a whole number in a float64."""
+MEMORY: Final = 16
+"""Numbers in the World's memory for one object: its pose now and at the last tick, and when they were written."""
+AT_TIME: Final = 14
+ROUNDING: Final = 1.0 + 1e-9
+"""Factor of a squared distance that is more than its rounding."""
+
+
+@by_type
+def object_at(objects: Any, index: float) -> Any:
+    """Return the object with that index, or the first one for an index below 0."""
+
+
+@object_at.of(Single)
+def only_object(objects: Single, index: float) -> Any:
+    body = objects.body
+    return replace(body, "shape", element_of_shape(body.shape, index))
+
+
+@object_at.of(Many)
+def one_of_many(objects: Many, index: float) -> Object:
+    """Only what the caller reads of it is loaded."""
+    row, facet = row_of(index), facet_of(index)
+    entry = objects.entries[row]
+    pose, was = poses_of(objects.poses, entry, row)
+    return Object(
+        shape=as_seen(objects.tip, replace(entry.shape, "facet", facet), pose),
+        pose=pose,
+        motion=entry.motion,
+        material=material_of_row(objects.materials, entry.normal, row),
+        number=entry.number,
+        was=was,
+        texture=texture_of_row(objects.textures, row),
+    )
+
+
+@jit
+def row_of(index: float) -> int:
+    """Return the row of one of many objects."""
+    return max(int(index), 0) & (ENTRIES - 1)
+
+
+@jit
+def facet_of(index: float) -> float:
+    """Return the index of the triangle of one of many objects."""
+    return float(max(int(index), 0) // ENTRIES)
+
+
+@by_type
+def facet_step(objects: Any) -> Any:
+    """Return the difference between the indices of two neighbouring triangles of a mesh."""
+
+
+@facet_step.of(Single)
+def step_on_single(objects: Single) -> float:
+    return 1.0
+
+
+@facet_step.of(Many)
+def step_on_many(objects: Many) -> float:
+    return float(ENTRIES)
+
+
+@by_type
+def poses_of(poses: Any, entry: Entry, row: int) -> Any:
+    """Return the Poses of one of many objects now and at the last tick."""
+
+
+@poses_of.of(None)
+def poses_at_rest(poses: None, entry: Entry, row: int) -> tuple[Pose, Pose]:
+    return entry.pose, entry.pose
+
+
+@poses_of.of(Mutable)
+def poses_in_world(poses: Mutable, entry: Entry, row: int) -> tuple[Pose, Pose]:
+    if entry.motion.kind == STILL:
+        return entry.pose, entry.pose
+    return read_pose(poses, MEMORY * row), read_pose(poses, MEMORY * row + 7)
+
+
+@jit
+def read_pose(poses: Mutable, at: int) -> Pose:
+    return Pose((poses[at], poses[at + 1], poses[at + 2]), (poses[at + 3], poses[at + 4], poses[at + 5], poses[at + 6]))
+
+
+@jit
+def write_pose(poses: Mutable, at: int, pose: Pose) -> None:
+    for i in range(3):
+        poses[at + i] = pose.position[i]
+    for i in range(4):
+        poses[at + 3 + i] = pose.orientation[i]
+
+
+@by_type
+def as_seen(tip: Any, shape: AnyShape, pose: Pose) -> Any:
+    """Return the shape as the centre of the fingertip sees it."""
+
+
+@as_seen.of(None)
+def as_seen_by_ball(tip: None, shape: AnyShape, pose: Pose) -> AnyShape:
+    return shape
+
+
+@as_seen.of(Tip)
+def as_seen_by_ellipsoid(tip: Tip, shape: AnyShape, pose: Pose) -> MinkowskiSum:
+    axes = rotations.multiply(rotations.conjugate(pose.orientation), tip.orientation)
+    return MinkowskiSum(shape, tip.semi_axes, axes, tip.radius)
+
+
+@by_type
+def material_of_row(materials: Any, normal: Any, row: int) -> Any:
+    """Return the material of one of many objects; a bare one has the normal law alone."""
+
+
+@material_of_row.of(None)
+def bare_material(materials: None, normal: Any, row: int) -> Material:
+    return Material(normal, None, None)
+
+
+@material_of_row.of(Rows)
+def whole_material(materials: Rows, normal: Any, row: int) -> Material:
+    return replace(materials[row], "normal", normal)
+
+
+@by_type
+def texture_of_row(textures: Any, row: int) -> Any:
+    """Return the texture of one of many objects."""
+
+
+@texture_of_row.of(None)
+def no_texture(textures: None, row: int) -> None:
+    return None
+
+
+@texture_of_row.of(Rows)
+def some_texture(textures: Rows, row: int) -> Any:
+    return textures[row]
+
+
+@by_type
+def extra_reach(tip: Any) -> Any:
+    """Return how much farther, m, an object reaches for the centre of the fingertip than its surface."""
+
+
+@extra_reach.of(None)
+def no_extra_reach(tip: None) -> float:
+    return 0.0
+
+
+@extra_reach.of(Tip)
+def reach_of_tip(tip: Tip) -> float:
+    return max(tip.semi_axes[0], tip.semi_axes[1], tip.semi_axes[2])
+
+
+@jit
+def is_beyond(objects: Many, row: int, x: Vec3, limit: float) -> bool:
+    """Return whether one of many objects is farther than `limit` (m) from `x` for certain, which takes 2 ns."""
+    entry = objects.entries[row]
+    pose, _ = poses_of(objects.poses, entry, row)
+    way = vec3.sub(x, pose.position)
+    away = max(limit, 0.0) + entry.shape.reach + extra_reach(objects.tip)
+    return vec3.dot(way, way) > ROUNDING * away * away

@@ -1,0 +1,182 @@
+"""Tables of addresses: how a kernel for many objects calls the kernels of a shape whose kind is data.
+
+Each kind of shape has a table with the addresses of the kernels it defines itself. They are compiled when the first
+scene needs them, each once for all scenes, and kept. A kernel in a table takes the row of a shape, the index of a
+triangle, and its own arguments (`called`). What a table has places for is registered in SLOTS (`any_shape`, and where
+resting and rolling are declared).
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, Final, NamedTuple
+
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, typeof_impl
+
+from softfinger.proxy.kernels.jit.arrays import ReadOnly, ReadOnlyType
+from softfinger.proxy.kernels.jit.compiler.numba_internals import Inlined, link_unit
+from softfinger.proxy.kernels.jit.decorators import INLINED, KEPT, PLAIN, entry
+from softfinger.proxy.kernels.jit.outlined import in_and_out
+from softfinger.proxy.kernels.jit.rows import Rows
+from softfinger.proxy.kernels.model import AnyShape, Facet, Mesh, Plane
+from softfinger.proxy.kernels.shapes.protocol import is_hollow
+
+CLOSEST, CLOSEST_FROM, CLOSEST_OR_BOUND, CLOSEST_WITHIN, CONSTRAINT, CURVATURE = 0, 1, 2, 3, 4, 5
+TRANSPORT, BEND, FOLLOWS, TRAVEL, MEETS, NEAREST, NEIGHBOUR, RAISED, SHADED = 6, 7, 8, 9, 10, 11, 12, 13, 14
+REST, AHEAD, UNROLL, CHART, MINKOWSKI = 15, 16, 17, 18, 19
+"""Places in a table of kernels."""
+OPTIONAL: Final = frozenset({AHEAD, UNROLL, CHART, MINKOWSKI})
+"""Kernels that few scenes call: a rolling method, textures, an ellipsoidal fingertip."""
+INLINE: Final[dict[type, frozenset[int]]] = {Plane: frozenset({CLOSEST, TRANSPORT, TRAVEL, REST})}
+"""Kernels of a kind that are compiled into their callers."""
+TABLE_SIZE: Final = 20
+
+
+class Slot(NamedTuple):
+    """Place of a kernel in a table: what chooses it by shape, and values of the types of its arguments and result."""
+
+    choice: Any
+    arguments: tuple[Any, ...]
+    result: Any
+
+
+SLOTS: Final[dict[int, Slot]] = {}
+"""Kernels by their place."""
+
+
+class KernelTable(ReadOnly):
+    """Addresses of the kernels of one kind of shape, which are compiled when the first scene needs them.
+
+    shape  one of that kind
+    slots  places that are filled
+    """
+
+    def __init__(self, shape: Any, slots: frozenset[int]) -> None:
+        self._shape, self._rows, self.slots = shape, numba.typeof(Rows([shape])), slots
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy as the table of the same kind in this process: addresses of code mean nothing in another."""
+        return shared_table, (self._shape, self.slots)
+
+    @functools.cached_property
+    def array(self) -> Any:  # type: ignore[override]
+        found = np.zeros(TABLE_SIZE, np.int64)
+        for slot in sorted(self.slots):
+            found[slot] = 1 if PLAIN else _address(SLOTS[slot], self._rows)
+        return found
+
+    @property
+    def address(self) -> int:  # type: ignore[override]
+        return int(self.array.ctypes.data)
+
+
+_TABLES: Final[dict[Any, KernelTable]] = {}
+
+
+def kernel_table(shape: Any, needs: frozenset[int]) -> KernelTable:
+    """Return the table of a shape's kind, with those of the OPTIONAL kernels that the scene `needs`."""
+    kind = type(shape)
+    slots = frozenset(
+        slot
+        for slot, (choice, _, _) in SLOTS.items()
+        if (slot in needs or slot not in OPTIONAL)
+        and slot not in INLINE.get(kind, ())
+        and _has(choice, kind)
+        and not (slot == BEND and is_two_sided(shape))
+    )
+    return shared_table(shape, slots)
+
+
+def shared_table(shape: Any, slots: frozenset[int]) -> KernelTable:
+    """Return the only table with these slots of a shape's kind."""
+    key = type(shape), slots
+    if key not in _TABLES:
+        _TABLES[key] = KernelTable(shape, slots)
+    return _TABLES[key]
+
+
+def is_two_sided(shape: Any) -> bool:
+    """Return whether `side` tells from which side a shape is touched (`may_be_hollow`)."""
+    return is_hollow.has(type(shape)) and hasattr(shape, "side")
+
+
+class ShapeRow(Rows):
+    """Row of one shape, of any kind."""
+
+
+@typeof_impl.register(ShapeRow)
+def _typeof(value: ShapeRow, context: Any) -> ReadOnlyType:
+    return ReadOnlyType(types.float64)
+
+
+@typeof_impl.register(KernelTable)
+def _typeof_table(value: KernelTable, context: Any) -> ReadOnlyType:
+    return ReadOnlyType(types.int64)
+
+
+def _has(choice: Any, kind: type) -> bool:
+    return bool(choice.has(kind) or (kind is Mesh and choice.has(Facet)))
+
+
+def _address(slot: Slot, rows: Any) -> int:
+    """Return the address of a kernel for shapes in rows of that type, compiled or from the disk."""
+    choice, arguments, result = slot
+    if rows.like.instance_class is Mesh and choice.has(Facet):
+
+        def call(row: Any, facet: float, *rest: Any) -> Any:
+            return choice(Facet(row[0], facet), *rest)
+
+    else:
+
+        def call(row: Any, facet: float, *rest: Any) -> Any:
+            return choice(row[0], *rest)
+
+    given = types.Tuple((rows, types.float64, *map(numba.typeof, arguments)))
+    inner = Inlined(call, INLINED, entry)
+    symbol = link_unit(choice.__wrapped__, KEPT, given, lambda: in_and_out(inner, given, numba.typeof(result)))
+    return int(llvm.address_of_symbol(symbol))
+
+
+_BYTES: Final = ir.IntType(8).as_pointer()
+
+
+@intrinsic
+def _called(typing_context, shape, slot, like, arguments):  # type: ignore[no-untyped-def]
+    sizes, kernels, facet = shape.fields.index("sizes"), shape.fields.index("kernels"), shape.fields.index("facet")
+    kinds = tuple(map(types.unliteral, arguments))
+    given, result = types.Tuple((shape.types[sizes], types.float64, *kinds)), types.unliteral(like)
+
+    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        fields = cgutils.unpack_tuple(builder, args[0])
+        values = [fields[sizes], fields[facet], *cgutils.unpack_tuple(builder, args[3])]
+        there = cgutils.alloca_once(builder, context.get_value_type(given))
+        back = cgutils.alloca_once(builder, context.get_value_type(result))
+        builder.store(context.make_tuple(builder, given, values), there)
+        table = builder.inttoptr(fields[kernels], ir.IntType(64).as_pointer())
+        function = ir.FunctionType(ir.VoidType(), [_BYTES, _BYTES]).as_pointer()
+        code = builder.inttoptr(builder.load(builder.gep(table, [args[1]])), function)
+        builder.call(code, [builder.bitcast(each, _BYTES) for each in (there, back)])
+        return builder.load(back)
+
+    return result(shape, types.int64, like, types.Tuple(kinds)), generate
+
+
+def _called_in_python(shape: AnyShape, slot: int, like: Any, arguments: tuple[Any, ...]) -> Any:
+    choice, own = SLOTS[slot].choice, shape.sizes[0]
+    if isinstance(own, Mesh) and choice.has(Facet):
+        own = Facet(own, shape.facet)
+    return choice(own, *arguments)
+
+
+called: Any = _called_in_python if PLAIN else _called
+"""called(shape: AnyShape, slot, like, arguments): what the kernel in that place of the shape's table returns.
+
+like       a value of the result's type
+arguments  tuple, of the types of the slot
+"""

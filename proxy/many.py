@@ -1,0 +1,104 @@
+"""Objects of a scene as data: the container of several objects, and of those beside bodies that move by themselves."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.contact import rolling as _rolling  # noqa: F401  # they declare kernels of shapes
+from softfinger.proxy.kernels.contact.rest import alone as _alone  # noqa: F401
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.rows import Rows
+from softfinger.proxy.kernels.query.container import ENTRIES
+from softfinger.proxy.kernels.shapes import kernel_table as kinds
+from softfinger.proxy.kernels.shapes.any_shape import any_shape
+
+NO_BLOCK: Final = ReadOnly(np.zeros(1, np.int64))
+"""In place of the addresses of a simulation."""
+NO_VALUES: Final = ReadOnly(np.zeros(1))
+AT_REST: Final = model.Motion(model.STILL, NO_BLOCK, 0.0, model.ZERO, model.ZERO, model.ZERO, 0.0, 0.0, 0.0, 0.0)
+
+
+def many_objects(
+    objects: list[model.Object], effects: tuple[model.Carrier, ...], fingers: tuple[model.Finger, ...], rolling: Any
+) -> model.Many:
+    """Return any number of objects in their container, with the effects of some.
+
+    Raises ConfigError for more than ENTRIES objects.
+    """
+    if len(objects) > ENTRIES:
+        raise ConfigError(f"{len(objects)} walls and objects: at most {ENTRIES} are possible; leave some out")
+    needs = _needs(objects, fingers, rolling)
+    entries = [_entry(each, needs) for each in objects]
+    surfaces = [each.shape.surface for each in entries]
+    movers = [row for row, each in enumerate(entries) if each.motion.kind != model.STILL]
+    meshes = float(surfaces.count(model.FACETED))
+    mark = model.Creased if model.CREASED in surfaces else model.Faceted if meshes else model.Smooth
+    return model.Many(
+        entries=Rows(entries),
+        size=float(len(entries)),
+        movers=ReadOnly(np.array(movers or [0], np.int64)),
+        moving=float(len(movers)),
+        search=mark(meshes),
+        materials=Rows([each.material._replace(normal=None) for each in objects]),
+        textures=_textures([each.texture for each in objects]),
+        effects=effects,
+    )
+
+
+def _needs(objects: list[model.Object], fingers: tuple[model.Finger, ...], rolling: Any) -> frozenset[int]:
+    """Return the kernels of shapes that only some scenes call."""
+    return frozenset(
+        kernel
+        for kernel, wanted in (
+            (kinds.UNROLL, isinstance(rolling, model.RotationVector)),
+            (kinds.AHEAD, isinstance(rolling, model.EulerZxz | model.EulerZyx)),
+            (kinds.CHART, any(each.texture is not None for each in objects)),
+            (kinds.MINKOWSKI, any(finger.form is not None for finger in fingers)),
+        )
+        if wanted
+    )
+
+
+def _entry(thing: model.Object, needs: frozenset[int]) -> model.Entry:
+    shape = any_shape(thing.shape, needs)
+    return model.Entry(shape, _pose(thing.pose), _motion(thing.motion), thing.material.normal, thing.number)
+
+
+def _pose(pose: Any) -> model.Pose:
+    match pose:
+        case None:
+            return model.Pose(model.ZERO, (1.0, 0.0, 0.0, 0.0))
+        case model.Place(position):
+            return model.Pose(position, (1.0, 0.0, 0.0, 0.0))
+    return model.Pose(*pose)
+
+
+def _motion(motion: Any) -> model.Motion:
+    match motion:
+        case model.Driven():
+            return AT_REST._replace(kind=model.DRIVEN)
+        case model.Sinusoid(translation, axis, angle, frequency, phase):
+            return AT_REST._replace(
+                kind=model.SINUSOID, translation=translation, axis=axis, angle=angle, frequency=frequency, phase=phase
+            )
+        case model.Turntable(axis, rate, pivot):
+            return AT_REST._replace(kind=model.TURNTABLE, axis=axis, rate=rate, pivot=pivot)
+        case model.Simulated(block, body):
+            return AT_REST._replace(kind=model.SIMULATED, block=block, body=body)
+    return AT_REST
+
+
+def _textures(textures: list[model.Texture | None]) -> Rows | None:
+    """Return a texture for each object, all with the same parts; an object without one has 0 columns."""
+    given = [each for each in textures if each is not None]
+    if not given:
+        return None
+    relief = model.Relief(0.0) if any(each.relief is not None for each in given) else None
+    grip = model.Grip(1.0, 1.0) if any(each.grip is not None for each in given) else None
+    none = model.Texture(NO_VALUES, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0, relief, grip)
+    return Rows([none if each is None else each._replace(relief=each.relief or relief, grip=each.grip or grip)
+                 for each in textures])  # fmt: skip

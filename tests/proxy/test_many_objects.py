@@ -1,0 +1,160 @@
+"""Many objects as data: each is felt as the only object of its shape, whatever stands beside it."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.load import build
+from softfinger.proxy.engine import Engine, step_many
+from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.jit.decorators import PLAIN
+from softfinger.proxy.kernels.query.container import ENTRIES, facet_of, row_of
+from softfinger.proxy.kernels.shapes import closest
+from softfinger.proxy.kernels.shapes.any_shape import reach_of
+from softfinger.proxy.many import many_objects
+from softfinger.proxy.scene import build_scene
+
+R, TOP = 0.008, 0.02
+RUBBER = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.8, "kinetic": 0.7}}
+SHAPES: dict[str, dict[str, Any]] = {
+    "plane": {"shape": "plane", "position_m": [0.0, 0.0, TOP]},
+    "sphere": {"shape": "sphere", "radius_m": TOP},
+    "cylinder": {"shape": "cylinder", "radius_m": TOP, "orientation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 0.0]},
+    "cylinder with ends": {"shape": "cylinder", "radius_m": 0.03, "length_m": 2.0 * TOP},
+    "capsule": {"shape": "capsule", "radius_m": 0.01, "length_m": 0.02},
+    "box": {"shape": "box", "size_m": [0.05, 0.04, 2.0 * TOP]},
+    "ellipsoid": {"shape": "ellipsoid", "semi_axes_m": [0.03, 0.04, TOP]},
+    "torus": {
+        "shape": "torus",
+        "major_radius_m": 0.02,
+        "minor_radius_m": 0.005,
+        "position_m": [0.02, 0.0, TOP - 0.005],
+    },
+    "cone": {"shape": "cone", "half_angle_rad": 1.2, "position_m": [0.0, 0.0, TOP]},
+}
+FAR = {"name": "far", "shape": "sphere", "radius_m": 0.01, "position_m": [3.0, 0.0, 0.0], "material": RUBBER}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cone() -> Iterator[Any]:
+    """A shape of another package, imported anew: its table is known only as long as a module needs it."""
+    folder, before = str(Path(__file__).parents[1] / "outside_shape"), list(schema.ObjectBase.added)
+    other = sys.modules.pop("softfinger_cone", None)
+    sys.path.insert(0, folder)
+    yield importlib.import_module("softfinger_cone")
+    sys.path.remove(folder)
+    schema.ObjectBase.added[:] = before
+    del sys.modules["softfinger_cone"]
+    if other is not None:
+        sys.modules["softfinger_cone"] = other
+
+
+def scene(*things: dict[str, Any], **tables: Any) -> schema.Scene:
+    objects = [{"name": f"n{number}", "material": RUBBER} | thing for number, thing in enumerate(things)]
+    base = {"fingertip": {"radius_m": R}, "rolling": {"method": "midpoint"}}
+    return build(schema.Scene, base | tables | {"object": objects}, "test")
+
+
+def over_the_top(ticks: int) -> NDArray[np.float64]:
+    """Poses (ticks, 7) of a fingertip that presses 1 mm into what reaches up to TOP, drags, rolls and spins."""
+    t = np.linspace(0.0, 1.0, ticks)
+    poses = np.zeros((ticks, 7))
+    poses[:, 0], poses[:, 1] = 0.004 * np.sin(6.0 * t), 0.003 * np.sin(5.0 * t)
+    poses[:, 2] = TOP + R - 0.001 * np.sin(np.pi * t) + 1e-5
+    poses[:, 3:] = np.stack([np.ones(ticks), 0.1 * np.sin(5.0 * t), 0.2 * np.sin(3.0 * t), 0.2 * t], axis=1)
+    poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1)[:, None]
+    return poses
+
+
+@pytest.mark.plain
+@pytest.mark.skipif(not PLAIN, reason="compiled, each shape alone takes half a minute")
+@pytest.mark.parametrize("kind", SHAPES)
+def test_among_many_a_shape_is_felt_as_alone(kind: str) -> None:
+    """Every number of the records but the sign of a zero, over touch, roll, slip and release."""
+    alone = Engine(scene(SHAPES[kind])).run(over_the_top(200))
+    among = Engine(scene(SHAPES[kind], FAR)).run(over_the_top(200))
+    assert alone["contact.normal_force"].max() > 0.05 and set(alone["contact.mode"].ravel()) >= {0.0, 1.0}
+    np.testing.assert_array_equal(np.asarray(among) + 0.0, np.asarray(alone) + 0.0)
+
+
+@pytest.mark.plain
+@pytest.mark.skipif(not PLAIN, reason="compiled, each of four scenes takes half a minute")
+@pytest.mark.parametrize("company", [(), (FAR,)], ids=["alone", "among many"])
+def test_a_mesh_is_rolled_on_in_closed_form(company: tuple[dict[str, Any], ...], tmp_path: Path) -> None:
+    """The method rotation_vector on the face of a box of triangles, alone and among many, as on the box."""
+    trimesh.creation.box((50.0, 40.0, 2000.0 * TOP)).export(tmp_path / "box.stl")
+    mesh = {"shape": "mesh", "file": str(tmp_path / "box.stl"), "scale": 0.001}
+    rolling = {"rolling": {"method": "rotation_vector"}}
+    on_box = Engine(scene(SHAPES["box"], *company, **rolling)).run(over_the_top(200))
+    on_mesh = Engine(scene(mesh, *company, **rolling)).run(over_the_top(200))
+    assert on_box["contact.rolled"].max() > 0.05
+    # Vertices are float32 in the file: 2 cm to 1e-9 m, times 1000 N/m.
+    np.testing.assert_allclose(on_mesh["force"], on_box["force"], atol=2e-6)
+
+
+@pytest.mark.plain
+@pytest.mark.skipif(not PLAIN, reason="calls kernels from Python, which compiled ones do not allow")
+@pytest.mark.parametrize("kind", SHAPES)
+def test_what_reaches_no_farther_is_within_its_ball(kind: str) -> None:
+    """The ball about each shape contains it, or an object would not be felt: no surface point is outside of it."""
+    shape = build_scene(scene(SHAPES[kind])).objects.body.shape
+    points = np.random.default_rng(0).normal(size=(500, 3))
+    farthest = max(np.linalg.norm(closest(shape, tuple(x))[1]) for x in 0.1 * points)
+    reach = reach_of(shape)
+    assert farthest <= reach * (1.0 + 1e-12) and (farthest > 0.8 * reach or reach == np.inf)
+
+
+@pytest.mark.plain
+def test_an_index_is_a_row_and_a_triangle() -> None:
+    """Rows and triangles of the largest meshes come back from a float64."""
+    for row in (0, 1, ENTRIES - 1):
+        for facet in (0, 1, 2**31 - 1):
+            index = float(row) + ENTRIES * float(facet)
+            assert (row_of(index), facet_of(index)) == (row, facet)
+
+
+@pytest.mark.plain
+def test_the_type_does_not_depend_on_the_objects() -> None:
+    """Kinds, number, order, motions and textures of some leave the type of a scene as it is."""
+    few = build_scene(scene(SHAPES["plane"], SHAPES["sphere"]))
+    turning = SHAPES["box"] | {"motion": {"kind": "turntable", "rate_rad_per_s": 1.0}}
+    many = build_scene(scene(*SHAPES.values(), turning))
+    assert numba.typeof(few) == numba.typeof(many)
+    assert (few.objects.size, many.objects.size, many.objects.moving) == (2.0, 10.0, 1.0)
+
+
+@pytest.mark.plain
+def test_more_objects_than_have_an_index_are_refused() -> None:
+    body = build_scene(scene(SHAPES["plane"])).objects.body
+    with pytest.raises(Exception, match=f"{ENTRIES + 1} walls and objects: at most {ENTRIES}"):
+        many_objects([body] * (ENTRIES + 1), (), (), None)
+
+
+def test_other_objects_compile_no_step_anew() -> None:
+    """A second scene with the same laws runs the kernels of the first; of its shapes only the unknown kind is new."""
+    poses = over_the_top(200)
+    first = Engine(scene(SHAPES["sphere"], FAR))
+    felt = first.run(poses)
+    if PLAIN:
+        pytest.skip("nothing is compiled")
+    signatures = list(step_many.signatures)
+    second = Engine(scene(FAR, SHAPES["cone"], SHAPES["sphere"] | {"position_m": [1.0, 0.0, 0.0]}))
+    records = second.run(poses)
+    assert step_many.signatures == signatures
+    assert records["contact.normal_force"].max() > 0.1
+    moved = np.add(poses, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    # The same ball a metre away: rounding of a metre at 1000 N/m is 1e-12 N.
+    second.reset()
+    np.testing.assert_allclose(second.run(moved)["force"], felt["force"], atol=1e-10)
+    assert isinstance(second.scene.objects, model.Many)
