@@ -230,7 +230,7 @@ def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> Rigid
 
 
 def motion_size(scene: kernels.Scene) -> int:
-    """Return the size of the array that describes the motion of a scene's bodies: `query.bodies.tell_motion`."""
+    """Return the size of the array that describes the motion of a scene's bodies: `query.bodies.publish_motion`."""
     moving = 0 if scene.bodies is None else len(scene.bodies.block.owner.moving)
     return 1 + at.MOTION_SIZE * moving
 

@@ -80,11 +80,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Where only tests of one mark are asked for, files that do not name it are not imported: all of them take 5 s."""
-    mark = str(config.option.markexpr).partition(" ")[0]
-    if mark not in ("plain", "real_time", "system") or not collection_path.match("test_*.py"):
+    """Skip the import of files in which the marks of the command line select no test: importing all takes 20 CPU s."""
+    if not collection_path.match("test_*.py"):
         return None
-    return True if mark not in collection_path.read_text(encoding="utf-8") else None
+    text = collection_path.read_text(encoding="utf-8")
+    for term in str(config.option.markexpr).split(" and "):
+        mark = term.removeprefix("not ")
+        if mark == term and mark in ("plain", "real_time", "system") and mark not in text:
+            return True
+        if mark != term and f"\npytestmark = pytest.mark.{mark}\n" in text:
+            return True
+    return None
 
 
 def pytest_configure(config: pytest.Config) -> None:

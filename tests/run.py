@@ -8,9 +8,11 @@ Parts:
 
     logic       marked `plain`: kernels as plain Python, which takes a scene in a millisecond where a compiler takes
                 seconds; `make test-all` runs the same tests compiled, and they have to agree
-    compiled    all others; one process, so it goes before those that are two
-    real time   marked `real_time`: they wait for the clock more than they compute, so they share the processors with
-                the other parts, which give way to them
+    compiled    all others
+    real time   marked `real_time`, in two processes: they wait for the clock more than they compute, so they share the
+                processors with the other parts, which give way to them
+
+Each process imports the tests that it runs, 6 to 10 CPU s, so the first two parts have one process each.
     put off     of those, the ones that failed; last, with nothing beside them, where a failure is one
 """
 
@@ -69,12 +71,14 @@ class Part(NamedTuple):
     nice: int = NICE
 
 
+PLAIN_VARIABLE: Final = "SOFTFINGER_TESTS_ARE_PLAIN"
+"""Set in the logic part, where `tests/proxy/test_plain_python.py` checks that kernels are plain Python."""
 BY_FILE: Final = ("--max-worker-restart=0", "--dist", "loadfile", "-n")
 """Files shared out among so many processes. One that has died is not replaced: the run would never end (pytest-xdist
 3.8, issue 1378). The test that it died in has failed, and the others do the rest."""
 QUICKLY: Final = "not exhaustive and not system"
 QUICK: Final = (
-    Part("logic", f"plain and {QUICKLY}", (*BY_FILE, "2"), environment=(("NUMBA_DISABLE_JIT", "1"),)),
+    Part("logic", f"plain and {QUICKLY}", environment=(("NUMBA_DISABLE_JIT", "1"), (PLAIN_VARIABLE, "1"))),
     Part("compiled", f"not plain and not real_time and {QUICKLY}", nice=LESS_NICE),
 )
 REAL_TIME: Final = Part("real time", f"real_time and {QUICKLY}", (*BY_FILE, "2"), nice=0)
@@ -171,17 +175,19 @@ def hang_limit() -> str:
     return f"-o faulthandler_timeout={HANG_S * seconds_per_cpu_second:.0f}"
 
 
-def compile_drivers() -> None:
-    """Compile the exchanges of all drivers: each pytest process would otherwise do it when it imports them."""
+def compile_kernels() -> None:
+    """Compile what several processes would otherwise compile at once: drivers, and the loop of the default scene."""
     programs = ["; ".join(f"import softfinger.drivers.{name}.device" for name in names) for names in DRIVERS]
     compiling = [subprocess.Popen([sys.executable, "-c", program], env=ENVIRONMENT) for program in programs]
     for process in compiling:
         process.wait()  # an error of an import is reported by the tests
+    warmup = [sys.executable, "-m", "softfinger.server.cli", "warmup", "--quiet", "paper-plane"]
+    subprocess.run(warmup, env=ENVIRONMENT, stdout=subprocess.DEVNULL, check=False)
 
 
 def quick(words: Sequence[str], covered: bool) -> list[Running]:
     """All of `make test`; last, with nothing beside them, the tests of real time that failed beside others."""
-    compile_drivers()
+    compile_kernels()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "put-off"
         ended = run([*QUICK, REAL_TIME._replace(words=(*REAL_TIME.words, f"--put-off={file}"))], words, covered)

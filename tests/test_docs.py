@@ -81,9 +81,9 @@ def test_commands_of_the_readme_run(tmp_path, endpoints, monkeypatch, capsys):
         own = [f"ipc://{tmp_path}/{name}" for name in ("t", "c")]
         more = {
             "monitor": ["--endpoint", endpoints[0], "--once"],
-            "view": ["--endpoint", endpoints[0], "--commands", endpoints[1], "--no-open", "--duration", "1"],
+            "view": ["--endpoint", endpoints[0], "--commands", endpoints[1], "--no-open", "--duration", "0.2"],
             "ctl": ["--endpoint", endpoints[1]],
-            "run": ["--duration", "1", "--realtime", "off", "--endpoint", own[0], "--commands", own[1]],
+            "run": ["--duration", "0.2", "--realtime", "off", "--endpoint", own[0], "--commands", own[1]],
             "doctor": None,  # a look at this machine, which may be bad: tests/tools/test_doctor.py
         }.get(words[0], [])
         if more is None or "omega-6" in words:  # a device that is not here

@@ -36,7 +36,7 @@ KERNEL_STANDARD_LIBRARY = {
     "foreign.py": {"ctypes"},
     "rescue.py": {"ctypes"},
     "cache.py": {"contextlib", "functools", "hashlib", "logging", "os", "pathlib", "secrets", "stat", "sys"},
-    "dispatch.py": {"functools"},
+    "dispatch.py": {"functools", "inspect"},
     "numba_internals.py": {"functools", "hashlib", "logging", "pathlib", "pickle", "secrets", "types"},
     "progress.py": {"contextlib"},
     "arrays.py": {"operator"},
@@ -208,6 +208,7 @@ def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.exhaustive
 def test_a_driver_of_another_package_is_held_to_the_contract_of_the_wheel(installed: Path, tmp_path: Path) -> None:
     """The example package, beside the wheel: its own tests, with nothing of this checkout."""
     source = tmp_path / "source"

@@ -51,6 +51,7 @@ def octave(_: Path) -> list[str]:
     return [str(program), str(PROGRAMS / "subscribe_octave.m")]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.real_time
 @pytest.mark.parametrize("make", [python, cpp, javascript, octave])
 def test_a_program_prints_what_was_published(make, tmp_path: Path, endpoints: tuple[str, str]) -> None:

@@ -10,19 +10,19 @@ from softfinger.proxy.kernels.contact.contact_friction import (
     apply_friction,
     ground_at,
     load_on,
-    rough_ground_at,
+    textured_ground_at,
 )
 from softfinger.proxy.kernels.contact.continuation import detect_or_continue
 from softfinger.proxy.kernels.contact.detection import STUCK_TICKS, is_clear
 from softfinger.proxy.kernels.contact.effects import effects_of_tick
-from softfinger.proxy.kernels.contact.fingertip import seen_by
+from softfinger.proxy.kernels.contact.fingertip import minkowski_objects
 from softfinger.proxy.kernels.contact.one_contact import land_on_one, outcome_of_one
 from softfinger.proxy.kernels.contact.outcome import remember, remember_free, report, report_free
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.several_contacts import (
     approach_among_several,
+    friction_of_contacts,
     land_in_company,
-    rub_each,
 )
 from softfinger.proxy.kernels.contact.several_outcome import outcome_of_several
 from softfinger.proxy.kernels.contact.several_rest import settle_after_friction
@@ -79,7 +79,7 @@ def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     """
     bodies = scene.bodies
     if faulty(bodies):
-        return let_go(scene, state.world, state.fingers, poses, dt)
+        return release_all(scene, state.world, state.fingers, poses, dt)
     count = bodies.block[SUBSTEPS]
     begin = state.fingers
     state, contacts = step_once(scene, state, map_each(on_the_way, (begin, poses), 1.0 / count), dt / count)
@@ -90,12 +90,12 @@ def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
             state, contacts = step_once(scene, state, there, dt / count)
             push_bodies(bodies, contacts, state.fingers)
     if faulty(bodies):
-        return let_go(scene, state.world, begin, poses, dt)
+        return release_all(scene, state.world, begin, poses, dt)
     return state, contacts
 
 
 @jit
-def let_go(scene: Scene, world: World, fingers: Any, poses: Any, dt: float) -> Any:
+def release_all(scene: Scene, world: World, fingers: Any, poses: Any, dt: float) -> Any:
     """Return State and Contacts for an unchanged world without contact; `fingers` are the states before the tick."""
     states, contacts = unzip(map_each(release_finger, (scene.fingers, fingers, poses), dt))
     return State(world=world, fingers=states), contacts
@@ -131,7 +131,7 @@ def step_finger(
     """Compute the contact of one finger in the advanced world; `objects` are those of `place_all`."""
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
-    seen = seen_by(finger.form, finger.radius, objects, pose.orientation)
+    seen = minkowski_objects(finger.form, finger.radius, objects, pose.orientation)
     return update_contact(seen, scene, finger, state, probe, dt)
 
 
@@ -161,7 +161,7 @@ def contact_with_one_object(
     state, approach = detect_or_continue(scene, finger, shapes, state, probe, dt)
     if approach.active[0].body < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
-    ground = rough_ground_at(objects, 0.0, approach.active, approach.center)
+    ground = textured_ground_at(objects, 0.0, approach.active, approach.center)
     forces = apply_friction(finger, objects, ground, approach.predicted[0], 1.0, motion)
     landing = land_on_one(finger, shapes, approach, forces, probe.position)
     load = load_on(finger, objects, ground, landing.active[0], motion, approach.began)
@@ -180,7 +180,7 @@ def contact_with_several_objects(
     state, approach = approach_among_several(scene, finger, objects, shapes, state, motion)
     if approach.active[0].body < 0.0:
         return out_of_contact(scene, finger, objects, state, probe, dt, approach.budget)
-    forces = rub_each(finger, objects, approach, motion)
+    forces = friction_of_contacts(finger, objects, approach, motion)
     landing, is_alone = land_in_company(finger, shapes, approach, forces[0], probe.position)
     if is_alone:
         ground = ground_at(objects, landing.active[0].body)

@@ -5,16 +5,16 @@ from typing import Any
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.seqlock import Slot
 from softfinger.proxy.kernels.model import Bodies
-from softfinger.proxy.kernels.query.bodies import NO_FAULT, keep_to_budget, step_bodies, tell_motion
+from softfinger.proxy.kernels.query.bodies import NO_FAULT, keep_to_budget, publish_motion, step_bodies
 from softfinger.server.loop.clock import now_ns
 
 
 @by_type
 def move_bodies(bodies: Any, tick: int, start_ns: int, motion: Slot, scratch: Any, timespec: Any) -> None:
-    """Call `step_bodies`, `keep_to_budget` and `tell_motion`; on a fault, the last published motion remains.
+    """Call `step_bodies`, `keep_to_budget` and `publish_motion`; on a fault, the last published motion remains.
 
     start_ns  start of the step
-    scratch   array of `tell_motion`
+    scratch   array of `publish_motion`
     """
 
 
@@ -27,4 +27,4 @@ def move_nothing(bodies: None, tick: int, start_ns: int, motion: Slot, scratch: 
 def move_all_bodies(bodies: Bodies, tick: int, start_ns: int, motion: Slot, scratch: Any, timespec: Any) -> None:
     if step_bodies(bodies) == NO_FAULT:
         keep_to_budget(bodies, now_ns(timespec) - start_ns)
-        tell_motion(bodies, tick, motion, scratch)
+        publish_motion(bodies, tick, motion, scratch)

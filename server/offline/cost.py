@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
-from softfinger.proxy.kernels.contact.fingertip import seen_by
+from softfinger.proxy.kernels.contact.fingertip import minkowski_objects
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import Packed, flatten, pack, packed, unpack
 from softfinger.proxy.kernels.jit.tuples import first_of
@@ -97,11 +97,12 @@ def time_steps(
 def follow_surface(scene: Any, values: Array, points: Array, height: float) -> None:
     """Move each of `points` (n, 3) to `height` (m) above its nearest point on the surface of the first object.
 
-    Surfaces are relative to the centre of the first finger (`seen_by`): Minkowski sums for an ellipsoidal fingertip.
+    Surfaces are relative to the centre of the first finger (`minkowski_objects`): Minkowski sums for an
+    ellipsoidal fingertip.
     """
     parameters = unpack(scene, values)
     finger = parameters.fingers[0]
-    objects = seen_by(finger.form, finger.radius, parameters.objects, (1.0, 0.0, 0.0, 0.0))
+    objects = minkowski_objects(finger.form, finger.radius, parameters.objects, (1.0, 0.0, 0.0, 0.0))
     for i in range(points.shape[0]):
         x = (points[i, 0], points[i, 1], points[i, 2])
         _, nearest, normal, _ = closest_to_within(objects, 0.0, x, BUDGET)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import resource
+import struct
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, cast
 
 import zmq
-from zmq.utils.monitor import recv_monitor_message
 
 if TYPE_CHECKING:  # they take time to import, and most daemons use no keys
     from zmq.auth.thread import ThreadAuthenticator
@@ -26,6 +26,9 @@ FILES_MAX: Final = 256
 queue."""
 MEMORY_MAX: Final = 1 << 30
 """Limit of writable memory in bytes: a peer can make libzmq allocate without end. Beyond it, the process ends."""
+_EVENT: Final = struct.Struct("=Hi")
+"""First frame of a connection event, `zmq_socket_monitor(3)`; `zmq.utils.monitor` imports asyncio, half of the start of
+the process."""
 EVENTS_AT_ONCE: Final = 1024
 """Connection events handled per call: a peer that only connects and disconnects must not delay ticks."""
 _REFUSED: Final = (
@@ -117,14 +120,14 @@ class PeerSocket:
         for _ in range(EVENTS_AT_ONCE):
             if not self.monitor.poll(0):
                 break
-            event = recv_monitor_message(self.monitor)
-            if event["event"] & _REFUSED:
+            event, value = _EVENT.unpack(self.monitor.recv_multipart()[0])
+            if event & _REFUSED:
                 self.refused += 1
-            elif event["event"] == zmq.EVENT_ACCEPTED:
+            elif event == zmq.EVENT_ACCEPTED:
                 self._accepted += 1
-                self.connected[event["value"]] = self._accepted
-            elif event["event"] == zmq.EVENT_DISCONNECTED:
-                self.connected.pop(event["value"], None)
+                self.connected[value] = self._accepted
+            elif event == zmq.EVENT_DISCONNECTED:
+                self.connected.pop(value, None)
         self.max_connections = max(self.max_connections, len(self.connected))
 
     def refresh_keys(self) -> None:

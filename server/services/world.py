@@ -82,7 +82,7 @@ class WorldState(Worker):
 
 
 def body_maps(names: list[str], values: NDArray[np.float64]) -> list[dict[str, Any]]:
-    """Return the bodies of a message, from the array that `query.bodies.tell_motion` writes."""
+    """Return the bodies of a message, from the array that `query.bodies.publish_motion` writes."""
     return [
         {
             "name": name,

@@ -40,6 +40,7 @@ def repeated(part: str) -> str:
     return part * (SIZE // len(part))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "text",
     [
@@ -86,6 +87,7 @@ def test_dots_that_are_in_no_key_are_read(text: str) -> None:
     assert parse_toml(text, "t") == tomllib.loads(text)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "text", [repeated('"""\\'), repeated("'\"#"), repeated("a-") + ".", repeated('\\"'), repeated("' .")]
 )
@@ -95,6 +97,7 @@ def test_text_of_broken_strings_takes_no_time(text: str) -> None:
         parse_toml(text, "t")
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "text",
     [

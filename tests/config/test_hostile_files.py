@@ -108,6 +108,7 @@ def test_only_regular_files_are_read(
         read(path)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "words", [["check", "odd.toml"], ["run", "--scene", "odd.toml"], ["run", "--recording", "odd.csv"]]
 )

@@ -89,6 +89,7 @@ def test_closed_loop_through_libusb(tmp_path: Path) -> None:
     assert passed > 100, "the guard left too few ticks in contact to compare"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("reversed_motors", [True, False])
 def test_a_knob_pressed_through_the_plane_is_held(reversed_motors: bool, tmp_path: Path) -> None:
     """A hand that means to be 6 mm below the plane is held near it by the motors, whichever way they turn."""

@@ -84,6 +84,7 @@ def garble(service: Service) -> None:
     service.set(spoil="<html>")
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("fault", "error", "words"),
     [
@@ -135,6 +136,7 @@ def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[
         running.communicate()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("sent", "code"),
     [
@@ -186,6 +188,7 @@ def test_a_second_daemon_and_a_zero_that_nobody_confirms(tmp_path: Path) -> None
         assert "force is zero" not in said
 
 
+@pytest.mark.exhaustive
 def test_a_missing_library_is_one_error(tmp_path: Path) -> None:
     """Without websockets, `run` says in one line what to install."""
     (tmp_path / "websockets.py").write_text("raise ImportError('not installed')")

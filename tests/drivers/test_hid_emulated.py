@@ -180,6 +180,7 @@ def test_faults_end_in_order(way: str, case: dict[str, Any], code: int, message:
         assert re.search("no zero has reached it: (hid writer: a write|a write|writes) ", done.stderr)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("way", "board", "rig"),
     [
@@ -206,6 +207,7 @@ def test_a_board_is_opened_by_its_reports(way: str, board: str, rig: str, tmp_pa
     assert not any(saw["last"])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("board", "rig", "said"),
     [
@@ -300,6 +302,7 @@ with subprocess.Popen([sys.executable, "-c", hold, sys.argv[1]], stdin=pipe, std
 """A process that has the device of the first rig open, while the daemon is tried on each rig."""
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("way", "node"), [("thread", "/dev/hidraw0"), ("usb", "/dev/bus/usb/001/002")])
 def test_a_second_program_finds_the_device_held(way: str, node: str, tmp_path: Path) -> None:
     """While one process has the device, the daemon is refused and told which process it is."""

@@ -45,6 +45,7 @@ def test_rigs_hold_the_published_table(rig: str) -> None:
     assert (given.calibration_counts, given.aligned) == (calibration, tuple(map(bool, aligned)))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("rig", RIGS)
 def test_forward_inverts_an_independent_inverse(rig: str) -> None:
     """20 000 random points of each arm's workspace (100 000 in all) come back to 1e-9 m through angles that a triangle
@@ -67,6 +68,7 @@ def test_forward_inverts_an_independent_inverse(rig: str) -> None:
     assert worst < 1e-9
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("rig", RIGS)
 def test_jacobian_is_the_derivative(rig: str) -> None:
     """Each column agrees with central differences of the forward kinematics, and the currents with J^T f."""

@@ -174,6 +174,7 @@ def test_makers_library_that_sees_no_device(
     assert said.strip().splitlines()[-1].startswith("softfinger: no device of Force Dimension is attached"), said
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("words", [("devices", "--ask"), ("doctor", "--seconds", "0.1")])
 def test_diagnosis_needs_no_libusb(words: tuple[str, ...], bare: tuple[list[str], dict[str, str]]) -> None:
     """What is attached is told as far as it can be seen, and the doctor says that libusb is missing."""
@@ -184,6 +185,7 @@ def test_diagnosis_needs_no_libusb(words: tuple[str, ...], bare: tuple[list[str]
         assert code == 0, said
 
 
+@pytest.mark.sampled(1)
 @mounts
 @pytest.mark.parametrize("words", [("run", "--rig", "woodenhaptics-2019", "--duration", "1"), ("devices",)])
 def test_hidapi_without_its_libraries(words: tuple[str, ...], tmp_path: Path) -> None:

@@ -455,6 +455,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_model_that_cannot_be_used_is_one_clear_error(name: str, tmp_path: Path) -> None:
     """Before the first tick, with the file and what is wrong."""

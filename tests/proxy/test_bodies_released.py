@@ -74,7 +74,7 @@ def visit(random: np.random.Generator, above: bool) -> Array:
     return np.hstack([places, quaternions / np.linalg.norm(quaternions, axis=1)[:, None]])
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("kind", GEOMS)
 def test_once_clear_of_a_body_nothing_is_felt(kind: str, tmp_path: Path, cases: Any) -> None:

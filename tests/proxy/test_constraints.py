@@ -21,6 +21,7 @@ def unit(rng):
     return v / np.linalg.norm(v)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_agrees_with_non_negative_least_squares(count):
     """For a goal x behind constraints through a point c, x + d is what Lawson and Hanson's method finds."""

@@ -52,6 +52,7 @@ def test_roll_with_the_probe_held_winds_the_coupling(plane_scene: SceneFactory, 
     assert trace.events == [(1, "touch")]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("k_tau", "angle"), [(None, 0.06), (250.0, 0.24)])
 def test_roll_past_theta_max_slides(plane_scene: SceneFactory, k_tau: float | None, angle: float) -> None:
     """A held probe slides at theta_max = mu_s f_N / (k_tau r): peak mu_s f_N, then mu_d f_N."""

@@ -131,6 +131,7 @@ def check_out_of_reach(shape: str, method: str | None, folder: Path, material: d
     assert_same_but_for_numbers(alone.run(poses), company.run(poses), 1)
 
 
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("shape", [*SHAPES, "mesh box", "mesh ball"])
 def test_an_object_out_of_reach_changes_no_bit(shape: str, method: str | None, tmp_path: Path) -> None:
@@ -145,6 +146,7 @@ NORMALS = {
 }
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("law", [*LAWS, *NORMALS, "paper", "patch"])
 @pytest.mark.parametrize("shape", ["sphere", "box"])
 def test_an_object_out_of_reach_changes_no_bit_under_any_law(shape: str, law: str, tmp_path: Path) -> None:
@@ -237,6 +239,7 @@ def test_a_roll_that_is_held_takes_its_normal_along(method: str, company: bool) 
     np.testing.assert_allclose(last[NAMED["torque"].at :][:3], -R * np.cross(n, tangential), atol=1e-8)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("company", COMPANY)
 @pytest.mark.parametrize("kind", ["box", "mesh"])
 @pytest.mark.parametrize("deep", [1e-3, 3e-3, 5e-3, 6e-3])
@@ -255,6 +258,7 @@ def test_an_edge_holds_what_sticks_to_it_at_any_depth(deep: float, kind: str, co
     np.testing.assert_allclose([force @ n, force @ across], [K * deep, -0.2], atol=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_a_ball_of_triangles_holds_what_sticks_to_it(tmp_path: Path) -> None:
     """At a vertex of the mesh, which lies on the ball, 3 mm deep, dragged 0.4 mm: -0.4 N."""
     ball = meshes.geodesic(24, BALL)
@@ -307,6 +311,7 @@ def closed_path(seed: int, top: float, ticks: int) -> Array:
     return np.concatenate([np.linspace(a, b, ticks) for a, b in pairwise(corners)])
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("company", COMPANY)
 @pytest.mark.parametrize("shape", ["plane", "sphere", "cylinder", "ellipsoid", "torus", "box"])
 def test_a_closed_path_that_sticks_does_no_work_on_the_hand(shape: str, company: bool) -> None:
@@ -345,6 +350,7 @@ def over_a_box(seed: int, half: tuple[float, float, float], ticks: int) -> Array
     return np.asarray(foot + (R - depth)[:, None] * normal)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("company", COMPANY)
 @pytest.mark.parametrize("seed", [2, 3])
 def test_a_box_of_triangles_is_the_box_with_friction(seed: int, company: bool, tmp_path: Path) -> None:

@@ -95,6 +95,7 @@ FEW = 6
 """Of them in `make test`."""
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "seed", [pytest.param(seed, marks=[pytest.mark.exhaustive] if seed >= FEW else []) for seed in SEEDS]
 )

@@ -57,6 +57,7 @@ def handled(rng: np.random.Generator, ticks: int) -> Array:
     return np.hstack([points, np.cos(angles), np.sin(angles) * axis])
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.scaled
 @pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize("shape", list(SHAPES))

@@ -525,6 +525,7 @@ def test_a_scene_without_effects_has_none_to_compile() -> None:
 PLAIN = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("sideways", "depth"), [(0.002, 0.001), (0.001, 0.002)])
 def test_viscosity_goes_by_the_velocity_relative_to_its_object(sideways: float, depth: float) -> None:
     """The hand rests in a corner of a viscous floor, which rests, and a wall, which slides along. No viscous force

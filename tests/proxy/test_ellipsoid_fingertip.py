@@ -168,6 +168,7 @@ CASES = [
 ]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("name", "method", "ticks", "order"), CASES)
 def test_it_rolls_as_the_shape_operators_of_both_say(name: str, method: Any, ticks: int, order: int) -> None:
     """Against (W_o + W_f) p' = w x n, integrated to the eighth order, for a radian and a half about an oblique axis:
@@ -281,6 +282,7 @@ def handled(ticks: int, lowest: float) -> Array:
     return np.hstack([x, q])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", ["plane", "cylinder"])
 def test_while_it_sticks_the_hand_gets_back_what_it_put_in(cases: Cases, name: str) -> None:

@@ -28,7 +28,7 @@ def along(corners: list[tuple[float, ...]], ticks: int) -> Array:
     return np.concatenate([*legs, [corners[-1]]])
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("several", [False, True], ids=["alone", "in company"])
 @pytest.mark.parametrize(("coupling", "aside"), [(K_N, 1e-3), (3000.0, 1e-3), (300.0, -1e-3)])
 def test_a_roll_makes_energy_by_what_the_coupling_differs_from_the_wall(

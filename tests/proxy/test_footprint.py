@@ -130,6 +130,7 @@ def test_a_hertzian_patch_is_as_stiff_against_spin_as_it_is_loaded() -> None:
         assert column(records, "contact.torsion")[-1] == pytest.approx(-2.0 * R * 1e-6, rel=1e-9)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", list(PATCHES))
 def test_dragged_and_spun_it_is_on_the_limit_surface_of_the_patch(name: str) -> None:
     """f_T = F^2 v / N, tau = M^2 omega / N, N = sqrt((F v)^2 + (M omega)^2), with F = mu_d f_N and M of the patch."""
@@ -248,7 +249,7 @@ MODELS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", list(PATCHES))
 @pytest.mark.parametrize("kind", list(MODELS))

@@ -140,6 +140,7 @@ def is_stuck(records: Any) -> Array:
     return np.asarray(modes[0] & modes[1] & modes[2])
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", SCENES)
 def test_without_friction_the_force_is_within_that_of_the_spring(name: str) -> None:
     """K times the distance of the proxy, and less while it swings round an edge that the hand is deep below."""
@@ -150,6 +151,7 @@ def test_without_friction_the_force_is_within_that_of_the_spring(name: str) -> N
     assert (np.linalg.norm(records["force"], axis=1) <= K * behind + 1e-9).all()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("turn", [0.0, 0.4])
 @pytest.mark.parametrize("name", SCENES)
 def test_friction_of_each_contact_stays_in_its_cone(name: str, turn: float) -> None:
@@ -162,6 +164,7 @@ def test_friction_of_each_contact_stays_in_its_cone(name: str, turn: float) -> N
         check_statics(name, records, poses[:, :3], 0.6, at_rest)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ROUND)
 def test_contacts_that_stick_hold_the_proxy_at_any_depth(name: str) -> None:
     """However deep the hand goes through round objects: the force changes by K times its way, and by nothing else."""
@@ -173,6 +176,7 @@ def test_contacts_that_stick_hold_the_proxy_at_any_depth(name: str) -> None:
         assert np.abs(change).max() < 1e-9
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", SCENES)
 def test_the_force_is_continuous(name: str) -> None:
     """With equal static and kinetic friction, about 1.5 mm deep: from tick to tick it changes by no more than K times
@@ -198,6 +202,7 @@ def gained(records: Any, poses: Array) -> float:
     return float(np.sum((work + stored)[touching[1:] & touching[:-1]]))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("static", [0.6, 50.0])
 @pytest.mark.parametrize("name", SCENES)
 def test_a_closed_path_gains_nothing(name: str, static: float) -> None:
@@ -205,6 +210,7 @@ def test_a_closed_path_gains_nothing(name: str, static: float) -> None:
     assert gained(engine(name, static, static).run(poses), poses) <= 1e-9
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("static", [0.6, 50.0])
 @pytest.mark.parametrize("name", SCENES)
 def test_a_closed_path_with_rolls_gains_no_more_than_friction_held(name: str, static: float) -> None:

@@ -48,6 +48,7 @@ def pressed(depth: float = 0.001) -> Hand:
 # --- Coulomb ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("depth", [1e-4, 1e-3, 4e-3])
 @pytest.mark.parametrize("speed", [0.002, 0.05, 0.5])
 def test_ramp_peaks_at_static_and_slides_at_kinetic_friction(
@@ -82,7 +83,7 @@ def test_no_length_biases_the_force(plane_scene: SceneFactory, stiffness: float,
     assert trace.force[-1, 0] == pytest.approx(-0.5 * stiffness * depth, abs=rounding)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("law", list(LAWS))
 def test_sliding_at_constant_speed_has_no_ripple(plane_scene: SceneFactory, law: str) -> None:
     """Between ticks, and at half the tick rate, the tangential force of a steady slide does not change."""
@@ -97,7 +98,7 @@ def test_sliding_at_constant_speed_has_no_ripple(plane_scene: SceneFactory, law:
 # --- with the speed --------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("speed", [0.005, 0.05, 0.15, 0.4])
 @pytest.mark.parametrize(
     ("friction", "coefficient"),
@@ -159,6 +160,7 @@ def test_anisotropic_slide_dissipates_the_most(plane_scene: SceneFactory, headin
     assert trace.causes == ["touch", "drag"]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("heading", [0.0, 0.7, np.pi / 2, 4.0])
 def test_anisotropic_drag_breaks_loose_on_the_ellipse(plane_scene: SceneFactory, heading: float) -> None:
     """The peak before sliding is mu_s f_N times the scale of its direction, and the slide starts just outside."""
@@ -186,6 +188,7 @@ def test_anisotropy_turns_with_the_object(plane_scene: SceneFactory) -> None:
     assert second.causes == first.causes
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "table",
     [
@@ -244,7 +247,7 @@ def test_equal_scales_are_no_anisotropy(plane_scene: SceneFactory) -> None:
 # --- under any law ---------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("law", list(LAWS))
 def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
@@ -277,7 +280,7 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
     check()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize("law", list(LAWS))
 def test_no_energy_comes_out_of_the_contact(plane_scene: SceneFactory, law: str) -> None:

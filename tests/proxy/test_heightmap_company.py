@@ -108,6 +108,7 @@ BESIDE: Final = {"plane": (2, 6), "ball": (3, 7), "mesh": (0, 5), "map": (4, 1)}
 """Which maps are beside which company where not all are beside all."""
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", COMPANY)
 def test_beside_another_object_it_is_touched_safely(tmp_path: Path, cases: Cases, kind: str) -> None:
     """Without friction, which displaces the proxy that is shown."""

@@ -57,6 +57,7 @@ def is_safe(running: Engine, shape: Any, points: Array, smooth: bool) -> Array:
     return np.asarray(touches)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", MADE)
 def test_it_is_touched_safely(tmp_path: Path, name: str) -> None:
     """Dragged, pressed and thrown, from outside: finite, outside of every place asked, and pushed by the depth at
@@ -82,6 +83,7 @@ def test_the_first_pose_may_be_deep_inside(tmp_path: Path, name: str) -> None:
     assert is_safe(running, kernel_heightmap(heights, pitch), points, True).all()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", MADE)
 def test_no_question_asks_more_than_its_budget(name: str) -> None:
     """Counted, at places about the map and about the middle; and what is answered instead is no farther than any place,

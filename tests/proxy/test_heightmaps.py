@@ -413,6 +413,7 @@ def test_a_cap_feels_as_the_ball(tmp_path: Path) -> None:
     np.testing.assert_allclose(force(over), force(ball), rtol=0, atol=2e-4)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize(
     "name", [pytest.param(each, marks=pytest.mark.exhaustive if each == "noise" else ()) for each in MAPS]

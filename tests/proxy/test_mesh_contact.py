@@ -122,6 +122,7 @@ def test_a_faceted_ball_becomes_the_ball(tmp_path):
     assert shaded[2] < 0.25 * coarse[2] and shaded[3] < 0.25 * coarse[3]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["bumpy", "torus", "moebius"])
 def test_the_proxy_is_never_inside(tmp_path, name):
     """Dragged and turned over and into hills, rings and a sheet of one side: outside to 1e-9 of the radius."""

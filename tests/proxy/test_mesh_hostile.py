@@ -46,6 +46,7 @@ def asked_most(running, points):
     return found[:, 2].max()
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", hostile_meshes.MADE)
 def test_it_is_touched_safely(tmp_path, name):
     """Pressed, dragged and lifted at random: outside of every triangle in every tick. Without friction the force is at

@@ -80,6 +80,7 @@ def strokes(mesh: meshes.Mesh, radius: float, rng: np.random.Generator, count: i
     return found
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("radius", [0.004, 0.001])
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_holds_a_proxy_is_what_it_touches(kind: str, radius: float, tmp_path: Path, cases: Cases) -> None:

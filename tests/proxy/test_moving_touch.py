@@ -91,7 +91,7 @@ HEIGHT = -0.01 * np.cos(2.0 * np.pi * np.arange(1, TICKS + 1) / TICKS)
 """Of an object that rises by 20 mm in an eighth of a second and goes down again."""
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("retreat", [0.0, 0.004], ids=["still", "retreating"])
 @pytest.mark.parametrize("name", SHAPES)
 def test_an_object_that_rises_presses_on_the_finger(name: str, retreat: float) -> None:
@@ -183,7 +183,7 @@ def test_an_object_that_comes_back_touches_again() -> None:
 # --- several objects -----------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("thickness", [0.1, 0.001])
 @pytest.mark.parametrize("jump", [0.0001, 0.002, 0.04], ids=lambda way: f"{1000 * way:g} mm")
 def test_a_second_object_that_comes_is_met_while_the_first_is_touched(jump: float, thickness: float) -> None:

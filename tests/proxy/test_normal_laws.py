@@ -93,7 +93,7 @@ def test_a_slow_press_has_the_closed_form(name: str) -> None:
     assert found == pytest.approx(spring(LAWS[name], depths[1::2]), rel=1e-11, abs=1e-15)
 
 
-@pytest.mark.sampled(7)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", list(LAWS))
 @pytest.mark.parametrize("speed", [0.01, 0.1, 0.4, 0.9])
 def test_a_press_at_a_speed_has_the_closed_form(name: str, speed: float) -> None:
@@ -164,7 +164,7 @@ def rendered_speed(running: Engine, speed: float, dt: float) -> float:
     return v
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["Hertz", "Hunt-Crossley", "Hunt-Crossley, Hertz"])
 def test_an_impact_is_that_of_an_independent_integration(name: str) -> None:
     """A mass thrown at the plane leaves it as DOP853 says, to first order in the time step, and then to second."""
@@ -178,7 +178,7 @@ def test_an_impact_is_that_of_an_independent_integration(name: str) -> None:
     assert 2.0 * fine - coarse == pytest.approx(wanted, rel=2e-5)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("speed", [0.02, 0.05, 0.1, 0.2])
 @pytest.mark.parametrize("name", ["Hunt-Crossley", "Hunt-Crossley, Hertz"])
 def test_restitution_is_hunt_and_crossleys(name: str, speed: float) -> None:
@@ -298,6 +298,7 @@ def test_in_a_corner_each_wall_presses_by_its_own_law() -> None:
     assert found[:, 2] == pytest.approx(spring(LAWS["Hertz"], depths[:, 1]), abs=1e-11)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("share", "grows"), [(0.8, False), (1.2, True)])
 def test_stability_goes_by_the_slope_at_the_force(share: float, grows: bool) -> None:
     """A weight on Hertz's wall: a knock dies out where K(f) is below 2 b / T and grows above, as on a linear wall.

@@ -389,6 +389,7 @@ def test_an_array_is_read_only(beads: ModuleType) -> None:
         ReadOnly(np.zeros(3, complex))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("program", [ASK, pytest.param(TOUCH, marks=pytest.mark.exhaustive)], ids=["query", "step"])
 def test_an_outlined_kernel_is_linked_to_a_kept_caller(tmp_path: Path, program: str) -> None:
     """A process that loads its caller from disk calls the query that it was compiled with; an edit of it is obeyed."""

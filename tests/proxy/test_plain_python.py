@@ -75,24 +75,10 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-ASKED = "ASKED_OF_ANOTHER_PROCESS"
-
-
-@pytest.mark.skipif(ASKED not in os.environ, reason="is asked by the test below, in another process")
-def test_this_process_is_plain() -> None:
+@pytest.mark.plain
+@pytest.mark.skipif("SOFTFINGER_TESTS_ARE_PLAIN" not in os.environ, reason="for the logic part of tests/run.py")
+def test_logic_part_runs_plain_kernels_and_its_programs_machine_code() -> None:
     assert PLAIN and "NUMBA_DISABLE_JIT" not in os.environ
-
-
-def test_every_process_of_the_logic_part_is_plain() -> None:
-    """Workers of pytest run plain kernels; programs that their tests start run machine code."""
-    words = ["-q", "-n", "1", f"{__file__}::{test_this_process_is_plain.__name__}"]
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *words],
-        env=environment | {"NUMBA_DISABLE_JIT": "1", ASKED: "1"},
-        capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0 and "1 passed" in done.stdout, done.stdout
 
 
 @pytest.mark.exhaustive
@@ -141,6 +127,7 @@ SOME = {("rotation_vector", "hollow sphere"), ("euler_zyx", "plane"), ("montana_
 """In `make test`: of the methods that no scene above has."""
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("method", "name"),
     [pytest.param(*pair, marks=[] if pair in SOME else [pytest.mark.exhaustive]) for pair in pairs()],

@@ -126,6 +126,7 @@ def test_new_field_is_everywhere(tree):
     assert "a field that a test has added" in done.stdout
 
 
+@pytest.mark.exhaustive
 def test_new_field_is_asked_of_the_page(tree):
     """The page that lists the fields no longer agrees, and the failure names the command that updates it."""
     page = "tests/tools/test_reference.py::test_a_page_is_what_the_program_makes[record.md]"

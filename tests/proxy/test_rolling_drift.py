@@ -23,7 +23,7 @@ SHORT = 1000
 """Steps in `make test`: a roll leaves a smooth object by more than 1e-15 m a step, or not at all."""
 
 
-@pytest.mark.sampled(37)
+@pytest.mark.sampled(12)
 @pytest.mark.scaled
 @pytest.mark.parametrize(("method", "name"), pairs())
 def test_the_contact_does_not_drift_off_the_object(cases: Cases, method: str, name: str) -> None:
@@ -37,6 +37,7 @@ def test_the_contact_does_not_drift_off_the_object(cases: Cases, method: str, na
 
 
 # The fingertip's contact does not pass through the method: three of them, since each compiles a whole engine.
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("method", ["euler_zxz", "rotation_vector", "montana_rk45"])
 def test_contact_on_the_fingertip_agrees_with_its_orientation(plane_scene: SceneFactory, method: str) -> None:
     """Turned back into the world, the contact point on the fingertip is the one on the object, to rounding."""

@@ -90,6 +90,7 @@ def test_rotation_vector_at_all_sizes(scale: float) -> None:
         assert np.abs(np.array(out.center) / scale - end).max() < 1e-11
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", SHAPES)
 def test_step_control_reaches_its_tolerance(name: str) -> None:
     """montana_rk45 at 1e-12 stays within 1e-10 of the radius for up to half a turn, across edges too."""
@@ -153,6 +154,7 @@ def test_euler_zxz_is_exact_without_spin(name: str) -> None:
         assert out.motion == pytest.approx(exact.motion, abs=1e-15)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", METHODS)
 def test_rolling_over_the_edge_of_a_box(method: str) -> None:
     """Rolled to an edge, round it and down the side: contact is kept, and the normal turns through the fan."""

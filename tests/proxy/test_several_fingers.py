@@ -144,6 +144,7 @@ def stroke(radius: float, x: float, phase: float) -> Array:
     return poses
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", OBJECTS)
 def test_two_fingers_on_one_object_are_two_runs_of_one(name: str) -> None:
     """Fingers touch each other only through bodies that yield: on others, each has the bits it has alone."""

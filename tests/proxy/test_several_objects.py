@@ -79,6 +79,7 @@ def test_corner_of_three_planes_holds_on_all_sides():
     np.testing.assert_allclose(force(records)[-1], [2.0, 1.0, 1.5], atol=1e-10)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("angle", [30.0, 60.0, 90.0, 120.0, 150.0])
 def test_groove_is_the_nearest_point_to_the_probe(angle):
     """Between two walls at any angle the proxy is the closed-form foot of the probe on their common line."""
@@ -246,7 +247,8 @@ def test_relative_rotation_of_a_rolling_ball_drives_rolling():
     np.testing.assert_allclose(moving[-1, rolled], still[-1, rolled], rtol=1e-9)
 
 
-def test_proxy_never_oscillates_at_rest():
+@pytest.mark.scaled
+def test_proxy_never_oscillates_at_rest(cases):
     """A probe that rests anywhere in a cluttered corner has a proxy that rests as well."""
     rng = np.random.default_rng(5)
     clutter = [
@@ -254,7 +256,7 @@ def test_proxy_never_oscillates_at_rest():
         wall("left", (1, 0, 0)),
         thing("ball", "sphere", (0.02, 0.01, 0.01), radius_m=0.012),
     ]
-    for _ in range(20):
+    for _ in range(cases(7, 20)):
         target = rng.uniform([-0.003, -0.01, -0.003], [0.02, 0.02, 0.012])
         records = go(engine(*clutter), np.vstack([way((0.05, 0.0, 0.05), target, 100), [target] * 60]))
         moved = np.linalg.norm(np.diff(proxy(records)[-50:], axis=0), axis=1)

@@ -53,6 +53,7 @@ def test_touch_starts_unwound(plane_scene: SceneFactory) -> None:
     assert step.proxy_position == pytest.approx([0, 0, R], abs=EXACT)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("depth", [0.0005, 0.001, 0.003])
 def test_drag_begins_at_the_static_cone(plane_scene: SceneFactory, depth: float) -> None:
     """A finger dragged without turning sticks until K times the way reaches mu_s f_N."""
@@ -110,6 +111,7 @@ def test_a_slow_slide_is_not_a_stop(plane_scene: SceneFactory) -> None:
     assert trace.tangential[-900:] == pytest.approx(0.5, rel=EXACT)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("resolution", "way"), [(0.0, 0.05e-3), (1e-5, 0.05e-3), (1e-4, 0.3e-3)])
 def test_reverse_sticks_after_a_tenth_or_three_encoder_steps(
     plane_scene: SceneFactory, resolution: float, way: float
@@ -172,7 +174,7 @@ def test_zero_normal_force_inside_is_not_a_release(plane_scene: SceneFactory) ->
 # --- the sign rule ---------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("axis", [[1, 0, 0], [0, -1, 0], [0.6, 0.8, 0]])
 def test_an_honest_roll_never_slides(plane_scene: SceneFactory, axis: list[float]) -> None:
     """Three radians rolled to and fro with the hand on the contact: touch is the only event."""
@@ -326,7 +328,7 @@ def test_a_quantised_slide_does_not_chatter(plane_scene: SceneFactory, depth: fl
     assert trace.causes == ["touch", "drag", "stop"]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize("kinetic", [0.5, 0.6])
 @pytest.mark.parametrize("resolution", [0.0, 1e-5])

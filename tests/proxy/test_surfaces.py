@@ -527,7 +527,7 @@ SAMPLED = 400
 """Places of a way that are looked at by the reference."""
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", THIN)
 def test_no_way_leads_through_a_thin_object(name: str) -> None:
     """However flat a way between two places outside is: where the fingertip would be clearly inside on it,

@@ -225,7 +225,7 @@ SHAPES: dict[str, dict[str, Any]] = {
 AROUND = 2.0 * np.pi * 0.03 / 8.0
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", list(SHAPES))
 def test_force_is_the_gradient_of_its_potential_on_every_shape(scene: Make, cases: Cases, name: str) -> None:
@@ -384,6 +384,7 @@ LAWS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("law", list(LAWS))
 def test_sliding_friction_is_that_of_the_point_that_slides(scene: Make, law: str) -> None:
     """mu(u, v) f_N at the contact point that a tick begins with, mu = mu_d times low + (high - low) z."""

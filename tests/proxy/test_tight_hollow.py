@@ -48,7 +48,7 @@ def rolled(make: SceneFactory, radius: float, inside: bool, turn: float, ticks: 
     return running.run(poses, 1e-3)
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("ticks", [30, 100, 2000], ids=lambda n: f"{n} ticks")
 @pytest.mark.parametrize("clearance", [1e-7, 1e-5, 1e-4, 2e-3, 1e-2], ids=lambda h: f"{1e3 * h:g} mm")
 def test_a_roll_in_a_hollow_slides_where_the_cone_holds_it(
@@ -174,7 +174,7 @@ NEARLY_FILLED: dict[str, Any] = {
 """Objects, of which the first is touched from inside; and the place nearest to one that the centre may have."""
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("clearance", [1e-4, 2e-3], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", NEARLY_FILLED)

@@ -39,7 +39,7 @@ def pressed(depth: float = 0.001) -> Hand:
 # --- limits ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("depth", [2e-4, 1e-3, 3e-3])
 @pytest.mark.parametrize("exponent", [None, 0.0, 0.2, 1.0 / 3.0])
 def test_moment_saturates_at_the_torsional_limit(
@@ -64,6 +64,7 @@ def test_exponent_of_zero_is_the_linear_limit(plane_scene: SceneFactory) -> None
     assert (linear.torque == power.torque).all()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("torsion", [{}, {"exponent": 0.3}, PROXY], ids=["linear", "power", "proxy"])
 def test_lifting_lets_the_anchor_slip(plane_scene: SceneFactory, torsion: dict[str, Any]) -> None:
     """A wound finger that is lifted unwinds with its limit, and pressing again does not bring the moment back."""
@@ -79,6 +80,7 @@ def test_lifting_lets_the_anchor_slip(plane_scene: SceneFactory, torsion: dict[s
     assert trace.torque[-1, 2] == pytest.approx(-limit, rel=1e-12)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("torsion", [{}, {"exponent": 0.3}, PROXY], ids=["linear", "power", "proxy"])
 def test_a_frictionless_finger_still_winds(plane_scene: SceneFactory, torsion: dict[str, Any]) -> None:
     """Without friction the tangential force is none, and the moment is that of the same torsion with friction."""
@@ -157,6 +159,7 @@ def test_a_proxy_without_a_drop_is_the_independent_model(plane_scene: SceneFacto
     check()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize("kinetic", [0.003, 0.004])
 def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases: Cases, kinetic: float) -> None:

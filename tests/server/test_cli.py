@@ -327,6 +327,7 @@ def assert_step(result):
     assert feature["reference_ns"] > 0.0 and {"ns_per_step", "marginal_ns"} <= feature.keys()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", [pytest.param("step", marks=pytest.mark.exhaustive), "loop", "telemetry"])
 def test_bench_prints_json(kind, tmp_path):
     """Every measurement can be read by a machine and drawn; the numbers are those of real runs."""

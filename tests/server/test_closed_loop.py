@@ -107,6 +107,7 @@ def test_simulate_verb_says_what_cannot_be(
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.exhaustive
 def test_bench_measures_every_plant(capsys: pytest.CaptureFixture[str]) -> None:
     """Each plant presses, and its cost, rate and ratio are numbers that belong together."""
     assert cli.main(["bench", "closed-loop", "--blocks", "3", "--json"]) == 0

@@ -70,6 +70,7 @@ def saved_forces(path: Path) -> np.ndarray:
         return np.hstack([saved["force"], saved["torque"]])
 
 
+@pytest.mark.exhaustive
 def test_two_replays_and_simulate_are_bit_identical(tmp_path):
     """Two daemons and the offline run command the same forces to the last bit, and end with zero."""
     files = [tmp_path / name for name in ("a.npz", "b.npz")]

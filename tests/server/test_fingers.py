@@ -276,6 +276,7 @@ def test_a_close_that_fails_keeps_no_other_device_open() -> None:
     assert [act for act, *_ in first.acts][-2:] == ["close", "stop"]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
 def test_simulate_takes_a_recording_and_gives_results_of_each(
     ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

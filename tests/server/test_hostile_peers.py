@@ -181,8 +181,8 @@ def step():
 attack(step)""",
 }
 
-SECONDS = 2.0
-"""Where nothing stops it, an attack beside others fills hundreds of megabytes in this and opens all its connections."""
+SECONDS = 1.0
+"""Unlimited, an attack beside others fills a hundred megabytes in this and opens all its connections."""
 ALONE_S = 4.0
 """An attack fills gigabytes in this where nothing stops it."""
 
@@ -259,9 +259,9 @@ TOGETHER = {
         "no ZMTP",
         "pings, and never reading",
         "a handshake byte by byte",
+        "connect and go",
     ),
     "by how many they are": ("connections that say nothing", "subscribers to nothing", "subscribers who never read"),
-    "by coming and going": ("connect and go",),
 }
 """Every attack, those beside each other that leave room for each other: what is promised is promised against all."""
 WITHSTOOD = (

@@ -59,6 +59,7 @@ def test_a_script_lifts_the_box() -> None:
         np.testing.assert_array_equal(value, ends[1][name])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_in_the_middle_of_a_lift_continues(duplicate: Callable[[Any], Any]) -> None:
     """Copied as planners do, pickled as savers do, with the box in the grasp: the same bits, of memory of its own."""

@@ -57,6 +57,7 @@ def work_a_tick(records, turns=1.0):
     )
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("mode", ["observe", "control"])
 def test_energy_is_the_work_against_the_commanded_wrench(mode):
     """Over a recording, energy changes by minus the held force times the motion and minus the held torque times the
@@ -170,6 +171,7 @@ def test_a_torque_that_the_hand_is_not_given_does_no_work():
     assert energy == pytest.approx(-1000.0 * 0.001**2 / 100, rel=1e-9)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fingertip", [{"radius_m": 0.01}, {"radii_m": [0.008, 0.007, 0.012]}])
 def test_with_rolling_the_same_way_gives_what_sampling_does(fingertip):
     """A ball and an ellipsoid: what once round gives falls with the step, and is a hundredth of the torque's share."""

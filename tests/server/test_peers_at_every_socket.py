@@ -94,7 +94,9 @@ def after(program: Program, words: str) -> str:
 def peers() -> Iterator[Peers]:
     ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*", "--metrics", "0", "--view"]
     daemon = Program(
-        [*COMMAND, "run", "--realtime", "off", "--rig", "replay", *ends], stderr=subprocess.PIPE, text=True
+        [*COMMAND, "run", "--realtime", "off", "--rate", "100", "--rig", "replay", *ends],
+        stderr=subprocess.PIPE,
+        text=True,
     )
     with daemon:
         try:

@@ -59,6 +59,7 @@ def recorded_daemon(path: Path, rate_hz: float = RATE_HZ) -> tuple[RecordingStat
         return follow(daemon, path), daemon.devices[0].samples
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("rate_hz", [1000.0, 700.0])
 def test_a_recording_of_a_replay_is_that_replay(rate_hz: float, tmp_path: Path) -> None:
     """What the daemon played comes back from its recording to the bit, tick by tick, also where 1/rate is not exact."""
@@ -227,6 +228,7 @@ def test_the_verb_says_what_it_kept(tmp_path: Path, caplog: pytest.LogCaptureFix
     assert len(load_poses(file).t) == 500
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("dt", [0.0, -0.001, 1e300, np.inf, np.nan])
 def test_a_stream_without_a_period_is_refused(dt: float, tmp_path: Path) -> None:
     """A time step that no loop has ends the recording with one error that shows it, and not with a traceback."""

@@ -337,6 +337,7 @@ def test_unknown_surface_is_a_usage_error(capsys: pytest.CaptureFixture[str]) ->
     assert "'cone' (choose from" in capsys.readouterr().err
 
 
+@pytest.mark.exhaustive
 def test_figures_are_the_same_each_time(result: dict[str, Any], tmp_path: Path) -> None:
     """Each figure is text without a date and not large, and drawn again from the same data it is the same."""
     drawn = {}

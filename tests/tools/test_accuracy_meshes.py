@@ -54,6 +54,7 @@ def test_what_is_rolled_over_edges_does_not_depend_on_the_tick(name: str) -> Non
     assert short == pytest.approx(long, rel=0.05)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", CASES)
 def test_paths_go_askew_over_edges(name: str) -> None:
     """Each comes near to four facets of other normals at least, even where they are few: a path that stays on one has

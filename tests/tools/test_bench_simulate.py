@@ -10,6 +10,7 @@ import pytest
 from softfinger.server import cli
 
 
+@pytest.mark.exhaustive
 def test_bench_times_every_format(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each has a time and the ratio to real time that follows from it; a figure is drawn; no file stays."""
     folder, drawing = tmp_path / "files", tmp_path / "times.svg"

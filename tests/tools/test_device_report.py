@@ -156,6 +156,7 @@ def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library
     assert by_id["frame"]["answer"].startswith("not answered: run the report on a terminal")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 @pytest.mark.parametrize("lost", [False, True], ids=["whole", "unplugged"])
 def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
@@ -189,6 +190,7 @@ def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
         assert "is gone" in found["fault"]["message"]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 @pytest.mark.parametrize("driver", ["falcon", "spacemouse"])
 def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
@@ -230,6 +232,7 @@ def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
     assert not any(row["measured"] for row in found["questions"])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("number", "part"), [(signal.SIGINT, "the exchange"), (signal.SIGTERM, "a push along x")])
 def test_a_report_that_is_cut_short_is_written(number: signal.Signals, part: str, home: Path) -> None:
     """Interrupted while it measures, or while it pushes: what was measured before is in it, it says that it was cut

@@ -21,6 +21,7 @@ def _numbers_of_any_size():
         yield
 
 
+@pytest.mark.sampled(14)
 @pytest.mark.parametrize("case", CASES, ids=[f"{case.name}: {case.given}" for case in CASES])
 def test_extreme_ends_in_a_bounded_force_and_a_defined_state(case):
     """Force finite and bounded, a mode of the three, what was refused named, and what the case expects beside."""

@@ -33,6 +33,7 @@ CASES = [
 ]
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(("way", "name"), CASES)
 def test_the_far_end_has_no_more_than_a_push_and_zero_at_last(
     way: str, name: str, home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -187,6 +187,7 @@ def test_hand_and_filter_are_in_both() -> None:
         assert row["limit_n_per_m"] == pytest.approx(row["predicted_n_per_m"], rel=FOUND), row
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("variant", [name for name in VARIANTS if "encoder" not in name])
 def test_no_passive_wall_is_unstable(variant: str) -> None:
     """No knock grows inside the passivity bound, whatever holds the device; past the linear limit it does."""
@@ -268,6 +269,7 @@ def test_verb_gives_one_case(capsys: pytest.CaptureFixture[str]) -> None:
     assert f"{row['limit_n_per_m']:.2f}" in capsys.readouterr().out
 
 
+@pytest.mark.exhaustive
 def test_verb_draws_maps_that_can_be_made_again(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """A map has its rows, and its SVG is the same to the byte when made again from kept results."""
     first, again, kept = tmp_path / "1.svg", tmp_path / "2.svg", str(tmp_path / "map.mcap")

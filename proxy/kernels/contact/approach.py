@@ -61,6 +61,6 @@ def has_ended(active: ActiveSet) -> bool:
 
 
 @jit
-def separated(state: FingerState) -> Any:
+def release_contacts(state: FingerState) -> Any:
     """Return the state without the released contacts and their wind-up."""
     return replace(state, "contacts", first_of(state.contacts, NO_CONTACT, NO_CONTACT), "rolled", 0.0, "stuck", 0.0)

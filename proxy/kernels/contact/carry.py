@@ -62,12 +62,12 @@ def any_of_many_moves(objects: Many) -> bool:
 
 
 @by_type
-def carried_point(carried: Any, x: Vec3) -> Any:
+def move_point(carried: Any, x: Vec3) -> Any:
     """Return the current position (3,) m of a point that moves with the object, in the world frame."""
 
 
 @by_type
-def carried_direction(carried: Any, v: Vec3) -> Any:
+def turn_direction(carried: Any, v: Vec3) -> Any:
     """Return the current direction (3,) of a vector that turns with the object, in the world frame."""
 
 
@@ -84,28 +84,28 @@ def relative_rotation(carried: Any, turn: Quaternion) -> Any:
     """Return the fingertip's rotation `turn` relative to the rotation of the object in this tick, with w >= 0."""
 
 
-@carried_point.of(None)
-def same_point(carried: None, x: Vec3) -> Vec3:
+@move_point.of(None)
+def keep_point(carried: None, x: Vec3) -> Vec3:
     return x
 
 
-@carried_direction.of(None)
-def same_direction(carried: None, v: Vec3) -> Vec3:
+@turn_direction.of(None)
+def keep_direction(carried: None, v: Vec3) -> Vec3:
     return v
 
 
 @relative_velocity.of(None)
-def same_velocity(carried: None, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
+def keep_velocity(carried: None, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
     return velocity
 
 
 @relative_rotation.of(None)
-def same_rotation(carried: None, turn: Quaternion) -> Quaternion:
+def keep_rotation(carried: None, turn: Quaternion) -> Quaternion:
     return turn
 
 
-@carried_point.of(Carry)
-def point_carried_along(carried: Carry, x: Vec3) -> Vec3:
+@move_point.of(Carry)
+def move_point_with_object(carried: Carry, x: Vec3) -> Vec3:
     if carried.moves == 0.0:
         return x
     return out_of(carried.now, into(carried.was, x))
@@ -115,11 +115,11 @@ def point_carried_along(carried: Carry, x: Vec3) -> Vec3:
 def velocity_against_object(carried: Carry, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
     if carried.moves == 0.0 or dt <= 0.0:
         return velocity
-    return vec3.add_scaled(velocity, -1.0 / dt, vec3.sub(carried_point(carried, position), position))
+    return vec3.add_scaled(velocity, -1.0 / dt, vec3.sub(move_point(carried, position), position))
 
 
-@carried_direction.of(Carry)
-def direction_carried_along(carried: Carry, v: Vec3) -> Vec3:
+@turn_direction.of(Carry)
+def turn_direction_with_object(carried: Carry, v: Vec3) -> Vec3:
     if carried.moves == 0.0:
         return v
     return turn_out_of(carried.now, turn_into(carried.was, v))

@@ -107,7 +107,7 @@ def ground_at(objects: Any, index: float) -> Ground:
 
 
 @jit
-def rough_ground_at(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Ground:
+def textured_ground_at(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Ground:
     """Return `ground_at` with the friction that its texture has under the proxy's `center` (3,) m."""
     body = object_at(objects, index)
     return ground_of(texture_friction(body.texture, body, index, active, center))
@@ -172,7 +172,7 @@ def apply_friction(
 
 
 @jit
-def after_friction(predicted: Prediction, forces: ContactForces) -> ContactState:
+def with_friction_result(predicted: Prediction, forces: ContactForces) -> ContactState:
     """Return the predicted contact with the result of friction."""
     kept, unit = forces.result, forces.unit
     return replace(

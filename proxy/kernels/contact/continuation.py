@@ -2,12 +2,12 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, has_ended, separated
+from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, has_ended, release_contacts
 from softfinger.proxy.kernels.contact.carry import (
-    carried_direction,
-    carried_point,
     carry_of,
+    move_point,
     relative_rotation,
+    turn_direction,
 )
 from softfinger.proxy.kernels.contact.contact_friction import Prediction
 from softfinger.proxy.kernels.contact.detection import detect_contact
@@ -34,7 +34,7 @@ from softfinger.proxy.record import FREE
 
 
 @by_type
-def in_hollow(
+def adjust_roll_in_hollow(
     method: Any,
     body: Any,
     radius: float,
@@ -49,8 +49,8 @@ def in_hollow(
     """
 
 
-@in_hollow.of(None)
-def no_roll_in_hollow(
+@adjust_roll_in_hollow.of(None)
+def adjust_no_roll(
     method: None,
     body: Any,
     radius: float,
@@ -65,8 +65,8 @@ def no_roll_in_hollow(
     return Roll(start.center, start.normal, (0.0, 0.0, 0.0), 0.0, rolled.spin, True), nothing, True
 
 
-@in_hollow.otherwise
-def roll_in_hollow(
+@adjust_roll_in_hollow.otherwise
+def adjust_roll(
     method: Any,
     body: Any,
     radius: float,
@@ -99,20 +99,20 @@ def continue_contact(
     """Move the only contact with its object, and roll it by the fingertip's rotation relative to the object."""
     radius, position, last = finger.radius, probe.position, state.contacts[0]
     carried = carry_of(body)
-    old_normal, moved = carried_direction(carried, last.normal), carried_point(carried, state.center)
+    old_normal, moved = turn_direction(carried, last.normal), move_point(carried, state.center)
     turn = relative_rotation(carried, rotations.relative(probe.orientation, state.probe.orientation))
     rolled = roll_on(scene.rolling, body, radius, moved, old_normal, turn)
     begun = OffsetPoint(moved, old_normal)
     whole = rolled.whole
-    rolled, beyond, strays = in_hollow(scene.rolling, body, radius, position, begun, turn, rolled)
+    rolled, beyond, strays = adjust_roll_in_hollow(scene.rolling, body, radius, position, begun, turn, rolled)
     center, normal = rolled.center, rolled.normal
-    rolled_part = transport(body.shape, carried_direction(carried, last.rolled_part), old_normal, normal)
-    before = transport(body.shape, carried_direction(carried, last.deflection), old_normal, normal)
+    rolled_part = transport(body.shape, turn_direction(carried, last.rolled_part), old_normal, normal)
+    before = transport(body.shape, turn_direction(carried, last.deflection), old_normal, normal)
     behind = vec3.sub(center, position)
     depth = max(vec3.dot(behind, normal), 0.0)
     contact = replace(
         last, "body", index, "normal", normal, "push", depth, "share", 1.0, "mode", state.mode, "deflection", before,
-        "rolled_part", vec3.add(rolled_part, rolled.motion), "bend", carried_direction(carried, last.bend),
+        "rolled_part", vec3.add(rolled_part, rolled.motion), "bend", turn_direction(carried, last.bend),
     )  # fmt: skip
     deflection = vec3.add(vec3.sub(behind, vec3.scale(depth, normal)), beyond)
     return Approach(
@@ -143,5 +143,5 @@ def detect_or_continue(
         approach = continue_contact(scene, finger, object_at(objects, 0.0), 0.0, state, probe, dt)
         if not has_ended(approach.active):
             return state, approach
-    state = separated(state)
+    state = release_contacts(state)
     return state, detect_contact(finger, objects, state, probe)

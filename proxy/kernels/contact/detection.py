@@ -7,8 +7,8 @@ from softfinger.proxy.kernels.contact.carry import (
     any_moves,
 )
 from softfinger.proxy.kernels.contact.contact_friction import Prediction
-from softfinger.proxy.kernels.contact.first_pose import raised, touched_at_first
-from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, one_constraint
+from softfinger.proxy.kernels.contact.first_pose import first_touch, raised
+from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on
@@ -44,7 +44,7 @@ from softfinger.proxy.kernels.query.objects import (
 )
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes import travel
-from softfinger.proxy.kernels.shapes.budget import BUDGET, ROOM, SPENT
+from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, ROOM, SPENT
 from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
 from softfinger.proxy.record import FREE, ROLLING
 
@@ -75,11 +75,11 @@ class Meeting(NamedTuple):
 def first_rest(objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Vec3:
     """Return the initial proxy (3,) m of a contact that was detected with the proxy at `met`."""
     body = object_at(objects, active[0].body)
-    return rest_over_the_probe(body, radius, position, met, active[0])
+    return rest_above_probe(body, radius, position, met, active[0])
 
 
 @jit
-def rest_over_the_probe(body: Any, radius: float, position: Vec3, met: Vec3, constraint: Constraint) -> Vec3:
+def rest_above_probe(body: Any, radius: float, position: Vec3, met: Vec3, constraint: Constraint) -> Vec3:
     """Return the proxy over the probe, at the depth along the normal; `met` if `follows` is False for that position."""
     over = vec3.add(position, vec3.scale(constraint.depth, constraint.normal))
     return over if follows_on(body, radius, OffsetPoint(met, constraint.normal), over) else met
@@ -101,7 +101,7 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
 
 
 @by_multipoint
-def exact_touch(objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int) -> Any:
+def refine_touch(objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int) -> Any:
     """Return the position (3,) m on the path where object `index` alone would be touched, and a flag.
 
     met  (3,) m  touch found by the search of all objects
@@ -110,22 +110,22 @@ def exact_touch(objects: Any, index: float, start: Vec3, end: Vec3, radius: floa
     """
 
 
-@exact_touch.of(SINGLE_POINT)
-def touch_of_a_shape(
+@refine_touch.of(SINGLE_POINT)
+def refine_touch_of_shape(
     objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
 ) -> tuple[Vec3, bool]:
     return met, True
 
 
-@exact_touch.of(WITH_HEIGHTMAP)
-def touch_beside_a_heightmap(
+@refine_touch.of(WITH_HEIGHTMAP)
+def refine_touch_near_heightmap(
     objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
 ) -> tuple[Vec3, bool]:
     return met, not is_mesh_at(objects, index)
 
 
-@exact_touch.of(WITH_MESH)
-def touch_of_a_facet(
+@refine_touch.of(WITH_MESH)
+def refine_touch_of_facet(
     objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
 ) -> tuple[Vec3, bool]:
     """Sweep one facet: the search of a mesh moves in steps of its clearance, and may end a little before the touch."""
@@ -158,7 +158,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
         budget = 3 * BUDGET // 4
     left, nothing = budget, one_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
     if state.started == 0.0:
-        index, known, left = touched_at_first(objects, radius, position, left)
+        index, known, left = first_touch(objects, radius, position, left)
         if not known:
             return Meeting(start, position, position, nothing, False, SPENT)
         met = position
@@ -170,7 +170,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
         gap, point, normal, left = closest_to_within(objects, index, met, left)
         center = vec3.add_scaled(point, radius, normal)
         together = any_mesh(objects)
-        touch, exact = exact_touch(objects, index, start, position, radius, met, left)
+        touch, exact = refine_touch(objects, index, start, position, radius, met, left)
         if state.started != 0.0 and together:
             # Other facets may be equally near, or the search did not finish: on this one it might be inside another.
             center = met

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
-from softfinger.proxy.kernels.effects.objects import Touched, apply_objects_effects
+from softfinger.proxy.kernels.effects.objects import TouchedObjects, apply_objects_effects
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import ActiveSet, Constraint, Finger, FingerState, Probe, Scene, Vec3
 from softfinger.proxy.kernels.numerics import vec3
@@ -25,7 +25,7 @@ class Effects(NamedTuple):
 
 
 @jit
-def numbered(objects: Any, constraint: Constraint) -> Constraint:
+def with_scene_index(objects: Any, constraint: Constraint) -> Constraint:
     """Return the constraint with the object's index in the scene file instead of its flat index."""
     return Constraint(number_of(objects, constraint.body), constraint.normal, constraint.depth)
 
@@ -50,8 +50,8 @@ def effects_of_tick(
         position=probe.position, velocity=probe.velocity, dt=dt, touched=0.0, gap=0.0, normal=up, carrier=None
     )  # fmt: skip
     one, two, three = active
-    touched = Touched(
-        one=numbered(objects, one), two=numbered(objects, two), three=numbered(objects, three),
+    touched = TouchedObjects(
+        one=with_scene_index(objects, one), two=with_scene_index(objects, two), three=with_scene_index(objects, three),
         before=state.probe.position,
     )  # fmt: skip
     more, states_of_objects, unknown = apply_objects_effects(objects, state.effects[1], finger.radius, touched, contact)

@@ -1,8 +1,8 @@
 """Functions that depend on the fingertip's form: contact points, curvature, torques and velocities.
 
-The form is None for a ball, which has only a radius, or an EllipsoidTip. For an ellipsoid, `seen_by` replaces each
-object by the Minkowski sum of both, shrunk by a ball of the finger's radius. Detection, rest, slip and release then
-treat the fingertip as this ball.
+The form is None for a ball, which has only a radius, or an EllipsoidTip. For an ellipsoid, `minkowski_objects` replaces
+each object by the Minkowski sum of both, shrunk by a ball of the finger's radius. Detection, rest, slip and release
+then treat the fingertip as this ball.
 """
 
 from typing import Any
@@ -18,7 +18,7 @@ from softfinger.proxy.kernels.shapes.minkowski import support_vector
 
 
 @by_type
-def seen_by(form: Any, radius: float, objects: Any, orientation: Quaternion) -> Any:
+def minkowski_objects(form: Any, radius: float, objects: Any, orientation: Quaternion) -> Any:
     """Return the objects as obstacles of a ball of the finger's radius; `orientation` fingertip to world."""
 
 
@@ -64,8 +64,8 @@ def velocity_at(
 # --- a ball: normal and tangential forces are separate, since normal forces act through its centre ------------------
 
 
-@seen_by.of(None)
-def seen_by_ball(form: None, radius: float, objects: Any, orientation: Quaternion) -> Any:
+@minkowski_objects.of(None)
+def objects_for_ball(form: None, radius: float, objects: Any, orientation: Quaternion) -> Any:
     return objects
 
 
@@ -106,25 +106,25 @@ def axes_in_world(form: EllipsoidTip, orientation: Quaternion) -> Quaternion:
     return rotations.multiply(orientation, form.orientation)
 
 
-@seen_by.of(EllipsoidTip)
-def seen_by_ellipsoid(form: EllipsoidTip, radius: float, objects: Any, orientation: Quaternion) -> Any:
-    return grown_by(objects, Tip(form.semi_axes, axes_in_world(form, orientation), radius))
+@minkowski_objects.of(EllipsoidTip)
+def objects_for_ellipsoid(form: EllipsoidTip, radius: float, objects: Any, orientation: Quaternion) -> Any:
+    return with_minkowski_sums(objects, Tip(form.semi_axes, axes_in_world(form, orientation), radius))
 
 
 @by_type
-def grown_by(objects: Any, tip: Tip) -> Any:
+def with_minkowski_sums(objects: Any, tip: Tip) -> Any:
     """Return the objects as the centre of an ellipsoidal fingertip sees them."""
 
 
-@grown_by.of(Single)
-def one_grown_by(objects: Single, tip: Tip) -> Single:
+@with_minkowski_sums.of(Single)
+def single_with_minkowski_sum(objects: Single, tip: Tip) -> Single:
     body = objects.body
     axes = rotations.multiply(rotations.conjugate(pose_values(body.pose).orientation), tip.orientation)
     return replace(objects, "body", replace(body, "shape", MinkowskiSum(body.shape, tip.semi_axes, axes, tip.radius)))
 
 
-@grown_by.of(Many)
-def many_grown_by(objects: Many, tip: Tip) -> Many:
+@with_minkowski_sums.of(Many)
+def many_with_minkowski_sums(objects: Many, tip: Tip) -> Many:
     return replace(objects, "tip", tip)
 
 

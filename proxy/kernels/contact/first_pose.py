@@ -6,7 +6,6 @@ result is still unknown, `detection` reports it, and the next tick's pose is tre
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.rest.active_set import INSIDE
 from softfinger.proxy.kernels.model import NONE, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import (
@@ -18,7 +17,7 @@ from softfinger.proxy.kernels.query.kinds import (
     has_creases_at,
 )
 from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest, raised_clear_of
-from softfinger.proxy.kernels.shapes.budget import BUDGET, ROOM
+from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, ROOM
 from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
 
 GRAZE = 1e-4
@@ -30,7 +29,7 @@ RISE, RISES_BY = 1e-5, 4.0
 """Smallest step from the first height to the second, as a share of the radius, and its growth factor per height."""
 
 
-class Touched(NamedTuple):
+class FirstTouch(NamedTuple):
     """Object touched by the first pose.
 
     place   flat index of the object, -1 for none
@@ -44,21 +43,21 @@ class Touched(NamedTuple):
 
 
 @by_multipoint
-def touched_at_first(objects: Any, radius: float, position: Vec3, budget: int) -> Any:
+def first_touch(objects: Any, radius: float, position: Vec3, budget: int) -> Any:
     """Return the object that a fingertip starting at `position` (3,) m touches.
 
     budget  for height maps, and for meshes in a scene with a height map
     """
 
 
-@touched_at_first.of(SINGLE_POINT)
-def touched_in_one_point(objects: Any, radius: float, position: Vec3, budget: int) -> Touched:
+@first_touch.of(SINGLE_POINT)
+def first_touch_of_smooth(objects: Any, radius: float, position: Vec3, budget: int) -> FirstTouch:
     gap, index, budget = deepest(objects, position, EVERYWHERE, NOBODY, budget)
-    return Touched(index if gap < radius else NONE, True, budget)
+    return FirstTouch(index if gap < radius else NONE, True, budget)
 
 
-@touched_at_first.otherwise
-def touched_in_many_points(objects: Any, radius: float, position: Vec3, budget: int) -> Touched:
+@first_touch.otherwise
+def first_touch_of_any(objects: Any, radius: float, position: Vec3, budget: int) -> FirstTouch:
     if any_creases(objects):  # a search nearby is enough for the side of a height map
         gap, index, budget = deepest(objects, position, radius, NOBODY, budget)
         if any_mesh(objects) and gap >= radius:
@@ -73,9 +72,9 @@ def touched_in_many_points(objects: Any, radius: float, position: Vec3, budget: 
         if gap >= radius and not any_creases(objects):
             gap, nearer, budget = deepest(objects, position, radius * (1.0 - GRAZE), NOBODY, ROOM)
             if budget < 0:
-                return Touched(NONE, False, budget)
+                return FirstTouch(NONE, False, budget)
             index = nearer if gap < radius else index
-    return Touched(index if gap < radius else NONE, True, budget)
+    return FirstTouch(index if gap < radius else NONE, True, budget)
 
 
 @by_multipoint
@@ -88,12 +87,12 @@ def raised(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3
 
 
 @raised.otherwise
-def raised_off_object(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
+def raise_off_object(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
     return raised_clear_of(objects, index, center, radius), True
 
 
 @raised.of(WITH_MESH)
-def raised_off_facets(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
+def raise_off_facets(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
     """Return the first position along the normal that is outside of all objects."""
     height, step, left = 0.0, RISE * radius, ROOM
     for _ in range(RISES):

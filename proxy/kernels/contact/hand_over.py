@@ -93,7 +93,9 @@ def merged(objects: Any, taker: ContactState, giver: ContactState, weight: float
 
 
 @jit
-def handed_over(objects: Any, contacts: Contacts, losses: Vec3, constraint: Constraint, share: float) -> ContactState:
+def contact_after_hand_over(
+    objects: Any, contacts: Contacts, losses: Vec3, constraint: Constraint, share: float
+) -> ContactState:
     """Return the contact of a constraint: the remainder of its last state, plus the state of the share it gained.
 
     contacts    of the last tick, moved with their objects
@@ -148,7 +150,7 @@ def hand_over(objects: Any, contacts: Contacts, active: ActiveSet) -> Contacts:
         load_share_lost(active, shares, contacts[2]),
     )
     return (
-        handed_over(objects, contacts, losses, active[0], shares[0]),
-        handed_over(objects, contacts, losses, active[1], shares[1]),
-        handed_over(objects, contacts, losses, active[2], shares[2]),
+        contact_after_hand_over(objects, contacts, losses, active[0], shares[0]),
+        contact_after_hand_over(objects, contacts, losses, active[1], shares[1]),
+        contact_after_hand_over(objects, contacts, losses, active[2], shares[2]),
     )

@@ -7,7 +7,7 @@ from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     Ground,
     Load,
-    after_friction,
+    with_friction_result,
 )
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
@@ -55,7 +55,7 @@ def contact_state(landing: Landing, predicted: Any, forces: ContactForces, posit
     held = landing.active[0]
     behind = vec3.sub(landing.center, position)
     return replace(
-        after_friction(predicted, forces),
+        with_friction_result(predicted, forces),
         "body", held.body, "normal", held.normal, "push", held.depth,
         "deflection", vec3.sub(behind, vec3.scale(held.depth, held.normal)),
         "rolled_part", vec3.reject(forces.result.rolled_part, held.normal),

@@ -7,7 +7,7 @@ all contacts stick, c is at rest on its objects, and the tangent planes there do
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
-from softfinger.proxy.kernels.contact.carry import carried_direction, carried_point, carry, relative_rotation
+from softfinger.proxy.kernels.contact.carry import carry, move_point, relative_rotation, turn_direction
 from softfinger.proxy.kernels.contact.contact_friction import Prediction, ProbeMotion
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, hand_over
 from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
@@ -65,22 +65,22 @@ def lag_of(contacts: Contacts) -> Vec3:
 
 
 @jit
-def carried_contact(objects: Any, contact: ContactState) -> ContactState:
+def move_contact(objects: Any, contact: ContactState) -> ContactState:
     """Return the contact moved with its object."""
     if contact.body < 0.0:
         return contact
     moved = carry(objects, contact.body)
-    normal, deflection = carried_direction(moved, contact.normal), carried_direction(moved, contact.deflection)
-    rolled_part, bend = carried_direction(moved, contact.rolled_part), carried_direction(moved, contact.bend)
+    normal, deflection = turn_direction(moved, contact.normal), turn_direction(moved, contact.deflection)
+    rolled_part, bend = turn_direction(moved, contact.rolled_part), turn_direction(moved, contact.bend)
     return replace(contact, "normal", normal, "deflection", deflection, "rolled_part", rolled_part, "bend", bend)
 
 
 @jit
-def carried_contacts(objects: Any, contacts: Any) -> Contacts:
+def move_contacts(objects: Any, contacts: Any) -> Contacts:
     return (
-        carried_contact(objects, contacts[0]),
-        carried_contact(objects, contacts[1]),
-        carried_contact(objects, contacts[2]),
+        move_contact(objects, contacts[0]),
+        move_contact(objects, contacts[1]),
+        move_contact(objects, contacts[2]),
     )
 
 
@@ -96,13 +96,13 @@ def constraints_of_contacts(contacts: Contacts) -> ActiveSet:
 
 
 @jit
-def displaced_by_push(before: Contacts, contact: ContactState) -> Vec3:
+def displacement_by_push(before: Contacts, contact: ContactState) -> Vec3:
     """Return the displacement (3,) m of the proxy in this tick because the push of a contact has changed."""
     return vec3.scale(contact.push - contact_on(before, contact.body).push, contact.normal)
 
 
 @jit
-def displaced_by_turning(before: ContactState, carried: ContactState) -> Vec3:
+def displacement_by_rotation(before: ContactState, carried: ContactState) -> Vec3:
     """Return the displacement (3,) m of the proxy in this tick because the object of a contact rotates."""
     return vec3.scale(before.push, vec3.sub(carried.normal, before.normal))
 
@@ -111,11 +111,11 @@ def displaced_by_turning(before: ContactState, carried: ContactState) -> Vec3:
 def shear_of(state: FingerState, last: Contacts, contacts: Contacts, motion: ProbeMotion) -> Shear:
     """Return the motion of the contacts; `last` are those of the last tick, moved with their objects."""
     probe, before, _ = motion
-    way = vec3.add(displaced_by_push(last, contacts[0]), displaced_by_push(last, contacts[1]))
-    way = vec3.add(way, displaced_by_push(last, contacts[2]))
+    way = vec3.add(displacement_by_push(last, contacts[0]), displacement_by_push(last, contacts[1]))
+    way = vec3.add(way, displacement_by_push(last, contacts[2]))
     one, two, three = state.contacts
-    rode = vec3.add(displaced_by_turning(one, last[0]), displaced_by_turning(two, last[1]))
-    rode = vec3.add(rode, displaced_by_turning(three, last[2]))
+    rode = vec3.add(displacement_by_rotation(one, last[0]), displacement_by_rotation(two, last[1]))
+    rode = vec3.add(rode, displacement_by_rotation(three, last[2]))
     return Shear(
         turn=rotations.relative(probe.orientation, before.orientation),
         free=vec3.add(vec3.add(vec3.sub(probe.position, before.position), way), rode),
@@ -137,7 +137,7 @@ def lever_of(objects: Any, contact: ContactState, radius: float, center: Vec3) -
 
 
 @jit
-def levered(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
+def apply_lever(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
     """Convert a tangential motion `v` (3,) of the proxy to that of the probe: v - depth dn/dp v."""
     if lever.first == 0.0 and lever.second == 0.0:
         return v
@@ -164,9 +164,9 @@ def predict(
         return NO_PREDICTION, (0.0, 0.0, 0.0), 0.0
     normal, carried = contact.normal, carry(objects, contact.body)
     rolled = roll_flat_on(method, objects, contact.body, radius, normal, relative_rotation(carried, shear.turn))
-    rode = vec3.sub(carried_point(carried, shear.center), shear.center)
+    rode = vec3.sub(move_point(carried, shear.center), shear.center)
     way = vec3.reject(vec3.sub(shear.free, rode), normal)
-    wound = levered(lever_of(objects, contact, radius, center), normal, rolled.motion)
+    wound = apply_lever(lever_of(objects, contact, radius, center), normal, rolled.motion)
     deflection = vec3.add(vec3.sub(contact.deflection, way), wound)
     blocked = vec3.reject(shear.blocked, normal)
     square = vec3.dot(blocked, blocked)
@@ -182,8 +182,8 @@ def continue_several(
     scene: Scene, objects: Any, shapes: Any, radius: float, state: FingerState, motion: ProbeMotion
 ) -> Approach:
     """Continue all contacts of the last tick, each moved with its object."""
-    last = carried_contacts(shapes, state.contacts)
-    center = carried_point(carry(shapes, last[0].body), state.center)
+    last = move_contacts(shapes, state.contacts)
+    center = move_point(carry(shapes, last[0].body), state.center)
     base = vec3.add(motion.probe.position, lag_of(last))
     active, _ = pushed_at(shapes, radius, base, center, constraints_of_contacts(last))
     contacts = hand_over(objects, last, active)

@@ -9,7 +9,7 @@ from math import sqrt
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.carry import relative_rotation
-from softfinger.proxy.kernels.friction.contact_patch import LEAST_SHARE, LIMPEST, ContactPatch
+from softfinger.proxy.kernels.friction.contact_patch import LEAST_SHARE, MIN_STIFFNESS, ContactPatch
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Probe, RollingLoss, Vec3
@@ -95,7 +95,7 @@ def resist_with_loss(
 @jit
 def wind_resistance(loss: float, area: ContactPatch, share: float, bend: Vec3, roll: Vec3) -> Resistance:
     """Add a roll to the wind-up, whose energy is constant while load and share change: see `winding_unit`."""
-    stiffness = max(loss * area.bending, LIMPEST)
+    stiffness = max(loss * area.bending, MIN_STIFFNESS)
     unit = sqrt(stiffness / max(share, LEAST_SHARE))
     wound = vec3.add(vec3.scale(1.0 / unit, bend), roll)
     size = vec3.norm(wound)

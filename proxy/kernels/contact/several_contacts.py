@@ -7,23 +7,23 @@ touches one object, and is clear of all other objects, is treated as in a scene 
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, has_ended, separated
+from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, has_ended, release_contacts
 from softfinger.proxy.kernels.contact.carry import any_moves
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     Prediction,
     ProbeMotion,
     apply_friction,
-    rough_ground_at,
+    textured_ground_at,
 )
 from softfinger.proxy.kernels.contact.continuation import continue_contact
 from softfinger.proxy.kernels.contact.detection import detect_contact
 from softfinger.proxy.kernels.contact.one_contact import Landing
 from softfinger.proxy.kernels.contact.prediction import continue_several
-from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, one_constraint
+from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
 from softfinger.proxy.kernels.contact.rest.among import (
-    is_a_step,
+    is_safe_step,
     slide_over_facets,
 )
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST
@@ -39,6 +39,7 @@ from softfinger.proxy.kernels.model import (
     Scene,
     Vec3,
 )
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import (
@@ -51,10 +52,9 @@ from softfinger.proxy.kernels.query.kinds import (
 )
 from softfinger.proxy.kernels.query.objects import deepest
 from softfinger.proxy.kernels.query.sweep import first_hit
-from softfinger.proxy.kernels.shapes.budget import BUDGET
+from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE
 from softfinger.proxy.record import CAUSE_NONE, FREE, SLIDING
 
-ZERO: Vec3 = (0.0, 0.0, 0.0)
 NO_FORCES = ContactForces(
     result=FrictionResult(
         mode=float(FREE), cause=float(CAUSE_NONE), deflection=ZERO, rolled_part=ZERO, slip_speed=0.0,
@@ -144,30 +144,32 @@ def approach_among_several(
             approach = continue_several(scene, objects, shapes, finger.radius, state, motion)
         if not has_ended(approach.active):
             return state, approach
-    state = separated(state)
+    state = release_contacts(state)
     return state, detect_contact(finger, shapes, state, motion.probe)
 
 
 @jit
-def rub(finger: Finger, objects: Any, approach: Approach, predicted: Prediction, motion: ProbeMotion) -> ContactForces:
+def friction_of_contact(
+    finger: Finger, objects: Any, approach: Approach, predicted: Prediction, motion: ProbeMotion
+) -> ContactForces:
     """Compute the friction of one of several contacts."""
     contact = predicted.contact
     if contact.body < 0.0 or contact.share <= 0.0:
         return NO_FORCES
-    ground = rough_ground_at(objects, contact.body, approach.active, approach.center)
+    ground = textured_ground_at(objects, contact.body, approach.active, approach.center)
     return apply_friction(finger, objects, ground, predicted, contact.share, motion)
 
 
 @jit
-def rub_each(
+def friction_of_contacts(
     finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion
 ) -> tuple[ContactForces, ContactForces, ContactForces]:
     """Compute the friction of each contact."""
     one, two, three = approach.predicted
     return (
-        rub(finger, objects, approach, one, motion),
-        rub(finger, objects, approach, two, motion),
-        rub(finger, objects, approach, three, motion),
+        friction_of_contact(finger, objects, approach, one, motion),
+        friction_of_contact(finger, objects, approach, two, motion),
+        friction_of_contact(finger, objects, approach, three, motion),
     )
 
 
@@ -211,7 +213,7 @@ def land_in_company(
         center, active, bounded, at_rest = follow_slip(
             objects, held.body, radius, position, center, kept.deflection, held.normal
         )
-    if not at_rest or (is_mesh_at(objects, held.body) and not is_a_step(approach.outside, center, radius)):
+    if not at_rest or (is_mesh_at(objects, held.body) and not is_safe_step(approach.outside, center, radius)):
         return Landing(center, active, bounded), False
     # A first touch may be over the second of two flush objects, beyond the edge of the one that was hit.
     room = 1.0 if approach.began else -1.0

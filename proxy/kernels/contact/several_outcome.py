@@ -11,26 +11,25 @@ from softfinger.proxy.kernels.contact.contact_friction import (
     ProbeMotion,
     ground_at,
     load_on,
-    rough_ground_at,
+    textured_ground_at,
 )
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_curvature, torque_of
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on
 from softfinger.proxy.kernels.contact.outcome import Outcome
 from softfinger.proxy.kernels.contact.prediction import lag_of
-from softfinger.proxy.kernels.contact.rest.among import drawn_after
+from softfinger.proxy.kernels.contact.rest.among import trailing_force
 from softfinger.proxy.kernels.contact.several_rest import Settled
 from softfinger.proxy.kernels.friction.contact_patch import contact_patch, winding_unit
 from softfinger.proxy.kernels.friction.laws import turned
 from softfinger.proxy.kernels.friction.stick_slip import within_cone
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import NO_OUTCOME, Constraint, ContactOutcome, ContactState, Finger, Vec3
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import any_multipoint
 from softfinger.proxy.kernels.query.objects import number_of
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, ON_ITS_WAY, UNSEARCHED
-
-ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 
 class Share(NamedTuple):
@@ -55,7 +54,7 @@ class Share(NamedTuple):
 NO_SHARE = Share(ZERO, ZERO, ZERO, 0.0, 0.0, NO_OUTCOME)
 
 
-class Rubbing(NamedTuple):
+class FrictionShare(NamedTuple):
     """Friction (3,) N of a constraint, its moment about the normal, N m, and resistance to rolling (3,) N m."""
 
     force: Vec3
@@ -78,7 +77,7 @@ def sum_of_loads(forces: Any) -> float:
 
 
 @jit
-def share_kept(giver: ContactState, after: Contacts) -> float:
+def kept_share(giver: ContactState, after: Contacts) -> float:
     """Return the fraction of its load share that a contact still has after this tick."""
     if giver.body < 0.0 or giver.share <= 0.0:
         return 1.0
@@ -86,11 +85,13 @@ def share_kept(giver: ContactState, after: Contacts) -> float:
 
 
 @jit
-def with_part_of(rubbing: Rubbing, giver: ContactState, forces: ContactForces, normal: Vec3, weight: float) -> Rubbing:
+def with_part_of(
+    rubbing: FrictionShare, giver: ContactState, forces: ContactForces, normal: Vec3, weight: float
+) -> FrictionShare:
     """Add a part of the friction of the contact `giver`, projected onto the tangent plane of `normal`."""
     if weight <= 0.0 or giver.body < 0.0 or giver.share <= 0.0:
         return rubbing
-    return Rubbing(
+    return FrictionShare(
         vec3.add_scaled(rubbing.force, weight, vec3.reject(forces.result.force, normal)),
         rubbing.moment + weight * vec3.dot(giver.normal, normal) * forces.result.moment,
         vec3.add_scaled(rubbing.bending, weight, forces.bending),
@@ -98,19 +99,19 @@ def with_part_of(rubbing: Rubbing, giver: ContactState, forces: ContactForces, n
 
 
 @jit
-def rubbing_on(approach: Approach, forces: Any, after: Contacts, constraint: Constraint) -> Rubbing:
+def friction_share_on(approach: Approach, forces: Any, after: Contacts, constraint: Constraint) -> FrictionShare:
     """Return the friction of a constraint: the remainder of its contact, and its part of what other contacts lose.
 
     The parts follow the load shares as in `hand_over`, so the sum is the force of the spring from probe to proxy.
     """
     one, two, three = approach.predicted[0].contact, approach.predicted[1].contact, approach.predicted[2].contact
-    kept = (share_kept(one, after), share_kept(two, after), share_kept(three, after))
+    kept = (kept_share(one, after), kept_share(two, after), kept_share(three, after))
     lost = (1.0 - kept[0]) * one.share + (1.0 - kept[1]) * two.share + (1.0 - kept[2]) * three.share
     body, normal, gained = constraint.body, constraint.normal, 0.0
     if lost > 0.0:
         own = contact_on((one, two, three), body)
         gained = max(contact_on(after, body).share - own.share, 0.0) / lost
-    found = Rubbing(ZERO, 0.0, ZERO)
+    found = FrictionShare(ZERO, 0.0, ZERO)
     found = with_part_of(found, one, forces[0], normal, kept[0] if one.body == body else (1.0 - kept[0]) * gained)
     found = with_part_of(found, two, forces[1], normal, kept[1] if two.body == body else (1.0 - kept[1]) * gained)
     weight = kept[2] if three.body == body else (1.0 - kept[2]) * gained
@@ -126,11 +127,11 @@ def share_of_wrench(
     if constraint.body < 0.0:
         return NO_SHARE
     probe, normal = motion.probe, constraint.normal
-    ground = rough_ground_at(objects, constraint.body, settled.active, settled.center)
+    ground = textured_ground_at(objects, constraint.body, settled.active, settled.center)
     contact = contact_on(settled.contacts, constraint.body)
     load = load_on(finger, objects, ground, constraint, motion, approach.began)
     pressing = vec3.scale(load.size, load.along)
-    rubbing = rubbing_on(approach, forces, settled.contacts, constraint)
+    rubbing = friction_share_on(approach, forces, settled.contacts, constraint)
     # The limit of the torsional moment grows by up to f_N^(4/3).
     moment, bending = ease * ease * rubbing.moment, vec3.scale(ease * ease, rubbing.bending)
     law = turned(ground.material.friction, ground.orientation)
@@ -175,7 +176,7 @@ def outcome_of_several(
     on_its_way = settled.late and any_multipoint(shapes)
     if on_its_way:
         behind = vec3.sub(settled.center, vec3.add(probe.position, lag_of(settled.contacts)))
-        extra, budget = vec3.add(extra, drawn_after(shapes, active, behind)), float(ON_ITS_WAY)
+        extra, budget = vec3.add(extra, trailing_force(shapes, active, behind)), float(ON_ITS_WAY)
     if effects.unknown != 0.0 or (settled.late and settled.budget < 0):
         budget = float(UNSEARCHED)
     cause, stuck = forces[0].result.cause, 0.0

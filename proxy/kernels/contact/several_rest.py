@@ -6,7 +6,7 @@ from softfinger.proxy.kernels.contact.approach import Approach
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     Prediction,
-    after_friction,
+    with_friction_result,
 )
 from softfinger.proxy.kernels.contact.hand_over import Contacts, hand_over
 from softfinger.proxy.kernels.contact.prediction import lag_of
@@ -26,12 +26,12 @@ from softfinger.proxy.kernels.model import (
     Finger,
     Vec3,
 )
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import (
     has_creases_at,
 )
 
-ZERO: Vec3 = (0.0, 0.0, 0.0)
 DEEP = 0.5
 """Depth, as a share of the fingertip's radius, to which the probe is raised during the search for the rest position:
 half the smallest radius of curvature of the surface on which the proxy moves, that at an edge."""
@@ -58,11 +58,11 @@ class Settled(NamedTuple):
 def rubbed(predicted: Prediction, forces: ContactForces) -> ContactState:
     """Return a contact after friction, NO_CONTACT if it has no load."""
     nothing = predicted.contact.body < 0.0 or predicted.contact.share <= 0.0
-    return NO_CONTACT if nothing else after_friction(predicted, forces)
+    return NO_CONTACT if nothing else with_friction_result(predicted, forces)
 
 
 @jit
-def taken_along(contact: ContactState, constraint: Constraint) -> ContactState:
+def move_to_constraint(contact: ContactState, constraint: Constraint) -> ContactState:
     """Return a contact at the constraint of a proxy that has moved over its object."""
     if contact.body < 0.0:
         return contact
@@ -72,10 +72,10 @@ def taken_along(contact: ContactState, constraint: Constraint) -> ContactState:
 
 
 @jit
-def pressed_again(contacts: Contacts, active: ActiveSet) -> Contacts:
+def update_pushes(contacts: Contacts, active: ActiveSet) -> Contacts:
     """Return the contacts at the constraints of a proxy that has moved."""
     one, two, three = contacts
-    return taken_along(one, active[0]), taken_along(two, active[1]), taken_along(three, active[2])
+    return move_to_constraint(one, active[0]), move_to_constraint(two, active[1]), move_to_constraint(three, active[2])
 
 
 @jit
@@ -100,7 +100,7 @@ def lag_predicted(approach: Approach) -> Vec3:
 
 
 @jit
-def drawn_aside(contact: ContactState, way: Vec3) -> ContactState:
+def shift_deflection(contact: ContactState, way: Vec3) -> ContactState:
     """Add the tangential part of a displacement (3,) m to the deflection of a contact."""
     if contact.body < 0.0:
         return contact
@@ -134,15 +134,15 @@ def settle_after_friction(
     rest = settle_among_several(shapes, radius, goal, approach.start, approach.outside, active, budget)
     active = over_edges(shapes, rest.active, rest.center)
     if active_objects(active) == (after[0].body, after[1].body, after[2].body):
-        contacts = pressed_again(after, active)
+        contacts = update_pushes(after, active)
     else:
-        contacts = pressed_again(hand_over(objects, after, active), active)
+        contacts = update_pushes(hand_over(objects, after, active), active)
     displaced = vec3.add(position, lag_of(contacts))
     if displaced != goal:
         active, place = pushed_at(shapes, radius, displaced, rest.center, active)
-        contacts = pressed_again(contacts, active)
+        contacts = update_pushes(contacts, active)
         if ease < 1.0 and not rest.late and not leaves_no_room(active):
             one, two, three = contacts
             aside = vec3.sub(rest.center, place)
-            contacts = drawn_aside(one, aside), drawn_aside(two, aside), drawn_aside(three, aside)
+            contacts = shift_deflection(one, aside), shift_deflection(two, aside), shift_deflection(three, aside)
     return Settled(rest.center, active, contacts, rest.late, rest.budget)

@@ -13,7 +13,7 @@ from softfinger.proxy.kernels.query.motion import carried_along, moving_pose
 from softfinger.proxy.kernels.query.objects import closest_or_bound_on
 
 
-class Touched(NamedTuple):
+class TouchedObjects(NamedTuple):
     """Active constraints of the proxy, and the previous probe position.
 
     one, two, three          constraints; their `body` is the scene index of the object, -1 for none
@@ -27,7 +27,7 @@ class Touched(NamedTuple):
 
 
 @jit
-def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Touched, contact: Situation) -> Any:
+def apply_objects_effects(objects: Any, states: Any, radius: float, touched: TouchedObjects, contact: Situation) -> Any:
     """Return the total force (3,) N of the effects of all objects, their states, and a flag.
 
     The flag is 1 if the gap of an object may be too large because the search for its nearest point did not finish,
@@ -49,7 +49,7 @@ def added(one: tuple[Vec3, float], other: tuple[Vec3, float]) -> tuple[Vec3, flo
 
 @jit
 def effects_of(
-    carrier: Carrier, states: Any, objects: Any, radius: float, touched: Touched, contact: Situation
+    carrier: Carrier, states: Any, objects: Any, radius: float, touched: TouchedObjects, contact: Situation
 ) -> tuple[tuple[Vec3, float], Any]:
     """Force (3,) N of one object's effects and, as above, whether a search did not end; and their states."""
     body = object_at(objects, carrier.row)

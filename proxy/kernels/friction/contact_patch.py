@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.model import HertzPatch, LimitSurface, PatchTorsio
 
 HERTZ_LEVER = 3.0 * pi / 16.0
 """Mean distance of Hertz's pressure from the centre, over the patch's radius."""
-LIMPEST = 1e-30
+MIN_STIFFNESS = 1e-30
 """Smallest stiffness, N m/rad: a divisor, so not zero, but without a noticeable moment."""
 LEAST_SHARE = 1e-30
 """Smallest share of the load by which a stiffness is divided, for a patch without load."""
@@ -74,9 +74,9 @@ def contact_patch_of(a: float, lever: float, radius: float, compliance: float, n
     contact before any slip (Lubkin, 1951; Mindlin and Deresiewicz, 1953).
     """
     a = min(a, radius)
-    k_z = max(16.0 / 3.0 * a * a * a / compliance, LIMPEST)
+    k_z = max(16.0 / 3.0 * a * a * a / compliance, MIN_STIFFNESS)
     # Moment 3/16 a f_N (Greenwood, Minshall, Tabor, 1961), reached after rolling by the patch's radius.
-    bending = max(3.0 / 16.0 * radius * normal_force, LIMPEST)
+    bending = max(3.0 / 16.0 * radius * normal_force, MIN_STIFFNESS)
     return ContactPatch(radius=a, torsional=k_z, lever=lever * a, bending=bending, bend_max=a / radius)
 
 

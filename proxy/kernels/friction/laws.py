@@ -119,12 +119,12 @@ def remaining(stribeck: Any, slip_speed: float) -> Any:
 
 
 @remaining.of(None)
-def fallen_at_once(stribeck: None, slip_speed: float) -> float:
+def drop_to_kinetic_at_once(stribeck: None, slip_speed: float) -> float:
     return 0.0
 
 
 @remaining.of(Stribeck)
-def falling_with_speed(stribeck: Stribeck, slip_speed: float) -> float:
+def drop_to_kinetic_with_speed(stribeck: Stribeck, slip_speed: float) -> float:
     if stribeck.speed <= 0.0:
         return 0.0
     ratio = slip_speed / stribeck.speed

@@ -11,8 +11,8 @@ from typing import Any
 
 from softfinger.proxy.kernels.friction.laws import cone, load_size
 from softfinger.proxy.kernels.friction.limit_surface import room, slide
-from softfinger.proxy.kernels.friction.stick_slip_of_paper import stick_slip_to_the_letter
-from softfinger.proxy.kernels.friction.torsion import damped, wind
+from softfinger.proxy.kernels.friction.stick_slip_of_paper import stick_slip_by_equations
+from softfinger.proxy.kernels.friction.torsion import damped, wind_up
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import (
@@ -52,7 +52,7 @@ def slide_freely(
 ) -> FrictionResult:
     """Resolve torsion only: without friction, the proxy has no deflection from the probe, and there is no sticking."""
     zero = (0.0, 0.0, 0.0)
-    wound = wind(
+    wound = wind_up(
         torsion, given.spin, given.twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt
     )
     return FrictionResult(
@@ -214,7 +214,7 @@ def stick_slip_by_law(
         force = vec3.add_scaled(force, coupling.damping / given.dt, change)
     if mode == ROLLING or breaking != 0.0:
         force = limit_force(law, given.normal, force, whole_limit if breaking != 0.0 else static_limit)
-    now = wind(torsion, spin, twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt)
+    now = wind_up(torsion, spin, twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt)
     return FrictionResult(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled_part, slip_speed=slip_speed,
         slip_deflection=slip_deflection, spin=now.spin, spin_slip_speed=now.slip_speed,
@@ -227,4 +227,4 @@ def stick_slip_by_law(
 def stick_slip_as_in_the_paper(
     law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
-    return stick_slip_to_the_letter(law, torsion, coupling, torque_stiffness, given)
+    return stick_slip_by_equations(law, torsion, coupling, torque_stiffness, given)

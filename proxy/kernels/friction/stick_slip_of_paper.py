@@ -1,13 +1,13 @@
 """State machine of rolling and sliding exactly as in the paper, for study: docs/model/friction.md lists its failures.
 
-    stick_slip_to_the_letter(law, torsion, coupling, k_tau, given) -> FrictionResult
+    stick_slip_by_equations(law, torsion, coupling, k_tau, given) -> FrictionResult
 
 The end of a contact is that of our contact model, not the paper's f_N = 0.
 """
 
 from typing import Any
 
-from softfinger.proxy.kernels.friction.torsion import damped, wind
+from softfinger.proxy.kernels.friction.torsion import damped, wind_up
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Coupling, FrictionInput, FrictionResult, PaperFriction
 from softfinger.proxy.kernels.numerics import vec3
@@ -18,7 +18,7 @@ ROUNDING = 1e-9
 
 
 @jit
-def stick_slip_to_the_letter(
+def stick_slip_by_equations(
     law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
     """Compute friction and torsion of one tick by the text of section 3.2.
@@ -57,7 +57,7 @@ def stick_slip_to_the_letter(
         force = vec3.scale(stiffness, deflection)
     elif given.dt > 0.0:
         force = vec3.add_scaled(force, coupling.damping / given.dt, change)
-    now = wind(
+    now = wind_up(
         torsion, given.spin, given.twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt
     )
     return FrictionResult(

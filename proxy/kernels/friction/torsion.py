@@ -1,6 +1,6 @@
 """Spin moment of a soft finger: a torsional spring with an anchor that slips at the torsional limit.
 
-    wind(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt) -> TorsionResult
+    wind_up(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt) -> TorsionResult
 
 Positive spin is right-handed about the normal; the moment on the hand opposes it.
 """
@@ -52,7 +52,7 @@ def torsional_stiffness(torsion: Any) -> Any:
 
 
 @by_type
-def wind(
+def wind_up(
     torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
 ) -> Any:
     """Return the state of the spring after a rotation of `turn` rad about the normal."""
@@ -178,7 +178,7 @@ def limit_of_soft_finger(torsion: SoftFingerProxy, normal_force: float) -> float
     return torsional_limit(torsion.law, normal_force)
 
 
-@wind.of(None)
+@wind_up.of(None)
 def no_torsion(
     torsion: None, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
 ) -> TorsionResult:
@@ -199,14 +199,14 @@ def clamped(
     return TorsionResult(wound, -stiffness * wound, 0.0, 0.0)
 
 
-@wind.otherwise
+@wind_up.otherwise
 def wind_spring(
     torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
 ) -> TorsionResult:
     return clamped(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt)
 
 
-@wind.of(LimitSurface)
+@wind_up.of(LimitSurface)
 def wind_limit_surface(
     torsion: LimitSurface,
     spin: float,
@@ -220,7 +220,7 @@ def wind_limit_surface(
     return clamped(torsion.law, spin, turn, normal_force, slip_speed, slip_angle, dt)
 
 
-@wind.of(SoftFingerProxy)
+@wind_up.of(SoftFingerProxy)
 def wind_soft_finger(
     torsion: SoftFingerProxy,
     spin: float,

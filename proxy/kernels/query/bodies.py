@@ -135,20 +135,20 @@ def push(block: Any, body: int, force: Vec3, torque: Vec3, center: Vec3) -> None
 
 
 @by_type
-def tell_motion(bodies: Any, tick: int, slot: Slot, scratch: Any) -> None:
+def publish_motion(bodies: Any, tick: int, slot: Slot, scratch: Any) -> None:
     """Publish the motion of the bodies that can move: the number of the tick, then MOTION_SIZE values for each body.
 
     scratch  (1 + MOTION_SIZE * n,)  work array, n the number of bodies that can move
     """
 
 
-@tell_motion.of(None)
-def tell_nothing(bodies: None, tick: int, slot: Slot, scratch: Any) -> None:
+@publish_motion.of(None)
+def publish_no_motion(bodies: None, tick: int, slot: Slot, scratch: Any) -> None:
     pass
 
 
-@tell_motion.of(Bodies)
-def tell_motion_of_bodies(bodies: Bodies, tick: int, slot: Slot, scratch: Any) -> None:
+@publish_motion.of(Bodies)
+def publish_motion_of_bodies(bodies: Bodies, tick: int, slot: Slot, scratch: Any) -> None:
     block = bodies.block
     twist, centers, roots = float64_at(block[VELOCITY]), float64_at(block[TREE_CENTER]), int32_at(block[TREE_ROOT])
     scratch[0] = tick

@@ -81,7 +81,7 @@ def standing_at_rest(pose: None, rest: Any) -> Any:
 
 
 @standing.of(Pose)
-def standing_where_it_moved(pose: Pose, rest: Any) -> Pose:
+def rest_where_it_moved(pose: Pose, rest: Any) -> Pose:
     return pose
 
 

@@ -63,8 +63,8 @@ from softfinger.proxy.kernels.shapes.kernel_table import (
     SLOTS,
     TRANSPORT,
     TRAVEL,
+    KernelSlot,
     ShapeRow,
-    Slot,
     called,
     is_two_sided,
     kernel_table,
@@ -102,22 +102,22 @@ UP: Final = (1.0, 0.0, 0.0, 0.0)
 
 SLOTS.update(
     {
-        CLOSEST: Slot(closest, (ZERO,), FOOT),
-        CLOSEST_FROM: Slot(closest_from, (ZERO, ZERO, 0), FOOT_AND_BUDGET),
-        CLOSEST_OR_BOUND: Slot(closest_or_bound, (ZERO,), FOOT_AND_FLAG),
-        CLOSEST_WITHIN: Slot(closest_within, (ZERO, 0), FOOT_AND_BUDGET),
-        CONSTRAINT: Slot(constraint_at, (ZERO, 0.0, ZERO, 0), POINT_AND_BUDGET),
-        CURVATURE: Slot(curvature, (0.0, ZERO, ZERO), NO_CURVATURE),
-        TRANSPORT: Slot(transport, (ZERO, ZERO, ZERO), ZERO),
-        BEND: Slot(bend, (0.0, ZERO, ZERO), 0.0),
-        FOLLOWS: Slot(follows, (0.0, ZERO, ZERO, ZERO), True),
-        TRAVEL: Slot(travel, (ZERO, ZERO, 0.0, True), 0.0),
-        MEETS: Slot(meets, (ZERO, ZERO, 0.0, True, 0), NO_MEETING),
-        NEAREST: Slot(nearest_of_shape, (ZERO, 0.0, ZERO, 0), NO_OBJECT),
-        NEIGHBOUR: Slot(neighbour_of, (ZERO,), 0.0),
-        RAISED: Slot(raised_clear, (ZERO, 0.0), ZERO),
-        SHADED: Slot(shaded, (Pose(ZERO, UP), ZERO, ZERO), ZERO),
-        CHART: Slot(chart, (0.0, ZERO, ZERO), NO_CHART),
+        CLOSEST: KernelSlot(closest, (ZERO,), FOOT),
+        CLOSEST_FROM: KernelSlot(closest_from, (ZERO, ZERO, 0), FOOT_AND_BUDGET),
+        CLOSEST_OR_BOUND: KernelSlot(closest_or_bound, (ZERO,), FOOT_AND_FLAG),
+        CLOSEST_WITHIN: KernelSlot(closest_within, (ZERO, 0), FOOT_AND_BUDGET),
+        CONSTRAINT: KernelSlot(constraint_at, (ZERO, 0.0, ZERO, 0), POINT_AND_BUDGET),
+        CURVATURE: KernelSlot(curvature, (0.0, ZERO, ZERO), NO_CURVATURE),
+        TRANSPORT: KernelSlot(transport, (ZERO, ZERO, ZERO), ZERO),
+        BEND: KernelSlot(bend, (0.0, ZERO, ZERO), 0.0),
+        FOLLOWS: KernelSlot(follows, (0.0, ZERO, ZERO, ZERO), True),
+        TRAVEL: KernelSlot(travel, (ZERO, ZERO, 0.0, True), 0.0),
+        MEETS: KernelSlot(meets, (ZERO, ZERO, 0.0, True, 0), NO_MEETING),
+        NEAREST: KernelSlot(nearest_of_shape, (ZERO, 0.0, ZERO, 0), NO_OBJECT),
+        NEIGHBOUR: KernelSlot(neighbour_of, (ZERO,), 0.0),
+        RAISED: KernelSlot(raised_clear, (ZERO, 0.0), ZERO),
+        SHADED: KernelSlot(shaded, (Pose(ZERO, UP), ZERO, ZERO), ZERO),
+        CHART: KernelSlot(chart, (0.0, ZERO, ZERO), NO_CHART),
     }
 )
 
@@ -285,7 +285,7 @@ def nearest_over_any(shape: AnyShape, grown: MinkowskiSum, x: Vec3) -> tuple[flo
 
 
 _ANY: Final = AnyShape(ReadOnly([0.0]), ReadOnly(np.zeros(1, np.int64)), 0.0, 1.0, SMOOTH, 0.0)
-SLOTS[MINKOWSKI] = Slot(nearest_on_minkowski_sum, (MinkowskiSum(_ANY, ZERO, UP, 0.0), ZERO), FOOT)
+SLOTS[MINKOWSKI] = KernelSlot(nearest_on_minkowski_sum, (MinkowskiSum(_ANY, ZERO, UP, 0.0), ZERO), FOOT)
 
 
 def reach_of(shape: Any) -> float:

@@ -1,4 +1,4 @@
-"""Limits of the searches of a tick on meshes and height maps, and of the length of a step."""
+"""Limits of the searches of a tick on meshes and height maps, of the length of a step, and tolerances of contacts."""
 
 BUDGET = 1536
 """Nodes and triangles that a fingertip may visit in a tick to find its rest position: at worst about 50 us, and many
@@ -15,3 +15,11 @@ STRIDE = 0.9
 
 ROOM = 4096
 """Capacity of a query's queue of lanes; the largest possible budget."""
+
+
+INSIDE = 1e-10
+"""Depth, as a share of the fingertip's radius, from which a fingertip is inside an object; below it is rounding."""
+
+
+SETTLED = 1e-13
+"""Motion, as a share of the fingertip's radius, below which the proxy is at rest."""

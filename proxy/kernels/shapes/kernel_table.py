@@ -38,7 +38,7 @@ INLINE: Final[dict[type, frozenset[int]]] = {Plane: frozenset({CLOSEST, TRANSPOR
 TABLE_SIZE: Final = 20
 
 
-class Slot(NamedTuple):
+class KernelSlot(NamedTuple):
     """Place of a kernel in a table: what chooses it by shape, and values of the types of its arguments and result."""
 
     choice: Any
@@ -46,7 +46,7 @@ class Slot(NamedTuple):
     result: Any
 
 
-SLOTS: Final[dict[int, Slot]] = {}
+SLOTS: Final[dict[int, KernelSlot]] = {}
 """Kernels by their place."""
 
 
@@ -124,7 +124,7 @@ def _has(choice: Any, kind: type) -> bool:
     return bool(choice.has(kind) or (kind is Mesh and choice.has(Facet)))
 
 
-def _address(slot: Slot, rows: Any) -> int:
+def _address(slot: KernelSlot, rows: Any) -> int:
     """Return the address of a kernel for shapes in rows of that type, compiled or from the disk."""
     choice, arguments, result = slot
     if rows.like.instance_class is Mesh and choice.has(Facet):

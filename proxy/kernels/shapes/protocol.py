@@ -45,7 +45,7 @@ X_AXIS: Vec3 = (1.0, 0.0, 0.0)
 Y_AXIS: Vec3 = (0.0, 1.0, 0.0)
 Z_AXIS: Vec3 = (0.0, 0.0, 1.0)
 
-FAN = 1e-9
+NORMAL_EPSILON = 1e-9
 """A component of a normal below this counts as zero: rotating a normal to the world frame and back leaves 1e-16."""
 BUDGET_OF_A_ROLL = 600
 """Budget of a rolling step with step control, or of each query in the other rolling methods."""
@@ -225,7 +225,7 @@ def direction(v: Vec3, otherwise: Vec3) -> tuple[float, Vec3]:
 def around_z(normal: Vec3) -> Vec3:
     """Return the unit tangent round the z axis, counter-clockwise; the x axis if the normal is along z."""
     length = sqrt(normal[0] * normal[0] + normal[1] * normal[1])
-    if length <= FAN:
+    if length <= NORMAL_EPSILON:
         return X_AXIS
     return (-normal[1] / length, normal[0] / length, 0.0)
 

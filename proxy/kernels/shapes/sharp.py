@@ -8,7 +8,7 @@ corner.
 from softfinger.proxy.kernels.model import Box, CappedCylinder, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.protocol import (
-    FAN,
+    NORMAL_EPSILON,
     X_AXIS,
     Y_AXIS,
     Z_AXIS,
@@ -43,7 +43,11 @@ def closest_on_box(shape: Box, x: Vec3) -> tuple[float, Vec3, Vec3]:
 @curvature.of(Box)
 def curvature_of_box(shape: Box, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     """Distinguish face, edge and corner by the normal, which has one, two or three components."""
-    flat_x, flat_y, flat_z = abs(normal[0]) <= FAN, abs(normal[1]) <= FAN, abs(normal[2]) <= FAN
+    flat_x, flat_y, flat_z = (
+        abs(normal[0]) <= NORMAL_EPSILON,
+        abs(normal[1]) <= NORMAL_EPSILON,
+        abs(normal[2]) <= NORMAL_EPSILON,
+    )
     count = (1 if flat_x else 0) + (1 if flat_y else 0) + (1 if flat_z else 0)
     if count >= 2:
         return 0.0, 0.0, any_tangent(normal)
@@ -75,8 +79,8 @@ def curvature_of_capped_cylinder(
     """End: flat. Side: curved round the axis. Rim: across it as the fingertip, round the axis as a torus."""
     around = around_z(normal)
     level = vec3.norm((normal[0], normal[1], 0.0))
-    if level <= FAN:
+    if level <= NORMAL_EPSILON:
         return 0.0, 0.0, around
-    if abs(normal[2]) <= FAN:
+    if abs(normal[2]) <= NORMAL_EPSILON:
         return 1.0 / (shape.radius + radius), 0.0, around
     return 1.0 / radius, level / (shape.radius + radius * level), vec3.cross(around, normal)

@@ -26,7 +26,7 @@ _HARMLESS: Final = (
 """Extensions, by the beginning of their names, that leave positions and triangles as they are."""
 TRIANGLES: Final = 4
 STRIP: Final = 5
-FAN: Final = 6
+TRIANGLE_FAN: Final = 6
 """Modes of a part of a mesh; smaller ones are points and lines."""
 _JSON: Final = 0x4E4F534A
 COUNT_MAX: Final = 3 * int(limits.MESH_TRIANGLES.high)
@@ -138,7 +138,7 @@ class _File:
         """Return the number of triangles of a part of a mesh, by its mode and the count of its accessor alone."""
         accessor = self._head["accessors"][primitive.get("indices", primitive["attributes"]["POSITION"])]
         corners, mode = int(accessor["count"]), primitive.get("mode", TRIANGLES)
-        if mode not in (TRIANGLES, STRIP, FAN) or (mode == TRIANGLES and corners % 3):
+        if mode not in (TRIANGLES, STRIP, TRIANGLE_FAN) or (mode == TRIANGLES and corners % 3):
             raise ValueError(f"is damaged: {corners:,} corners in the mode {mode!r}")
         return corners // 3 if mode == TRIANGLES else max(corners - 2, 0)
 

@@ -167,6 +167,7 @@ SEVERAL = {"name": "hand", "levels": ["one", "two"], "scenes": {"one": "paper-pl
 WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("changes", "rig", "said"),
     [

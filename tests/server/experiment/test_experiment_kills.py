@@ -91,6 +91,7 @@ def killed(words: list[str], journal: Path, rng: random.Random) -> None:
     process.wait()
 
 
+@pytest.mark.exhaustive
 def test_a_session_with_a_daemon_survives_kills(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
     """Killed and resumed, it has the trials of the design in their order, each answered once and with all its ticks."""
     kills = cases(1, 50)  # each costs a start of the program, some 2 s of processor

@@ -44,7 +44,7 @@ def drawn(figure: Path) -> None:
     assert len(paths) > 20
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", shipped())
 def test_each_shipped_experiment_goes_from_design_to_figure(name: str, tmp_path: Path) -> None:
     """The simulated observer answers every trial, and the folder has figures, numbers and a tidy table."""

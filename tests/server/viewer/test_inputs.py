@@ -103,6 +103,7 @@ def resting(client: Client) -> bool:
     return float(np.linalg.norm(client.get_state().velocity)) < 1e-4
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", [*get_args(RollingMethod)[1:], get_args(RollingMethod)[0], NO_ROLLING])
 def test_a_rolling_method_arrives_in_the_daemon(screen: Screen, client: Client, method: str) -> None:
     """Each in turn, and none in the end: compiled beside, then rendered; what the daemon describes has it, and its

@@ -60,19 +60,37 @@ def run_with_page(*more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
             process.kill()
 
 
+def restarted(process: subprocess.Popen[str], address: str, restart: int) -> None:
+    """Kill the page: that is logged, and it starts again at the same address, which no list of processes shows."""
+    assert process.stderr is not None
+    page = child_of(process)
+    assert urlsplit(address).path.strip("/") not in Path(f"/proc/{page}/cmdline").read_text()
+    os.kill(page, signal.SIGKILL)
+    ended = next(line for line in process.stderr if "the page has ended" in line)
+    assert f"exit code -9; the servo continues; it is started again, {restart} of {RESTARTS} times" in ended
+    assert answered(address) == 200
+
+
 def test_a_page_that_dies_is_started_again_at_the_same_address() -> None:
-    """The address first, before all else. A page that is killed is said and comes back, three times in all, its secret
-    in no list of processes; in the end one line has what brings it back, and ticks go on."""
+    """Its secret is in no list of processes. The page ends with a daemon that is killed."""
+    with run_with_page() as (process, address):
+        restarted(process, address, 1)
+        page = Path(f"/proc/{child_of(process)}")
+        process.kill()
+        until = time.monotonic() + WAIT_S
+        with suppress(OSError):  # it is gone
+            while "State:\tZ" not in (page / "status").read_text():  # a zombie, where nobody reaps
+                assert time.monotonic() < until
+                time.sleep(0.01)
+
+
+@pytest.mark.exhaustive
+def test_a_page_starts_again_three_times() -> None:
+    """Then one line has the command that shows it again, and ticks continue."""
     with run_with_page() as (process, address):
         assert process.stderr is not None
-        secret = urlsplit(address).path.strip("/")
         for restart in range(RESTARTS):
-            page = child_of(process)
-            assert secret not in Path(f"/proc/{page}/cmdline").read_text()
-            os.kill(page, signal.SIGKILL)
-            ended = next(line for line in process.stderr if "the page has ended" in line)
-            assert f"exit code -9; the servo continues; it is started again, {restart + 1} of {RESTARTS} times" in ended
-            assert answered(address) == 200
+            restarted(process, address, restart + 1)
         os.kill(child_of(process), signal.SIGKILL)
         ended = next(line for line in process.stderr if "the page has ended" in line)
         assert "exit code -9" in ended and "softfinger view --endpoint tcp://127.0.0.1:" in ended
@@ -102,18 +120,6 @@ def test_a_page_that_says_nothing_is_ended(tmp_path: Path, monkeypatch: pytest.M
     shown.supervise()
     shown.close()
     assert len(told) == 1 and "the page has ended, with exit code -9" in told[0]
-
-
-def test_a_page_ends_with_its_daemon() -> None:
-    """One that is killed takes no leave of it."""
-    with run_with_page() as (process, _):
-        page = Path(f"/proc/{child_of(process)}")
-        process.kill()
-        until = time.monotonic() + WAIT_S
-        with suppress(OSError):  # it is gone
-            while "State:\tZ" not in (page / "status").read_text():  # a zombie, where nobody reaps
-                assert time.monotonic() < until
-                time.sleep(0.01)
 
 
 BROWSER = """#!/bin/sh

@@ -64,6 +64,7 @@ def test_what_is_no_recording_is_told(tmp_path: Path) -> None:
     assert main(["view", str(tmp_path / "no.mcap"), "--no-open"]) == RecordingError.exit_code
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("words", [["view", "--no-open"], ["run", "--view"]])
 def test_without_viser_one_line_says_what_to_install(words: list[str]) -> None:
     """The page is an extra."""

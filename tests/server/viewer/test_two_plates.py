@@ -55,6 +55,7 @@ def drags(screen: Screen, client: Client, number: int) -> list[float]:
     return found
 
 
+@pytest.mark.exhaustive
 def test_two_plates_side_by_side_are_felt_apart(screen: Screen, client: Client) -> None:
     """Pressed and stroked by keys: where a plate slides, the drag is its kinetic friction times the normal force,
     whatever the speed; rubber's is more than twice that of paper."""

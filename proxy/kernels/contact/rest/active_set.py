@@ -8,11 +8,10 @@ from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import FACING, Depths, displacement
 from softfinger.proxy.kernels.query.objects import closest_to_within, normal_law_of
+from softfinger.proxy.kernels.shapes.budget import INSIDE
 from softfinger.proxy.kernels.shapes.composite import Deepest
 from softfinger.proxy.kernels.shapes.protocol import direction
 
-INSIDE = 1e-10
-"""Depth, as a share of the fingertip's radius, from which a fingertip is inside an object; below it is rounding."""
 SAME_FOOT = 1.0 - 1e-4
 """Cosine between the normals of two support points on a height map above which they count as one."""
 FLAT = 1e-4
@@ -39,7 +38,7 @@ def active_objects(active: ActiveSet) -> Vec3:
 
 
 @jit
-def displaced_by(active: ActiveSet) -> Vec3:
+def displacement_of(active: ActiveSet) -> Vec3:
     """Return the displacement (3,) m from the probe to the proxy."""
     one, two, three = active
     return displacement(Depths(one.depth, two.depth, three.depth), one.normal, two.normal, three.normal)
@@ -74,7 +73,7 @@ def with_touched(objects: Any, radius: float, center: Vec3, active: ActiveSet, n
 
 
 @jit
-def without_weakest(active: ActiveSet) -> ActiveSet:
+def drop_weakest(active: ActiveSet) -> ActiveSet:
     """Remove the constraint of three with the smallest depth.
 
     Its depth remains in the unused element, as the first estimate for the constraint that replaces it.
@@ -100,7 +99,7 @@ def loads_of(objects: Any, active: ActiveSet) -> Vec3:
 
 
 @jit
-def strongest_first(objects: Any, active: ActiveSet) -> ActiveSet:
+def sort_by_load(objects: Any, active: ActiveSet) -> ActiveSet:
     """Remove constraints without load, and replace the first only by one with a clearly larger load (1.5 times).
 
     A plain comparison of two equal walls would change with every rounding error.

@@ -11,7 +11,8 @@ from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.objects import closest_on
 from softfinger.proxy.kernels.shapes import is_hollow, rest_on
 from softfinger.proxy.kernels.shapes.any_shape import UP
-from softfinger.proxy.kernels.shapes.kernel_table import REST, SLOTS, Slot, called
+from softfinger.proxy.kernels.shapes.budget import SETTLED
+from softfinger.proxy.kernels.shapes.kernel_table import REST, SLOTS, KernelSlot, called
 
 ROUNDS = 10
 """Largest number of linearisations of a curved surface at the proxy. The digits that each of them gains depend on the
@@ -22,12 +23,10 @@ and the next tick corrects it. A proxy that has not converged is outside, not in
 SAME_SIDE = 0.5
 """Smallest cosine between the normals of two ticks on the same side of an object: a fingertip does not move round it in
 one tick."""
-SETTLED = 1e-13
-"""Motion, as a share of the fingertip's radius, below which the proxy is at rest."""
 
 
 NO_REST = (ZERO, ZERO, 0.0)
-SLOTS[REST] = Slot(rest_on, (Pose(ZERO, UP), 0.0, ZERO, ZERO, ZERO, ZERO), NO_REST)
+SLOTS[REST] = KernelSlot(rest_on, (Pose(ZERO, UP), 0.0, ZERO, ZERO, ZERO, ZERO), NO_REST)
 
 
 @jit

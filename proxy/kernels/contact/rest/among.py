@@ -5,22 +5,21 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.contact.rest.active_set import (
-    INSIDE,
     active_objects,
     count_of,
-    displaced_by,
+    displacement_of,
+    drop_weakest,
     is_support_point_of,
     leaves_no_room,
     loads_of,
     merge_support_points,
     one_constraint,
     pressed,
-    strongest_first,
+    sort_by_load,
     with_another,
     with_touched,
-    without_weakest,
 )
-from softfinger.proxy.kernels.contact.rest.alone import ROUNDS, SAME_SIDE, SETTLED, SLIDING_ROUNDS
+from softfinger.proxy.kernels.contact.rest.alone import ROUNDS, SAME_SIDE, SLIDING_ROUNDS
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, NEARLY, SOON, settle_by_planes
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined_where
@@ -47,7 +46,7 @@ from softfinger.proxy.kernels.query.objects import (
     normal_law_of,
 )
 from softfinger.proxy.kernels.query.sweep import first_hit
-from softfinger.proxy.kernels.shapes.budget import BUDGET, STRIDE
+from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, SETTLED, STRIDE
 
 ATTEMPTS, ATTEMPTS_ON_MANY = 4, 16
 """Largest number of obstacles added to the active set in a tick, without and with meshes or height maps. If more are
@@ -81,9 +80,9 @@ def settle_among_several(
     active          constraints that support it, with their depths
     budget          remaining budget
 
-    Over meshes and height maps, the motion in a tick is so short that the proxy cannot cross a thin part (`is_a_step`).
-    If a probe deep inside requires a longer one, the proxy follows in several ticks: the goal is moved closer, so that
-    every step ends at rest. The same applies if no rest position is found.
+    Over meshes and height maps, the motion in a tick is so short that the proxy cannot cross a thin part
+    (`is_safe_step`). If a probe deep inside requires a longer one, the proxy follows in several ticks: the goal is
+    moved closer, so that every step ends at rest. The same applies if no rest position is found.
     """
     return settle_by_search(objects, radius, probe, start, center, active, budget)
 
@@ -115,10 +114,10 @@ def settle_in_steps(
 ) -> Rest:
     rest, whole, held = Rest(center, active, True, 0), probe, active
     for budget in (3 * left // 4, left // 4):
-        goal = vec3.add(whole, displaced_by(held))
-        if is_a_step(center, goal, radius):
+        goal = vec3.add(whole, displacement_of(held))
+        if is_safe_step(center, goal, radius):
             rest = settle_for(objects, radius, whole, start, center, held, budget)
-            if not is_a_step(center, rest.center, radius):  # it may have crossed a thin part
+            if not is_safe_step(center, rest.center, radius):  # it may have crossed a thin part
                 rest = Rest(center, active, True, rest.budget)
         if not rest.late:
             break
@@ -137,10 +136,10 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
 
     The first attempt assumes that the last constraints, or the neighbours of their facets, still support the proxy. If
     they do not, or if it would move away from the probe, it moves from the anchor by supporting planes, which is
-    slower. The path needs no sweep for obstacles: with a mesh, no step is longer than `is_a_step` allows.
+    slower. The path needs no sweep for obstacles: with a mesh, no step is longer than `is_safe_step` allows.
     """
-    there = vec3.add(probe, displaced_by(active))
-    center, held, moved, budget = relaxed_to_rest(objects, radius, probe, there, active, ROUNDS, budget)
+    there = vec3.add(probe, displacement_of(active))
+    center, held, moved, budget = project_until_rest(objects, radius, probe, there, active, ROUNDS, budget)
     on_nearest = False
     for turn in range(EDGES + 1):
         index, alone = held[0].body, held[1].body < 0.0
@@ -149,21 +148,21 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
         if on_nearest or turn == EDGES:
             break
         held = one_constraint(beyond, held[0].normal, 0.0)
-        center, held, moved, budget = relaxed_to_rest(objects, radius, probe, center, held, ROUNDS, budget)
+        center, held, moved, budget = project_until_rest(objects, radius, probe, center, held, ROUNDS, budget)
     if held[1].body < 0.0 and moved > SETTLED * radius:  # the last round may have moved from an edge onto the face
-        center, held, moved, budget = relaxed_to_rest(objects, radius, probe, center, held, 1, budget)
+        center, held, moved, budget = project_until_rest(objects, radius, probe, center, held, 1, budget)
     behind, before = vec3.sub(center, probe), vec3.sub(anchor, probe)
     nearer = vec3.dot(behind, behind) <= (1.0 + INSIDE) * vec3.dot(before, before) + (AT_REST * radius) ** 2
     # Beyond the edge of a facet its plane is tilted. The gap does not show that: it changes by the square of the tilt.
-    if moved <= AT_REST * radius and on_nearest and nearer and is_a_step(anchor, center, radius):
+    if moved <= AT_REST * radius and on_nearest and nearer and is_safe_step(anchor, center, radius):
         gap, _, budget = deepest(objects, center, radius, active_objects(held), budget)
         if gap >= radius * (1.0 - INSIDE):
-            return Rest(center, strongest_first(objects, held), False, budget)
+            return Rest(center, sort_by_load(objects, held), False, budget)
     stand = settle_by_planes(objects, radius, probe, anchor, active, budget)
     held = stand.active
     if held[0].body < 0.0:
         held = one_constraint(active[0].body, active[0].normal, 0.0)
-    return Rest(stand.center, strongest_first(objects, held), stand.late, stand.budget)
+    return Rest(stand.center, sort_by_load(objects, held), stand.late, stand.budget)
 
 
 @jit
@@ -236,7 +235,7 @@ def slide_over_facets(
 
 
 @jit
-def is_a_step(start: Vec3, end: Vec3, radius: float) -> bool:
+def is_safe_step(start: Vec3, end: Vec3, radius: float) -> bool:
     """Return True if a fingertip outside at both positions cannot cross anything thin between them."""
     way = vec3.sub(end, start)
     return vec3.dot(way, way) <= (STRIDE * radius) ** 2
@@ -250,7 +249,7 @@ def settle_for(
     wide = any_multipoint(objects)
     rounds = SLIDING_ROUNDS if wide else ROUNDS
     before, active_before = center, active
-    goal = vec3.add(probe, displaced_by(active))
+    goal = vec3.add(probe, displacement_of(active))
     for _ in range(4):
         hit, stop, left = first_hit(objects, start, goal, radius, True, active_objects(active), left)
         if hit < 0.0:
@@ -285,7 +284,7 @@ def settle_for(
             _, _, normal, left = closest_to_within(objects, at, center, left)
             if other or (has_creases_at(objects, at) and not is_support_point_of(active, at, normal)):
                 if count_of(active) == 3:
-                    active = without_weakest(active)
+                    active = drop_weakest(active)
                 active = with_another(active, at, normal)
     late = not found
     if not found:
@@ -297,7 +296,7 @@ def settle_for(
             _, active, left = relaxed(objects, radius, probe, before, active_before, 1, left)
     if any_creases(objects):
         active = merge_support_points(active)
-    return Rest(center, strongest_first(objects, active), late, left)
+    return Rest(center, sort_by_load(objects, active), late, left)
 
 
 @jit
@@ -337,12 +336,12 @@ def relaxed(
     `rest_on_curved`: from the tangent plane, a depth greater than the radius of the surface that the centre moves on
     would diverge.
     """
-    center, active, _, budget = relaxed_to_rest(objects, radius, base, center, active, rounds, budget)
+    center, active, _, budget = project_until_rest(objects, radius, base, center, active, rounds, budget)
     return center, active, budget
 
 
 @jit
-def seen_from(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec3, q: float, m: Vec3) -> Vec3:
+def linearisation_point(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec3, q: float, m: Vec3) -> Vec3:
     """Return the point (3,) m at which the tangent plane of an object is computed.
 
     This is the proxy or, for a hollow, the probe displaced by p along n and q along m.
@@ -351,7 +350,7 @@ def seen_from(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec3, q: floa
 
 
 @jit
-def relaxed_to_rest(
+def project_until_rest(
     objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
 ) -> tuple[Vec3, ActiveSet, float, int]:
     """Return `relaxed`, and the distance, m, that the proxy moved in the last round."""
@@ -366,20 +365,20 @@ def relaxed_to_rest(
     hollow = inside1 or inside2 or inside3
     p1, p2, p3 = 0.0, 0.0, 0.0
     for turn in range(rounds):
-        at = seen_from(inside1, center, base, p2, n2, p3, n3)
+        at = linearisation_point(inside1, center, base, p2, n2, p3, n3)
         point, n1, budget = constraint_of(objects, one.body, at, radius, n1, budget)
         b1 = vec3.dot(n1, vec3.sub(point, base)) + radius
         b2, b3 = b1, b1
         if two.body < 0.0:
             n2 = n1
         else:
-            at = seen_from(inside2, center, base, p1, n1, p3, n3)
+            at = linearisation_point(inside2, center, base, p1, n1, p3, n3)
             point, n2, budget = constraint_of(objects, two.body, at, radius, n2, budget)
             b2 = vec3.dot(n2, vec3.sub(point, base)) + radius
         if three.body < 0.0:
             n3 = n1
         else:
-            at = seen_from(inside3, center, base, p1, n1, p2, n2)
+            at = linearisation_point(inside3, center, base, p1, n1, p2, n2)
             point, n3, budget = constraint_of(objects, three.body, at, radius, n3, budget)
             b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
         if hollow and turn == 0 and rounds > 1:  # displacements by single constraints are a good start
@@ -405,7 +404,7 @@ def relaxed_to_rest(
 
 
 @jit
-def drawn_after(objects: Any, active: ActiveSet, behind: Vec3) -> Vec3:
+def trailing_force(objects: Any, active: ActiveSet, behind: Vec3) -> Vec3:
     """Return the additional force (3,) N on a probe with a late proxy at `behind` (3,) m from it.
 
     The sum of this and the loads of the constraints is the force of a spring between probe and proxy. The constraints

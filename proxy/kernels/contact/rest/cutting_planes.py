@@ -13,7 +13,7 @@ never added. (This is sequential convex programming with an inner approximation 
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.rest.active_set import INSIDE, active_objects, leaves_no_room
+from softfinger.proxy.kernels.contact.rest.active_set import active_objects, leaves_no_room
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Vec3
@@ -21,7 +21,7 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
 from softfinger.proxy.kernels.query.kinds import is_mesh_at
 from softfinger.proxy.kernels.query.objects import closest_to_within, constraint_of, deepest, neighbour_on
-from softfinger.proxy.kernels.shapes.budget import BUDGET, SPENT, STRIDE
+from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, SPENT, STRIDE
 
 ADDED = 24
 """Largest number of obstructing facets added in a step."""
@@ -44,7 +44,7 @@ MISSED = 1e-9
 """Violation of a fourth plane by the solution of three, as a share of the radius, that counts as rounding."""
 
 
-class Plane(NamedTuple):
+class CuttingPlane(NamedTuple):
     """Supporting plane of the object with flat index `body`, -1 for none: n . x >= offset (m) for x outside."""
 
     body: float
@@ -52,19 +52,19 @@ class Plane(NamedTuple):
     offset: float
 
 
-NO_PLANE = Plane(NONE, (0.0, 0.0, 1.0), 0.0)
+NO_PLANE = CuttingPlane(NONE, (0.0, 0.0, 1.0), 0.0)
 
 
-class Planes(NamedTuple):
+class CuttingPlanes(NamedTuple):
     """Up to three planes, unused ones last, and their solution.
 
     center  (3,) m  point nearest to the probe in front of all planes
     push         m  depth of each constraint
     """
 
-    one: Plane
-    two: Plane
-    three: Plane
+    one: CuttingPlane
+    two: CuttingPlane
+    three: CuttingPlane
     center: Vec3
     push: Depths
 
@@ -85,7 +85,7 @@ class Stand(NamedTuple):
 
 
 @jit
-def supporting_plane(objects: Any, index: float, radius: float, anchor: Vec3, x: Vec3) -> Plane:
+def supporting_plane(objects: Any, index: float, radius: float, anchor: Vec3, x: Vec3) -> CuttingPlane:
     """Return the supporting plane of an object at the point nearest to `x` (3,) m, if the anchor is in front of it.
 
     Otherwise return the plane at the point nearest to the anchor, which always is in front of that. The object is a
@@ -96,7 +96,7 @@ def supporting_plane(objects: Any, index: float, radius: float, anchor: Vec3, x:
     if vec3.dot(normal, vec3.sub(anchor, point)) < radius * (1.0 - INSIDE) and x != anchor:
         _, point, normal, _ = closest_to_within(objects, index, anchor, BUDGET)
         normal = towards(objects, index, normal, vec3.sub(anchor, point))
-    return Plane(index, normal, vec3.dot(normal, point) + radius)
+    return CuttingPlane(index, normal, vec3.dot(normal, point) + radius)
 
 
 @jit
@@ -108,11 +108,11 @@ def towards(objects: Any, index: float, normal: Vec3, apart: Vec3) -> Vec3:
 
 
 @jit
-def solved(planes: Planes, probe: Vec3, lift: float) -> Planes:
+def solved(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlanes:
     """Return the planes with their solution: the point nearest to the probe that is in front of all by `lift` m."""
     one, two, three = planes.one, planes.two, planes.three
     if one.body < 0.0:
-        return Planes(one, two, three, probe, Depths(0.0, 0.0, 0.0))
+        return CuttingPlanes(one, two, three, probe, Depths(0.0, 0.0, 0.0))
     count = 1
     n2, n3 = one.normal, one.normal
     b1 = one.offset + lift - vec3.dot(one.normal, probe)
@@ -124,17 +124,17 @@ def solved(planes: Planes, probe: Vec3, lift: float) -> Planes:
         count, n3 = 3, three.normal
         b3 = three.offset + lift - vec3.dot(n3, probe)
     held = solve_half_spaces(count, one.normal, n2, n3, b1, b2, b3)
-    return Planes(one, two, three, vec3.add(probe, displacement(held.place, one.normal, n2, n3)), held.push)
+    return CuttingPlanes(one, two, three, vec3.add(probe, displacement(held.place, one.normal, n2, n3)), held.push)
 
 
 @jit
-def missed(plane: Plane, x: Vec3) -> float:
+def missed(plane: CuttingPlane, x: Vec3) -> float:
     """Return the distance (m) of `x` behind a plane, negative in front."""
     return plane.offset - vec3.dot(plane.normal, x)
 
 
 @outlined
-def with_plane(planes: Planes, plane: Plane, radius: float, probe: Vec3, lift: float) -> Planes:
+def with_plane(planes: CuttingPlanes, plane: CuttingPlane, radius: float, probe: Vec3, lift: float) -> CuttingPlanes:
     """Add a plane and solve.
 
     Of four planes, an old one is dropped: the one that the solution of the other three satisfies, or violates least.
@@ -142,21 +142,21 @@ def with_plane(planes: Planes, plane: Plane, radius: float, probe: Vec3, lift: f
     one, two, three = planes.one, planes.two, planes.three
     nowhere, nothing = probe, Depths(0.0, 0.0, 0.0)
     if one.body < 0.0:
-        return solved(Planes(plane, two, three, nowhere, nothing), probe, lift)
+        return solved(CuttingPlanes(plane, two, three, nowhere, nothing), probe, lift)
     if two.body < 0.0:
-        return solved(Planes(one, plane, three, nowhere, nothing), probe, lift)
+        return solved(CuttingPlanes(one, plane, three, nowhere, nothing), probe, lift)
     if three.body < 0.0:
-        return solved(Planes(one, two, plane, nowhere, nothing), probe, lift)
-    best = solved(Planes(one, two, plane, nowhere, nothing), probe, lift)
+        return solved(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
+    best = solved(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
     least = missed(three, best.center)
     for turn in range(2):
         if least <= MISSED * radius:
             break
         if turn == 0:
-            other = solved(Planes(one, three, plane, nowhere, nothing), probe, lift)
+            other = solved(CuttingPlanes(one, three, plane, nowhere, nothing), probe, lift)
             far = missed(two, other.center)
         else:
-            other = solved(Planes(two, three, plane, nowhere, nothing), probe, lift)
+            other = solved(CuttingPlanes(two, three, plane, nowhere, nothing), probe, lift)
             far = missed(one, other.center)
         if far < least:
             best, least = other, far
@@ -164,7 +164,7 @@ def with_plane(planes: Planes, plane: Plane, radius: float, probe: Vec3, lift: f
 
 
 @outlined
-def touching_plane(objects: Any, index: float, radius: float, anchor: Vec3) -> Plane:
+def touching_plane(objects: Any, index: float, radius: float, anchor: Vec3) -> CuttingPlane:
     """Return the plane, at the anchor, of an object or its neighbour there; NO_PLANE if the proxy does not touch it."""
     for _ in range(EDGES):
         beyond = neighbour_on(objects, index, anchor)
@@ -176,7 +176,7 @@ def touching_plane(objects: Any, index: float, radius: float, anchor: Vec3) -> P
 
 
 @jit
-def planes_at(objects: Any, radius: float, anchor: Vec3, active: Vec3) -> Planes:
+def planes_at(objects: Any, radius: float, anchor: Vec3, active: Vec3) -> CuttingPlanes:
     """Return the planes, not solved, of the objects that touch a proxy at the anchor; `active` are flat indices."""
     one = NO_PLANE if active[0] < 0.0 else touching_plane(objects, active[0], radius, anchor)
     two = NO_PLANE if active[1] < 0.0 else touching_plane(objects, active[1], radius, anchor)
@@ -189,16 +189,16 @@ def planes_at(objects: Any, radius: float, anchor: Vec3, active: Vec3) -> Planes
         two, three = three, NO_PLANE
     if one.body < 0.0:
         one, two, three = two, three, NO_PLANE
-    return Planes(one, two, three, anchor, Depths(0.0, 0.0, 0.0))
+    return CuttingPlanes(one, two, three, anchor, Depths(0.0, 0.0, 0.0))
 
 
 @jit
-def bodies_of(planes: Planes) -> Vec3:
+def bodies_of(planes: CuttingPlanes) -> Vec3:
     return planes.one.body, planes.two.body, planes.three.body
 
 
 @jit
-def constraints_of(planes: Planes) -> ActiveSet:
+def constraints_of(planes: CuttingPlanes) -> ActiveSet:
     """Return the solved planes as an active set."""
     one, two, three, push = planes.one, planes.two, planes.three, planes.push
     n1 = one.normal
@@ -232,7 +232,7 @@ def touches_all(objects: Any, active: ActiveSet, radius: float, center: Vec3) ->
 
 @jit
 def step_towards(
-    objects: Any, radius: float, probe: Vec3, anchor: Vec3, planes: Planes, nearest: bool, budget: int
+    objects: Any, radius: float, probe: Vec3, anchor: Vec3, planes: CuttingPlanes, nearest: bool, budget: int
 ) -> Stand:
     """Move from the anchor to the point nearest to the probe that the planes allow, by a step that cannot cross a wall.
 
@@ -269,7 +269,7 @@ def step_towards(
         else:
             planes = with_plane(planes, plane, radius, probe, lift)
             continue
-        planes = solved(Planes(one, two, three, center, planes.push), probe, lift)
+        planes = solved(CuttingPlanes(one, two, three, center, planes.push), probe, lift)
     active, late = constraints_of(planes if lift == 0.0 else solved(planes, probe, 0.0)), budget < 0
     budget = max(budget, 0) + kept
     if found:
@@ -309,12 +309,12 @@ def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
 
 
 @jit
-def plane_at(objects: Any, constraint: Constraint, radius: float, center: Vec3) -> Plane:
+def plane_at(objects: Any, constraint: Constraint, radius: float, center: Vec3) -> CuttingPlane:
     """Return the tangent plane of the object of a constraint for a proxy at `center` (3,) m, or NO_PLANE."""
     if constraint.body < 0.0:
         return NO_PLANE
     point, normal, _ = constraint_of(objects, constraint.body, center, radius, constraint.normal, BUDGET)
-    return Plane(constraint.body, normal, vec3.dot(normal, point) + radius)
+    return CuttingPlane(constraint.body, normal, vec3.dot(normal, point) + radius)
 
 
 @jit
@@ -326,5 +326,5 @@ def pushed_at(objects: Any, radius: float, probe: Vec3, center: Vec3, active: Ac
     one = plane_at(objects, active[0], radius, center)
     two = plane_at(objects, active[1], radius, center)
     three = plane_at(objects, active[2], radius, center)
-    planes = solved(Planes(one, two, three, center, Depths(0.0, 0.0, 0.0)), probe, 0.0)
+    planes = solved(CuttingPlanes(one, two, three, center, Depths(0.0, 0.0, 0.0)), probe, 0.0)
     return constraints_of(planes), planes.center

@@ -97,7 +97,7 @@ def roll_angle(shape: Any, radius: float, motion: Vec3, tilted: float) -> Any:
 
 
 @earlier.otherwise
-def seen_the_same(shape: Any, w: Vec3, left: float) -> Any:
+def have_same_view(shape: Any, w: Vec3, left: float) -> Any:
     return shape
 
 

@@ -16,7 +16,7 @@ from softfinger.proxy.kernels.model import AnyShape, Cylinder, Facet, Plane, Qua
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import unroll
-from softfinger.proxy.kernels.shapes.kernel_table import SLOTS, UNROLL, Slot, called
+from softfinger.proxy.kernels.shapes.kernel_table import SLOTS, UNROLL, KernelSlot, called
 
 
 @jit
@@ -74,7 +74,7 @@ def roll_rotation_vector(
 
 
 NO_ROLL = Roll(ZERO, ZERO, ZERO, 0.0, 0.0, True)
-SLOTS[UNROLL] = Slot(unroll, (0.0, ZERO, ZERO, ZERO), NO_ROLL)
+SLOTS[UNROLL] = KernelSlot(unroll, (0.0, ZERO, ZERO, ZERO), NO_ROLL)
 
 
 @unroll.of(AnyShape)

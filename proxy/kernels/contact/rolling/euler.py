@@ -17,9 +17,9 @@ from softfinger.proxy.kernels.model import AnyShape, EulerZxz, EulerZyx, Quatern
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import ahead, curvature, transport
-from softfinger.proxy.kernels.shapes.kernel_table import AHEAD, SLOTS, Slot, called
+from softfinger.proxy.kernels.shapes.kernel_table import AHEAD, SLOTS, KernelSlot, called
 
-SLOTS[AHEAD] = Slot(ahead, (0.0, ZERO, ZERO, ZERO, 0.0), ZERO)
+SLOTS[AHEAD] = KernelSlot(ahead, (0.0, ZERO, ZERO, ZERO, 0.0), ZERO)
 
 
 @ahead.of(AnyShape)

@@ -21,6 +21,7 @@ from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.numerics.half_spaces import displacement, solve_half_spaces
+from softfinger.proxy.kernels.shapes.budget import INSIDE, SETTLED, STRIDE
 from softfinger.proxy.kernels.shapes.composite import has_creases, raised_clear
 from softfinger.proxy.kernels.shapes.heightmap.nearest import above, downhill, gap_within, left_of, nearest_from
 from softfinger.proxy.kernels.shapes.protocol import (
@@ -34,17 +35,11 @@ from softfinger.proxy.kernels.shapes.protocol import (
     rest_on,
 )
 
-INSIDE: Final = 1e-10
-"""Penetration depth, as a share of the fingertip's radius, that counts as rounding; as in `contact/rest`."""
-SETTLED: Final = 1e-13
-"""Step, as a share of the fingertip's radius, below which the proxy is at rest; as in `contact/rest`."""
-ROUNDS: Final = 8
+CREASE_ROUNDS: Final = 8
 """Limit of the iterations of cutting planes in a tick: two or three with one support point, about five in a crease."""
 SLIDING_ROUND: Final = 1
 """First iteration after which a sliding proxy may stop: the next tick corrects the remaining error."""
-STRIDE: Final = 0.9
-"""Largest step of the centre as a share of the radius: no surface is closer than the radius, so none is crossed."""
-SAME: Final = 1e-6
+SAME_POINT: Final = 1e-6
 """Distance, as a share of the radius, within which two support points count as one."""
 ON: Final = 1e-9
 """Tolerance at the start of a roll for the support point: distance as a share of the radius, and 1 - cosine of the
@@ -127,7 +122,7 @@ def rest_on_support_points(
     rest, up, slides = center, normal, lag != (0.0, 0.0, 0.0)
     budget, bounded = REST_BUDGET, 0.0
     feet = SupportPoints(1, vec3.add_scaled(center, -radius, normal), center, center)
-    for turn in range(ROUNDS):
+    for turn in range(CREASE_ROUNDS):
         _, p1, n1, _, spent = downhill(shape, center, feet.one)
         budget -= spent
         p2, n2, p3, n3 = p1, n1, p1, n1
@@ -146,10 +141,12 @@ def rest_on_support_points(
             clear = gap >= radius * (1.0 - INSIDE)
             if budget <= 0 and not clear:
                 bounded = 1.0
-                if vec3.norm(vec3.sub(rest, other)) < radius * (1.0 - SAME):  # the start was inside: move up and out
+                if vec3.norm(vec3.sub(rest, other)) < radius * (
+                    1.0 - SAME_POINT
+                ):  # the start was inside: move up and out
                     rest = above(shape, rest, radius)
                 break
-            if not clear and not is_support_point(feet, other, SAME * radius):
+            if not clear and not is_support_point(feet, other, SAME_POINT * radius):
                 feet = with_support_point(feet, other)
                 n3 = other_normal
                 if feet.many == 2:

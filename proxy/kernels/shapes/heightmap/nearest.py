@@ -17,10 +17,11 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.shapes.budget import SPENT
 from softfinger.proxy.kernels.shapes.composite import Deepest, nearest_of_shape
 from softfinger.proxy.kernels.shapes.heightmap.surface import (
-    Foot,
-    Place,
+    MapFoot,
+    MapPoint,
     descend,
     foot_at,
     in_pitches,
@@ -59,13 +60,11 @@ UNDER: Final = 8
 """Tiles per side, less one, that are checked to lift a fingertip above the surface under it."""
 ASTRAY: Final = 2.0
 """Largest distance, in cells, of a descent from a cell; a foot point farther away is found from another cell."""
-SPENT: Final = -1
-"""Remaining budget after it was exhausted."""
 ABOVE: Final = 1.0 + 1e-9
 """Factor on a search limit, so that rounding does not exclude a point at the limit."""
 
 
-class Found(NamedTuple):
+class MapSearch(NamedTuple):
     """Nearest foot point, or the best found so far if the budget was exhausted.
 
     bound   lower bound of the distance, in pitches
@@ -73,13 +72,13 @@ class Found(NamedTuple):
     spent   cost of the search
     """
 
-    foot: Foot
+    foot: MapFoot
     bound: float
     whole: bool
     spent: int
 
 
-class Touched(NamedTuple):
+class TouchedPoint(NamedTuple):
     """Gap (m), point (3,) m and normal (3,) as of `closest`, and the cost.
 
     whole   True if the budget was sufficient; otherwise gap is a lower bound, and point the nearest known
@@ -113,7 +112,7 @@ def left_of(budget: int, whole: bool, spent: int) -> int:
 
 
 @jit
-def best_of_quarters(shape: Heightmap, p: Vec3, start: Foot, i: int, j: int) -> Foot:
+def best_of_quarters(shape: Heightmap, p: Vec3, start: MapFoot, i: int, j: int) -> MapFoot:
     """Return the closest of `start` and the middles of the cell's quarters, from which to descend to its foot point."""
     for number in range(4):
         other = foot_at(shape, p, i + 0.25 + 0.5 * (number & 1), j + 0.25 + 0.5 * (number >> 1))
@@ -123,7 +122,7 @@ def best_of_quarters(shape: Heightmap, p: Vec3, start: Foot, i: int, j: int) -> 
 
 
 @outlined
-def search(shape: Heightmap, p: Vec3, best: Foot, budget: int) -> Found:
+def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
     """Return the nearest foot point, or `best` if none is closer, and a lower bound of the distance."""
     top = int(shape.levels) - 1
     level, i, j = top, 0, 0
@@ -132,7 +131,7 @@ def search(shape: Heightmap, p: Vec3, best: Foot, budget: int) -> Found:
         spent += 1
         if i < wide(shape.columns, level) and j < wide(shape.rows, level):
             tile = tile_at(shape, p, level, i, j)
-            square, way = square_to_box(tile), Place(0.0, 0.0)
+            square, way = square_to_box(tile), MapPoint(0.0, 0.0)
             asks = square < AS_NEAR * best.square and not (tile.convex and has(tile, best))
             if asks:
                 square, way = to_facet(tile)
@@ -151,10 +150,10 @@ def search(shape: Heightmap, p: Vec3, best: Foot, budget: int) -> Found:
                         if not tile.convex:
                             start = best_of_quarters(shape, p, start, i, j)
                             spent += 4 * LOOK
-                        foot, looks = descend(shape, p, Place(start.s, start.t), ASTRAY)
+                        foot, looks = descend(shape, p, MapPoint(start.s, start.t), ASTRAY)
                         spent += LOOK * looks
                         if foot.square < best.square:
-                            best, looks = descend(shape, p, Place(foot.s, foot.t), FAR)
+                            best, looks = descend(shape, p, MapPoint(foot.s, foot.t), FAR)
                             spent += LOOK * looks
                             reach = sqrt(best.square)
         # Next of the four tiles, ordered from the closest one; after the fourth, up one level.
@@ -169,35 +168,35 @@ def search(shape: Heightmap, p: Vec3, best: Foot, budget: int) -> Found:
             level, i, j = level + 1, i >> 1, j >> 1
         if level == top:
             break
-    return Found(best, min(left, reach), left >= reach, spent)
+    return MapSearch(best, min(left, reach), left >= reach, spent)
 
 
 @jit
-def touched(shape: Heightmap, x: Vec3, found: Found) -> Touched:
+def touched(shape: Heightmap, x: Vec3, found: MapSearch) -> TouchedPoint:
     gap, point, normal = touching(shape, x, found.foot)
     if not found.whole and gap > 0.0 and is_below(shape, x):
         gap, normal = -gap, vec3.scale(-1.0, normal)
-    return Touched(min(gap, found.bound * shape.pitch), point, normal, found.whole, found.spent)
+    return TouchedPoint(min(gap, found.bound * shape.pitch), point, normal, found.whole, found.spent)
 
 
 @outlined
-def downhill(shape: Heightmap, x: Vec3, start: Vec3) -> Touched:
+def downhill(shape: Heightmap, x: Vec3, start: Vec3) -> TouchedPoint:
     """Return the foot point of `x` (3,) m reached by descent from `start` (3,) m, nearest or not."""
     at = in_pitches(shape, start)
-    foot, looks = descend(shape, in_pitches(shape, x), Place(at[0], at[1]), FAR)
-    return touched(shape, x, Found(foot, FAR, True, LOOK * looks))
+    foot, looks = descend(shape, in_pitches(shape, x), MapPoint(at[0], at[1]), FAR)
+    return touched(shape, x, MapSearch(foot, FAR, True, LOOK * looks))
 
 
 @outlined
-def nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> Touched:
+def nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> TouchedPoint:
     """Return the nearest point; no search is needed if the foot point found from `start` is known to be the nearest."""
     p, at = in_pitches(shape, x), in_pitches(shape, start)
-    foot, looks = descend(shape, p, Place(at[0], at[1]), FAR)
+    foot, looks = descend(shape, p, MapPoint(at[0], at[1]), FAR)
     spent = LOOK * looks + AROUND
-    found = Found(foot, FAR, True, spent)
+    found = MapSearch(foot, FAR, True, spent)
     if not convex_around(shape, p, foot):
         found = search(shape, p, foot, budget - spent)
-        found = Found(found.foot, found.bound, found.whole, found.spent + spent)
+        found = MapSearch(found.foot, found.bound, found.whole, found.spent + spent)
     return touched(shape, x, found)
 
 
@@ -213,14 +212,14 @@ def gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> Gap:
         return Gap(FAR, True, 1)
     if budget <= 0:
         return Gap(sqrt(square_to_box(whole)) * shape.pitch if whole.w > 0.0 else -FAR, False, 1)
-    foot, looks = descend(shape, p, Place(p[0], p[1]), FAR)
+    foot, looks = descend(shape, p, MapPoint(p[0], p[1]), FAR)
     spent = LOOK * looks + AROUND
-    found = Found(foot, FAR, True, spent)
+    found = MapSearch(foot, FAR, True, spent)
     if not convex_around(shape, p, foot):
         if foot.square > most * most and not is_below(shape, x):
-            foot = Foot(-FAR, -FAR, foot.height, most * most)
+            foot = MapFoot(-FAR, -FAR, foot.height, most * most)
         found = search(shape, p, foot, budget - spent)
-        found = Found(found.foot, found.bound, found.whole, found.spent + spent + LOOK)
+        found = MapSearch(found.foot, found.bound, found.whole, found.spent + spent + LOOK)
         if found.foot.s == -FAR:  # no foot point within the limit
             return Gap(FAR if found.whole else found.bound * shape.pitch, found.whole, found.spent)
     near = touched(shape, x, found)
@@ -244,7 +243,7 @@ def above(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
 
 
 @jit
-def as_asked(x: Vec3, near: Touched) -> tuple[float, Vec3, Vec3]:
+def as_asked(x: Vec3, near: TouchedPoint) -> tuple[float, Vec3, Vec3]:
     """Return consistent gap, point and normal: if the gap is a bound, the point is moved to that distance."""
     if near.whole or near.gap < 0.0:
         return near.gap, near.point, near.normal
@@ -272,10 +271,10 @@ def downhill_from_two(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tu
     if budget < 0:
         gap, point, normal = touching(shape, x, foot_at(shape, p, p[0], p[1]))
         return gap, point, normal, budget
-    foot, looks = descend(shape, p, Place(p[0], p[1]), FAR)
+    foot, looks = descend(shape, p, MapPoint(p[0], p[1]), FAR)
     budget -= LOOK * looks + AROUND
     if not convex_around(shape, p, foot):
-        other, looks = descend(shape, p, Place(at[0], at[1]), FAR)
+        other, looks = descend(shape, p, MapPoint(at[0], at[1]), FAR)
         budget -= LOOK * looks
         if other.square < AS_NEAR * foot.square:
             foot = other

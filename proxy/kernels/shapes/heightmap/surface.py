@@ -60,12 +60,12 @@ class Height(NamedTuple):
     tt: float
 
 
-class Place(NamedTuple):
+class MapPoint(NamedTuple):
     s: float
     t: float
 
 
-class Foot(NamedTuple):
+class MapFoot(NamedTuple):
     """Foot point (s, t), height and derivatives there, and the squared distance; all in pitches."""
 
     s: float
@@ -144,21 +144,21 @@ def height_at(shape: Heightmap, s: float, t: float) -> Height:
 
 
 @jit
-def foot_at(shape: Heightmap, p: Vec3, s: float, t: float) -> Foot:
+def foot_at(shape: Heightmap, p: Vec3, s: float, t: float) -> MapFoot:
     here = height_at(shape, s, t)
     ds, dt, w = s - p[0], t - p[1], here.z - p[2]
-    return Foot(s, t, here, ds * ds + dt * dt + w * w)
+    return MapFoot(s, t, here, ds * ds + dt * dt + w * w)
 
 
 @jit
-def gradient(p: Vec3, foot: Foot) -> tuple[float, float]:
+def gradient(p: Vec3, foot: MapFoot) -> tuple[float, float]:
     """Return g, half of the gradient of the squared distance."""
     w = foot.height.z - p[2]
     return foot.s - p[0] + w * foot.height.s, foot.t - p[1] + w * foot.height.t
 
 
 @jit
-def newton(p: Vec3, foot: Foot) -> tuple[float, float]:
+def newton(p: Vec3, foot: MapFoot) -> tuple[float, float]:
     """Return the Newton step; where D is not convex, with the absolute values of the eigenvalues of H."""
     h = foot.height
     w = h.z - p[2]
@@ -176,7 +176,7 @@ def newton(p: Vec3, foot: Foot) -> tuple[float, float]:
 
 
 @jit
-def descend(shape: Heightmap, p: Vec3, start: Place, reach: float) -> tuple[Foot, int]:
+def descend(shape: Heightmap, p: Vec3, start: MapPoint, reach: float) -> tuple[MapFoot, int]:
     """Descend from `start` to a foot point of `p`; return it and the number of height evaluations.
 
     reach  distance along s or t from `start` at which the descent stops without a foot point
@@ -220,7 +220,7 @@ def is_below(shape: Heightmap, x: Vec3) -> bool:
 
 
 @jit
-def touching(shape: Heightmap, x: Vec3, foot: Foot) -> tuple[float, Vec3, Vec3]:
+def touching(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, Vec3]:
     """Return gap (m), point (3,) m and normal (3,) at a foot point of `x` (3,) m."""
     h = foot.height
     point = (

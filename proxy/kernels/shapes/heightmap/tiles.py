@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Heightmap, Vec3
-from softfinger.proxy.kernels.shapes.heightmap.surface import Foot, Place, gradient, held
+from softfinger.proxy.kernels.shapes.heightmap.surface import MapFoot, MapPoint, gradient, held
 
 LEVELS: Final = 24
 """Upper bound of the number of levels of any map."""
@@ -108,7 +108,7 @@ def square_to_box(tile: Tile) -> float:
 
 
 @jit
-def to_facet(tile: Tile) -> tuple[float, Place]:
+def to_facet(tile: Tile) -> tuple[float, MapPoint]:
     """Return the squared distance from the point to the facet, and the nearest position relative to the point."""
     b1, b2, half = tile.b1, tile.b2, tile.half
     steep = 1.0 + b1 * b1 + b2 * b2
@@ -129,7 +129,7 @@ def to_facet(tile: Tile) -> tuple[float, Place]:
             other += (edge_t - tile.v) * (edge_t - tile.v)
             if other < square:
                 square, s, t = other, at, edge_t
-    return square, Place(s - tile.u, t - tile.v)
+    return square, MapPoint(s - tile.u, t - tile.v)
 
 
 @jit
@@ -164,7 +164,7 @@ def tiles_around(shape: Heightmap, p: Vec3, reach: float, side: int) -> Around:
 
 
 @jit
-def convex_around(shape: Heightmap, p: Vec3, foot: Foot) -> bool:
+def convex_around(shape: Heightmap, p: Vec3, foot: MapFoot) -> bool:
     """Return True if the distance is convex over all tiles that may be closer than the foot point.
 
     The foot point is then the nearest point.
@@ -178,7 +178,7 @@ def convex_around(shape: Heightmap, p: Vec3, foot: Foot) -> bool:
 
 
 @jit
-def has(tile: Tile, foot: Foot) -> bool:
+def has(tile: Tile, foot: MapFoot) -> bool:
     return abs(foot.s - tile.middle_s) <= tile.half and abs(foot.t - tile.middle_t) <= tile.half
 
 
@@ -195,7 +195,7 @@ def least_along(slope: float, place: float, half: float) -> float:
 
 
 @jit
-def beaten(p: Vec3, tile: Tile, place: Foot, square: float) -> bool:
+def beaten(p: Vec3, tile: Tile, place: MapFoot, square: float) -> bool:
     """Return True if no point of the tile is closer than the squared distance `square`.
 
     A convex function is nowhere below its tangent plane, here that at `place`.

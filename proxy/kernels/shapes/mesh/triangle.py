@@ -10,11 +10,11 @@ from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, direction
 
 FACE = 6
 """Number of the face as a feature of the triangle; 0 to 2 are its edges, 3 to 5 its corners."""
-FAN = 12
+CORNER_TRIANGLES_MAX = 12
 """Limit of the triangles visited round a corner, in each direction."""
-TIE = 1e-11
+SAME_DISTANCE = 1e-11
 """Share by which squared distances from an edge or a corner must differ, so that the difference is not rounding."""
-BESIDE = 100.0 * TIE
+BESIDE = 100.0 * SAME_DISTANCE
 """Limit for a foot point on an edge: its squared distance from a corner as a share of that from x. Below it, another
 triangle round the corner may be closer, while the one across the edge is closer only by rounding."""
 ON_IT = 1e-14
@@ -145,7 +145,7 @@ def is_nearer(foot: Foot, square: float) -> bool:
 
     On an edge or a corner, it has to be closer by more than rounding: otherwise two triangles could alternate.
     """
-    return foot.square <= square if foot.feature == FACE else foot.square < square * (1.0 - TIE)
+    return foot.square <= square if foot.feature == FACE else foot.square < square * (1.0 - SAME_DISTANCE)
 
 
 @jit
@@ -155,13 +155,13 @@ def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, square: float)
     at      corner of the triangle `number`
     square  m^2  squared distance of the corner
 
-    Visits the triangles connected by edges, up to FAN in each direction, without a descent: for most of them the corner
-    is the nearest point, so their distances do not show where a closer one is.
+    Visits the triangles connected by edges, up to CORNER_TRIANGLES_MAX in each direction, without a descent: for most
+    of them the corner is the nearest point, so their distances do not show where a closer one is.
     """
     vertex, found = mesh.corners[3 * number + at], -1
     for turn in (0, 2):  # across the edge that starts at the corner, and across the one that ends there
         here, corner = number, at
-        for _ in range(FAN):
+        for _ in range(CORNER_TRIANGLES_MAX):
             here = int(mesh.across[3 * here + (corner + turn) % 3])
             if here < 0 or here == number:
                 break
