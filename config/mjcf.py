@@ -116,7 +116,8 @@ def _compile(path: str, root: str | None) -> Compiled:
         raise ConfigError(f"world.model {name}: cannot be read: {reason}") from error
     home = Path(os.path.realpath(Path(path).parent if root is None else root))
     names = check_files(text, Path(path), name, home)
-    folder = os.path.dirname(os.path.abspath(path))
+    path = os.path.abspath(path)  # MuJoCo puts a relative one in front of files of included models
+    folder = os.path.dirname(path)
     try:
         listed = package.mju_getXMLDependencies(path)
         parts = [path, *(file for file in listed if os.path.basename(file) in names.parts)]

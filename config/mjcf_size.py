@@ -55,7 +55,7 @@ BOUNDS: Final[Mapping[str, tuple[Bound, ...]]] = {
     "flexcomp": (Bound(("count",), 16_000), Bound(("cellcount",), 1000)),
     "flex": (Bound(("cellcount",), 1000),),
     "user": (Bound(("dim",), 1_000_000),),
-    "camera": (Bound(("resolution",), 1_000_000),),
+    "camera": (Bound(("resolution",), 1 << 22),),  # a rangefinder has a value for each pixel
     "size": tuple(
         Bound((name,), most)
         for name, most in (

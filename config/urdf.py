@@ -7,6 +7,7 @@ the files of a package; they are searched here, from the folder of the URDF upwa
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,12 +29,18 @@ def located(given: str, folder: Path, home: Path) -> Path:
     """
     if not given.startswith(PACKAGES):
         return folder / given.removeprefix("file://")
+    ways = list(_ways(given, folder))
+    inside = (way for _, way in ways if way.is_file() and Path(os.path.realpath(way)).is_relative_to(home))
+    return next(inside, ways[0][1])
+
+
+def _ways(given: str, folder: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield folders that may have the package of a file, upwards from `folder`, and the path of the file in each."""
     within = given.partition("://")[2].lstrip("/")
     start = Path(os.path.abspath(folder))
-    above = (each for each in (start, *start.parents) if Path(os.path.realpath(each)).is_relative_to(home))
-    ways = [each / way for each in above for way in (within, within.partition("/")[2])]
-    inside = (way for way in ways if way.is_file() and Path(os.path.realpath(way)).is_relative_to(home))
-    return next(inside, start / within)
+    for above in (start, *start.parents):
+        yield above, above / within
+        yield above, above / within.partition("/")[2]
 
 
 def complete(spec: Any, folder: Path, home: Path, model: str) -> None:
@@ -55,8 +62,9 @@ def complete(spec: Any, folder: Path, home: Path, model: str) -> None:
         path = located(mesh.file, folder, home)
         check_place(path, home, f"{model}: the file {mesh.file}")
         if not path.is_file():
+            higher = next((above for above, way in _ways(mesh.file, folder) if way.is_file()), folder.parent)
             raise ConfigError(
                 f"world.model {model}: {mesh.file} is not found from its folder up to {home}: name a folder that has "
-                'the package: [world] root = ".."'
+                f'the package: [world] root = "{os.path.relpath(higher, folder)}"'
             )
         mesh.file = str(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from pathlib import Path
 from typing import Any
@@ -110,6 +111,19 @@ def test_folders_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     with pytest.raises(ConfigError, match=r"<flexcomp file='\.\./wedge\.obj'> is outside"):
         load_scene(written(tmp_path / "a/flex.xml", flex, '<compiler meshdir="sub"/>'))
+
+
+def test_a_file_beside_an_included_one_is_found_from_any_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo puts the path of the included file's folder in front, which begins with that of the model."""
+    stl(tmp_path / "models/inner/wedge.stl")
+    written(tmp_path / "models/inner/part.xml", MESH.format("wedge.stl"))
+    scene = written(tmp_path / "models/outer.xml", '<include file="inner/part.xml"/>')
+    for folder in (tmp_path, tmp_path / "models", tmp_path / "models/inner"):
+        monkeypatch.chdir(folder)
+        (part,) = load_scene(Path(os.path.relpath(scene))).object
+        np.testing.assert_allclose(by_row(placed(part)), by_row(0.01 * WEDGE), atol=FLOAT32)
 
 
 def test_groups_of_an_obj_file_are_refused(tmp_path: Path) -> None:

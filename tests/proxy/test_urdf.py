@@ -73,16 +73,19 @@ def test_geoms_are_called_as_their_links_and_meshes_are_found_in_the_folder(besi
 
 @pytest.mark.parametrize("prefix", ["package://toys", "package:///toys", "model://toys"])
 def test_a_package_is_searched_in_the_folders_above(prefix: str, tmp_path: Path) -> None:
-    """Up to the root, with its name and without; MuJoCo permits white space in front of the XML."""
-    folder = tmp_path / "toys" / "urdf"
+    """Up to the root, with its name and without; MuJoCo permits white space in front of the XML.
+
+    A root that would have the package is suggested.
+    """
+    folder = tmp_path / "toys" / "robots" / "urdf"
     folder.mkdir(parents=True)
-    model = Path(written(folder, f"{prefix}/meshes/lid.stl", "../meshes/lid.stl"))
+    model = Path(written(folder, f"{prefix}/meshes/lid.stl", "../../meshes/lid.stl"))
     model.write_text(f"\n<?xml version='1.0'?>{model.read_text()}\n")
     material = schema.Material(stiffness_n_per_m=1.0)
     for root in (tmp_path, tmp_path / "toys"):
         world = schema.World(model=str(model), root=str(root), material=material)
         assert [each.name for each in taken(world)] == ["bottom", "lid", "lid 2"]
-    with pytest.raises(ConfigError, match=r'toys/meshes/lid\.stl is not found .* \[world\] root = "\.\."'):
+    with pytest.raises(ConfigError, match=r'toys/meshes/lid\.stl is not found .* \[world\] root = "\.\./\.\."'):
         list(taken(schema.World(model=str(model), material=material)))
 
 
