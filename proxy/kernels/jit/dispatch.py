@@ -70,21 +70,16 @@ def chosen_by(
     def kernel_for(kind: Any) -> Callable[..., Any] | None:
         return kernels.get(kind) if kind is None or kind in kernels else kernels.get(_OTHERS)
 
-    class Chosen(dict[Any, Callable[..., Any]]):
-        """Cache of the kernel for each value of `sort`: a scene in plain Python makes hundreds of choices a tick."""
-
-        def __missing__(self, of: Any) -> Callable[..., Any]:
-            kernel = kernel_for(kind_of(of))
-            if kernel is None:
-                raise TypeError(f"{declaration.__qualname__} is not defined for {kind_of(of)}")
-            self[of] = kernel
-            return kernel
-
-    chosen = Chosen()
+    chosen: dict[Any, Callable[..., Any]] = {}  # a scene in plain Python makes hundreds of choices a tick
 
     @functools.wraps(declaration)
     def call(node: Any, *rest: Any) -> Any:
-        return chosen[sort(node)](node, *rest)
+        of = sort(node)
+        kernel = chosen.get(of) or kernel_for(kind_of(of))
+        if kernel is None:
+            raise TypeError(f"{declaration.__qualname__} is not defined for {kind_of(of)}")
+        chosen[of] = kernel
+        return kernel(node, *rest)
 
     def of(*kinds: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def register(kernel: Callable[..., Any]) -> Callable[..., Any]:
