@@ -312,8 +312,10 @@ class Engine:
             raise self._several()
         try:
             # Numbers are written in a third of the time that assignments to arrays take.
-            x, y, z = position.tolist() if isinstance(position, np.ndarray) else position  # type: ignore[misc]
-            a, b, c, d = orientation.tolist() if isinstance(orientation, np.ndarray) else orientation  # type: ignore[misc]
+            centre: Any = position.tolist() if isinstance(position, np.ndarray) else position
+            turned: Any = orientation.tolist() if isinstance(orientation, np.ndarray) else orientation
+            x, y, z = centre
+            a, b, c, d = turned
             self._write_pose(x, y, z, a, b, c, d)
         except (TypeError, ValueError, OverflowError, struct.error):
             raise PoseError(
