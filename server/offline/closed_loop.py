@@ -7,7 +7,7 @@ returns only figures; kernels of a study call it for each case. `close_many` cal
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import sqrt
 from typing import Any, Final, NamedTuple
 
@@ -208,13 +208,24 @@ class ClosedLoop:
         self.scene: Final = tuning.scene
         start = begin(tuning.scene)
         self._parameters, self._state = (tuning, start), (start, tuple(states))
-        self._parameter_values, self._start_values = flatten(self._parameters), flatten(self._state)
-        self._state_values = self._start_values.copy()
+        self._state_values = flatten(self._state)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        self._parameter_values = flatten(self._parameters)
         self._advance: Callable[..., None] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state from which a copy continues: addresses of arrays and machine code are not part of it."""
+        return {name: vars(self)[name] for name in ("scene", "_parameters", "_state", "_state_values")}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        vars(self).update(state)
+        self._prepare()
 
     def reset(self) -> None:
         """Return to the start; `begin_bodies` does that for the bodies of a [world]."""
-        self._state_values[:] = self._start_values
+        self._state_values[:] = flatten(self._state)
 
     def run(self, hands: tuple[DrivenPlant, ...], dt: float, first: int, records: Array) -> None:
         """Run a tick for each of `records`, as `record_ticks`. Raises SafetyStop if the bodies of a [world] fail."""
