@@ -139,7 +139,7 @@ class Field:
     @property
     def at(self) -> int:
         """First column of the field in a record."""
-        return AT[FIELDS.index(self)]
+        return FIRST_COLUMNS[self.name]
 
 
 FIELDS: Final = tuple(
@@ -149,6 +149,9 @@ FIELDS: Final = tuple(
 
 AT: Final = Offsets(*accumulate((field.size for field in FIELDS[:-1]), initial=0))
 """First column of each field by name, also for kernels: `row[AT.contact_mode]`."""
+
+FIRST_COLUMNS: Final = {field.name: at for field, at in zip(FIELDS, AT, strict=True)}
+"""First column of each field by telemetry name."""
 
 NAMED: Final = {field.name: field for field in FIELDS}
 """Fields by telemetry name, to look up names from users."""

@@ -30,15 +30,25 @@ DESCRIPTORS_MIN: Final = 64
 
 
 class Verb(NamedTuple):
-    """Module with `configure(parser)` and `run(args) -> exit code`, and the help text of the verb."""
+    """Module with `configure(parser)` and `run(args) -> exit code`, and the help text of the verb.
+
+    `options` names the module with `configure` if the other one takes long to import.
+    """
 
     module: str
     help: str
+    options: str = ""
 
 
 VERBS: Final = {
-    "run": Verb("softfinger.server.verbs.run", "the daemon: device, contact, telemetry"),
-    "simulate": Verb("softfinger.server.verbs.simulate", "the same step offline, over recorded poses"),
+    "run": Verb(
+        "softfinger.server.verbs.run", "the daemon: device, contact, telemetry", "softfinger.server.verbs.run_options"
+    ),
+    "simulate": Verb(
+        "softfinger.server.verbs.simulate",
+        "the same step offline, over recorded poses",
+        "softfinger.server.verbs.simulate_options",
+    ),
     "monitor": Verb("softfinger.server.verbs.monitor", "live dashboard of a running daemon"),
     "view": Verb("softfinger.server.verbs.view", "a page in the browser: the picture, and a mouse for a hand"),
     "record": Verb("softfinger.server.verbs.record", "a running daemon into a file: everything, or the poses"),
@@ -127,11 +137,12 @@ def run_verb(words: list[str]) -> int:
         handlers=[to_stderr()],
     )
     progress.set_enabled(not args.quiet)
+    run = importlib.import_module(VERBS[args.verb].module).run
     signals.mark_imported()
     if not gc.isenabled():  # imported objects are never garbage: exclude them from collections
         gc.freeze()
         gc.enable()
-    code: int = args.run(args)
+    code: int = run(args)
     return code
 
 
@@ -232,9 +243,7 @@ def make_parser(verbs: list[str] | None = None) -> argparse.ArgumentParser:
     for name, verb in VERBS.items():
         command = commands.add_parser(name, help=verb.help, description=f"softfinger {name}: {verb.help}.")
         if verbs is None or name in verbs:
-            module = importlib.import_module(verb.module)
-            module.configure(command)
-            command.set_defaults(run=module.run)
+            importlib.import_module(verb.options or verb.module).configure(command)
     return parser
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from softfinger.config.load import SceneSource
 from softfinger.drivers.simulated.options import Hand
+from softfinger.proxy.record import NAMED, Field
 from softfinger.proxy.records import Records
 from softfinger.server.bridges.led_hands import (
     POSITION_BOUND_M,
@@ -90,6 +91,7 @@ class Touch(LedHands):
     def __init__(self, scene: SceneSource = "paper-plane", setup: Setup | None = None, **changes: Any) -> None:
         setup = setup or Setup(**changes)
         super().__init__(scene, setup, [setup.home_m])
+        self._scale: Final = np.repeat([setup.speed_m_per_s, setup.turn_rad_per_s], 3)
         force, torque = self._guard.force_max_n, self._guard.torque_max_nm
         self._fields: Final[dict[str, spaces.Space[Any]]] = {
             "probe.position": box_space(POSITION_BOUND_M, 3),
@@ -102,6 +104,10 @@ class Touch(LedHands):
             "contact.normal": box_space(1.0 + 1e-9, 3),
             "contact.spin": box_space(SPIN_BOUND_RAD),
         }
+        self._readings: Final = [
+            (name, _columns(NAMED[name]), np.int64 if isinstance(space, spaces.Discrete) else np.array)
+            for name, space in self._fields.items()
+        ]
         goal = {"goal.position": box_space(POSITION_BOUND_M, 3), "goal.orientation": box_space(1.0 + 1e-9, 4)}
         self.observation_space = spaces.Dict({**self._fields, **goal})
         self._start()
@@ -114,32 +120,25 @@ class Touch(LedHands):
         """Return False: a step never ends the task."""
         return False
 
-    def _plan_goals(self, action: Array) -> Array:
-        goals = super()._plan_goals(action)
-        goals[:, 0, 3:] = _rotate_by(self._times * (self.setup.turn_rad_per_s * action[3:]), self._goals[0, 3:])
-        return goals
+    def _velocities(self, action: Array) -> Array:
+        velocities: Array = (action * self._scale)[None]
+        return velocities
 
     def _run(self, goals: Array) -> Records:
         records: list[Records] = list(super()._run(goals).values())
         return records[0]
 
     def _observe(self, records: Records) -> Observation:
-        last = records[-1]
-        observation: Observation = {
-            name: np.int64(last[name]) if isinstance(space, spaces.Discrete) else np.array(last[name])
-            for name, space in self._fields.items()
-        }
-        return observation | {"goal.position": self._goals[0, :3].copy(), "goal.orientation": self._goals[0, 3:].copy()}
+        last = np.asarray(records)[-1]
+        observation: Observation = {name: kind(last[columns]) for name, columns, kind in self._readings}
+        observation["goal.position"] = self._goals[0, :3].copy()
+        observation["goal.orientation"] = self._goals[0, 3:].copy()
+        return observation
 
 
-def _rotate_by(rotations: Array, orientation: Array) -> Array:
-    """Return quaternions (n, 4): an orientation (4,) rotated by rotation vectors (n, 3), world frame."""
-    angles = np.linalg.norm(rotations, axis=1, keepdims=True)
-    w, v = np.cos(0.5 * angles), 0.5 * np.sinc(0.5 * angles / np.pi) * rotations
-    w0, v0 = orientation[0], orientation[1:]
-    rotated = np.hstack([w * w0 - (v @ v0)[:, None], w * v0 + w0 * v + np.cross(v, v0)])
-    unit: Array = rotated / np.linalg.norm(rotated, axis=1, keepdims=True)
-    return unit
+def _columns(field: Field) -> int | slice:
+    """Return the index of a field in a row of a record."""
+    return field.at if field.size == 1 else slice(field.at, field.at + field.size)
 
 
 gymnasium.register(NAME, entry_point=Touch)

@@ -82,7 +82,7 @@ class Lift(LedHands):
         setup = setup or LiftSetup(**changes)
         super().__init__(scene, setup, setup.homes_m)
         self.fingers: Final = tuple(finger.name for finger in self.config.fingers)
-        bodies: Any = self._tuning.like.scene.bodies
+        bodies: Any = self._loop.scene.bodies
         if bodies is None:
             raise ConfigError("the scene has no [world]: this environment needs a body that moves by itself")
         self.world: Final = bodies.block.owner

@@ -7,19 +7,21 @@ returns only figures; kernels of a study call it for each case. `close_many` cal
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import sqrt
 from typing import Any, Final, NamedTuple
 
+import numba
 import numpy as np
+from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
 from softfinger.drivers.simulated.options import Simulation
 from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, Plant, PlantInputs, PlantState, advance, goal_at, sense
 from softfinger.proxy.bodies import begin_bodies, check_bodies
-from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry, jit
-from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
+from softfinger.proxy.kernels.jit.decorators import OPTIONS, PLAIN, entry, jit
+from softfinger.proxy.kernels.jit.pack import Packed, flatten, pack, unpack
 from softfinger.proxy.kernels.jit.tuples import map_each, rows_of
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.bodies import step_bodies
@@ -146,33 +148,81 @@ def advance_device(hand: DrivenPlant, state: Any, finger: FingerMemory, tick_num
 
 @entry
 def record_ticks(
-    tuning_packed: Packed,
-    memory_packed: Packed,
+    parameters: Any,
+    parameter_values: Array,
+    state: Any,
+    state_values: Array,
     hands: Any,
-    states_packed: Packed,
     dt: float,
     first: int,
     records: Array,
 ) -> None:
     """Run a tick of `dt` s for each row of `records` (n, fingers, RECORD_SIZE), from tick `first`.
 
-    tuning_packed  Tuning
-    memory_packed  Memory; `like` is the initial one, `values` are the current values, which are updated
-    hands          tuple of a DrivenPlant for each finger
-    states_packed  tuple of a PlantState for each finger; `values` are updated
+    parameters  type of (Tuning, initial Memory), with the leaves `parameter_values`
+    state       type of (Memory, tuple of a PlantState for each finger); the leaves `state_values` are updated
+    hands       tuple of a DrivenPlant for each finger
     """
-    start = memory_packed.like
-    tuning = unpack(tuning_packed.like, tuning_packed.values)
-    memory = unpack(start, memory_packed.values)
-    states = unpack(states_packed.like, states_packed.values)
+    tuning, start = unpack(parameters, parameter_values)
+    memory, states = unpack(state, state_values)
     for i in range(records.shape[0]):
         rows = rows_of(memory.fingers, records[i], 0)
         memory = tick(tuning, start, memory, map_each(sense_device, (hands, states)), dt, dt, first + i, rows)
         step_bodies(tuning.scene.bodies)
         records[i, :, 0] = (first + i) * dt
         states = map_each(advance_device, (hands, states, memory.fingers), first + i + 1)
-    pack(memory_packed.values, memory)
-    pack(states_packed.values, states)
+    pack(state_values, (memory, states))
+
+
+class ClosedLoop:
+    """Scene and guard with a simulated device for each finger, at the start of a run.
+
+    numba's dispatcher would determine the types of all parameters on each call, in a hundred microseconds: the kernel
+    is compiled for them on the first.
+
+    tuning  Tuning
+    states  PlantState of each device
+    """
+
+    def __init__(self, tuning: Tuning, states: Sequence[PlantState]) -> None:
+        self.scene: Final = tuning.scene
+        start = begin(tuning.scene)
+        self._parameters, self._state = (tuning, start), (start, tuple(states))
+        self._state_values = flatten(self._state)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        self._parameter_values = flatten(self._parameters)
+        self._advance: Callable[..., None] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state from which a copy continues: addresses of arrays and machine code are not part of it."""
+        return {name: vars(self)[name] for name in ("scene", "_parameters", "_state", "_state_values")}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        vars(self).update(state)
+        self._prepare()
+
+    def reset(self) -> None:
+        """Return to the start; `begin_bodies` does that for the bodies of a [world]."""
+        self._state_values[:] = flatten(self._state)
+
+    def run(self, hands: tuple[DrivenPlant, ...], dt: float, first: int, records: Array) -> None:
+        """Run a tick for each of `records`, as `record_ticks`. Raises SafetyStop if the bodies of a [world] fail."""
+        advance = self._advance or self._compile(hands)
+        advance(self._parameters, self._parameter_values, self._state, self._state_values, hands, dt, first, records)
+        check_bodies(self.scene)
+
+    def _compile(self, hands: tuple[DrivenPlant, ...]) -> Callable[..., None]:
+        kernel: Any = record_ticks
+        if not PLAIN:
+            parameters, state = (types.TypeRef(numba.typeof(tree)) for tree in (self._parameters, self._state))
+            leaves, table = types.float64[::1], types.float64[:, :, ::1]
+            arguments = parameters, leaves, state, leaves, numba.typeof(hands), types.float64, types.int64, table
+            kernel = kernel.compile(arguments)
+        advance: Callable[..., None] = kernel
+        self._advance = advance
+        return advance
 
 
 def run_closed_loop(tuning: Tuning, devices: Sequence[Simulation], rate_hz: float, ticks: int) -> Iterator[Array]:
@@ -183,16 +233,14 @@ def run_closed_loop(tuning: Tuning, devices: Sequence[Simulation], rate_hz: floa
     """
     dt = period_ns(rate_hz) / NS_PER_S
     begin_bodies(tuning.scene, dt)
-    scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
-    states = packed(tuple(device.state for device in devices))
+    loop = ClosedLoop(tuning, [device.state for device in devices])
     hands = tuple(
         DrivenPlant(each.plant, PlantInputs(each.intention, each.poses, np.zeros(DELAY_LINE_SIZE))) for each in devices
     )
     with progress("simulating", ticks) as done:
         for first in range(0, ticks, CHUNK):
             records = np.zeros((min(CHUNK, ticks - first), len(devices), RECORD_SIZE))
-            record_ticks(scene_and_guard, memory, hands, states, dt, first, records)
-            check_bodies(tuning.scene)
+            loop.run(hands, dt, first, records)
             yield records
             done(first + len(records))
 

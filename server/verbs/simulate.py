@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,8 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT, CAUSE_NAMES, MODE_NAMES
-from softfinger.server.arguments import check_distinct, default_rig, duration, files_by_finger
+from softfinger.server.arguments import check_distinct, default_rig, files_by_finger
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.figures import plot_file
 from softfinger.server.offline.run_figure import DRAWN, draw_run
 from softfinger.server.offline.simulate import load_finger_poses, simulate_devices, simulate_poses
 from softfinger.server.recording.results import write_blocks
@@ -23,32 +21,6 @@ Array = NDArray[np.float64]
 
 DURATION_S = 10.0
 """Default duration of a run with simulated devices."""
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--scene", required=True, help="scene file or the name of a shipped one")
-    poses_or_device = parser.add_mutually_exclusive_group(required=True)
-    poses_or_device.add_argument(
-        "--poses",
-        action="append",
-        metavar="P",
-        help="CSV, npz or MCAP file, or a shipped recording; of several fingers an MCAP of all, or NAME=P for each",
-    )
-    poses_or_device.add_argument(
-        "--device", metavar="D", help="devices that are computed: simulated; they feel the force"
-    )
-    parser.add_argument("--out", required=True, type=Path, help="where to: .csv, .npz or .mcap")
-    parser.add_argument(
-        "--plot", type=plot_file, metavar="FILE.png", help="draw depth, force, angles and modes (.png, .svg)"
-    )
-    parser.add_argument("--duration", type=duration, metavar="S", help="with --device: how long (10)")
-    parser.add_argument("--method", help="rolling method in place of the scene's")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="tick rate in place of the rig's (1000)")
-    parser.add_argument(
-        "--rig",
-        help="rig whose guard limits the force, and whose options the device has (replay; with --device "
-        "simulated-SCENE, or simulated where there is none)",
-    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -11,13 +11,11 @@ from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema.pairing import pair
 from softfinger.drivers.simulated.options import Options, make_simulation
 from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, PlantInputs
-from softfinger.proxy.bodies import begin_bodies, check_bodies
-from softfinger.proxy.kernels.jit.pack import packed
+from softfinger.proxy.bodies import begin_bodies
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.proxy.records import Records
-from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.closed_loop import DrivenPlant, record_ticks
+from softfinger.server.offline.closed_loop import ClosedLoop, DrivenPlant
 
 DT = 1e-3
 
@@ -42,15 +40,13 @@ class SimulatedHands:
             DrivenPlant(each.plant, PlantInputs(each.intention, each.poses, np.zeros(DELAY_LINE_SIZE)))
             for each in devices
         )
-        self._tuning, self._memory = packed(tuning), packed(begin(tuning.scene))
-        self._states = packed(tuple(each.state for each in devices))
+        self._loop = ClosedLoop(tuning, [each.state for each in devices])
         self._ticks = 0
         begin_bodies(tuning.scene, DT)
 
     def until(self, seconds: float) -> dict[str, Records]:
         """Records of each finger, by name, from where it stands to a time since the beginning."""
         records = np.zeros((round(seconds / DT) - self._ticks, len(self._hands), RECORD_SIZE))
-        record_ticks(self._tuning, self._memory, self._hands, self._states, DT, self._ticks, records)
-        check_bodies(self._tuning.like.scene)
+        self._loop.run(self._hands, DT, self._ticks, records)
         self._ticks += len(records)
         return {name: Records(np.ascontiguousarray(records[:, at])) for at, name in enumerate(self._names)}

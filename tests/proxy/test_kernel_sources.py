@@ -81,7 +81,7 @@ import sys
 from pathlib import Path
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
 from softfinger.proxy.kernels.jit.cache import sources_of
-print(CACHE_DIR, *(sources_of(Path(sys.argv[1], *name.split("/"))) for name in sys.argv[2:]), sep="\n")
+print(CACHE_DIR, *(sources_of(str(Path(sys.argv[1], *name.split("/")))) for name in sys.argv[2:]), sep="\n")
 """
 
 

@@ -78,12 +78,11 @@ def test_what_is_compiled_into_its_callers_has_no_machine_code(tmp_path: Any) ->
 
     folder, hits = Folder(tmp_path / "kernels"), []
     for _ in range(2):
-        kernel: Any = Inlined(half, decorators.INLINED, decorators.entry)
-        kernel._cache = KernelCache(half, folder, "inlined")
+        kernel: Any = Inlined(half, decorators.INLINED, KernelCache(half, folder, "inlined"), decorators.entry)
         caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, kernel=kernel: kernel(x) + kernel(x + 1.0))
         assert caller(3.0) == 3.5
-        hits.append(sum(kernel.stats.cache_hits.values()))
-        (made,) = kernel.overloads.values()
+        hits.append(sum(kernel.dispatcher.stats.cache_hits.values()))
+        (made,) = kernel.dispatcher.overloads.values()
         assert isinstance(made.library, InlinedCode) and not made.type_annotation
         engine = cpu_target.target_context.codegen()._engine
         assert not engine.is_symbol_defined(made.fndesc.llvm_func_name)
@@ -94,8 +93,9 @@ def test_what_has_no_wrapper_is_compiled_once_more_for_python() -> None:
     """`CPUDispatcher`: numba by itself calls address 0 and ends the program; a kernel of ours answers."""
     done = subprocess.run([sys.executable, "-c", BY_ITSELF], capture_output=True, check=False)
     assert done.returncode < 0
-    kernel: Any = Inlined(lambda x: 2.0 * x, decorators.INLINED, decorators.entry)
+    kernel: Any = decorators.jit(lambda x: 2.0 * x)
     assert kernel(2.0) == 4.0
+    assert "dispatcher" not in vars(kernel)  # only a kernel that calls it needs one: an import makes none
 
 
 def test_a_compiled_kernel_goes_to_a_file_and_comes_back(tmp_path: Any) -> None:

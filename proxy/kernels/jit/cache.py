@@ -194,7 +194,7 @@ def written_in(kind: Any, file: str) -> None:
     module = getattr(sys.modules.get(getattr(kind, "__module__", "")), "__file__", None)
     for name in {file, file if module is None else module}:
         if not name.startswith(_PROGRAM):
-            WRITTEN.setdefault(kind, {})[name] = sources_of(Path(name))
+            WRITTEN.setdefault(kind, {})[name] = sources_of(name)
 
 
 def kinds_in(signature: Any) -> list[Any]:
@@ -217,23 +217,30 @@ def kinds_in(signature: Any) -> list[Any]:
     return list(found)
 
 
-def sources_of(path: Path) -> str | None:
+def sources_of(file: str) -> str | None:
     """Return a hash over the file of a kernel and everything else that it may inline; None without a file.
 
-    That is its package or, within this program, its folder. The file is read again for each kernel: a module that is
+    That is its package or, within this program, its folder. A file that has changed is read again: a module that is
     imported late may have been edited since. Files in KERNEL_FOLDERS count only by themselves, because the name of the
     cache folder covers them wherever the program is installed.
     """
-    top = path.parent
-    if not str(path).startswith(_PROGRAM):
-        while (top.parent / "__init__.py").is_file():
-            top = top.parent
-    named = str(path).startswith(tuple(f"{_PROGRAM}{folder}{os.sep}" for folder in KERNEL_FOLDERS))
     try:
-        own = hashlib.sha256(path.read_bytes()).hexdigest()
-        return own + (_package(top) if not named and (top / "__init__.py").is_file() else "")
+        found = os.stat(file)
+        return _sources(file, found.st_ino, found.st_mtime_ns, found.st_size)
     except OSError:
         return None
+
+
+@cache
+def _sources(file: str, *version: int) -> str:
+    path = Path(file)
+    top = path.parent
+    if not file.startswith(_PROGRAM):
+        while (top.parent / "__init__.py").is_file():
+            top = top.parent
+    named = file.startswith(tuple(f"{_PROGRAM}{folder}{os.sep}" for folder in KERNEL_FOLDERS))
+    own = hashlib.sha256(path.read_bytes()).hexdigest()
+    return own + (_package(top) if not named and (top / "__init__.py").is_file() else "")
 
 
 @cache

@@ -58,13 +58,31 @@ def _cache_root() -> Path | None:
         return None
 
 
+def _read_sources() -> dict[str, bytes]:
+    """Return the digest of every source file by its path in the package, sorted."""
+    root = f"{_PACKAGE}{os.sep}"
+    paths = [
+        f"{parent}{os.sep}{name}"
+        for top in _SOURCE_FOLDERS
+        for parent, _, names in os.walk(root + top)
+        for name in names
+        if name.endswith(".py")
+    ]
+    paths = sorted(path.removeprefix(root) for path in paths)
+    return {path: _digest(root + path) for path in paths if path != _OWN_FILE}
+
+
+def _digest(path: str) -> bytes:
+    with open(path, "rb", buffering=0) as file:
+        return hashlib.sha256(file.readall()).digest()
+
+
+_SOURCES: Final = _read_sources()
+
+
 def _source_hash(folders: Iterable[str]) -> str:
-    digest = hashlib.sha256()
-    for folder in folders:
-        for path in sorted((_PACKAGE / folder).rglob("*.py")):
-            if path != _PACKAGE / _OWN_FILE:
-                digest.update(path.read_bytes())
-    return digest.hexdigest()
+    within = tuple(f"{folder}{os.sep}" for folder in folders)
+    return hashlib.sha256(b"".join(each for path, each in _SOURCES.items() if path.startswith(within))).hexdigest()
 
 
 SOURCE_HASH: Final = _source_hash(_SOURCE_FOLDERS)
@@ -125,9 +143,7 @@ def jit(function: Kernel) -> Kernel:
     """Compile a kernel into its callers; use `outlined` for one that is too large for that."""
     if PLAIN:
         return function
-    compiled: Any = Inlined(function, INLINED, entry)
-    compiled._cache = KernelCache(function, KEPT, "inlined")
-    return cast(Kernel, compiled)
+    return cast(Kernel, Inlined(function, INLINED, KernelCache(function, KEPT, "inlined"), entry))
 
 
 def entry(function: Kernel) -> Kernel:

@@ -138,7 +138,7 @@ def _address(slot: KernelSlot, rows: Any) -> int:
             return choice(row[0], *rest)
 
     given = types.Tuple((rows, types.float64, *map(numba.typeof, arguments)))
-    inner = Inlined(call, INLINED, entry)
+    inner = Inlined(call, INLINED, None, entry)
     symbol = link_unit(choice.__wrapped__, KEPT, given, lambda: in_and_out(inner, given, numba.typeof(result)))
     return int(llvm.address_of_symbol(symbol))
 

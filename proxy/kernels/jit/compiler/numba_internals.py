@@ -8,7 +8,9 @@ forceinline              A small kernel is compiled into its callers. Without: a
 no_cpython_wrapper, no_cfunc_wrapper
                          Kernels called only by kernels have no wrapper. Without: a scene compiles for 1.6 times as
                          long.
-CPUDispatcher            Such a kernel is compiled again when called from Python. Without: numba jumps to address 0.
+CPUDispatcher, types.Dispatcher
+                         Such a kernel has a dispatcher when a caller is compiled, and is compiled again when called
+                         from Python. Without: numba jumps to address 0.
 _optimize_functions, _optimize_final_module, _codegen
                          Such a kernel is optimised lightly. Without: a scene compiles for 1.14 times as long.
 global_compiler_lock     Needed where no dispatcher compiles. Without: an assertion of numba fails.
@@ -38,7 +40,6 @@ import logging
 import pickle
 import secrets
 from collections.abc import Callable
-from pathlib import Path
 from types import CodeType
 from typing import Any, Final
 
@@ -81,7 +82,7 @@ class KernelCache(NullCache):  # type: ignore[misc]
 
     def __init__(self, function: Callable[..., Any], folder: Folder, kind: str = "") -> None:
         self._function, self._folder, self._kind = function, folder, kind
-        self._own = sources_of(Path(function.__code__.co_filename))
+        self._own = sources_of(function.__code__.co_filename)
 
     @property
     def cache_path(self) -> str:
@@ -231,15 +232,34 @@ class InlinedCompiler(CompilerBase):  # type: ignore[misc]
         return [passes]
 
 
-class Inlined(CPUDispatcher):  # type: ignore[misc]
+class Inlined:
     """Kernel for other kernels, without a Python wrapper.
 
+    Its dispatcher is made when a kernel that calls it is compiled: a program imports hundreds of kernels, and a scene
+    whose kernels are cached needs few of them.
+
+    cache   of its compiled code, None for none
     called  function that compiles the kernel for Python: without a wrapper numba jumps to address 0
     """
 
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any], called: Callable[[Any], Any]) -> None:
-        super().__init__(function, targetoptions={"nopython": True} | options, pipeline_class=InlinedCompiler)
-        self._called = called
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        options: dict[str, Any],
+        cache: KernelCache | None,
+        called: Callable[[Any], Any],
+    ) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func, self._options, self._cache, self._called = function, options, cache, called
+
+    @functools.cached_property
+    def dispatcher(self) -> Any:
+        """Numba's dispatcher of the kernel."""
+        options = {"nopython": True} | self._options
+        made: Any = CPUDispatcher(self.py_func, targetoptions=options, pipeline_class=InlinedCompiler)
+        if self._cache is not None:
+            made._cache = self._cache
+        return made
 
     @functools.cached_property
     def _from_python(self) -> Callable[..., Any]:
@@ -248,6 +268,15 @@ class Inlined(CPUDispatcher):  # type: ignore[misc]
 
     def __call__(self, *args: Any) -> Any:
         return self._from_python(*args)
+
+    def __reduce__(self) -> Any:
+        """Pickle the dispatcher: the key of a cached kernel includes those in its closure."""
+        return self.dispatcher.__reduce__()
+
+
+@typeof_impl.register(Inlined)
+def _type_of_dispatcher(value: Inlined, context: Any) -> types.Dispatcher:
+    return types.Dispatcher(value.dispatcher)
 
 
 class Choice:
