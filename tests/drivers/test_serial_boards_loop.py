@@ -235,7 +235,8 @@ def test_a_line_that_stalls_gives_no_old_force_and_one_that_is_dead_no_word_of_z
                 assert settled(line.queued, lambda waiting: waiting == ZEROS) == ZEROS
 
             pushed()
-            stall()  # after 0.25 s the run would end
+            stall()  # after 0.25 s the run would end; the board switches its motor off after 50 ms
+            assert settled(board.torque, lambda torque: torque == 0.0) == 0.0
             begun = len(board.changes())
             line.stalled.clear()
             pushed()
