@@ -74,7 +74,6 @@ def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub) -> None:
     assert stub.norm() == 0.0 and stub["force_on"] == 0 and stub["opens"] == stub["closes"] == 1
 
 
-@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("fault", "error", "words"),
     [

@@ -84,7 +84,6 @@ def garble(service: Service) -> None:
     service.set(spoil="<html>")
 
 
-@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("fault", "error", "words"),
     [
@@ -136,7 +135,6 @@ def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[
         running.communicate()
 
 
-@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("sent", "code"),
     [

@@ -207,7 +207,6 @@ def test_a_board_is_opened_by_its_reports(way: str, board: str, rig: str, tmp_pa
     assert not any(saw["last"])
 
 
-@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("board", "rig", "said"),
     [

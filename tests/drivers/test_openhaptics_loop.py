@@ -72,7 +72,6 @@ def test_closed_loop_feels_what_the_contact_step_gives(hd: HdStub, touch: TouchB
     assert (hd["opens"], hd["closes"], hd["running"]) == (1, 1, 0)
 
 
-@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("fault", "error", "words"),
     [
@@ -140,7 +139,6 @@ def test_two_in_one_daemon(hd: HdStub, touch: TouchBench, tmp_path: Path) -> Non
 OTHERS = (signal.SIGINT, signal.SIGHUP, signal.SIGXCPU)
 
 
-@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "number", [signal.SIGTERM, signal.SIGKILL, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in OTHERS)]
 )

@@ -76,7 +76,6 @@ def tear(port: Port) -> None:
     port.says = lambda answer: answer[:5]
 
 
-@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("fault", "error", "words"),
     [

@@ -61,7 +61,6 @@ CASES = [
 ]  # fmt: skip
 
 
-@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("number", "name"), CASES)
 def test_a_signal_in_contact_leaves_zero_within_a_second(
     number: signal.Signals, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -201,7 +201,6 @@ def test_watcher_goes_with_a_daemon_that_ends_in_order(tmp_path: Path) -> None:
     assert refused.returncode == 2 and "no other process can switch off the force of replay" in refused.stderr
 
 
-@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("verb", "number"),
     [
