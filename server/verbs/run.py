@@ -6,6 +6,7 @@ import argparse
 import logging
 import sys
 import time
+from pathlib import Path
 from typing import Final
 
 from softfinger.config.errors import ConfigError
@@ -38,6 +39,8 @@ def run(args: argparse.Namespace) -> int:
             changes[key], sources[key] = value, f"command line {flag}"
     if args.once:
         changes["device.loop"], sources["device.loop"] = False, "command line --once"
+    if args.record is not None and not (folder := Path(args.record).absolute().parent).is_dir():
+        raise ConfigError(f"--record {args.record}: there is no folder {folder}: make it, or name another file")
     if args.view:
         check_viewer()
     with report_compilation("kernels that call the device"):  # compiled when the driver is imported
