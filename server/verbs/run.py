@@ -74,7 +74,8 @@ def run(args: argparse.Namespace) -> int:
             is_cached = daemon.servo.compile()
         if not is_cached:
             where = f"kept in {CACHE_DIR}" if KEPT.problem() is None else "not kept"
-            log.info("compiled in %.0f s; %s", time.monotonic() - start_s, where)
+            ahead = f"`softfinger warmup {args.scene}` compiles ahead"
+            log.info("compiled in %.0f s; %s; %s", time.monotonic() - start_s, where, ahead)
         with signals.stop_on_signal(daemon.stop, daemon.pause):
             daemon.start()
             show_progress(daemon, page)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from importlib.metadata import version
 from pathlib import Path
 from zipfile import ZIP_STORED, ZipFile
 
@@ -110,6 +111,7 @@ def test_mcap_is_read_by_the_library_alone(tmp_path: Path) -> None:
     write_results(tmp_path / "o.mcap", records)
     with (tmp_path / "o.mcap").open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().library == f"softfinger {version('softfinger')}"
         summary = reader.get_summary()
         messages = list(reader.iter_decoded_messages())
     assert summary is not None
