@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from html import escape
 from typing import Any, Final, Generic, Self, TypeVar, overload
 
 import numba
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError
-from softfinger.config.load import SceneSource, load_scene, overridden
+from softfinger.config.load import SceneSource, describe, load_scene, numbered, overridden, value_at
 from softfinger.proxy.bodies import RigidBodies, begin_bodies, check_bodies
 from softfinger.proxy.kernels.fingers import poses_in, write_contacts
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
@@ -180,6 +181,8 @@ class Engine:
     >>> engine.set("object.table.material.stiffness_n_per_m", 500.0)
     >>> engine.step([0.0, 0.0, 0.0095], [1.0, 0.0, 0.0, 0.0]).force.round(6).tolist()
     [0.0, 0.0, 0.25]
+    >>> engine.get("object.table.material.stiffness_n_per_m")
+    500.0
     """
 
     def __init__(self, scene: SceneSource, rate_hz: float = 1000.0) -> None:
@@ -223,6 +226,14 @@ class Engine:
         is_address = start.view(np.int64) != self._start.view(np.int64)  # memory of the copy is at other addresses
         self._start, self._state = start, np.where(is_address, start, self._state)
         self._make_buffers()
+
+    def _repr_html_(self) -> str:
+        """Return a table of the objects, for notebooks."""
+        rows = "".join(
+            f"<tr><th>{escape(thing.name)}</th><td>{escape(type(thing).__name__.lower())}</td></tr>"
+            for thing in self.config.object
+        )
+        return f"<p>{escape(repr(self).strip('<>'))}</p><table>{rows}</table>"
 
     def reset(self) -> None:
         """Clear the contact and reset the bodies of a [world]: the next step is the first."""
@@ -276,6 +287,30 @@ class Engine:
         if not same_model(tree, self.scene):
             raise ConfigError(f"set: {other_model(self.config, wanted)}: make another Engine")
         self._take(config, tree)
+
+    def get(self, path: str) -> Any:
+        """Return the present value of a parameter.
+
+        Parameters
+        ----------
+        path
+            Dotted path as for `set`; that of a table, such as object.table.material, returns a dictionary.
+
+        Raises
+        ------
+        ConfigError
+            If the scene has no value there.
+        """
+        mapping = describe(self.config)
+        key = numbered(mapping, path)
+        try:
+            table = value_at(mapping, key.rpartition(".")[0]) if "." in key else mapping
+            value = value_at(mapping, key) if isinstance(table, dict | list) else None
+        except (IndexError, ValueError):
+            value = None
+        if value is None:
+            raise ConfigError(f"get: the scene has no value at {path!r}")
+        return value
 
     def tune(self, scene: schema.Scene) -> None:
         """Take the parameters from another scene and preserve the contact.

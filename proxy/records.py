@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from html import escape
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
@@ -66,6 +67,16 @@ class Records(np.ndarray[Any, np.dtype[np.float64]]):
     def __repr__(self) -> str:
         count = f"{' x '.join(map(str, self.shape[:-1]))} ticks" if self.ndim > 1 else "one tick"
         return f"<Records: {count}; fields {', '.join(NAMED)}>"
+
+    def _repr_html_(self) -> str:
+        """Return a table of the last tick, a row for each field, for notebooks."""
+        row = self.view(np.ndarray).reshape(-1, RECORD_SIZE)[-1:]
+        cells = "".join(
+            f"<tr><th>{field.name}</th><td>{', '.join(f'{each:.6g}' for each in row[0, field.at :][: field.size])}</td>"
+            f"<td>{escape(field.unit)}</td><td>{escape(field.meaning)}</td></tr>"
+            for field in (FIELDS if len(row) else ())
+        )
+        return f"<p>{escape(repr(self).partition(';')[0].strip('<'))}, the last of them:</p><table>{cells}</table>"
 
     def _ipython_key_completions_(self) -> list[str]:
         """Return the completions that IPython and notebooks offer after `records[`."""

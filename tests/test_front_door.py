@@ -383,3 +383,51 @@ def test_what_is_shipped_is_listed_a_line_each(verb: str, capsys: pytest.Capture
             == (Path(each["file"]).stem, each["description"])
         )
         assert len(text.split()) > 3
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (STIFFNESS, 1000.0),
+        ("object.0.name", "table"),
+        ("object.table.material.friction", {"static": 0.6, "kinetic": 0.5}),
+    ],
+)
+def test_engine_returns_parameters(path, value):
+    """By the paths that `set` takes; a table as a dictionary."""
+    assert Engine("paper-plane").get(path) == value
+
+
+@pytest.mark.parametrize(
+    "path", ["object.table.nothing", "object.desk.name", "object.7.name", "fingertip.radius_m.x", ""]
+)
+def test_engine_refuses_a_path_without_value(path):
+    """In one line with the path."""
+    with pytest.raises(ConfigError, match="no value at " + repr(path)):
+        Engine("paper-plane").get(path)
+
+
+def test_notebooks_show_tables():
+    """Names from users are escaped; of no records there is nothing to show."""
+    engine = Engine(load_scene("paper-plane", {"object.0.name": "a <b>"}))
+    assert "a &lt;b&gt;" in engine._repr_html_() and "<b>" not in engine._repr_html_()
+    records = Records(np.zeros((2, RECORD_SIZE)))
+    assert records._repr_html_().count("<tr>") == len(FIELDS) == records[0]._repr_html_().count("<tr>")
+    assert "<tr>" not in records[:0]._repr_html_()
+
+
+def test_dir_lists_public_names_only():
+    """No import of the module itself: a completion after `softfinger.` offers what is documented."""
+    names = {name for name in dir(softfinger) if not name.startswith("__")}
+    assert names == set(softfinger.__all__) - {"__version__"}
+
+
+@pytest.mark.parametrize(
+    "position", [["a", 0.0, 0.0], [[0.0], [0.0], [0.0]], [0.0, 0.0], None, [10**400, 0.0, 0.0], 1.0]
+)
+def test_a_position_of_no_three_numbers_is_refused(position):
+    """As lists and as arrays."""
+    engine = Engine("paper-plane")
+    for given in (position, np.array(position, dtype=object)):
+        with pytest.raises(PoseError, match="3 numbers"):
+            engine.step(given, UPRIGHT)

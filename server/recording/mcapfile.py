@@ -13,6 +13,7 @@ import weakref
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from struct import Struct
 from typing import IO, Any, Final
@@ -68,7 +69,7 @@ class McapFile:
         self.worst_write_s = 0.0
         """Longest duration of a write, s."""
         self._time_range: tuple[int, int] | None = None
-        self._write(MCAP0_MAGIC + _record(records.Header(profile="", library="softfinger")))
+        self._write(MCAP0_MAGIC + _record(records.Header(profile="", library=f"softfinger {version('softfinger')}")))
 
     @property
     def size(self) -> int:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 import math
+import time
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
@@ -19,7 +20,7 @@ from itertools import groupby, repeat
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Any, Final
-from zipfile import ZIP_DEFLATED, ZipFile
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
 import msgspec
 import numpy as np
@@ -212,11 +213,12 @@ def _finger_suffix(finger: str) -> str:
 def _write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
     """Write an array per field, and all fields together as `records`.
 
-    Arrays of an archive are stored in sequence, so the blocks are collected in an unnamed temporary file first.
+    Only constant fields are compressed: varying float64 shrink little, and that would take most of the time. Arrays of
+    an archive are stored in sequence, so the blocks are collected in an unnamed temporary file first.
     """
     with (
         TemporaryFile(dir=followed(path).parent) as file_of_fields,
-        ZipFile(file, "w", ZIP_DEFLATED, compresslevel=1) as archive,
+        ZipFile(file, "w", ZIP_STORED, compresslevel=1) as archive,
     ):
         stored = _Fields(file_of_fields, len(fingers))
         for block in blocks:
@@ -225,7 +227,7 @@ def _write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iter
             _add_array(archive, _prefix(finger) + "records", (stored.count, RECORD_SIZE), stored.rows(index))
             for f in FIELDS:
                 shape = (stored.count, f.size)[: 2 if f.size > 1 else 1]
-                _add_array(archive, _prefix(finger) + f.name, shape, stored.field(index, f))
+                _add_array(archive, _prefix(finger) + f.name, shape, stored.field(index, f), stored.varies(index, f))
 
 
 class _Fields:
@@ -234,6 +236,8 @@ class _Fields:
     def __init__(self, file: IO[bytes], fingers: int) -> None:
         self._file, self._fingers = file, fingers
         self._lengths: list[int] = []
+        self._first: Array | None = None
+        self._varying = np.zeros((fingers, RECORD_SIZE), bool)
 
     @property
     def count(self) -> int:
@@ -241,10 +245,17 @@ class _Fields:
 
     def append(self, block: Array) -> None:
         """Append a block (m, fingers, RECORD_SIZE)."""
+        if self._first is None and len(block):
+            self._first = block[0].copy()
+        self._varying |= (block != self._first).any(axis=0)
         self._lengths.append(len(block))
         for index in range(self._fingers):
             for f in FIELDS:
                 self._file.write(np.ascontiguousarray(block[:, index, f.at : f.at + f.size]).data)
+
+    def varies(self, index: int, f: Field) -> bool:
+        """Return whether a field of a finger has different values in the records so far."""
+        return bool(self._varying[index, f.at : f.at + f.size].any())
 
     def field(self, index: int, f: Field) -> Iterator[Array]:
         """Yield for each block the columns (m, size) of a field of a finger."""
@@ -260,8 +271,12 @@ class _Fields:
             yield np.concatenate(parts, axis=1)
 
 
-def _add_array(archive: ZipFile, name: str, shape: tuple[int, ...], blocks: Iterable[Array]) -> None:
-    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+def _add_array(
+    archive: ZipFile, name: str, shape: tuple[int, ...], blocks: Iterable[Array], varies: bool = True
+) -> None:
+    info = ZipInfo(f"{name}.npy", time.localtime()[:6])
+    info.compress_type = ZIP_STORED if varies else ZIP_DEFLATED
+    with archive.open(info, "w", force_zip64=True) as member:
         np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": shape})
         for block in blocks:
             member.write(block.data.cast("B"))

@@ -6,6 +6,7 @@ import argparse
 import logging
 import sys
 import time
+from pathlib import Path
 from typing import Final
 
 from softfinger.config.errors import ConfigError
@@ -38,6 +39,8 @@ def run(args: argparse.Namespace) -> int:
             changes[key], sources[key] = value, f"command line {flag}"
     if args.once:
         changes["device.loop"], sources["device.loop"] = False, "command line --once"
+    if args.record is not None and not (folder := Path(args.record).absolute().parent).is_dir():
+        raise ConfigError(f"--record {args.record}: there is no folder {folder}: make it, or name another file")
     if args.view:
         check_viewer()
     with report_compilation("kernels that call the device"):  # compiled when the driver is imported
@@ -71,7 +74,8 @@ def run(args: argparse.Namespace) -> int:
             is_cached = daemon.servo.compile()
         if not is_cached:
             where = f"kept in {CACHE_DIR}" if KEPT.problem() is None else "not kept"
-            log.info("compiled in %.0f s; %s", time.monotonic() - start_s, where)
+            ahead = f"`softfinger warmup {args.scene}` compiles ahead"
+            log.info("compiled in %.0f s; %s; %s", time.monotonic() - start_s, where, ahead)
         with signals.stop_on_signal(daemon.stop, daemon.pause):
             daemon.start()
             show_progress(daemon, page)
