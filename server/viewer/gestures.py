@@ -48,7 +48,7 @@ class Stage(NamedTuple):
     """Inputs of a gesture.
 
     target  of a finger
-    proxy   position (3,) m of a finger's proxy, which is outside all objects, unlike the target of a finger that presses
+    proxy   position (3,) m of a finger's proxy, outside all objects even if the target is inside one
     force   normal force of a finger, N
     radius  of a finger, m
     height  height (m) of the object straight below a point (3,); None if there is none

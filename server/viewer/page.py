@@ -229,7 +229,7 @@ class Page:
                     self.fingers[name].show(rows, self.looks, self._newtons_per_cm)
         first = next(iter(self.fingers), "")
         if first in new_rows:
-            self._plots.add(new_rows[first], self.fingers[first].state)
+            self._plots.add(new_rows[first], self.fingers[first].radius)
         self._update_panel()
 
     def clear_traces(self) -> None:

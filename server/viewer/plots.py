@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.nodes.states import COLOURS, ContactState
+from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
 
 POINTS: Final = 250
 POINT_PERIOD_S: Final = 0.04
@@ -18,8 +18,10 @@ SPAN_S: Final = POINTS * POINT_PERIOD_S
 LINES: Final = ("#1f6feb", "#d1242f")
 BANDS: Final = tuple(state for state in ContactState if state != ContactState.FREE)
 BAND_OPACITY: Final = 0.22
-HEIGHT: Final = 62
+HEIGHT: Final = 66
 """Height of a plot, pixels: three fit below the controls of a window of 800."""
+PADDING: Final = (7, 24, 7, 0)
+"""Space around a plot, pixels, for the figures at the ends of its axis: top, right, bottom, left."""
 TIME_HEIGHT: Final = 35
 """Height of the time axis, pixels."""
 
@@ -30,6 +32,8 @@ class Plots:
     def __init__(self, gui: Any, tab: Any) -> None:
         self._points: deque[tuple[float, ...]] = deque(maxlen=POINTS)
         self._late, self._changed = 0.0, False
+        self._last_row: NDArray[np.float64] | None = None
+        """Row of the last point."""
         panel = gui.add_panel()
         panel.dock_below(gui.main_panel)
         with panel.add_tab(f"Last {SPAN_S:.0f} s"):
@@ -44,12 +48,17 @@ class Plots:
                 _plot(gui, "woken late, us; step (red)", ("woken late", "step"), has_time=True),
             ]
 
-    def add(self, rows: NDArray[np.float64], state: ContactState) -> None:
-        """Add ticks (n, RECORD_SIZE) of the finger; `state` is that of its contact in the last one."""
+    def add(self, rows: NDArray[np.float64], radius: float) -> None:
+        """Add ticks (n, RECORD_SIZE) of the finger, whose radius is in m; earlier ticks than the last start again."""
         for row in rows:
             self._late = max(self._late, row[AT.servo_late])
-            if self._points and 0.0 <= row[AT.timestamp] - self._points[-1][0] < POINT_PERIOD_S:
+            before = row if self._last_row is None else self._last_row
+            elapsed_s = row[AT.timestamp] - before[AT.timestamp]
+            if self._points and 0.0 <= elapsed_s < POINT_PERIOD_S:
                 continue
+            if elapsed_s < 0.0:
+                self._points.clear()
+            state, self._last_row = classify_contact(before, row, radius), row
             self._points.append((
                 row[AT.timestamp],
                 1e3 * row[AT.contact_penetration],
@@ -63,9 +72,6 @@ class Plots:
                 *(float(state == band) for band in BANDS),
             ))  # fmt: skip
             self._late, self._changed = 0.0, True
-
-    def clear(self) -> None:
-        self._points.clear()
 
     def show(self) -> None:
         """Draw the new points."""
@@ -107,5 +113,6 @@ def _plot(
         scales=scales,
         axes=({"show": has_time}, {"show": True}),
         legend={"show": False},
+        padding=PADDING,
         height=HEIGHT + TIME_HEIGHT * has_time,
     )

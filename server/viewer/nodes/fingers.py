@@ -93,6 +93,8 @@ class FingerNodes:
         self._api, self._scene, self._bodies = api, scene, bodies
         self._node = f"/fingers/{parts.name or 'finger'}"
         self._radii = parts.radii_m or (parts.radius_m,) * 3
+        self.radius: Final = max(self._radii)
+        """Largest radius, m."""
         rings = CM * rotate(parts.orientation_wxyz, circles(self._radii))
         self._root = api.add_frame(self._node, show_axes=False)
         self._tip = api.add_frame(f"{self._node}/tip", show_axes=False)
@@ -189,7 +191,7 @@ class FingerNodes:
             if self._last_row is not None
             else row
         )
-        self.state, self._last_row = classify_contact(earlier, row, max(self._radii)), row
+        self.state, self._last_row = classify_contact(earlier, row, self.radius), row
         self._show_wrench(row, mode, looks, newtons_per_cm)
         self._show_gap(proxy if is_separate else probe)
         self._show_patches(row, mode != FREE and looks.patches)
@@ -212,9 +214,9 @@ class FingerNodes:
         angle = radians(1e3 * float(row[AT.contact_torsion]) * looks.degrees_per_mnm)
         self._arc.visible = self._torsion_label.visible = mode != FREE and abs(angle) > MIN_ARC_RAD
         if self._arc.visible:
-            self._torsion_label.position = CM * (point + 1.5 * max(self._radii) * SIDE)
+            self._torsion_label.position = CM * (point + 1.5 * self.radius * SIDE)
             _set_text(self._torsion_label, f"{1e3 * row[AT.contact_torsion]:.1f} mN m")
-            self._arc.points = arc(angle, 1.35 * CM * max(self._radii))
+            self._arc.points = arc(angle, 1.35 * CM * self.radius)
             self._arc.position = CM * (point + 0.15 * self._radii[0] * normal)
             self._arc.wxyz = rotation_to(normal)
 
@@ -226,7 +228,7 @@ class FingerNodes:
             if is_visible:
                 point, normal = row[_xyz(at.point)], row[_xyz(at.normal)]
                 self._dots[k].position, self._dots[k].color = CM * point, self._patch_colour(int(row[at.mode]))
-                lines[k] = CM * point, CM * point + 2.5 * CM * max(self._radii) * normal
+                lines[k] = CM * point, CM * point + 2.5 * CM * self.radius * normal
         self._normals.visible, self._normals.points = is_shown, lines
         radius = float(row[AT.contact_patch_radius])
         self._patch.visible = is_shown and radius > 0.0
@@ -284,7 +286,7 @@ class FingerNodes:
             finger_point = finger_point * (
                 1.0 + 2.0 * TRACE_HEIGHT_M / max(float(np.linalg.norm(finger_point)), TRACE_HEIGHT_M)
             )
-            colour = COLOURS[classify_contact(before, row, max(self._radii)) if len(rows) > 1 else self.state]
+            colour = COLOURS[classify_contact(before, row, self.radius) if len(rows) > 1 else self.state]
             has_new_segments |= trace.add(rotate(inverse(orientation), above), colour)
             has_new_segments |= self._tip_trace.add(finger_point, colour)
         self._tip_trace_node.visible = is_shown

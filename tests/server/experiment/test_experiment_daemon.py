@@ -321,7 +321,8 @@ def held_down(terminal: int, key: bytes) -> Iterator[None]:
 def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path) -> None:
     """A key at a terminal answers, Ctrl-C ends in order, and the next start takes a program's command for the second.
 
-    A key that is held down answers one question. Practice says whether the answer was right. What is no answer is refused, and the question stays.
+    A key that is held down answers one question. Practice says whether the answer was right. What is no answer is
+    refused, and the question stays.
     """
     file = tmp_path / "terminal.toml"
     file.write_text(EXPERIMENT)
