@@ -12,18 +12,15 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.proxy.record import AT, FREE, NAMED, PATCHES, SLIDING
 from softfinger.server.surface_meshes import cone
-from softfinger.server.viewer.nodes.below import UP
 from softfinger.server.viewer.nodes.bodies import Bodies
-from softfinger.server.viewer.nodes.fingertip import SHADOW_STEPS, disc, finger, nail
+from softfinger.server.viewer.nodes.fingertip import add_finger, add_shadow, disc
 from softfinger.server.viewer.nodes.glyphs import DASHES, Trace, arc, circles, dashes, inverse, rotate, rotation_to
 from softfinger.server.viewer.nodes.looks import (
     CM,
     CONE,
     GHOST,
-    NAIL,
     NORMAL,
     PLUMB,
-    SHADOW,
     SKIN,
     TORSION,
     Colour,
@@ -98,20 +95,7 @@ class FingerNodes:
         rings = CM * rotate(parts.orientation_wxyz, circles(self._radii))
         self._root = api.add_frame(self._node, show_axes=False)
         self._tip = api.add_frame(f"{self._node}/tip", show_axes=False)
-        self.ball, _ = (
-            api.add_mesh_simple(
-                f"{self._node}/tip/{node}",
-                CM * rotate(parts.orientation_wxyz, mesh.vertices),
-                mesh.faces,
-                color=colour,
-                opacity=opacity,
-                cast_shadow=False,
-            )
-            for node, mesh, colour, opacity in (
-                ("ball", finger(np.array(self._radii)), SKIN, 0.82),
-                ("nail", nail(np.array(self._radii)), NAIL, None),
-            )
-        )
+        self.ball = add_finger(api, f"{self._node}/tip", parts)
         self._ghost = self._lines("probe", rings, GHOST, 2.0)
         self._separation = self._lines("apart", np.zeros((1, 2, 3)), GHOST, 3.0)
         self._force = api.add_arrows(
@@ -125,13 +109,7 @@ class FingerNodes:
         ]
         patch = disc(CM)
         self._patch = api.add_mesh_simple(
-            f"{self._node}/patch",
-            patch.vertices,
-            patch.faces,
-            color=SKIN,
-            opacity=0.7,
-            side="double",
-            cast_shadow=False,
+            f"{self._node}/patch", *patch[:2], color=SKIN, opacity=0.7, side="double", cast_shadow=False
         )
         self._arc = self._lines("torsion", arc(1.0, 1.0), TORSION, 6.0)
         self._force_label, self._torsion_label = (
@@ -155,18 +133,7 @@ class FingerNodes:
         self.gap_m: float | None = None
         """Gap between the fingertip's lowest point and the object below it, as for a sphere."""
         self._plumb = self._lines("plumb", np.zeros((1, 2, 3)), PLUMB, 2.0)
-        self._shadow = api.add_frame(f"{self._node}/shadow", show_axes=False)
-        for k in range(SHADOW_STEPS):  # their opacities add up towards the centre
-            shade = disc(CM * min(self._radii) * (1.1 - 0.7 * k / SHADOW_STEPS))
-            api.add_mesh_simple(
-                f"{self._node}/shadow/{k}",
-                shade.vertices + 1e-3 * k * UP,
-                shade.faces,
-                color=SHADOW,
-                opacity=0.14,
-                side="double",
-                cast_shadow=False,
-            )
+        self._shadow = add_shadow(api, f"{self._node}/shadow", CM * min(self._radii))
 
     def _lines(self, node: str, segments: Array, colour: Any, thickness: float) -> Any:
         return self._api.add_line_segments(

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from math import cos, pi, radians, sin
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.config import schema
 from softfinger.server.surface_meshes import Mesh, lathe
+from softfinger.server.viewer.nodes.below import UP
+from softfinger.server.viewer.nodes.glyphs import rotate
+from softfinger.server.viewer.nodes.looks import CM, NAIL, SHADOW, SKIN
 
 Array = NDArray[np.float64]
 
@@ -23,7 +27,42 @@ NAIL_CENTRE, NAIL_HALF_LENGTH = 0.1, 0.66
 NAIL_CORNERS: Final = 13
 """Corners per side of the nail."""
 SHADOW_STEPS: Final = 8
-"""Discs of a shadow: its rim is as soft."""
+SHADOW_OPACITY: Final = 0.14
+"""Discs of a shadow and the opacity of each: they add up towards the centre."""
+
+
+def add_finger(api: Any, node: str, parts: schema.FingerParts) -> Any:
+    """Add a finger with its nail; return the node of the finger."""
+    radii = np.array(parts.radii_m or (parts.radius_m,) * 3)
+    skin, _ = (
+        api.add_mesh_simple(
+            f"{node}/{name}",
+            CM * rotate(parts.orientation_wxyz, mesh.vertices),
+            mesh.faces,
+            color=colour,
+            opacity=opacity,
+            cast_shadow=False,
+        )
+        for name, mesh, colour, opacity in (("ball", finger(radii), SKIN, 0.82), ("nail", nail(radii), NAIL, None))
+    )
+    return skin
+
+
+def add_shadow(api: Any, node: str, radius: float) -> Any:
+    """Add a horizontal shadow with a soft rim; return its frame."""
+    frame = api.add_frame(node, show_axes=False)
+    for k in range(SHADOW_STEPS):
+        shade = disc(radius * (1.1 - 0.7 * k / SHADOW_STEPS))
+        api.add_mesh_simple(
+            f"{node}/{k}",
+            shade.vertices + 1e-3 * k * UP,
+            shade.faces,
+            color=SHADOW,
+            opacity=SHADOW_OPACITY,
+            side="double",
+            cast_shadow=False,
+        )
+    return frame
 
 
 def finger(radii: Array) -> Mesh:
