@@ -9,7 +9,7 @@ from helpers.browser import eventually, served
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "figures" / "page.jpg"
 RECORDING, TICK = "press-roll-spin-drag", 8900
 """It is dragged along, still wound up from the spin."""
-SIZE = {"width": 1100, "height": 640}
+SIZE = {"width": 1100, "height": 760}
 
 
 def main() -> None:
@@ -17,7 +17,6 @@ def main() -> None:
     with served(RECORDING, "--tick", str(TICK)) as screen:
         screen.page.set_viewport_size(SIZE)
         eventually(lambda: screen.shows(f"tick {TICK}"))
-        screen.tab("Plots")
         eventually(lambda: screen.page.locator(".uplot").count() >= 3)
         eventually(lambda: (screen.picture().std(axis=(0, 1)) > 20.0).all())
         screen.page.screenshot(path=PICTURE, type="jpeg", quality=82)

@@ -6,8 +6,9 @@ import os
 import select
 import sys
 import termios
+import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
@@ -29,6 +30,9 @@ BEGIN: Final = "begin"
 END: Final = "That was the last trial. Thank you."
 POLL_S: Final = 0.1
 """Period of polling the daemon for the answer."""
+RELEASE_S: Final = 0.7
+"""Time without input after which no key is held: keyboards repeat a held key after 660 ms at most."""
+RELEASE: Final = "Release the key."
 
 
 class Participant:
@@ -41,6 +45,7 @@ class Participant:
     def __init__(self, experiment: ExperimentFile, haptics: Haptics) -> None:
         self._experiment, self._haptics = experiment, haptics
         self._progress: Progress | None = None
+        self._last_key_s = 0.0
 
     def instruct(self) -> None:
         """Show the instructions until the participant starts."""
@@ -97,9 +102,11 @@ class Participant:
 
     def _ask(self, prompt: Prompt, line: str) -> Answer:
         """Ask on pages and with a line in the terminal, wait for the answer, and return it."""
-        number, client = self._show(prompt), self._haptics.client
-        held_buttons, typed = self._buttons(), ""
-        with keyboard(single=is_single(prompt)) as keys:  # discards keys typed before the question
+        client, typed, single = self._haptics.client, "", is_single(prompt)
+        with keyboard(single) as keys:  # discards keys typed before the question
+            if single and sys.stdin.isatty():
+                self._wait_for_release(keys)
+            number, held_buttons = self._show(prompt), self._buttons()
             print_line(line)
             while (prompted := client.get_prompt()).open and prompted.number == number:
                 self._haptics.wait(POLL_S)
@@ -108,10 +115,24 @@ class Participant:
                 value, typed = parse_answer(prompt, typed, buttons & ~held_buttons)
                 held_buttons &= buttons  # a button that is already down must be released first
                 if value is not None:
+                    self._last_key_s = time.monotonic()
                     self._send_answer(value, number)
         if prompted.number != number or prompted.answer is None:
             raise ConfigError("another program has set a prompt in the place of the question: let it end first")
         return Answer(prompted.answer, prompted.after_s)
+
+    def _wait_for_release(self, keys: Callable[[], str]) -> None:
+        """Wait until no key of the terminal is held, because a held key would answer every question."""
+        is_told = False
+        while True:
+            self._haptics.wait(POLL_S)
+            if keys():
+                self._last_key_s = time.monotonic()
+                if not is_told:
+                    print_line(RELEASE)
+                is_told = True
+            elif time.monotonic() - self._last_key_s > RELEASE_S:
+                return
 
     def _send_answer(self, value: str | float, number: int) -> None:
         try:
@@ -171,7 +192,7 @@ def print_line(line: str) -> None:
 
 
 @contextmanager
-def keyboard(single: bool) -> Iterator[Any]:
+def keyboard(single: bool) -> Iterator[Callable[[], str]]:
     """Yield a function that returns the text typed since its last call.
 
     A terminal passes it on key by key if `single`, otherwise line by line.

@@ -48,12 +48,14 @@ class Stage(NamedTuple):
     """Inputs of a gesture.
 
     target  of a finger
+    proxy   position (3,) m of a finger's proxy, outside all objects even if the target is inside one
     force   normal force of a finger, N
     radius  of a finger, m
     height  height (m) of the object straight below a point (3,); None if there is none
     """
 
     target: Callable[[str], Target]
+    proxy: Callable[[str], Array]
     force: Callable[[str], float]
     radius: Callable[[str], float]
     height: Callable[[Array], float | None]
@@ -166,7 +168,7 @@ def _interpolate(start: Target, end: Target, share: float) -> Target:
 
 def _touch(stage: Stage, finger: str) -> Gesture:
     """Approach the object below from above until the finger presses it."""
-    position = stage.target(finger).position
+    position = stage.proxy(finger)
     height = stage.height(position)
     assert height is not None, "it was checked before"
     above = np.array([position[0], position[1], height + stage.radius(finger) + HOVER_M])

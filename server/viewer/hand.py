@@ -30,21 +30,21 @@ from softfinger.server.viewer.target import (
 Array = NDArray[np.float64]
 
 SLIDER_UPDATE_S: Final = 0.2
-"""Update period of the sliders while another source moves the finger."""
+"""Update period of sliders and handles while something else moves the finger."""
+CONTROL_USED_S: Final = 0.5
+"""Time after a person's last move of a slider or handle in which neither follows the finger."""
 TARGET_VALID_S: Final = 1.0
 """Time after this page's last command in which its targets count as current; later, a recording or a program may have
 moved the hands.
 """
 HELP: Final = (
-    "Take the white ball with the mouse: **drag** moves it, with **shift** up and down, which presses, with **ctrl** "
-    "it rolls like a ball. Drag anywhere else to look around. Keys: **I J K L** level, **O** presses, **U** lifts, "
-    "**N M** spin, **shift** rolls. A gamepad: left stick, triggers; right stick rolls, bumpers spin."
+    "**Drag** the fingertip: it moves level; with **shift** up and down, which presses; with **ctrl** it rolls. Drag "
+    "elsewhere to look around. Keys: **I J K L** level, **O** presses, **U** lifts, **N M** spin, **shift** rolls."
 )
 TWO_HANDS: Final = (
-    "**Pinch**: drag one of the white balls, which moves both fingers, with **shift** up and down; turn the **wheel** "
-    "meanwhile, or with **alt** at any time, to close and to open them. **Two hands on keys**: left hand **A D W S** "
-    "level, **E** up, **Q** down; right hand **J L I K**, **U** up, **O** down; **H G** together and apart. Choose a "
-    "finger to drag it alone; **ctrl** rolls. Drag anywhere else to look around."
+    "**Drag** a fingertip: both move, with **shift** up and down; the **wheel** closes and opens them. Left hand "
+    "**A D W S** level, **E** up, **Q** down; right hand **J L I K**, **U** up, **O** down; **H G** together and "
+    "apart. Choose a finger to drag it alone; **ctrl** rolls."
 )
 NO_HAND: Final = (
     "Nothing here is to be led: a person, a puck or a recording moves the fingertip. `softfinger run --view` has a "
@@ -94,14 +94,14 @@ class Hand:
         self._targets: dict[str, Target] = {}
         self._poses: dict[str, Target] = {}
         self._active_drags: dict[str, tuple[dict[str, Target], Array]] = {}
-        self._sliders_updated_s = 0.0
+        self._sliders_updated_s = self._control_used_s = 0.0
         self._sides: tuple[str, ...] = ()
         self.on_interrupt: Callable[[], None] = lambda: None
         """Called when a person starts to move a finger."""
-        self._help = gui.add_markdown(HELP)
+        self._help = gui.add_markdown("")
         self._drag_mode = gui.add_dropdown("a drag", tuple(DRAG_MODES))
         self._finger = gui.add_dropdown("finger", ("",), visible=False)
-        names = (("x, mm", 60.0), ("y, mm", 60.0), ("height, mm", 60.0))
+        names = (("x, mm", 60.0), ("y, mm", 60.0), ("z, mm", 60.0))
         turns = (("turned about x, deg", 90.0), ("about y, deg", 90.0), ("about z, deg", 180.0))
         self._sliders = [gui.add_slider(name, -end, end, 0.1, 0.0) for name, end in (*names, *turns)]
         for slider in self._sliders:
@@ -114,6 +114,7 @@ class Hand:
         self._gizmo = api.add_transform_controls("/hand", scale=2.2, line_width=3.0, depth_test=False, visible=False)
         self._gizmo.on_update(self._on_gizmo)
         self.change([])
+        self._help.content = ""  # whether a finger can be moved is unknown before the daemon describes them
 
     def change(self, fingers: list[MovableFinger]) -> None:
         """Set the fingers that can be moved."""
@@ -144,16 +145,19 @@ class Hand:
             ball.on_drag("left", modifier=modifier)(on_drag)
 
     def update_pose(self, finger: str, row: Array) -> None:
-        """Store the pose of a tick (RECORD_SIZE,): the start of the next motion, and shown by the sliders before it."""
+        """Store the pose of a tick (RECORD_SIZE,), the start of the next motion, and let sliders and handles follow.
+
+        They show the target of a finger that this page moves, and the pose of other fingers.
+        """
         at = AT.probe_orientation
         w, x, y, z = row[at : at + 4].tolist()
         first = finger not in self._poses
         self._poses[finger] = Target(row[AT.probe_position : AT.probe_position + 3], (w, x, y, z))
         now = time.monotonic()
         if first or (
-            finger not in self._targets
-            and finger == self._chosen_finger()
+            finger == self._chosen_finger()
             and now - self._sliders_updated_s > SLIDER_UPDATE_S
+            and now - self._control_used_s > CONTROL_USED_S
         ):
             self._show()
             self._sliders_updated_s = now
@@ -306,6 +310,7 @@ class Hand:
         if event.client is None or not self._fingers:  # set by this program, not by a person
             return
         self.on_interrupt()
+        self._control_used_s = time.monotonic()
         if not all(map(is_on_slider, self._sliders)):
             self._update_sliders()
             return
@@ -327,6 +332,7 @@ class Hand:
     def _on_gizmo(self, event: Any) -> None:
         if event.client is not None and self._fingers:
             self.on_interrupt()
+            self._control_used_s = time.monotonic()
             w, x, y, z = (float(part) for part in self._gizmo.wxyz)
             pose = Target(np.array(self._gizmo.position) / CM, (w, x, y, z))
             self.hold_then(partial(self._apply_control, "handles", pose, self._update_sliders))

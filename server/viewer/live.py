@@ -103,7 +103,7 @@ class LivePage:
         self._object_controls.step()
         for finger, rows in received.ticks.items():
             self._hand.update_pose(finger, rows[-1])
-            self._play.update_force(finger, rows[-1])
+            self._play.update(finger, rows[-1])
         self._play.step(dt)
         self._page.move_bodies(received.bodies)
         self._page.show({finger: rows[rows[:, AT.tick] >= self._first_tick] for finger, rows in received.ticks.items()})

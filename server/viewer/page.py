@@ -52,6 +52,8 @@ FADE_S: Final = 6.0
 """Time constant of the largest force: the scale of arrows changes slowly after a push."""
 PANEL_WIDTH: Final = 380
 """Width of the controls, pixels."""
+NOTIFICATION_S: Final = 12.0
+"""Duration of a notification: long enough to read three lines twice."""
 PROMPT_WIDTH: Final = 640
 """Width of a page that has only prompts, pixels."""
 
@@ -98,7 +100,7 @@ class Page:
         # Without a graphics card, each would cost a third of a frame.
         self.server.scene.configure_environment_map(None)
         self.server.scene.configure_default_lights(cast_shadow=False)
-        self.server.scene.add_light_hemisphere("/light", ground_color=(190, 196, 206), intensity=2.2)
+        self.server.scene.add_light_hemisphere("/light", ground_color=(190, 196, 206), intensity=1.1)
         self._camera: Camera | None = None
         self._scene: schema.Scene | None = None
         self._file_vertices: Final[dict[int, Array]] = {}
@@ -112,7 +114,9 @@ class Page:
         gui = self.server.gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)
-        self._message = gui.add_markdown("")
+        self._message = gui.add_markdown("", visible=False)
+        self.refusal = ""
+        """Text of the latest notification."""
         self._state_text = gui.add_html(TEXT_HTML.format("waiting for the first tick"))
         self._paused = gui.add_checkbox("pause the picture", False)
         self.tabs: Final = gui.add_tab_group()
@@ -138,8 +142,7 @@ class Page:
             _bind(gui.add_slider(ARROW, 0.1, 10.0, 0.1, looks.newtons_per_cm), looks, "newtons_per_cm")
             _bind(gui.add_slider("torsion, deg/mN m", 5.0, 200.0, 5.0, looks.degrees_per_mnm), looks, "degrees_per_mnm")
             gui.add_button("wipe traces").on_click(lambda event: self.clear_traces())
-        with self.tabs.add_tab("Plots"):
-            self._plots = Plots(gui)
+        self._plots = Plots(gui, self.tabs.add_tab("Plots"))
 
     def change(self, scene: schema.Scene, start: SceneStart, devices: Mapping[str, LowDofDevice] = NO_DEVICES) -> None:
         """Replace the scene and all its nodes.
@@ -213,9 +216,6 @@ class Page:
         new_rows = {name: rows for name, rows in ticks.items() if name in self.fingers and len(rows)}
         for name, rows in new_rows.items():
             self._newest[name] = rows[-1]
-        first = next(iter(self.fingers), "")
-        if first in new_rows:
-            self._plots.add(new_rows[first])
         if not self._paused.value and new_rows:
             largest = max(float(np.linalg.norm(rows[-1, AT.force : AT.force + 3])) for rows in new_rows.values())
             now = time.monotonic()
@@ -227,6 +227,9 @@ class Page:
                     self.bodies.show(next(iter(new_rows.values()))[-1])
                 for name, rows in new_rows.items():
                     self.fingers[name].show(rows, self.looks, self._newtons_per_cm)
+        first = next(iter(self.fingers), "")
+        if first in new_rows:
+            self._plots.add(new_rows[first], self.fingers[first].radius)
         self._update_panel()
 
     def clear_traces(self) -> None:
@@ -235,20 +238,22 @@ class Page:
             nodes.clear_traces()
 
     def show_message(self, text: str, title: str = "") -> None:
-        """Show a message until the next one; with a title, also as a notification."""
+        """Show a message: above the controls until the next one, or with a title as a notification over the picture."""
         if self._closed:  # a late answer
             return
-        self._message.content = f"**{title}** {text}" if title else text
-        if title:
-            for client in self.server.get_clients().values():
-                client.add_notification(title, "see above the tabs why", auto_close_seconds=8.0, color="orange")
+        if not title:
+            self._message.content, self._message.visible = text, bool(text)
+            return
+        self.refusal = f"{title} {text}"
+        for client in self.server.get_clients().values():
+            client.add_notification(title, text, auto_close_seconds=NOTIFICATION_S, color="orange")
 
     def _update_panel(self) -> None:
         now = time.monotonic()
         if now - self._text_updated_s > TEXT_S and self._newest and not self._paused.value:
             self._text_updated_s = now
             self._state_text.content = "".join(
-                format_tick_html(name, row, self.fingers[name].state, self.fingers[name].height_m)
+                format_tick_html(name, row, self.fingers[name].state, self.fingers[name].gap_m)
                 + (
                     TEXT_HTML.format(self._low_dof_devices[name].format_html(row))
                     if name in self._low_dof_devices
@@ -276,20 +281,26 @@ def _bind(control: Any, looks: Looks, name: str) -> None:
     control.on_update(store_value)
 
 
-def format_tick_html(name: str, row: Array, state: ContactState, height_m: float | None) -> str:
-    """Return the values of a tick as HTML, with the height above the object below."""
+def format_tick_html(name: str, row: Array, state: ContactState, gap_m: float | None) -> str:
+    """Return the values of a tick as HTML, with the gap between the fingertip and the object below.
+
+    If the force is off, the forces are those that the hand feels, zero, although the contact is still computed.
+    """
     row = np.round(row, 9) + 0.0  # avoids negative zeros
+    is_off = row[AT.contact_normal_force] > 0.0 and not row[AT.force : AT.force + 3].any()
+    felt = 0.0 if is_off else 1.0
     figures = (
-        ("normal", f"{row[AT.contact_normal_force]:.2f} N"),
-        ("tangential", f"{row[AT.contact_tangential_force]:.2f} N"),
+        ("normal", f"{felt * row[AT.contact_normal_force]:.2f} N"),
+        ("tangential", f"{felt * row[AT.contact_tangential_force]:.2f} N"),
         ("depth", f"{1e3 * row[AT.contact_penetration]:.2f} mm"),
-        ("torsion", f"{1e3 * row[AT.contact_torsion]:.2f} mN m"),
+        ("torsion", f"{felt * 1e3 * row[AT.contact_torsion]:.2f} mN m"),
         ("spin", f"{np.degrees(row[AT.contact_spin]):.1f}°"),
         ("rolled", f"{np.degrees(row[AT.contact_rolled]):.1f}°"),
     )
     cells = "".join(f'<span style="opacity: 0.6">{word}</span><span>{figure}</span>' for word, figure in figures)
-    high = "" if height_m is None else f" · height {1e3 * max(height_m, 0.0):.1f} mm"
-    head = f'<span style="color: rgb{COLOURS[state]}">&#9632;</span> <b>{state}</b> · tick {row[AT.tick]:.0f}{high}'
+    gap = "" if gap_m is None else f" · gap {1e3 * max(gap_m, 0.0):.1f} mm"
+    off = " · <b>force off</b>" if is_off else ""
+    head = f'<span style="color: rgb{COLOURS[state]}">&#9632;</span> <b>{state}</b>{off} · tick {row[AT.tick]:.0f}{gap}'
     return TEXT_HTML.format(f'{html.escape(name + ": ") if name else ""}{head}<div style="{GRID}">{cells}</div>')
 
 

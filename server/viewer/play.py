@@ -38,7 +38,7 @@ class PageActions(NamedTuple):
 
 
 class Play:
-    """Gesture buttons; call `update_force` for each tick of a finger and `step` for each frame."""
+    """Gesture buttons; call `update` for each tick of a finger and `step` for each frame."""
 
     def __init__(self, gui: Any, hand: Hand, actions: PageActions) -> None:
         self._hand, self._actions = hand, actions
@@ -47,7 +47,7 @@ class Play:
         self._scene: schema.Scene | None = None
         self._bodies: Bodies | None = None
         self._sensed_dof: dict[str, int] = {}
-        self._forces: dict[str, float] = {}
+        self._rows: dict[str, Array] = {}
         self._gesture: Gesture | None = None
         self._queued = self._after_scene = ""
 
@@ -58,18 +58,19 @@ class Play:
             self.stop()
         self._scene, self._bodies = scene, bodies
         self._sensed_dof = {each["name"]: each["device"]["sensed_dof"] for each in description["fingers"]}
-        self._forces = dict.fromkeys(self._sensed_dof, 0.0) if self._gesture else {}
+        if self._gesture is None:
+            self._rows.clear()
         self._queued = ""
         if scene_gesture:
             self._queue(scene_gesture)
 
-    def update_force(self, finger: str, row: Array) -> None:
-        """Update the force from the latest tick (RECORD_SIZE,) of a finger."""
-        self._forces[finger] = float(row[AT.contact_normal_force])
+    def update(self, finger: str, row: Array) -> None:
+        """Store the latest tick (RECORD_SIZE,) of a finger."""
+        self._rows[finger] = row
 
     def step(self, dt: float) -> None:
         """Advance the gesture by `dt` s."""
-        if self._queued and self._scene is not None and len(self._forces) == len(self._scene.fingers):
+        if self._queued and self._scene is not None and len(self._rows) == len(self._scene.fingers):
             name, self._queued = self._queued, ""
             obstacle = self._try_start(name)
             if obstacle:
@@ -105,7 +106,7 @@ class Play:
         finger = self._hand.chosen_finger()
         if finger is None:
             return "nothing here is to be led; `softfinger run --view` has a hand"
-        stage = Stage(self._hand.target, lambda finger: self._forces[finger], self._hand.radius, self._height)
+        stage = Stage(self._hand.target, self._proxy, self._normal_force, self._hand.radius, self._height)
         if name == LIFT:
             return self._try_lift(stage)
         obstacle = self._find_obstacle(name, finger)
@@ -116,6 +117,12 @@ class Play:
     def _start(self, gesture: Gesture) -> None:
         self._gesture, self._is_new = gesture, True
 
+    def _proxy(self, finger: str) -> Array:
+        return self._rows[finger][AT.proxy_position : AT.proxy_position + 3]
+
+    def _normal_force(self, finger: str) -> float:
+        return float(self._rows[finger][AT.contact_normal_force])
+
     def _height(self, point: Array) -> float | None:
         projection = None if self._bodies is None else self._bodies.below(point)
         return None if projection is None else float(projection.point[2])
@@ -123,7 +130,7 @@ class Play:
     def _find_obstacle(self, name: str, finger: str) -> str:
         """Return why a finger cannot perform a gesture here, else empty."""
         assert self._scene is not None and self._bodies is not None
-        projection = self._bodies.below(self._hand.target(finger).position)
+        projection = self._bodies.below(self._proxy(finger))
         if projection is None:
             return "nothing lies below the fingertip: move it over an object first"
         if projection.object_index >= len(self._scene.object):

@@ -1,4 +1,4 @@
-"""Plots of force, depth, spin, torsion and lateness over the last seconds."""
+"""Plots of the last seconds: depth, force and torsion beside the picture; spin and lateness in a tab."""
 
 from __future__ import annotations
 
@@ -9,47 +9,69 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT
+from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
 
 POINTS: Final = 250
-POINT_PERIOD_S: Final = 0.02
-"""Time between two points."""
-COLOURS: Final = ("#1f6feb", "#d1242f")
+POINT_PERIOD_S: Final = 0.04
+"""Time between two points; POINTS of them are the last 10 s."""
+SPAN_S: Final = POINTS * POINT_PERIOD_S
+LINES: Final = ("#1f6feb", "#d1242f")
+BANDS: Final = tuple(state for state in ContactState if state != ContactState.FREE)
+BAND_OPACITY: Final = 0.22
+HEIGHT: Final = 66
+"""Height of a plot, pixels: three fit below the controls of a window of 800."""
+PADDING: Final = (7, 24, 7, 0)
+"""Space around a plot, pixels, for the figures at the ends of its axis: top, right, bottom, left."""
+TIME_HEIGHT: Final = 35
+"""Height of the time axis, pixels."""
 
 
 class Plots:
-    """Four plots of one finger. Lateness is the maximum over the ticks of a point."""
+    """Plots of one finger. Lateness is the maximum over the ticks of a point."""
 
-    def __init__(self, gui: Any) -> None:
+    def __init__(self, gui: Any, tab: Any) -> None:
         self._points: deque[tuple[float, ...]] = deque(maxlen=POINTS)
         self._late, self._changed = 0.0, False
-        self._plots = [
-            _plot(gui, "force, N", ("normal", "tangential")),
-            _plot(gui, "depth, mm; torsion, mN m", ("depth", "torsion")),
-            _plot(gui, "spin, degrees", ("spin", "roll")),
-            _plot(gui, "lateness, us", ("woken late", "step")),
-        ]
+        self._last_row: NDArray[np.float64] | None = None
+        """Row of the last point."""
+        panel = gui.add_panel()
+        panel.dock_below(gui.main_panel)
+        with panel.add_tab(f"Last {SPAN_S:.0f} s"):
+            self._plots = [
+                _plot(gui, "depth, mm", ("depth",), BANDS),
+                _plot(gui, "force, N: normal, tangential (red)", ("normal", "tangential"), BANDS),
+                _plot(gui, "torsion, mN m", ("torsion",), BANDS, has_time=True),
+            ]
+        with tab:
+            self._plots += [
+                _plot(gui, "spin, degrees; roll (red)", ("spin", "roll"), has_time=True),
+                _plot(gui, "woken late, us; step (red)", ("woken late", "step"), has_time=True),
+            ]
 
-    def add(self, rows: NDArray[np.float64]) -> None:
-        """Add ticks (n, RECORD_SIZE) of the finger."""
+    def add(self, rows: NDArray[np.float64], radius: float) -> None:
+        """Add ticks (n, RECORD_SIZE) of the finger, whose radius is in m; earlier ticks than the last start again."""
         for row in rows:
             self._late = max(self._late, row[AT.servo_late])
-            if self._points and 0.0 <= row[AT.timestamp] - self._points[-1][0] < POINT_PERIOD_S:
+            before = row if self._last_row is None else self._last_row
+            elapsed_s = row[AT.timestamp] - before[AT.timestamp]
+            if self._points and 0.0 <= elapsed_s < POINT_PERIOD_S:
                 continue
+            if elapsed_s < 0.0:
+                self._points.clear()
+            state, self._last_row = classify_contact(before, row, radius), row
             self._points.append((
                 row[AT.timestamp],
+                1e3 * row[AT.contact_penetration],
                 row[AT.contact_normal_force],
                 row[AT.contact_tangential_force],
-                1e3 * row[AT.contact_penetration],
                 1e3 * row[AT.contact_torsion],
                 np.degrees(row[AT.contact_spin]),
                 np.degrees(row[AT.contact_rolled]),
                 1e6 * self._late,
                 1e6 * row[AT.servo_exec],
+                *(float(state == band) for band in BANDS),
             ))  # fmt: skip
             self._late, self._changed = 0.0, True
-
-    def clear(self) -> None:
-        self._points.clear()
 
     def show(self) -> None:
         """Draw the new points."""
@@ -58,12 +80,39 @@ class Plots:
         self._changed = False
         columns = np.array(self._points).T
         seconds = columns[0] - columns[0, -1]
-        for k, plot in enumerate(self._plots):
-            plot.data = (seconds, columns[1 + 2 * k], columns[2 + 2 * k])
+        depth, normal, tangential, torsion, spin, roll, late, step, *bands = columns[1:]
+        beside = ((*bands, depth), (*bands, normal, tangential), (*bands, torsion))
+        for plot, lines in zip(self._plots, (*beside, (spin, roll), (late, step)), strict=True):
+            plot.data = (seconds, *lines)
 
 
-def _plot(gui: Any, title: str, names: tuple[str, str]) -> Any:
-    series = ({"label": "s"}, *({"label": n, "stroke": c, "width": 1.5} for n, c in zip(names, COLOURS, strict=True)))
+def _plot(
+    gui: Any, title: str, names: tuple[str, ...], bands: tuple[ContactState, ...] = (), has_time: bool = False
+) -> Any:
+    """Add a plot of lines over coloured bands of the states of the contact, which are 0 or 1."""
+    series = (
+        {"label": "s"},
+        *(
+            {
+                "label": str(band),
+                "scale": "band",
+                "fill": f"rgba{(*COLOURS[band], BAND_OPACITY)}",
+                "width": 0,
+                "points": {"show": False},
+            }
+            for band in bands
+        ),
+        *({"label": name, "stroke": colour, "width": 1.5} for name, colour in zip(names, LINES, strict=False)),
+    )
     nothing = np.zeros(2)
-    scales = {"x": {"time": False}}
-    return gui.add_uplot((nothing, nothing, nothing), series, title=title, scales=scales, height=150)
+    scales = {"x": {"time": False}, "band": {"range": (0.0, 1.0)}}
+    return gui.add_uplot(
+        (nothing,) * len(series),
+        series,
+        title=title,
+        scales=scales,
+        axes=({"show": has_time}, {"show": True}),
+        legend={"show": False},
+        padding=PADDING,
+        height=HEIGHT + TIME_HEIGHT * has_time,
+    )

@@ -11,9 +11,14 @@ SHARED_SCRIPT: Final = "field"
 """Script that precedes all others."""
 
 
-def add_script(gui: Any, name: str) -> Any:
-    """Add a hidden frame that runs `NAME.js`; return the text field of that name, to which the script writes."""
+def run_script(gui: Any, name: str) -> None:
+    """Run `NAME.js` in a hidden frame of the page."""
     script = "".join((FOLDER / f"{each}.js").read_text("utf-8") for each in (SHARED_SCRIPT, name))
     frame = html.escape(f"<script>{script}</script>", quote=True)
     gui.add_html(f'<iframe hidden aria-hidden="true" tabindex="-1" srcdoc="{frame}"></iframe>')
+
+
+def add_script(gui: Any, name: str) -> Any:
+    """Run `NAME.js`; return the text field of that name, to which the script writes."""
+    run_script(gui, name)
     return gui.add_text(name, "")

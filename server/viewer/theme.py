@@ -1,10 +1,10 @@
-"""Light or dark theme of each browser: its preference, or the choice made by a switch on the page."""
+"""Theme and layout of each browser: light or dark by its preference or by a switch; a folded panel on phones."""
 
 from __future__ import annotations
 
 from typing import Any, Final
 
-from softfinger.server.viewer.scripts import add_script
+from softfinger.server.viewer.scripts import add_script, run_script
 
 SWITCH: Final = (
     '<div style="padding: 0 0.75em 0.5em; text-align: right"><button type="button" role="switch" data-theme-switch '
@@ -14,11 +14,12 @@ SWITCH: Final = (
 
 
 class Theme:
-    """Theme switch, and the script that reports its value."""
+    """Theme switch, the script that reports its value, and the script of the layout."""
 
     def __init__(self, gui: Any) -> None:
         gui.configure_theme(show_logo=False, show_share_button=False)
         gui.add_html(SWITCH)
+        run_script(gui, "layout")
         self._field = add_script(gui, "theme")
         self._field.on_update(self._on_report)
 

@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.proxy.record import AT, FREE, NAMED, PATCHES, SLIDING
-from softfinger.server.surface_meshes import cone, ellipsoid, lathe
+from softfinger.server.surface_meshes import cone
 from softfinger.server.viewer.nodes.bodies import Bodies
+from softfinger.server.viewer.nodes.fingertip import add_finger, add_shadow, disc
 from softfinger.server.viewer.nodes.glyphs import DASHES, Trace, arc, circles, dashes, inverse, rotate, rotation_to
 from softfinger.server.viewer.nodes.looks import (
     CM,
     CONE,
     GHOST,
-    MARKS,
     NORMAL,
     PLUMB,
-    SHADOW,
     SKIN,
     TORSION,
     Colour,
@@ -47,8 +46,19 @@ SHADOW_HEIGHTS_M: Final = (6e-4, 1e-4)
 """Height of the shadow: above a curved surface, whose concave part would hide its rim, and above a flat one, below
 the traces.
 """
+PATCH_HEIGHT_M: Final = 3e-4
+"""Height of the drawn contact patch above the surface, and above the shadow and the traces."""
+LABEL_OFFSET_CM: Final = np.array([0.3, 0.0, 0.0])
+"""Offset of the force's label from the arrow's tip."""
+SIDE: Final = np.array([1.0, 0.0, 0.0])
+"""Direction from a contact to the label of its torsion, beside the arc."""
 MIN_ARC_RAD: Final = radians(8.0)
 """Minimum arc (rad); a shorter one would be an arrow head without a line."""
+
+
+def _set_text(label: Any, text: str) -> None:
+    if label.text != text:  # each change is sent to every page
+        label.text = text
 
 
 def _xyz(at: int) -> slice:
@@ -76,19 +86,16 @@ class FingerNodes:
         Objects; the traces on them are in their frames.
     """
 
-    def __init__(self, api: Any, scene: schema.Scene, finger: schema.FingerParts, bodies: Bodies) -> None:
+    def __init__(self, api: Any, scene: schema.Scene, parts: schema.FingerParts, bodies: Bodies) -> None:
         self._api, self._scene, self._bodies = api, scene, bodies
-        self._node = f"/fingers/{finger.name or 'finger'}"
-        self._radii = finger.radii_m or (finger.radius_m,) * 3
-        shape = ellipsoid(self._radii)
-        vertices = CM * rotate(finger.orientation_wxyz, shape.vertices)
-        rings = CM * 1.004 * rotate(finger.orientation_wxyz, circles(self._radii))
+        self._node = f"/fingers/{parts.name or 'finger'}"
+        self._radii = parts.radii_m or (parts.radius_m,) * 3
+        self.radius: Final = max(self._radii)
+        """Largest radius, m."""
+        rings = CM * rotate(parts.orientation_wxyz, circles(self._radii))
         self._root = api.add_frame(self._node, show_axes=False)
         self._tip = api.add_frame(f"{self._node}/tip", show_axes=False)
-        self.ball = api.add_mesh_simple(
-            f"{self._node}/tip/ball", vertices, shape.faces, color=SKIN, opacity=0.75, cast_shadow=False
-        )
-        self._lines("tip/marks", rings, MARKS, 2.0)
+        self.ball = add_finger(api, f"{self._node}/tip", parts)
         self._ghost = self._lines("probe", rings, GHOST, 2.0)
         self._separation = self._lines("apart", np.zeros((1, 2, 3)), GHOST, 3.0)
         self._force = api.add_arrows(
@@ -100,7 +107,15 @@ class FingerNodes:
             api.add_icosphere(f"{self._node}/contact{k}", radius=0.12, color=SKIN, cast_shadow=False)
             for k in range(PATCHES)
         ]
+        patch = disc(CM)
+        self._patch = api.add_mesh_simple(
+            f"{self._node}/patch", *patch[:2], color=SKIN, opacity=0.7, side="double", cast_shadow=False
+        )
         self._arc = self._lines("torsion", arc(1.0, 1.0), TORSION, 6.0)
+        self._force_label, self._torsion_label = (
+            api.add_label(f"{self._node}/{name}-label", "", anchor="center-left", font_screen_scale=1.2, visible=False)
+            for name in ("force", "torsion")
+        )
         self._cone = api.add_mesh_simple(
             f"{self._node}/cone", *cone(1.0, 0.5)[:2], color=CONE, opacity=0.35, side="double", cast_shadow=False
         )
@@ -115,13 +130,10 @@ class FingerNodes:
         self.displayed_force: Callable[[Array], Array] | None = None
         """Function that returns the part (3,) N of a tick's force (RECORD_SIZE,) that the device displays; None: all of
         it."""
-        self.height_m: float | None = None
-        """Height of the fingertip's lowest point above the object below it, as for a sphere."""
+        self.gap_m: float | None = None
+        """Gap between the fingertip's lowest point and the object below it, as for a sphere."""
         self._plumb = self._lines("plumb", np.zeros((1, 2, 3)), PLUMB, 2.0)
-        disc = lathe(np.array([(CM * 0.75 * min(self._radii), 0.0), (0.0, 0.0)]))
-        self._shadow = api.add_mesh_simple(
-            f"{self._node}/shadow", disc.vertices, disc.faces, color=SHADOW, side="double", cast_shadow=False
-        )
+        self._shadow = add_shadow(api, f"{self._node}/shadow", CM * min(self._radii))
 
     def _lines(self, node: str, segments: Array, colour: Any, thickness: float) -> Any:
         return self._api.add_line_segments(
@@ -146,9 +158,9 @@ class FingerNodes:
             if self._last_row is not None
             else row
         )
-        self.state, self._last_row = classify_contact(earlier, row, max(self._radii)), row
+        self.state, self._last_row = classify_contact(earlier, row, self.radius), row
         self._show_wrench(row, mode, looks, newtons_per_cm)
-        self._show_height(proxy if is_separate else probe)
+        self._show_gap(proxy if is_separate else probe)
         self._show_patches(row, mode != FREE and looks.patches)
         self._show_cone(row, mode != FREE and looks.cone, newtons_per_cm)
         self._trace(rows[::-1][::TRACE_TICKS][::-1], looks.traces)
@@ -163,10 +175,15 @@ class FingerNodes:
         self._missing_force.visible = bool(np.linalg.norm(force - displayed) > MIN_DRAWN_FORCE_N)
         self._missing_force.points = dashes(start, (force - displayed) / newtons_per_cm)
         self._force.colors = np.array(COLOURS[self.state], np.uint8)
+        self._force_label.visible = self._force.visible
+        self._force_label.position = start + displayed / newtons_per_cm + LABEL_OFFSET_CM
+        _set_text(self._force_label, f"{np.linalg.norm(displayed):.1f} N")
         angle = radians(1e3 * float(row[AT.contact_torsion]) * looks.degrees_per_mnm)
-        self._arc.visible = mode != FREE and abs(angle) > MIN_ARC_RAD
+        self._arc.visible = self._torsion_label.visible = mode != FREE and abs(angle) > MIN_ARC_RAD
         if self._arc.visible:
-            self._arc.points = arc(angle, 1.35 * CM * max(self._radii))
+            self._torsion_label.position = CM * (point + 1.5 * self.radius * SIDE)
+            _set_text(self._torsion_label, f"{1e3 * row[AT.contact_torsion]:.1f} mN m")
+            self._arc.points = arc(angle, 1.35 * CM * self.radius)
             self._arc.position = CM * (point + 0.15 * self._radii[0] * normal)
             self._arc.wxyz = rotation_to(normal)
 
@@ -178,8 +195,15 @@ class FingerNodes:
             if is_visible:
                 point, normal = row[_xyz(at.point)], row[_xyz(at.normal)]
                 self._dots[k].position, self._dots[k].color = CM * point, self._patch_colour(int(row[at.mode]))
-                lines[k] = CM * point, CM * point + 2.5 * CM * max(self._radii) * normal
+                lines[k] = CM * point, CM * point + 2.5 * CM * self.radius * normal
         self._normals.visible, self._normals.points = is_shown, lines
+        radius = float(row[AT.contact_patch_radius])
+        self._patch.visible = is_shown and radius > 0.0
+        if self._patch.visible:
+            normal = row[_xyz(AT.contact_normal)]
+            self._patch.position = CM * (row[_xyz(AT.contact_point)] + PATCH_HEIGHT_M * normal)
+            self._patch.wxyz, self._patch.scale = rotation_to(normal), radius
+            self._patch.color = COLOURS[self.state]
 
     def _show_cone(self, row: Array, is_shown: bool, newtons_per_cm: float) -> None:
         object_index, normal_force = int(row[AT.contact_object]), float(row[AT.contact_normal_force])
@@ -202,11 +226,11 @@ class FingerNodes:
             return COLOURS[ContactState.SLIDING]
         return COLOURS[ContactState.STICKING if self.state == ContactState.SLIDING else self.state]
 
-    def _show_height(self, centre: Array) -> None:
+    def _show_gap(self, centre: Array) -> None:
         """Draw a vertical line from the fingertip to the object below it, and its shadow there."""
         projection = self._bodies.below(centre)
         self._plumb.visible = self._shadow.visible = projection is not None
-        self.height_m = None if projection is None else float(centre[2] - projection.point[2]) - min(self._radii)
+        self.gap_m = None if projection is None else float(centre[2] - projection.point[2]) - min(self._radii)
         if projection is not None:
             self._plumb.points = CM * np.array([[centre, projection.point]])
             self._shadow.position = CM * (projection.point + SHADOW_HEIGHTS_M[projection.flat] * projection.normal)
@@ -229,7 +253,7 @@ class FingerNodes:
             finger_point = finger_point * (
                 1.0 + 2.0 * TRACE_HEIGHT_M / max(float(np.linalg.norm(finger_point)), TRACE_HEIGHT_M)
             )
-            colour = COLOURS[classify_contact(before, row, max(self._radii)) if len(rows) > 1 else self.state]
+            colour = COLOURS[classify_contact(before, row, self.radius) if len(rows) > 1 else self.state]
             has_new_segments |= trace.add(rotate(inverse(orientation), above), colour)
             has_new_segments |= self._tip_trace.add(finger_point, colour)
         self._tip_trace_node.visible = is_shown

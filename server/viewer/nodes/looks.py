@@ -12,11 +12,11 @@ CM: Final = 100.0
 Colour = tuple[int, int, int]
 
 TORSION: Final[Colour] = (235, 130, 0)
-SKIN: Final[Colour] = (250, 250, 250)
-MARKS: Final[Colour] = (60, 65, 75)
+SKIN: Final[Colour] = (226, 168, 138)
+NAIL: Final[Colour] = (250, 214, 206)
 PLUMB: Final[Colour] = (128, 134, 146)
-SHADOW: Final[Colour] = (88, 94, 106)
-"""PLUMB and SHADOW are visible on white and on black."""
+SHADOW: Final[Colour] = (40, 44, 54)
+"""PLUMB is visible on white and on black, SHADOW on the squares of a plane."""
 GHOST: Final[Colour] = (70, 165, 105)
 NORMAL: Final[Colour] = (30, 120, 60)
 CONE: Final[Colour] = (250, 205, 60)
@@ -24,7 +24,7 @@ MAP: Final[Colour] = (214, 178, 120)
 """Colour of a height map, which usually appears on a grey plane or without one."""
 ARROW_MAX_CM: Final = 5.0
 """Maximum length of a force arrow that fits the screen."""
-OBJECTS: Final[tuple[Colour, ...]] = ((196, 204, 218), (214, 203, 188), (190, 212, 200), (208, 196, 214))
+OBJECTS: Final[tuple[Colour, ...]] = ((128, 150, 174), (206, 170, 98), (96, 168, 128), (166, 128, 186))
 
 
 @dataclass

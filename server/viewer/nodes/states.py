@@ -33,7 +33,7 @@ class ContactState(StrEnum):
 
 COLOURS: Final[dict[ContactState, Colour]] = {
     ContactState.FREE: (130, 140, 150),
-    ContactState.STICKING: (10, 25, 150),
+    ContactState.STICKING: (25, 45, 180),
     ContactState.ROLLING: (20, 90, 235),
     ContactState.SPINNING: (120, 60, 235),
     ContactState.SLIDING: (225, 35, 25),

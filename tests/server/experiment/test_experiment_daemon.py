@@ -10,6 +10,9 @@ import resource
 import signal
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -298,10 +301,29 @@ gap_s = 0.0
 """
 
 
+@contextmanager
+def held_down(terminal: int, key: bytes) -> Iterator[None]:
+    """Type a key 30 times a second, as a terminal does with one that is held down."""
+    released = threading.Event()
+
+    def repeat() -> None:
+        while not released.wait(0.033):
+            os.write(terminal, key)
+
+    thread = threading.Thread(target=repeat)
+    thread.start()
+    try:
+        yield
+    finally:
+        released.set()
+        thread.join()
+
+
 def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path) -> None:
     """A key at a terminal answers, Ctrl-C ends in order, and the next start takes a program's command for the second.
 
-    Practice says whether the answer was right. What is no answer is refused, and the question stays.
+    A key that is held down answers one question. Practice says whether the answer was right. What is no answer is
+    refused, and the question stays.
     """
     file = tmp_path / "terminal.toml"
     file.write_text(EXPERIMENT)
@@ -310,7 +332,8 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
         with Program(program(file, tmp_path), stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
             assert "Which?" in process.stdout.readline()
-            os.write(ours, b"1")
+            with held_down(ours, b"1"):
+                assert "Release the key." in process.stdout.readline()
             practised = process.stdout.readline()
             os.write(ours, b"\n")
             assert "1 of 3 trials are done" in process.stdout.readline()

@@ -71,7 +71,10 @@ def test_a_pantograph_displays_what_lies_in_its_plane(force: np.ndarray) -> None
 
 @pytest.mark.plain
 def test_the_arrow_is_what_is_displayed_and_dashes_are_the_rest() -> None:
-    """Of 3, 4 and 1 N in the directions of the world, the 2DIY has 3 and 1; the dashes are 4 N long, 2 N a cm."""
+    """Of 3, 4 and 1 N in the directions of the world, the 2DIY has 3 and 1; the dashes are 4 N long, 2 N a cm.
+
+    Force and torsion have their numbers, and a contact patch its computed radius.
+    """
     viser = pytest.importorskip("viser")
     server = viser.ViserServer(port=0, verbose=False)
     try:
@@ -94,6 +97,15 @@ def test_the_arrow_is_what_is_displayed_and_dashes_are_the_rest() -> None:
         row[AT.force : AT.force + 3] = (0.0, 0.0, 1.0)
         nodes.show(row[None], Looks(), 2.0)
         assert not nodes._missing_force.visible and nodes._force.visible
+        assert nodes._force_label.visible and nodes._force_label.text == "1.0 N"
+        assert not nodes._patch.visible
+        # In contact with a patch of 3 mm, a disc of 1 m in the page's units is scaled by its radius.
+        row[AT.contact_mode], row[AT.contact_normal + 2], row[AT.contact_patch_radius] = 1.0, 1.0, 0.003
+        row[AT.contact_torsion] = -0.004
+        nodes.show(row[None], Looks(), 2.0)
+        assert nodes._patch.visible and nodes._patch.scale == pytest.approx(0.003)
+        np.testing.assert_allclose(np.linalg.norm(nodes._patch.vertices, axis=1).max(), 100.0)
+        assert nodes._torsion_label.visible and nodes._torsion_label.text == "-4.0 mN m"
     finally:
         server.stop()
 

@@ -42,8 +42,11 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
         run.click("begin")
         assert run.waits("Block 1 of 2, trial 1 of 4", "Touch 1 of 2")
         assert run.waits("Which was stiffer?")
-        run.click("first")
+        run.page.keyboard.down("1")
         assert run.waits("Block 1 of 2, trial 2 of 4", "Which was stiffer?")
+        for _ in range(10):  # held down, it repeats and answers nothing more
+            run.page.keyboard.down("1")
+        run.page.keyboard.up("1")
         run.page.keyboard.press("2")
         assert run.waits("A break", "2 of 4 trials are done.")
         run.page.keyboard.press("Enter")

@@ -49,6 +49,7 @@ def played(name: str, start: tuple[float, float, float]) -> list[Step]:
     here, steps = {"": Target(np.array(start), IDENTITY)}, list[Step]()
     stage = Stage(
         lambda finger: here[finger],
+        lambda finger: here[finger].position,
         lambda finger: steps[-1].normal_force if steps else 0.0,
         lambda finger: RADIUS,
         lambda point: 0.0,
@@ -124,6 +125,7 @@ def test_a_lift_lifts_a_box_and_puts_it_down() -> None:
     hands, forces, passed = MovableFinger(), {"thumb": 0.0, "index": 0.0}, 0.0
     stage = Stage(
         lambda finger: Target(hands.goals[finger][:3].copy(), IDENTITY),
+        lambda finger: hands.goals[finger][:3],
         forces.__getitem__,
         lambda finger: RADIUS,
         lambda point: 0.0,

@@ -20,6 +20,7 @@ from softfinger.server.surface_meshes import Mesh, cone, surface_mesh
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes.board import squares
 from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
+from softfinger.server.viewer.nodes.fingertip import finger, nail
 from softfinger.server.viewer.nodes.glyphs import (
     ARC_MAX,
     ARC_PIECES,
@@ -406,3 +407,19 @@ def test_angles_are_about_the_axes_of_the_world() -> None:
     """Spin comes last: a roll about x, spun by 90 degrees, is one about y."""
     rolled = rotate(from_angles(radians(30.0), 0.0, radians(90.0)), UP)
     np.testing.assert_allclose(rolled, (sin(radians(30.0)), 0.0, cos(radians(30.0))), atol=1e-12)
+
+
+def test_the_tip_of_a_finger_is_what_is_rendered() -> None:
+    """Closed, outwards; no corner is inside the ellipsoid, and all that point down or sideways are on it.
+
+    The nail lies outside, by the 2 % of its shell at most at its lower end.
+    """
+    radii = np.array([0.008, 0.007, 0.012])
+    mesh = finger(radii)
+    assert volume(mesh) > 4 / 3 * pi * radii.prod()
+    unit = mesh.vertices / radii
+    distance = np.linalg.norm(unit, axis=1)
+    assert distance.min() > 1.0 - 1e-12
+    lower = unit @ (0.0, sin(radians(45.0)), cos(radians(45.0))) <= 1e-12  # of the axis, tilted by 45 degrees
+    assert lower.any() and np.allclose(distance[lower], 1.0, rtol=1e-12)
+    assert (np.linalg.norm(nail(radii).vertices / radii, axis=1) > 1.0).all()

@@ -1,4 +1,4 @@
-"""Buttons of the page, pressed in a browser, play what they say, which is felt in the telemetry; height, the scale of
+"""Buttons of the page, pressed in a browser, play what they say, which is felt in the telemetry; gap, the scale of
 arrows, and light or dark are shown."""
 
 from __future__ import annotations
@@ -131,12 +131,12 @@ def test_a_box_is_not_lifted_by_one_finger(screen: Screen) -> None:
     assert screen.shows("run --scene lift-a-box --view")
 
 
-def test_height_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
-    """The figure is the telemetry's; straight below the ball it is dark; the scale grows with the force."""
+def test_gap_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
+    """The gap is the telemetry's; straight below the ball it is dark; the scale grows with the force."""
 
     def is_right() -> bool:
         """The device's friction holds the hand some hundredths of a millimetre beside its goal, on either side."""
-        (shown,) = re.findall(r"height (\d+\.\d) mm", screen.page.inner_text("body"))
+        (shown,) = re.findall(r"gap (\d+\.\d) mm", screen.page.inner_text("body"))
         height = 1e3 * (client.get_state().position[2] - RADIUS_M)
         return height > 19.0 and float(shown) == pytest.approx(height, abs=0.06)
 
@@ -154,7 +154,7 @@ def test_height_shadow_and_scale_are_shown(screen: Screen, client: Client) -> No
 
     assert eventually(shaded)
     client.hand((0.0, 0.0, 0.006), (1.0, 0.0, 0.0, 0.0))
-    assert eventually(lambda: screen.shows("height 0.0 mm"))
+    assert eventually(lambda: screen.shows("gap 0.0 mm"))
     client.hand((0.0, 0.0, -0.05), (1.0, 0.0, 0.0, 0.0))  # as hard as the guard lets it: 12 N, 60 mm with 2 N per 10 mm
     assert eventually(lambda: client.get_state().force[2] > 10.1)
     assert eventually(lambda: screen.shows("arrow: 5 N per 10 mm"))
@@ -184,3 +184,47 @@ def test_light_and_dark_as_the_browser_prefers_until_the_switch_is_used(screen: 
     assert eventually(lambda: switch.get_attribute("aria-checked") == "false") and brightness(screen) > 240
     switch.click()
     assert eventually(lambda: brightness(screen) < 40)
+
+
+def test_in_deep_contact_a_press_plays_and_without_force_none_is_shown(
+    screen: Screen, daemon: Daemon, client: Client
+) -> None:
+    """The goal of the hand is 20 mm inside the plane: a press begins at the proxy, which is above it, and lifts off.
+
+    With the force off the contact is computed, and the hand feels nothing.
+    """
+    client.hand((0.0, 0.0, -0.02), (1.0, 0.0, 0.0, 0.0))
+    assert eventually(lambda: client.get_state().force[2] > 5.0)
+    client.ask("disarm")
+    assert eventually(lambda: screen.shows("force off"))
+    assert eventually(lambda: re.search(r"normal\s+0\.00 N", screen.page.inner_text("body")))
+    client.ask("arm")
+    assert eventually(lambda: not screen.shows("force off") and client.get_state().force[2] > 5.0)
+    with felt(daemon) as found:
+        play(screen, "press", found)
+    assert not screen.shows("nothing lies below")
+
+
+def test_the_slider_follows_a_gesture(screen: Screen, client: Client) -> None:
+    """A press ends higher than it began: the slider shows where."""
+    screen.tab("Hand")
+    client.hand((0.0, 0.0, 0.012), (1.0, 0.0, 0.0, 0.0))
+    assert eventually(lambda: abs(client.get_state().position[2] - 0.012) < 3e-4)
+    screen.page.get_by_role("button", name="press", exact=True).click()
+    field = screen.page.locator("xpath=//label[normalize-space()='z, mm']/following::input[@type='text'][1]")
+    seen = set[float]()
+    assert eventually(lambda: seen.add(float(field.input_value())) or (min(seen) < 10.0 and max(seen) > 20.0))
+
+
+def test_on_a_phone_the_picture_is_free(screen: Screen) -> None:
+    """At 390 px the sheet of controls is folded, and covers a tenth of the window; opened, it is as wide as that."""
+    page = screen.page
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.reload()
+    page.locator("canvas").first.wait_for()
+    sheet = page.locator("[style*='max-height: 60%']")
+    assert eventually(lambda: sheet.count() and sheet.bounding_box()["height"] < 84.0)
+    assert sheet.bounding_box()["width"] == 390.0
+    sheet.locator("[style*='cursor: pointer']").first.click()
+    assert eventually(lambda: sheet.bounding_box()["height"] > 300.0)
+    assert page.get_by_role("button", name="press", exact=True).bounding_box()["x"] < 390.0
