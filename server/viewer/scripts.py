@@ -13,7 +13,12 @@ SHARED_SCRIPT: Final = "field"
 
 def add_script(gui: Any, name: str) -> Any:
     """Add a hidden frame that runs `NAME.js`; return the text field of that name, to which the script writes."""
+    run_script(gui, name)
+    return gui.add_text(name, "")
+
+
+def run_script(gui: Any, name: str) -> None:
+    """Add a hidden frame that runs `NAME.js`."""
     script = "".join((FOLDER / f"{each}.js").read_text("utf-8") for each in (SHARED_SCRIPT, name))
     frame = html.escape(f"<script>{script}</script>", quote=True)
     gui.add_html(f'<iframe hidden aria-hidden="true" tabindex="-1" srcdoc="{frame}"></iframe>')
-    return gui.add_text(name, "")
