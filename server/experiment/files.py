@@ -22,7 +22,7 @@ from softfinger.server.experiment.masses import load_changed_scene
 from softfinger.server.experiment.observer import observer_for
 from softfinger.server.experiment.schema import ONE, ExperimentFile
 from softfinger.server.experiment.schema_parts import Screen, Survey, SurveyFile
-from softfinger.server.experiment.session import parameters
+from softfinger.server.experiment.session import CONSENT, consent_question, parameters
 from softfinger.server.wire.commands import IMAGE_BYTES_MAX
 
 IMAGES: Final = {"png": rb"\x89PNG\r\n\x1a\n", "jpeg": rb"\xff\xd8\xff", "webp": rb"RIFF....WEBP"}
@@ -154,6 +154,8 @@ def _check_observer(experiment: ExperimentFile) -> None:
     """Raise ConfigError if a value of the observer is invalid or belongs to an unknown condition or question."""
     _check_by("observer", experiment.observer, experiment.observer.by, experiment)
     questions = {question.name: question for survey in experiment.survey for question in survey.question}
+    if experiment.consent:
+        questions |= {CONSENT: consent_question(experiment)}
     everywhere = [observer_for(experiment, condition).answers for condition in conditions(experiment)]
     for name, answer in {key: value for answers in everywhere for key, value in answers.items()}.items():
         where = f"observer.answers.{name} = {shown(answer)}"

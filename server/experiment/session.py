@@ -15,6 +15,8 @@ from softfinger.server.experiment.schema_parts import Question, Survey
 
 AGREE: Final = "I agree"
 DECLINE: Final = "I do not agree"
+CONSENT: Final = "consent"
+"""Name of the question of consent, for the simulated observer."""
 
 
 class Stopped(HapticError):
@@ -146,10 +148,7 @@ class Session:
         Raises Stopped if the participant does not agree.
         """
         if self.experiment.consent and not any(entry["agreed"] for entry in journal.of("consent")):
-            question = Question(
-                name="consent", kind="multi-choice", prompt=self.experiment.consent, options=(AGREE, DECLINE)
-            )
-            answer = answers.ask(self.experiment.title, question, None, 0)
+            answer = answers.ask(self.experiment.title, consent_question(self.experiment), None, 0)
             journal.write("consent", agreed=answer.value == AGREE)
             if answer.value != AGREE:
                 raise Stopped("the participant did not agree: no trial was run")
@@ -189,9 +188,10 @@ class Session:
         block  number of the block that has ended, 0: none
         """
         ended = [trial.condition for trial, number in zip(self.trials, self._blocks, strict=True) if number == block]
-        condition = self.conditions[ended[-1]] if ended and self.experiment.design.order != "random" else None
+        is_by_block = ended and self.experiment.design.order != "random"
         answered = {(entry["survey"], entry["block"], entry["question"]) for entry in journal.of("survey")}
         for survey in self.experiment.survey:
+            condition = self.conditions[ended[-1]] if is_by_block and "between" in survey.at else None
             for question in survey.question if at in survey.at else ():
                 if (survey.name, block, question.name) in answered:
                     continue
@@ -254,6 +254,11 @@ class Session:
         procedure = self._procedures[trial.condition].get(trial.staircase)
         if procedure is not None and not trial.practice and not trial.catch:
             procedure.update(entry["level"], entry["right"])
+
+
+def consent_question(experiment: ExperimentFile) -> Question:
+    """Return the consent text as a question."""
+    return Question(name=CONSENT, kind="multi-choice", prompt=experiment.consent, options=(AGREE, DECLINE))
 
 
 def _survey_entry(
