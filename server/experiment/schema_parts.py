@@ -126,7 +126,10 @@ class Confidence(Table, frozen=True, kw_only=True):
 
     question: Annotated[str, sized(Range(1, 4000, ""), "the question")] = "How sure are you?"
     scale: Annotated[tuple[int, int], said("first and last mark", [1, 4])] = (1, 4)
-    scale_ends: Annotated[tuple[Option, Option], said("what the first and last mark mean")] = ("a guess", "certain")
+    scale_ends: Annotated[tuple[Option, ...], said("what the first and last mark mean", ["a guess", "certain"])] = (
+        "a guess",
+        "certain",
+    )
 
     @property
     def as_question(self) -> Question:
@@ -139,6 +142,8 @@ class Confidence(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         if known(self.scale) and not 1 <= self.scale[0] < self.scale[1] < self.scale[0] + MARKS_MAX:
             yield "scale", self.scale, f"must be the first mark, from 1, and the last of at most {MARKS_MAX}"
+        if known(self.scale_ends) and len(self.scale_ends) != 2:
+            yield "scale_ends", list(self.scale_ends), "has two words"
 
 
 class Screen(Table, frozen=True, kw_only=True):

@@ -209,7 +209,7 @@ class Prompt(Struct, frozen=True, forbid_unknown_fields=True):
         str,
         Meta(max_length=150_000, pattern=r"^(data:image/(png|jpeg|webp);base64,[A-Za-z0-9+/=]+)?$"),
     ] = ""
-    masking_noise: Literal["none", "white", "pink"] = "none"
+    masking_noise: Annotated[str, Meta(pattern="^(none|white|pink)$")] = "none"
     volume: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.2
 
 
