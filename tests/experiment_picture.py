@@ -1,4 +1,4 @@
-"""`make page-picture`: docs/figures/experiment-page.png, the page of a participant, drawn anew."""
+"""`make page-picture`: docs/figures/experiment-{page,report}.png, a participant's page and the report of a study."""
 
 from __future__ import annotations
 
@@ -6,11 +6,17 @@ import io
 import tempfile
 from pathlib import Path
 
-from helpers.browser import eventually
+from helpers.browser import browser, eventually
 from helpers.experiment_page import EXPERIMENT, Session, session
 from PIL import Image
 
-PICTURE = Path(__file__).resolve().parents[1] / "docs" / "figures" / "experiment-page.png"
+from softfinger.server import cli
+from softfinger.server.experiment.experiment import Experiment, RunOptions
+
+FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
+PICTURE, REPORT = FIGURES / "experiment-page.png", FIGURES / "experiment-report.png"
+REPORT_SIZE = {"width": 1000, "height": 1900}
+PARTICIPANTS = range(1, 7)
 SIZE = {"width": 620, "height": 300}
 PANEL = 500
 """Of that, pixels on the right: the page's panel; left of it there is nothing."""
@@ -22,6 +28,20 @@ COLOURS = 32
 def seen(run: Session) -> Image.Image:
     whole = Image.open(io.BytesIO(run.page.screenshot())).convert("RGB")
     return whole.crop((whole.width - PANEL, 0, whole.width, whole.height))
+
+
+def draw_report() -> None:
+    """Rehearse the shipped study with six participants, and take the upper part of its report."""
+    with tempfile.TemporaryDirectory() as folder, browser() as page:
+        for participant in PARTICIPANTS:
+            running = RunOptions(dry_run=True, no_daemon=True)
+            Experiment("stiffness-and-workload").run(Path(folder) / "out", participant, running)
+        cli.main(["-q", "figure", f"{folder}/out", "--report"])
+        page.set_viewport_size(REPORT_SIZE)
+        page.goto(f"file://{folder}/out/figures/report.html")
+        picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+        picture.quantize(COLOURS).save(REPORT, optimize=True)
+    print(f"{REPORT}: {REPORT.stat().st_size // 1024} kB")
 
 
 def main() -> None:
@@ -41,6 +61,7 @@ def main() -> None:
     both.paste(pictures[1], (pictures[0].width + GAP, 0))
     both.quantize(COLOURS).save(PICTURE, optimize=True)
     print(f"{PICTURE}: {PICTURE.stat().st_size // 1024} kB")
+    draw_report()
 
 
 if __name__ == "__main__":

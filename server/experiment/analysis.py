@@ -50,20 +50,25 @@ class Group(NamedTuple):
 
 
 def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]:
-    """Fit the answers by condition in the order of the design, without practice trials.
+    """Fit the answers by condition in the order of the design, without practice and catch trials.
 
-    Returns the fits of each participant and, if there are several, of their pooled answers. The pooled fit describes an
-    observer only if the participants differ little. Raises ConfigError if there are no answers.
+    Returns the fits of each participant and, if there are several, of their pooled answers, without the excluded
+    participants. The pooled fit describes an observer only if the participants differ little. Raises ConfigError if
+    there are no answers.
     """
-    counted = [row for row in rows if not row["practice"]]
+    counted = [row for row in rows if is_counted(row)]
+    excluded = excluded_participants(experiment, rows)
     if not counted:
         raise ConfigError("no trial beyond practice has been answered: there is nothing to draw yet")
     participants = sorted({row["participant"] for row in counted})
     groups = []
-    for participant in [*participants, *([ALL] if len(participants) > 1 else [])]:
+    for participant in [*participants, *([ALL] if len(participants) > max(1, len(excluded)) else [])]:
         for condition in (each.name for each in conditions(experiment)):
             group_rows = [
-                row for row in counted if row["condition"] == condition and participant in (ALL, row["participant"])
+                row
+                for row in counted
+                if row["condition"] == condition
+                and (row["participant"] == participant or (participant == ALL and row["participant"] not in excluded))
             ]
             if group_rows:
                 groups.append(
@@ -77,6 +82,33 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
                     )
                 )
     return groups
+
+
+def is_counted(row: Entry) -> bool:
+    """Return True for a trial that is neither practice nor a catch trial."""
+    return not (row["practice"] or row.get("catch"))
+
+
+def catch_shares(rows: Sequence[Entry]) -> dict[str, tuple[int, int]]:
+    """Return the number of right and of all catch trials of each participant that has any."""
+    shares = dict[str, tuple[int, int]]()
+    for row in rows:
+        if row.get("catch") and not row["practice"]:
+            right, count = shares.get(row["participant"], (0, 0))
+            shares[row["participant"]] = right + bool(row["right"]), count + 1
+    return shares
+
+
+def excluded_participants(experiment: ExperimentFile, rows: Sequence[Entry]) -> dict[str, str]:
+    """Return the reason for each participant whose catch trials are below the limit of the file."""
+    if experiment.catch is None:
+        return {}
+    limit = experiment.catch.min_right
+    return {
+        participant: f"{right} of {count} catch trials right, fewer than {limit:.0%}"
+        for participant, (right, count) in catch_shares(rows).items()
+        if right < limit * count
+    }
 
 
 def fit_answers(experiment: ExperimentFile, rows: Sequence[Entry]) -> Fit | PowerLaw:
@@ -159,16 +191,17 @@ def format_fit(result: Fit | PowerLaw) -> str:
     """Format a fit with its 95 % intervals."""
     if isinstance(result, Fit):
         unbounded = ", not bounded by the answers: take other levels or more trials" if result.bounded else ""
-        return f"threshold {_format_interval(result.threshold, result.threshold_95)}{unbounded}"
-    answer = f"answer {_format_interval(result.answer, result.answer_95)} at {result.middle:.3g}"
+        return f"threshold {format_interval(result.threshold, result.threshold_95)}{unbounded}"
+    answer = f"answer {format_interval(result.answer, result.answer_95)} at {result.middle:.3g}"
     return (
         answer
         if math.isnan(result.exponent)
-        else f"exponent {_format_interval(result.exponent, result.exponent_95)}, {answer}"
+        else f"exponent {format_interval(result.exponent, result.exponent_95)}, {answer}"
     )
 
 
-def _format_interval(value: float, interval: tuple[float, float]) -> str:
+def format_interval(value: float, interval: tuple[float, float]) -> str:
+    """Format a value with its interval, if there is one."""
     low, high = interval
     return f"{value:.3g}" if math.isnan(low) else f"{value:.3g} ({low:.3g} to {high:.3g})"
 

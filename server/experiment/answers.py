@@ -8,18 +8,20 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Final
 
 from softfinger.config.errors import CommandRefused, ConfigError
 from softfinger.server.experiment.design import Condition, PlannedTrial
+from softfinger.server.experiment.files import screen_for
 from softfinger.server.experiment.haptics import Haptics
 from softfinger.server.experiment.observer import SimulatedObserver
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.schema_parts import Question
 from softfinger.server.experiment.session import Answer, Progress, TouchResult, is_right_answer
 from softfinger.server.wire.client_requests import parse_number
-from softfinger.server.wire.commands import Prompt
+from softfinger.server.wire.commands import TEXT_ANSWER_MAX, Prompt
 
 CHOICES: Final = ("first", "second")
 KEYS: Final = {"1": "first", "2": "second"}
@@ -40,12 +42,15 @@ class Participant:
 
     Each question is a prompt of the daemon. Pages and other programs answer it by the command `answer`; this class does
     so for keys in the terminal and the first two buttons of the device.
+
+    images  data URIs of the images of the page, by name
     """
 
-    def __init__(self, experiment: ExperimentFile, haptics: Haptics) -> None:
-        self._experiment, self._haptics = experiment, haptics
+    def __init__(self, experiment: ExperimentFile, haptics: Haptics, images: Mapping[str, str]) -> None:
+        self._experiment, self._haptics, self._images = experiment, haptics, images
         self._progress: Progress | None = None
         self._last_key_s = 0.0
+        self._screen: dict[str, Any] = {}
 
     def instruct(self) -> None:
         """Show the instructions until the participant starts."""
@@ -54,8 +59,15 @@ class Participant:
                 Prompt(self._experiment.title, text, choices=(BEGIN,)), f"{text} Press Enter or a button to start."
             )
 
-    def prepare(self, progress: Progress) -> None:
+    def prepare(self, progress: Progress, condition: Condition) -> None:
         self._progress = progress
+        screen = screen_for(self._experiment, condition)
+        self._screen = {
+            "masking_noise": screen.masking_noise,
+            "volume": screen.volume,
+            "colour": screen.colour,
+            "image": self._images.get(screen.image, ""),
+        }
         task = self._experiment.task
         self._show(self._prompt(task.question if task.kind == "trace" else progress.text))
 
@@ -77,6 +89,29 @@ class Participant:
         answer = self._ask(prompt, f"{task.question} {ends} ({task.scale[0]} to {task.scale[1]}, then Enter)")
         return answer._replace(value=float(answer.value))
 
+    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Answer:
+        progress = self._progress
+        assert progress is not None
+        return self.ask(progress.title, question, condition, trial.number)
+
+    def ask(self, title: str, question: Question, condition: Condition | None, number: int) -> Answer:
+        line = question.text
+        if question.kind == "text":
+            return self._ask(Prompt(title, line, text_length=TEXT_ANSWER_MAX), f"{line} A text, then Enter")
+        if question.kind == "number":
+            limits = question.min, question.max
+            return self._ask(
+                Prompt(title, line, number=limits), f"{line} A number from {limits[0]:g} to {limits[1]:g}, then Enter"
+            )
+        if question.kind == "likert":
+            answer = self._ask(
+                Prompt(title, line, choices=question.marks), f"{line} One of {', '.join(question.marks)}, then Enter"
+            )
+            return answer._replace(value=float(answer.value))
+        return self._ask(
+            Prompt(title, line, choices=question.options), f"{line} One of {', '.join(question.options)}, then Enter"
+        )
+
     def _show_feedback(self, is_right: bool) -> None:
         """Show whether the answer to a practice trial was right, so that the participant learns the question."""
         text = "That was right." if is_right else "That was wrong."
@@ -88,13 +123,15 @@ class Participant:
         self._ask(prompt, f"{done_text} A break: Press Enter or a button to continue.")
 
     def end(self) -> None:
-        """Show that the session is over."""
-        self._show(Prompt(self._experiment.title, END))
+        """Show the debriefing, and that the session is over."""
+        text = f"{self._experiment.debriefing}\n{END}" if self._experiment.debriefing else END
+        print_line(text)
+        self._show(Prompt(self._experiment.title, text))
 
     def _prompt(self, text: str, **options: Any) -> Prompt:
         progress = self._progress
         assert progress is not None
-        return Prompt(progress.title, text, progress.trial - 1, progress.trials, **options)
+        return Prompt(progress.title, text, progress.trial - 1, progress.trials, **self._screen, **options)
 
     def _show(self, prompt: Prompt) -> int:
         number: int = self._haptics.client.ask("set_prompt", prompt).number
@@ -153,7 +190,16 @@ class DryRun:
     def __init__(self, experiment: ExperimentFile, participant: int) -> None:
         self._observer = SimulatedObserver(experiment, participant)
 
-    def prepare(self, progress: Progress) -> None:
+    def instruct(self) -> None:
+        """Do nothing: the simulated observer needs no instructions."""
+
+    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Answer:
+        return Answer(self._observer.confidence(trial, condition, level, question))
+
+    def ask(self, title: str, question: Question, condition: Condition | None, number: int) -> Answer:
+        return Answer(self._observer.survey(question, condition, number))
+
+    def prepare(self, progress: Progress, condition: Condition) -> None:
         """Do nothing: the simulated observer needs no prompt."""
 
     def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Answer:
@@ -183,6 +229,8 @@ def parse_answer(prompt: Prompt, typed: str, buttons: int) -> tuple[str | float 
     line, newline, rest = typed.partition("\n")
     if not newline or not line.strip():
         return None, rest if newline else line
+    if prompt.text_length:
+        return line.strip()[: prompt.text_length], rest
     return (line.strip()[:64] if choices else parse_number(line)), rest
 
 

@@ -6,6 +6,7 @@ Each random choice is determined by the seed and the participant's number, so th
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -16,8 +17,14 @@ from softfinger.server.experiment.schema import ExperimentFile
 T = TypeVar("T")
 
 _ORDER: Final = 1
-"""Stream of random numbers for the order; TRIAL: for each trial."""
+"""Stream of random numbers for the order; TRIAL: for each trial; SURVEY: for each answer of a survey.
+
+_ADDITIONS is the stream for catch trials, staircases and balance by level, so that a file without them has the same
+order as before there were any.
+"""
 TRIAL: Final = 2
+SURVEY: Final = 3
+_ADDITIONS: Final = 4
 
 
 class Condition(NamedTuple):
@@ -43,6 +50,8 @@ class PlannedTrial(NamedTuple):
     condition   index in the list of conditions
     level       None: chosen by a procedure at the time of the trial
     test_first  True if the first of two touches is the test stimulus, not the reference
+    catch       True for a catch trial
+    staircase   number of the interleaved staircase, from 1; 0: there is at most one
     """
 
     number: int
@@ -50,6 +59,8 @@ class PlannedTrial(NamedTuple):
     condition: int
     level: float | None
     test_first: bool
+    catch: bool = False
+    staircase: int = 0
 
 
 def conditions(experiment: ExperimentFile) -> list[Condition]:
@@ -91,9 +102,14 @@ def plan_trials(experiment: ExperimentFile, participant: int) -> list[PlannedTri
     practice = [trials[int(k)] for k in rng.integers(len(trials), size=experiment.design.practice)]
     all_trials = [(True, trial) for trial in practice] + [(False, trial) for trial in trials]
     first = rng.permutation(len(all_trials)) % 2 == 0  # balanced
-    return [
+    planned = [
         PlannedTrial(k + 1, is_practice, *trial, bool(first[k])) for k, (is_practice, trial) in enumerate(all_trials)
     ]
+    rng = np.random.default_rng([experiment.design.seed, participant, _ADDITIONS])
+    planned = _insert_catch_trials(experiment, _interleave(experiment, planned, rng), rng)
+    if experiment.design.test_first == "balanced-by-level":
+        planned = _balance_by_level(planned, rng)
+    return [trial._replace(number=k) for k, trial in enumerate(planned, 1)]
 
 
 def summary(experiment: ExperimentFile) -> list[tuple[str, str]]:
@@ -126,6 +142,59 @@ def _mix(
     block_order = _shuffle([index for index, block in enumerate(blocks) for _ in block], rng)
     remaining = [iter(block) for block in blocks]
     return [next(remaining[index]) for index in block_order]
+
+
+def _interleave(
+    experiment: ExperimentFile, trials: Sequence[PlannedTrial], rng: np.random.Generator
+) -> list[PlannedTrial]:
+    """Assign the trials of each condition to its staircases, in rounds of all of them in random order."""
+    count = len(experiment.procedure.starts)
+    if not count:
+        return list(trials)
+    rounds = dict[int, list[int]]()
+    assigned = []
+    for trial in trials:
+        if trial.practice:
+            assigned.append(trial._replace(staircase=1))
+            continue
+        remaining = rounds.setdefault(trial.condition, [])
+        remaining.extend([] if remaining else _shuffle(range(1, count + 1), rng))
+        assigned.append(trial._replace(staircase=remaining.pop()))
+    return assigned
+
+
+def _insert_catch_trials(
+    experiment: ExperimentFile, trials: Sequence[PlannedTrial], rng: np.random.Generator
+) -> list[PlannedTrial]:
+    """Insert catch trials after randomly chosen trials of their condition, half of them with the test first."""
+    if experiment.catch is None:
+        return list(trials)
+    after = Counter[int]()
+    for condition in range(len(conditions(experiment))):
+        numbers = [trial.number for trial in trials if trial.condition == condition and not trial.practice]
+        after.update(int(k) for k in rng.choice(numbers, round(experiment.catch.rate * len(numbers)), replace=False))
+    first = iter(rng.permutation(after.total()) % 2 == 0)
+    mixed = []
+    for trial in trials:
+        mixed.append(trial)
+        if trial.number in after:
+            catch = trial._replace(level=experiment.catch.level, test_first=bool(next(first)), catch=True, staircase=0)
+            mixed.append(catch)
+    return mixed
+
+
+def _balance_by_level(trials: Sequence[PlannedTrial], rng: np.random.Generator) -> list[PlannedTrial]:
+    """Let half of the trials of each condition and level begin with the test; an odd one is drawn."""
+    groups = dict[tuple[int, float | None, bool, bool, int], list[int]]()
+    for index, trial in enumerate(trials):
+        group = (trial.condition, trial.level, trial.practice, trial.catch, trial.staircase)
+        groups.setdefault(group, []).append(index)
+    balanced = list(trials)
+    for indices in groups.values():
+        odd = int(rng.integers(2))
+        for place, index in zip(rng.permutation(len(indices)), indices, strict=True):
+            balanced[index] = trials[index]._replace(test_first=bool((place + odd) % 2))
+    return balanced
 
 
 def _shuffle(values: Sequence[T], rng: np.random.Generator) -> list[T]:

@@ -90,10 +90,10 @@ class Experiment:
 
     def rehearse(self, participant: int = 1) -> list[Entry]:
         """Run the trials with the simulated observer, without daemon and files; return one row per trial."""
-        journal = Memory()
-        Session(self.file, _check_participant(participant)).run(
-            journal, NullApparatus(), DryRun(self.file, participant)
-        )
+        journal, simulated = Memory(), DryRun(self.file, _check_participant(participant))
+        session = Session(self.file, participant)
+        session.welcome(journal, simulated)
+        session.run(journal, NullApparatus(), simulated)
         return [entry for entry in journal.entries if entry["kind"] == "done"]
 
     def run(self, folder: str | Path, participant: int, running: RunOptions = RunOptions()) -> list[Entry]:  # noqa: B008
@@ -156,6 +156,7 @@ class Experiment:
             journal, _ = _begin_run(
                 session, stack, journal, participant_folder, {"about.json": {"daemon": False}}, True
             )
+            session.welcome(journal, simulated)
             session.run(journal, NullApparatus(), simulated, participant_folder)
             return
         rig = files.resolve_source(self._folder, self.file.rig)
@@ -164,9 +165,10 @@ class Experiment:
         with self._start_daemon(participant_folder, rig, running) as (haptics, about):
             run_files |= {"about.json": about}
             journal, number = _begin_run(session, stack, journal, participant_folder, run_files, running.dry_run)
-            participant = None if running.dry_run else Participant(self.file, haptics)
-            if participant is not None:
-                participant.instruct()
+            participant = (
+                None if running.dry_run else Participant(self.file, haptics, files.images(self.file, self._folder))
+            )
+            session.welcome(journal, participant or simulated)
             with record_ticks(haptics, f"{participant_folder.label}/{participant_folder.name(number, 'ticks.mcap')}"):
                 session.run(journal, haptics, participant or simulated, participant_folder)
             if participant is not None:

@@ -9,9 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from softfinger.config.files import new_file
-from softfinger.server.experiment.analysis import fit_groups, format_fit, table
+from softfinger.server.experiment.analysis import excluded_participants, fit_groups, format_fit, table
+from softfinger.server.experiment.comparison import survey_table
 from softfinger.server.experiment.figures import draw
-from softfinger.server.experiment.folder import load, write_csv
+from softfinger.server.experiment.folder import JOURNAL, load, read_surveys, write_csv
+from softfinger.server.experiment.report import write_report
+from softfinger.server.experiment.session_figures import draw_session
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -21,6 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("folder", metavar="FOLDER", help="folder written by `softfinger experiment`")
     parser.add_argument("--out", metavar="FOLDER", help="where figures go (default: FOLDER/figures)")
+    parser.add_argument("--report", action="store_true", help="also write report.html, a page with all results")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 
 
@@ -32,11 +36,21 @@ def run(args: argparse.Namespace) -> int:
     numbers = table(groups)
     out = Path(args.out) if args.out else root / "figures"
     out.mkdir(parents=True, exist_ok=True)
+    journals = sorted(root.glob(JOURNAL))
+    surveys = survey_table(experiment, read_surveys(journals), excluded_participants(experiment, rows))
     paths = draw(experiment, groups, out)
+    paths += draw_session(experiment, rows, surveys, groups, out)
     write_csv(out / "numbers.csv", numbers)
     text = json.dumps([replace_nan(row) for row in numbers], indent=1)
     with new_file(out / "numbers.json") as file:
         file.write(text.encode() + b"\n")
+    if surveys:
+        write_csv(out / "surveys.csv", surveys)
+    if args.report:
+        report = out / "report.html"
+        with new_file(report) as file:
+            file.write(write_report(experiment, rows, groups, surveys, root, paths).encode())
+        paths.append(report)
     if args.json:
         print(text)
         return 0

@@ -51,20 +51,20 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
         axes.set(ylabel="share of right answers", ylim=(0.0, 1.02))
     else:
         axes.set(yscale="log", ylabel="duration (s)" if experiment.task.kind == "trace" else "answer")
-    _plain_ticks(axes)
+    plain_ticks(axes)
     axes.legend(fontsize="small")
-    paths += _save(figure, out / "fit")
+    paths += save(figure, out / "fit")
     shown_groups = [group for group in groups if group.participant == main_participant]
     if any(group.means for group in shown_groups):
         figure, all_axes = plt.subplots(1, len(AVERAGED_COLUMNS), figsize=(11, 3.2), layout="constrained")
         for axes, name in zip(all_axes, AVERAGED_COLUMNS, strict=True):
             _draw_means(axes, shown_groups, name)
-        paths += _save(figure, out / "felt")
+        paths += save(figure, out / "felt")
     plt.close("all")
     return paths
 
 
-def _plain_ticks(axes: Axes) -> None:
+def plain_ticks(axes: Axes) -> None:
     """Label logarithmic axes with decimal numbers; matplotlib uses powers of ten."""
     from matplotlib.ticker import LogFormatter
 
@@ -133,7 +133,8 @@ def _values(rows: Sequence[Entry], name: str) -> list[float]:
     return [row[name] for row in rows if name in row]
 
 
-def _save(figure: Any, name: Path) -> list[Path]:
+def save(figure: Any, name: Path) -> list[Path]:
+    """Write a figure as PNG and SVG; return the files."""
     paths = [name.with_suffix(f".{suffix}") for suffix in SUFFIXES]
     for path in paths:
         figure.savefig(path, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else None)

@@ -4,13 +4,14 @@ FOLDER/
     dataset_description.json, experiment.json     description, the same for all participants
     files.json                                    hashes of scenes and rig next to the experiment, if there are any
     participants.tsv, trials.csv                  tables of all participants, made from the journals
+    surveys.csv                                   one row per answer to a survey, if there are any
     sub-01/
         sub-01_journal.jsonl                      events, one per line: the source of every table
         sub-01_order.csv, sub-01_design.json      trials as designed; seed, conditions
         sub-01_run-01_about.json                  versions, rig, scene, machine; of each start
         sub-01_run-01_doctor.json                 report of `softfinger doctor`
         sub-01_run-01_ticks.mcap                  every tick, with markers
-        sub-01_trials.csv                         one row per trial
+        sub-01_trials.csv, sub-01_surveys.csv     one row per trial, and per answer to a survey
         trials/sub-01_trial-0001.csv              every tick of the touches of a trial
 """
 
@@ -120,13 +121,21 @@ class Folder:
         write_csv(self.participant_dir / f"{self.label}_trials.csv", read_trials([self.journal]))
         journals = sorted(self.root.glob(JOURNAL))
         write_csv(self.root / "trials.csv", read_trials(journals))
+        if read_surveys([self.journal]):
+            write_csv(self.participant_dir / f"{self.label}_surveys.csv", read_surveys([self.journal]))
+            write_csv(self.root / "surveys.csv", read_surveys(journals))
         names = b"".join(f"{each.parent.name}\n".encode() for each in journals)
         _write(self.root / "participants.tsv", b"participant_id\n" + names)
 
 
 def _rows(conditions: Sequence[Condition], trials: Sequence[PlannedTrial]) -> list[Entry]:
-    """Return the trials as designed, one row each."""
-    return [trial._asdict() | {"condition": conditions[trial.condition].name} for trial in trials]
+    """Return the trials as designed, one row each; without columns for what the design does not have."""
+    unused = {name for name in ("catch", "staircase") if not any(getattr(trial, name) for trial in trials)}
+    return [
+        {key: value for key, value in trial._asdict().items() if key not in unused}
+        | {"condition": conditions[trial.condition].name}
+        for trial in trials
+    ]
 
 
 def _json(values: Any) -> bytes:
@@ -135,11 +144,24 @@ def _json(values: Any) -> bytes:
 
 def _check_same(path: Path, text: bytes) -> None:
     """Raise ConfigError if an existing file has another content than `text`."""
-    if path.exists() and path.read_bytes() != text:
+    if path.exists() and path.read_bytes() != text and not _is_same_experiment(path, text):
         raise ConfigError(
             f"{path}: is of an experiment with other values{_different_keys(path, text)}: name another folder "
             "(--out), or run the experiment as it was"
         )
+
+
+def _is_same_experiment(path: Path, text: bytes) -> bool:
+    """Return True if a file describes the experiment of `text` and lacks only keys that are newer than the file."""
+    if path.name != "experiment.json":
+        return False
+    try:
+        existing, expected = (
+            build(ExperimentFile, msgspec.json.decode(each), str(path)) for each in (path.read_bytes(), text)
+        )
+    except (ConfigError, msgspec.DecodeError):
+        return False
+    return existing == expected
 
 
 def _different_keys(path: Path, text: bytes) -> str:
@@ -161,6 +183,16 @@ def read_trials(journals: Iterable[Path]) -> list[Entry]:
                 row = {key: value for key, value in entry.items() if key not in ("kind", "levels")}
                 rows.append({"participant": journal.parent.name} | row | entry.get("levels", {}))
     return rows
+
+
+def read_surveys(journals: Iterable[Path]) -> list[Entry]:
+    """Return a row for each answer to a question of a survey, in the order of the journals."""
+    return [
+        {"participant": journal.parent.name} | {key: value for key, value in entry.items() if key != "kind"}
+        for journal in journals
+        for entry in read(journal)
+        if entry["kind"] == "survey"
+    ]
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import math
+from statistics import NormalDist
+from typing import Final
 
 import msgspec
 import numpy as np
 
-from softfinger.server.experiment.design import TRIAL, Condition, PlannedTrial
+from softfinger.server.experiment.design import SURVEY, TRIAL, Condition, PlannedTrial
 from softfinger.server.experiment.psychometric import probability
 from softfinger.server.experiment.schema import ExperimentFile, Observer
+from softfinger.server.experiment.schema_parts import Question
+
+CERTAIN: Final = 2.0
+"""Evidence, in standard deviations of its noise, from which the last mark of confidence is given."""
+RATING_NOISE: Final = 0.1
+"""Standard deviation of the answers to likert questions and numbers, as a share of their range."""
 
 
 def observer_for(experiment: ExperimentFile, condition: Condition) -> Observer:
@@ -25,7 +33,7 @@ class SimulatedObserver:
 
     def answer(self, trial: PlannedTrial, condition: Condition, level: float) -> str | float:
         """Return `first` or `second` for a comparison, else a number."""
-        rng = np.random.default_rng([self._experiment.design.seed, self._participant, TRIAL, trial.number])
+        rng = self._rng(TRIAL, trial.number)
         observer = observer_for(self._experiment, condition)
         if self._experiment.task.kind == "compare":
             right = rng.random() < float(probability(level, observer.threshold, observer.slope, lapse=observer.lapse))
@@ -33,3 +41,39 @@ class SimulatedObserver:
         answer = observer.scale * math.pow(level, observer.exponent) * math.exp(observer.noise * rng.standard_normal())
         scale = self._experiment.task.scale
         return answer if scale is None else float(min(max(round(answer), scale[0]), scale[1]))
+
+    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> float:
+        """Return the mark of confidence in the answer to a comparison.
+
+        Signal detection: evidence x is normal with unit variance, and the answer is right if x > 0. The range of |x|
+        from 0 to CERTAIN has equal parts for all marks. The random number is that of the answer.
+        """
+        observer, normal = observer_for(self._experiment, condition), NormalDist()
+        chance = float(probability(level, observer.threshold, observer.slope, lapse=observer.lapse))
+        drawn = self._rng(TRIAL, trial.number).random()
+        evidence = normal.inv_cdf(min(chance, 1.0 - 1e-12)) - normal.inv_cdf(max(drawn, 1e-300))
+        marks = question.marks
+        return float(marks[min(int(abs(evidence) / CERTAIN * len(marks)), len(marks) - 1)])
+
+    def survey(self, question: Question, condition: Condition | None, number: int) -> str | float:
+        """Return the answer to a question of a survey.
+
+        number  number of the answer in the session, which determines its noise
+        """
+        answers = dict(self._experiment.observer.answers)
+        if condition is not None:
+            answers |= observer_for(self._experiment, condition).answers
+        given = answers.get(question.name)
+        if question.kind == "text":
+            return "simulated" if given is None else str(given)
+        if question.kind == "multi-choice":
+            return question.options[0] if given is None else str(given)
+        mean = 0.5 * (question.min + question.max) if given is None else float(given)
+        noise = RATING_NOISE * (question.max - question.min) * self._rng(SURVEY, number).standard_normal()
+        answer = min(max(mean + noise, question.min), question.max)
+        if question.kind == "number":
+            return float(round(answer))
+        return question.min + question.step * round((answer - question.min) / question.step)
+
+    def _rng(self, stream: int, number: int) -> np.random.Generator:
+        return np.random.default_rng([self._experiment.design.seed, self._participant, stream, number])

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Final, Protocol
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from softfinger.server.experiment.psychometric import GUESS, SLOPES, probability
@@ -30,17 +31,21 @@ class Adaptive(Protocol):
         """Process the answer of a trial."""
 
 
-def make_procedure(procedure: Procedure, lapse: float) -> Adaptive | None:
-    """Return the procedure of a condition; None for constant stimuli, since the design has their levels.
+def make_procedures(procedure: Procedure, lapse: float) -> dict[int, Adaptive]:
+    """Return the procedures of a condition by the number in `PlannedTrial.staircase`.
+
+    Constant stimuli have none, since the design has their levels.
 
     lapse  fraction of wrong answers at the highest levels, assumed by QUEST+
     """
     match procedure.kind:
+        case "staircase" if procedure.starts:
+            return {k: Staircase(replace(procedure, start=start)) for k, start in enumerate(procedure.starts, 1)}
         case "staircase":
-            return Staircase(procedure)
+            return {0: Staircase(procedure)}
         case "questplus":
-            return QuestPlus(procedure.levels, lapse)
-    return None
+            return {0: QuestPlus(procedure.levels, lapse)}
+    return {}
 
 
 class Staircase:

@@ -89,15 +89,9 @@ def fit(levels: ArrayLike, right: ArrayLike, lapse: float, points: int = 60) -> 
 
     Source: Kuss, Jaekel and Wichmann, Journal of Vision 5 (2005) 478-492.
     """
-    unique_levels, index = np.unique(np.asarray(levels, np.float64), return_inverse=True)
-    if not len(unique_levels):
-        raise ValueError("no answers: nothing to fit")
-    correct = np.bincount(index, np.asarray(right, np.float64))
-    wrong = np.bincount(index) - correct
-    thresholds = np.geomspace(unique_levels[0] / THRESHOLD_MARGIN, unique_levels[-1] * THRESHOLD_MARGIN, THRESHOLDS)
+    thresholds, likelihood = log_likelihoods(levels, right, lapse)
+    unique_levels = np.unique(np.asarray(levels, np.float64))
     threshold, slope = np.meshgrid(thresholds, SLOPES, indexing="ij")
-    chance = np.clip(probability(unique_levels, threshold[..., None], slope[..., None], GUESS, lapse), 1e-9, 1.0 - 1e-9)
-    likelihood = np.log(chance) @ correct + np.log1p(-chance) @ wrong
     likelihood -= 0.5 * (np.log(slope / SLOPE) / SLOPE_SD) ** 2
     best = likelihood.max()
     weight = np.exp(likelihood - best)
@@ -116,6 +110,22 @@ def fit(levels: ArrayLike, right: ArrayLike, lapse: float, points: int = 60) -> 
         bool(likelihood[[0, -1]].max() >= best - LOG_LIKELIHOOD_DROP),
         np.column_stack([x, band[:, 1], band[:, 0], band[:, 2]]),
     )
+
+
+def log_likelihoods(levels: ArrayLike, right: ArrayLike, lapse: float) -> tuple[Array, Array]:
+    """Return the grid of thresholds (300,), and the log likelihood of answers (300, 40) on it and on SLOPES.
+
+    Raises ValueError if there are no answers.
+    """
+    unique_levels, index = np.unique(np.asarray(levels, np.float64), return_inverse=True)
+    if not len(unique_levels):
+        raise ValueError("no answers: nothing to fit")
+    correct = np.bincount(index, np.asarray(right, np.float64))
+    wrong = np.bincount(index) - correct
+    thresholds = np.geomspace(unique_levels[0] / THRESHOLD_MARGIN, unique_levels[-1] * THRESHOLD_MARGIN, THRESHOLDS)
+    threshold, slope = np.meshgrid(thresholds, SLOPES, indexing="ij")
+    chance = np.clip(probability(unique_levels, threshold[..., None], slope[..., None], GUESS, lapse), 1e-9, 1.0 - 1e-9)
+    return thresholds, np.log(chance) @ correct + np.log1p(-chance) @ wrong
 
 
 def _quantiles(values: Array, weights: Array) -> Array:

@@ -10,16 +10,23 @@ import msgspec
 from msgspec import Meta
 
 from softfinger.config import limits
-from softfinger.config.limits import NAME_LENGTH, Range
+from softfinger.config.limits import Range
 from softfinger.config.schema.fields import Complaint, Coordinate, Table, known, said, sized, within
+from softfinger.server.experiment.schema_parts import (
+    MARKS_MAX,
+    TEXT,
+    CatchTrials,
+    Confidence,
+    Label,
+    Positive,
+    Screen,
+    Survey,
+)
 
 LEVELS: Final = Range(1, 200, "more levels cannot be told apart")
 TRIALS: Final = Range(1, 2000, "longer than any session")
 SECONDS: Final = Range(0.0, 600.0, "ten minutes are longer than any touch")
 SHARE: Final = Range(0.0, 0.5, "half of the answers at random is no observer")
-POSITIVE: Final = Range(1e-9, 1e9, "a level above 0")
-TEXT: Final = Range(0, 4000, "a screen")
-MARKS_MAX: Final = 20
 ONE: Final = "fingertip"
 """Name in an experiment for the finger of a scene with only one."""
 WAYPOINTS: Final = Range(1, 10_000, "a path of a hand")
@@ -29,8 +36,6 @@ Angle = Annotated[float, Meta(ge=limits.ANGLE_RAD.low, le=limits.ANGLE_RAD.high)
 Waypoint = tuple[Seconds, Coordinate, Coordinate, Coordinate]
 Turn = tuple[Seconds, Angle, Angle, Angle]
 Point = tuple[Coordinate, Coordinate, Coordinate]
-Positive = Annotated[float, Meta(gt=0.0, le=POSITIVE.high)]
-Label = Annotated[str, Meta(min_length=1, max_length=int(NAME_LENGTH.high), pattern=r"^[\w .+-]+$")]
 
 
 class Task(Table, frozen=True, kw_only=True):
@@ -114,6 +119,14 @@ class Procedure(Table, frozen=True, kw_only=True):
     repetitions: Annotated[int, within(TRIALS, "constant: trials of each level", 10)] = 1
     trials: Annotated[int, within(TRIALS, "staircase, questplus: trials of each condition", 40)] = 40
     start: Annotated[Positive, said("staircase: first level", 0.5)] = 0.5
+    starts: Annotated[
+        tuple[Positive, ...],
+        sized(
+            Range(0, 8, "a session"),
+            "staircase: first levels of interleaved staircases, in place of start; they share a condition's trials",
+            [0.6, 0.05],
+        ),
+    ] = ()
     step: Annotated[
         float, within(Range(1.01, 10.0, "a step"), "staircase: factor of a step; twice as large until it turned", 1.2)
     ] = 1.2
@@ -122,14 +135,19 @@ class Procedure(Table, frozen=True, kw_only=True):
     largest: Annotated[Positive, said("staircase: largest level", 1.0)] = 1.0
 
     def faults(self) -> Iterator[Complaint]:
-        if not known(self.kind, self.levels, self.start, self.smallest, self.largest):
+        if not known(self.kind, self.levels, self.start, self.starts, self.trials, self.smallest, self.largest):
             return
         if self.kind != "staircase" and not self.levels:
             yield "levels", msgspec.UNSET, f"{self.kind} needs levels"
         if len(set(self.levels)) < len(self.levels):
             yield "levels", list(self.levels), "has a level twice"
-        if self.kind == "staircase" and not self.smallest <= self.start <= self.largest:
-            yield "start", self.start, f"must be from smallest = {self.smallest:g} to largest = {self.largest:g}"
+        if self.starts and self.kind != "staircase":
+            yield "starts", list(self.starts), "only a staircase has starts"
+        elif len(self.starts) > self.trials:
+            yield "starts", list(self.starts), f"is more staircases than the {self.trials} trials of a condition"
+        for key, start in [("starts", each) for each in self.starts] or [("start", self.start)]:
+            if self.kind == "staircase" and not self.smallest <= start <= self.largest:
+                yield key, start, f"must be from smallest = {self.smallest:g} to largest = {self.largest:g}"
 
 
 class Factor(Table, frozen=True, kw_only=True):
@@ -178,6 +196,13 @@ class Design(Table, frozen=True, kw_only=True):
     seed: Annotated[int, within(Range(0, 2**32 - 1, "32 bits"), "seed of every random choice", 1)]
     practice: Annotated[int, within(Range(0, 100, ""), "trials before the first one that counts", 2)] = 0
     break_every: Annotated[int, within(Range(0, 2000, ""), "trials between breaks; 0: none", 40)] = 0
+    test_first: Annotated[
+        Literal["balanced", "balanced-by-level"],
+        said(
+            "compare: half of the trials begin with the test: of all, or of those of each condition and level; of each "
+            "condition and staircase if a procedure chooses the levels"
+        ),
+    ] = "balanced"
 
 
 class Trial(Table, frozen=True, kw_only=True):
@@ -206,8 +231,12 @@ class Observer(Table, frozen=True, kw_only=True):
     scale: Annotated[Positive, said("rate, trace: answer at level 1", 10.0)] = 10.0
     exponent: Annotated[float, within(Range(-5.0, 5.0, ""), "rate, trace: exponent", 0.8)] = 1.0
     noise: Annotated[float, within(Range(1e-3, 2.0, ""), "rate, trace: standard deviation of the logarithm", 0.2)] = 0.2
+    answers: Annotated[
+        dict[str, float | str],
+        said("answers to questions of surveys, by name; of likert and number their mean", {"mental-demand": 60.0}),
+    ] = msgspec.field(default_factory=dict)
     by: Annotated[
-        dict[str, dict[str, float]],
+        dict[str, dict[str, Any]],
         said(
             "other values in a condition, by its name: the levels of all factors, with a comma between them",
             {"rolling": {}},
@@ -226,6 +255,8 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
         str, sized(Range(1, 4096, ""), "rig: a shipped name, or a file in the folder of this one", "omega-6")
     ] = "simulated-hand"
     instructions: Annotated[str, sized(TEXT, "first text that the participant reads")] = ""
+    consent: Annotated[str, sized(TEXT, "text that the participant has to agree to before anything else")] = ""
+    debriefing: Annotated[str, sized(TEXT, "what the participant reads last")] = ""
     overrides: Annotated[dict[str, Any], said("parameters of the scene, or rig.guard.KEY, that hold throughout")] = (
         msgspec.field(default_factory=dict)
     )
@@ -243,10 +274,15 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
         said("how it is turned in a touch, t and a rotation vector (rad, world), by finger; default: as it is"),
     ] = msgspec.field(default_factory=dict)
     observer: Observer = Observer()
+    survey: Annotated[tuple[Survey, ...], sized(Range(0, 20, "a session"), "surveys, in order")] = ()
+    catch: CatchTrials | None = None
+    confidence: Confidence | None = None
+    screen: Screen = Screen()
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.task, self.procedure) and self.task.kind != "compare" and self.procedure.kind != "constant":
             yield "procedure.kind", self.procedure.kind, f"must be constant: a {self.task.kind} is not right or wrong"
+        yield from self._participant_faults()
         if known(self.motion, self.turn):
             for finger in self.turn.keys() - self.motion.keys():
                 yield (
@@ -265,3 +301,21 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
                 yield "factor", names, "has a name twice"
             if math.prod(len(each.levels) for each in self.factor if known(each) and known(each.levels)) > LEVELS.high:
                 yield "factor", names, f"has more than {LEVELS.high:g} combinations"
+
+    def _participant_faults(self) -> Iterator[Complaint]:
+        if known(self.task):
+            for key, value in (("catch", self.catch), ("confidence", self.confidence)):
+                if known(value) and value is not None and self.task.kind != "compare":
+                    yield key, msgspec.UNSET, f"goes with compare: a {self.task.kind} is not right or wrong"
+        if known(self.survey):
+            names = [survey.name for survey in self.survey if known(survey)]
+            if len(set(names)) < len(names):
+                yield "survey", names, "has a name twice"
+            if known(self.design) and known(self.design.order) and self.design.order == "random":
+                for survey in self.survey:
+                    if known(survey) and known(survey.at) and "between" in survey.at:
+                        yield (
+                            f"survey.{survey.name}.at",
+                            list(survey.at),
+                            "random order has no blocks: take latin-square",
+                        )

@@ -9,8 +9,14 @@ from softfinger.config.errors import HapticError
 from softfinger.server.experiment.design import Condition, PlannedTrial, conditions, plan_trials
 from softfinger.server.experiment.folder import Folder
 from softfinger.server.experiment.journal import Entry, Memory
-from softfinger.server.experiment.procedures import make_procedure
+from softfinger.server.experiment.procedures import make_procedures
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.schema_parts import Question, Survey
+
+AGREE: Final = "I agree"
+DECLINE: Final = "I do not agree"
+CONSENT: Final = "consent"
+"""Name of the question of consent, for the simulated observer."""
 
 
 class Stopped(HapticError):
@@ -93,11 +99,20 @@ class Answer(NamedTuple):
 class AnswerSource(Protocol):
     """Source of answers."""
 
-    def prepare(self, progress: Progress) -> None:
+    def instruct(self) -> None:
+        """Show the instructions until the participant starts."""
+
+    def prepare(self, progress: Progress, condition: Condition) -> None:
         """Prepare for the next touch."""
 
     def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Answer:
         """Return the answer to a trial, after its touches."""
+
+    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Answer:
+        """Return the confidence in the answer to a trial."""
+
+    def ask(self, title: str, question: Question, condition: Condition | None, number: int) -> Answer:
+        """Return the answer to a question that belongs to no trial, the `number`-th of the session."""
 
     def pause(self, done: int, of: int) -> None:
         """Wait until the participant continues."""
@@ -117,7 +132,7 @@ class Session:
         self.trials: Final = plan_trials(experiment, participant)
         self._report = report
         self._blocks = number_blocks(self.trials, experiment.design.order == "random")
-        self._procedures = [make_procedure(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
+        self._procedures = [make_procedures(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
 
     def check(self, folder: Folder) -> None:
         """Raise ConfigError if the participant's folder has another design; write nothing."""
@@ -126,6 +141,19 @@ class Session:
     def begin(self, folder: Folder) -> None:
         """Write the design into the participant's folder."""
         folder.begin(self.experiment, self.conditions, self.trials)
+
+    def welcome(self, journal: Memory, answers: AnswerSource) -> None:
+        """Ask for consent and the surveys before the first trial, then show the instructions.
+
+        Raises Stopped if the participant does not agree.
+        """
+        if self.experiment.consent and not any(entry["agreed"] for entry in journal.of("consent")):
+            answer = answers.ask(self.experiment.title, consent_question(self.experiment), None, 0)
+            journal.write("consent", agreed=answer.value == AGREE)
+            if answer.value != AGREE:
+                raise Stopped("the participant did not agree: no trial was run")
+        self._ask_surveys("before", 0, journal, answers)
+        answers.instruct()
 
     def run(self, journal: Memory, apparatus: Apparatus, answers: AnswerSource, folder: Folder | None = None) -> None:
         """Run the trials without an answer in the journal.
@@ -138,6 +166,9 @@ class Session:
             if trial.number in answered:
                 self._update_procedure(trial, answered[trial.number])
                 continue
+            block = self._blocks[trial.number - 1]
+            if trial.number > 1 and block != self._blocks[trial.number - 2]:
+                self._ask_surveys("between", block - 1, journal, answers)
             attempt = 1 + started.count(trial.number)
             if attempt == 1:
                 self._pause_if_due(trial, answers)
@@ -147,8 +178,26 @@ class Session:
                 folder.ticks(trial.number, attempt, ticks)
             journal.write("done", **entry)
             self._update_procedure(trial, entry)
+        self._ask_surveys("after", self._blocks[-1], journal, answers)
         if not journal.of("finished"):
             journal.write("finished", trials=len(self.trials))
+
+    def _ask_surveys(self, at: str, block: int, journal: Memory, answers: AnswerSource) -> None:
+        """Ask the questions that are due and have no answer in the journal.
+
+        block  number of the block that has ended, 0: none
+        """
+        ended = [trial.condition for trial, number in zip(self.trials, self._blocks, strict=True) if number == block]
+        is_by_block = ended and self.experiment.design.order != "random"
+        answered = {(entry["survey"], entry["block"], entry["question"]) for entry in journal.of("survey")}
+        for survey in self.experiment.survey:
+            condition = self.conditions[ended[-1]] if is_by_block and "between" in survey.at else None
+            for question in survey.question if at in survey.at else ():
+                if (survey.name, block, question.name) in answered:
+                    continue
+                number = 1 + len(journal.of("survey"))
+                answer = answers.ask(survey.title or self.experiment.title, question, condition, number)
+                journal.write("survey", **_survey_entry(survey, question, at, block, condition, answer))
 
     def _pause_if_due(self, trial: PlannedTrial, answers: AnswerSource) -> None:
         every, done = self.experiment.design.break_every, trial.number - 1 - self.experiment.design.practice
@@ -160,9 +209,9 @@ class Session:
     ) -> tuple[Entry, list[dict[str, Any]]]:
         """Present a trial and wait for its answer; return its journal entry and its ticks."""
         condition, task = self.conditions[trial.condition], self.experiment.task
-        procedure = self._procedures[trial.condition]
-        level = trial.level if trial.level is not None or procedure is None else procedure.level()
-        assert level is not None
+        level = trial.level
+        if level is None:
+            level = self._procedures[trial.condition][trial.staircase].level()
         values = [task.value(level)]
         if task.reference is not None:
             values.insert(1 if trial.test_first else 0, task.reference)
@@ -170,7 +219,7 @@ class Session:
         for touch, value in enumerate(values, 1):
             progress = self._progress(trial, touch, len(values))
             self._report(f"{progress.title}{f': {progress.text}' if progress.text else ''}")
-            answers.prepare(progress)
+            answers.prepare(progress, condition)
             changes = condition.changes | parameters(self.experiment, value)
             results.append(apparatus.touch(Stimulus(trial.number, touch, condition.scene, changes)))
         test = results[0 if trial.test_first or len(results) == 1 else 1]
@@ -187,6 +236,13 @@ class Session:
             "right": is_right_answer(trial, answer) if task.kind == "compare" else None,
             "attempt": attempt,
         } | ({} if after_s is None else {"answer_s": after_s})
+        if trial.staircase:
+            entry["staircase"] = trial.staircase
+        if self.experiment.catch is not None:
+            entry["catch"] = trial.catch
+        if self.experiment.confidence is not None:
+            confidence = answers.confidence(trial, condition, level, self.experiment.confidence.as_question)
+            entry["confidence"] = float(confidence.value)
         ticks = [{"touch": touch} | row for touch, each in enumerate(results, 1) for row in each.ticks]
         return entry | test.summary, ticks
 
@@ -195,9 +251,23 @@ class Session:
         return Progress(trial.number, len(self.trials), block, self._blocks[-1], trial.practice, touch, touches)
 
     def _update_procedure(self, trial: PlannedTrial, entry: Entry) -> None:
-        procedure = self._procedures[trial.condition]
-        if procedure is not None and not trial.practice:
+        procedure = self._procedures[trial.condition].get(trial.staircase)
+        if procedure is not None and not trial.practice and not trial.catch:
             procedure.update(entry["level"], entry["right"])
+
+
+def consent_question(experiment: ExperimentFile) -> Question:
+    """Return the consent text as a question."""
+    return Question(name=CONSENT, kind="multi-choice", prompt=experiment.consent, options=(AGREE, DECLINE))
+
+
+def _survey_entry(
+    survey: Survey, question: Question, at: str, block: int, condition: Condition | None, answer: Answer
+) -> Entry:
+    return {
+        "survey": survey.name, "at": at, "block": block, "condition": None if condition is None else condition.name,
+        "question": question.name, "answer": answer.value,
+    } | ({} if answer.after_s is None else {"answer_s": answer.after_s})  # fmt: skip
 
 
 def number_blocks(trials: Sequence[PlannedTrial], is_mixed: bool) -> list[int]:

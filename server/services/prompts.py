@@ -32,11 +32,11 @@ class Prompts:
     def set(self, request: Request) -> wire.Prompted:
         """Replace the current prompt."""
         prompt: wire.Prompt = request.params
-        if prompt.choices and prompt.number is not None:
-            raise Declined("bad_params", "give either choices or number: a prompt has one answer")
+        if bool(prompt.choices) + (prompt.number is not None) + bool(prompt.text_length) > 1:
+            raise Declined("bad_params", "give either choices or number or text_length: a prompt has one answer")
         if prompt.number is not None and not prompt.number[0] < prompt.number[1]:
             raise Declined("bad_params", f"number is {list(prompt.number)}: give the smallest, then the largest")
-        is_open = bool(prompt.choices) or prompt.number is not None
+        is_open = bool(prompt.choices) or prompt.number is not None or prompt.text_length > 0
         self._current, self._shown_s = wire.Prompted(self._current.number + 1, prompt, is_open), time.monotonic()
         self._publish("set_prompt", request.command_id, {"prompt": self._current.number})
         return self._current
@@ -50,12 +50,17 @@ class Prompts:
             raise Declined("bad_params", f"value is {shown(params.value)}: give {expected}")
         after_s = time.monotonic() - self._shown_s
         self._current = structs.replace(self._current, open=False, answer=params.value, after_s=after_s)
-        self._publish("answer", request.command_id, {"prompt": self._current.number, "value": params.value})
+        # A free text may be personal: it is neither published nor recorded.
+        value = {} if self._current.prompt.text_length else {"value": params.value}
+        self._publish("answer", request.command_id, {"prompt": self._current.number} | value)
         return wire.Applied(self._ticks())
 
     def _expected_answer(self, value: str | float) -> str | None:
         """Return a description of the valid answers, None if the value is valid."""
         now = self._current.prompt
+        if now.text_length:
+            is_valid = isinstance(value, str) and len(value.strip()) > 0 and len(value) <= now.text_length
+            return None if is_valid else f"a text of at most {now.text_length} characters"
         if now.number is None:
             return None if value in now.choices else f"one of {', '.join(now.choices)}"
         low, high = now.number

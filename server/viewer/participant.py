@@ -9,6 +9,7 @@ from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.prompt import PromptPanel
 from softfinger.server.viewer.roles import ALLOWED, Role
+from softfinger.server.viewer.scripts import run_script
 from softfinger.server.viewer.wire import CommandQueue, TelemetryReceiver
 from softfinger.server.wire.protocol import EVENT
 
@@ -24,6 +25,7 @@ class ParticipantPage:
         self._telemetry = TelemetryReceiver(daemon.telemetry, keys, (EVENT,))
         self._commands = CommandQueue(daemon.command_endpoint(), keys, allowed_methods=ALLOWED[Role.PARTICIPANT])
         page.show_only_prompts()
+        run_script(page.server.gui, "noise")
         self._prompt = PromptPanel(
             page.server.gui, self._commands, lambda text: page.show_message(text, "Not done:"), size=TEXT_SIZE
         )

@@ -13,8 +13,11 @@ from softfinger.server.wire.commands import Prompt, Prompted
 
 TEXT: Final = (
     '<div style="padding: 0.5em 0.75em; font-size: {size}em; line-height: 1.5; overflow-wrap: anywhere">'
-    '<b>{title}</b><div style="white-space: pre-wrap">{text}</div></div>'
+    '<b>{title}</b><div style="white-space: pre-wrap">{text}</div>{screen}</div>'
 )
+COLOUR: Final = '<div data-colour="{colour}" style="height: 6em; margin-top: 0.5em; background: {colour}"></div>'
+IMAGE: Final = '<img alt="" src="{image}" style="display: block; max-width: 100%; margin-top: 0.5em">'
+NOISE: Final = '<span hidden data-masking-noise="{noise}" data-volume="{volume}"></span>'
 DIGITS: Final = "123456789"
 LARGE_MAX: Final = 3
 """Up to this number, each choice has a large button; more choices share a row."""
@@ -85,7 +88,10 @@ class PromptPanel:
         self._shown_prompt, prompt = received, received.prompt
         self._folder.visible = bool(prompt.title or prompt.text or received.open)
         self._text.content = TEXT.format(
-            size=self._size, title=html.escape(prompt.title), text=html.escape(prompt.text)
+            size=self._size,
+            title=html.escape(prompt.title),
+            text=html.escape(prompt.text),
+            screen=format_screen(prompt) if self._can_answer else "",
         )
         self._bar.visible, self._bar.value = prompt.of > 0, 100.0 * min(prompt.done / max(prompt.of, 1), 1.0)
         for control in self._controls:
@@ -99,6 +105,10 @@ class PromptPanel:
             if prompt.number is not None:
                 field, button = gui.add_text("your number", ""), gui.add_button("answer")
                 button.on_click(lambda event: self._send_answer(parse_number(field.value), number))
+                return [field, button]
+            if prompt.text_length:
+                field, button = gui.add_text("your answer", ""), gui.add_button("answer")
+                button.on_click(lambda event: self._send_answer(field.value, number))
                 return [field, button]
             if len(prompt.choices) > LARGE_MAX:
                 buttons = gui.add_button_group("", prompt.choices)
@@ -121,6 +131,18 @@ class PromptPanel:
         """Send the answer unchecked: the daemon validates it."""
         params = {"value": value, "prompt": number}
         self._commands.submit("answer", Request("answer", params, lambda result: None, self._on_refused))
+
+
+def format_screen(prompt: Prompt) -> str:
+    """Return colour, image and noise of a prompt as HTML; their values are escaped."""
+    parts = []
+    if prompt.colour:
+        parts.append(COLOUR.format(colour=html.escape(prompt.colour)))
+    if prompt.image:
+        parts.append(IMAGE.format(image=html.escape(prompt.image)))
+    if prompt.masking_noise != "none":
+        parts.append(NOISE.format(noise=html.escape(prompt.masking_noise), volume=prompt.volume))
+    return "".join(parts)
 
 
 def assign_keys(choices: tuple[str, ...]) -> dict[str, str]:

@@ -178,22 +178,39 @@ class Mark(Struct, frozen=True, forbid_unknown_fields=True):
     data: dict[str, Any] = {}
 
 
-Choice = Annotated[str, Meta(min_length=1, max_length=64)]
+CHOICE_LENGTH: Final = 64
+CHOICES_MAX: Final = 21
+"""Largest number of choices: the marks 0, 5, ..., 100 of the NASA-TLX."""
+TEXT_ANSWER_MAX: Final = 1000
+"""Largest number of characters in a free-text answer."""
+IMAGE_BYTES_MAX: Final = 98304
+"""Largest file of an image in a prompt; as base64 it fits into a request."""
+Choice = Annotated[str, Meta(min_length=1, max_length=CHOICE_LENGTH)]
 
 
 class Prompt(Struct, frozen=True, forbid_unknown_fields=True):
     """Prompt that pages show to the participant.
 
     It has a `title`, a `text` and a progress bar with `done` of `of` (0: no bar). The answer is one of `choices`, or a
-    `number` from the first to the second value. Without either it needs no answer.
+    `number` from the first to the second value, or a free text of at most `text_length` characters. Without any of
+    them it needs no answer. The participant's page also shows a patch of a `colour`, an `image` (a data URI), and plays
+    a `masking_noise` with a `volume`.
     """
 
     title: Annotated[str, Meta(max_length=256)] = ""
     text: Annotated[str, Meta(max_length=4096)] = ""
     done: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
     of: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
-    choices: Annotated[tuple[Choice, ...], Meta(max_length=20)] = ()
+    choices: Annotated[tuple[Choice, ...], Meta(max_length=CHOICES_MAX)] = ()
     number: tuple[float, float] | None = None
+    text_length: Annotated[int, Meta(ge=0, le=TEXT_ANSWER_MAX)] = 0
+    colour: Annotated[str, Meta(pattern=r"^(#[0-9a-fA-F]{6})?$")] = ""
+    image: Annotated[
+        str,
+        Meta(max_length=150_000, pattern=r"^(data:image/(png|jpeg|webp);base64,[A-Za-z0-9+/=]+)?$"),
+    ] = ""
+    masking_noise: Annotated[str, Meta(pattern="^(none|white|pink)$")] = "none"
+    volume: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.2
 
 
 class Prompted(Struct, frozen=True):
@@ -213,10 +230,11 @@ class Prompted(Struct, frozen=True):
 class Answer(Struct, frozen=True, forbid_unknown_fields=True):
     """Answer of the participant.
 
-    `value` is one of the prompt's `choices`, or a number; `prompt` is the number of the prompt (default: current).
+    `value` is one of the prompt's `choices`, a number or a text. `prompt` is the number of the prompt (default:
+    current).
     """
 
-    value: Choice | float
+    value: Annotated[str, Meta(min_length=1, max_length=TEXT_ANSWER_MAX)] | float
     prompt: Annotated[int, Meta(ge=0)] | None = None
 
 

@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 from helpers.browser import browser, eventually, shown
 
 EXPERIMENT = """
@@ -38,6 +40,39 @@ gap_s = 0.0
 [motion]
 fingertip = [[0.0, 0.0, 0.0, 0.015], [0.1, 0.0, 0.0, 0.008]]
 """
+
+STUDY = EXPERIMENT.replace(
+    "[task]",
+    """consent = "Your answers are stored without <b>your name</b>."
+debriefing = "The plates had other <i>damping</i>."
+[confidence]
+[screen]
+masking_noise = "pink"
+volume = 0.5
+image = "plate.png"
+by = { "0.0" = { colour = "#4477aa" }, "2.0" = { colour = "#ee6677" } }
+[[survey]]
+name = "about"
+title = "About you"
+at = ["before"]
+[[survey.question]]
+name = "remark"
+kind = "text"
+prompt = "Which hand?"
+[[survey]]
+name = "workload"
+at = ["between"]
+[[survey.question]]
+name = "effort"
+kind = "likert"
+prompt = "How hard was it?"
+min = 0
+max = 100
+step = 5
+labels = ["very low", "very high"]
+[task]""",
+    1,
+)
 
 RATING = (
     EXPERIMENT.replace('kind = "compare"', 'kind = "rate"\nscale = [1, 7]\nscale_ends = ["soft", "hard"]')
@@ -71,6 +106,7 @@ def session(folder: Path, experiment: str) -> Iterator[Session]:
     folder.mkdir(exist_ok=True)
     file = folder / "plates.toml"
     file.write_text(experiment)
+    Image.new("RGB", (40, 20), "green").save(folder / "plate.png")
     words = [sys.executable, "-m", "softfinger.server.cli", "experiment", str(file), "--no-doctor", "--view"]
     words += ["--out", str(folder / "out"), "--endpoint", f"ipc://{folder}/t", "--commands", f"ipc://{folder}/c"]
     process = subprocess.Popen(

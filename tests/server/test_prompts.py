@@ -74,6 +74,26 @@ def test_what_is_no_choice_is_refused(client: Client, value: Any) -> None:
     assert client.get_prompt().open
 
 
+def test_a_text_is_taken_and_not_published(client: Client) -> None:
+    """At most as long as asked for, and not blank; recordings contain events, and a text may be personal."""
+    events = client.subscribe((EVENT,), timeout_s=WAIT_S)
+    told: list[dict[str, Any]] = []
+    until = time.monotonic() + WAIT_S
+    while not told and time.monotonic() < until:  # a subscription takes a moment
+        client.mark("begin")
+        if (sample := events.receive(0.1)) is not None:
+            told.append(sample.data)
+    asked = client.ask("set_prompt", Prompt("remarks", "Any?", text_length=12))
+    for value in ("", "   ", "x" * 13, 1.0):
+        with pytest.raises(CommandRefused, match="bad_params"):
+            client.ask("answer", {"value": value})
+    client.answer("<b>none</b>", asked.number)
+    assert client.get_prompt().answer == "<b>none</b>"
+    while told[-1]["name"] != "answer":
+        told.append(next(events).data)
+    assert told[-1]["what"] == {"prompt": asked.number}
+
+
 @pytest.mark.parametrize("value", [0.5, 7.01, float("nan"), float("inf"), -float("inf"), "3", True])
 def test_what_is_no_number_of_the_range_is_refused(client: Client, value: Any) -> None:
     """The ends belong to it."""
@@ -87,10 +107,15 @@ def test_what_is_no_number_of_the_range_is_refused(client: Client, value: Any) -
     ("asked", "said"),
     [
         ({"choices": ["a"], "number": [0.0, 1.0]}, "either choices or number"),
+        ({"choices": ["a"], "text_length": 9}, "either choices or number or text_length"),
+        ({"colour": "red"}, "colour"),
+        ({"image": "https://example.org/a.png"}, "image"),
+        ({"image": "data:image/svg+xml;base64,AAAA"}, "image"),
+        ({"masking_noise": "brown"}, "masking_noise"),
         ({"number": [1.0, 1.0]}, "give the smallest, then the largest"),
         ({"number": [0.0, float("nan")]}, "give the smallest, then the largest"),
         ({"choices": [""]}, "choices"),
-        ({"choices": ["a"] * 21}, "choices"),
+        ({"choices": ["a"] * 22}, "choices"),
         ({"text": "x" * 5000}, "text"),
         ({"html": "<script>"}, "html"),
     ],

@@ -90,6 +90,8 @@ _KEPT: Final = {
     "files.json": "hashes of the scene files and the rig file of the experiment; the folder refuses others",
     "dataset_description.json": "title and version of BIDS, which defines the file names",
     "trials.csv, participants.tsv": "a row per trial of all participants, made from the journals",
+    "surveys.csv": "a row per answer to a question of a survey; `sub-01/sub-01_surveys.csv` for one participant",
+    "figures/": "what `softfinger figure` writes: figures, numbers, `report.html`",
     "sub-01/sub-01_journal.jsonl": "every event, a line each: the source of all tables",
     "sub-01/sub-01_design.json, sub-01_order.csv": "seed, conditions, the order of trials",
     "sub-01/sub-01_trials.csv": "a row per trial",

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import pytest
 from helpers.browser import eventually, shown, why_none
-from helpers.experiment_page import EXPERIMENT, RATING, session
+from helpers.experiment_page import RATING, STUDY, session
 
 from softfinger.server.experiment.experiment import results
 from softfinger.server.recording.run import load_run
@@ -25,11 +26,17 @@ def through_chromium() -> None:
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: None) -> None:
-    """Instructions, two blocks of two trials with a break between them, the end; by button and by key.
+    """Consent, a survey, instructions, two blocks of two trials with a break and a survey between them, the end.
 
-    A second page, of a watcher, shows the same and has nothing to answer with. The folder has everything.
+    Answers are given by button and by key. Colour, image and noise are those of the condition. A second page, of a
+    watcher, shows the same and has nothing to answer with. The folder has everything.
     """
-    with session(tmp_path, EXPERIMENT) as run:
+    with session(tmp_path, STUDY) as run:
+        assert run.waits("Which plate is stiffer?", "Your answers are stored without <b>your name</b>.")
+        run.click("I agree")
+        assert run.waits("About you", "Which hand?")
+        run.write("your answer", "the <b>left</b> one")
+        run.click("answer")
         assert run.waits("Which plate is stiffer?", "guess if you are not sure")
         with viewer("--endpoint", f"ipc://{tmp_path}/t", "--role", "watcher") as (_, address):
             watcher = shown(run.page.context.browser.new_page(), address)
@@ -42,32 +49,52 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
         run.click("begin")
         assert run.waits("Block 1 of 2, trial 1 of 4", "Touch 1 of 2")
         assert run.waits("Which was stiffer?")
+        assert run.page.locator("[data-colour='#4477aa']").is_visible()
+        picture = run.page.locator("img[src^='data:image/png']")
+        assert picture.evaluate("image => image.naturalWidth") == 40
+        assert eventually(lambda: run.page.locator("body[data-noise='running 0.5']").count())
         run.page.keyboard.down("1")
+        assert run.waits("How sure are you?", "1: a guess, 4: certain")
+        assert eventually(lambda: run.page.locator("body[data-noise='running 0']").count())
+        run.click("3")
         assert run.waits("Block 1 of 2, trial 2 of 4", "Which was stiffer?")
         for _ in range(10):  # held down, it repeats and answers nothing more
             run.page.keyboard.down("1")
         run.page.keyboard.up("1")
         run.page.keyboard.press("2")
+        assert run.waits("How sure are you?")
+        run.page.keyboard.press("4")
+        assert run.waits("How hard was it?", "0: very low, 100: very high")
+        run.click("95")
         assert run.waits("A break", "2 of 4 trials are done.")
         run.page.keyboard.press("Enter")
         for number, answer in ((3, "second"), (4, "first")):
             assert run.waits(f"Block 2 of 2, trial {number} of 4", "Which was stiffer?")
+            assert run.page.locator("[data-colour='#ee6677']").is_visible()
             run.click(answer)
+            assert run.waits("How sure are you?")
+            run.click("1")
+        assert run.waits("The plates had other <i>damping</i>.")
         assert run.process.wait(WAIT_S) == 0
     rows = results(tmp_path / "out")
     assert [row["answer"] for row in rows] == ["first", "second", "second", "first"]
     assert [row["damping"] for row in rows] == [0.0, 0.0, 2.0, 2.0]
+    assert [row["confidence"] for row in rows] == [3.0, 4.0, 1.0, 1.0]
+    with (tmp_path / "out" / "surveys.csv").open() as file:
+        surveys = [(row["question"], row["condition"], row["answer"]) for row in csv.DictReader(file)]
+    assert surveys == [("remark", "", "the <b>left</b> one"), ("effort", "0.0", "95.0")]
     own = tmp_path / "out" / "sub-01"
     files = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*") if path.is_file()}
     assert files == {
         "experiment.json", "dataset_description.json", "participants.tsv", "trials.csv", "sub-01/sub-01_journal.jsonl",
         "sub-01/sub-01_design.json", "sub-01/sub-01_order.csv", "sub-01/sub-01_trials.csv",
+        "files.json", "surveys.csv", "sub-01/sub-01_surveys.csv",
         "sub-01/sub-01_run-01_about.json", "sub-01/sub-01_run-01_ticks.mcap",
         *(f"sub-01/trials/sub-01_trial-{number:04d}.csv" for number in range(1, 5)),
     }  # fmt: skip
     events = load_run(own / "sub-01_run-01_ticks.mcap", ("force",)).events
     told = [event["what"]["value"] for event in events if event.get("name") == "answer"]
-    assert told == ["first", "second", "go on", "second", "first"]
+    assert told == ["first", "3", "second", "4", "95", "go on", "second", "1", "first", "1"]
 
 
 @pytest.mark.real_time

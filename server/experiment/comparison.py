@@ -1,0 +1,190 @@
+"""Comparison of models with and without a factor, and estimates over participants."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softfinger.server.experiment.analysis import ALL, Group, PowerLaw, is_counted, power_law
+from softfinger.server.experiment.journal import Entry
+from softfinger.server.experiment.psychometric import log_likelihoods
+from softfinger.server.experiment.schema import ExperimentFile
+
+
+class Comparison(NamedTuple):
+    """Likelihood-ratio test of a factor.
+
+    parameters      of the models with and without the factor, over all participants
+    log_likelihood  maxima of the two models
+    chi_squared     twice the difference of the maxima
+    freedom         difference of the parameters
+    p_value         probability of a larger `chi_squared` if the factor has no effect
+    aic_difference  Akaike's criterion without the factor less that with it: above 0 favours the factor
+    """
+
+    factor: str
+    parameters: tuple[int, int]
+    log_likelihood: tuple[float, float]
+    chi_squared: float
+    freedom: int
+    p_value: float
+    aic_difference: float
+
+
+def compare_models(
+    experiment: ExperimentFile, rows: Sequence[Entry], excluded: Collection[str] = ()
+) -> list[Comparison]:
+    """Compare the model of all conditions with the models in which a factor has no effect, for each factor.
+
+    Parameters
+    ----------
+    rows
+        Answered trials; practice and catch trials are ignored.
+    excluded
+        Participants to leave out.
+
+    Returns
+    -------
+    list of Comparison
+        One for each factor with an answer at two or more of its levels, in the order of the file.
+
+    Notes
+    -----
+    Each participant has a threshold in each condition and one slope; for numbers and durations, an intercept in each
+    condition, one exponent and one noise. Without a factor, conditions that differ only in it share the threshold or
+    intercept. Twice the difference of the log likelihoods is chi-squared distributed (Wilks, Annals of Mathematical
+    Statistics 9 (1938) 60-62). Thresholds and slopes are those of the grid of `fit`, without its prior.
+    """
+    by_participant = dict[str, list[Entry]]()
+    for row in rows:
+        if is_counted(row) and row["participant"] not in excluded:
+            by_participant.setdefault(row["participant"], []).append(row)
+    names = [factor.name for factor in experiment.factor]
+    found = []
+    for factor in names:
+        others = [name for name in names if name != factor]
+        with_factor, without = (
+            [_maximum(experiment, each, keys) for each in by_participant.values()] for keys in (names, others)
+        )
+        parameters = sum(count for count, _ in with_factor), sum(count for count, _ in without)
+        maxima = math.fsum(value for _, value in with_factor), math.fsum(value for _, value in without)
+        freedom = parameters[0] - parameters[1]
+        if freedom > 0:
+            chi_squared = max(2.0 * (maxima[0] - maxima[1]), 0.0)  # the two models have grids of different steps
+            p_value = chi_squared_tail(chi_squared, freedom)
+            found.append(
+                Comparison(factor, parameters, maxima, chi_squared, freedom, p_value, chi_squared - 2.0 * freedom)
+            )
+    return found
+
+
+def _maximum(experiment: ExperimentFile, rows: Sequence[Entry], keys: Sequence[str]) -> tuple[int, float]:
+    """Return the number of parameters and the maximum of the log likelihood of a participant's answers.
+
+    keys  factors that have an effect
+    """
+    groups = dict[tuple[Any, ...], list[Entry]]()
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    if experiment.task.kind == "compare":
+        total = sum(
+            log_likelihoods([row["level"] for row in each], [row["right"] for row in each], experiment.observer.lapse)[
+                1
+            ].max(axis=0)
+            for each in groups.values()
+        )
+        return len(groups) + 1, float(np.max(total))
+    y = np.log([row["answer"] for each in groups.values() for row in each])
+    columns = np.repeat(np.eye(len(groups)), [len(each) for each in groups.values()], axis=0)
+    levels = np.log([row["level"] for each in groups.values() for row in each])
+    if len(set(levels)) > 1:
+        columns = np.column_stack([columns, levels])
+    residuals = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+    variance = max(float(residuals @ residuals) / len(y), 1e-300)
+    return columns.shape[1] + 1, -0.5 * len(y) * (math.log(2.0 * math.pi * variance) + 1.0)
+
+
+def chi_squared_tail(value: float, freedom: int) -> float:
+    """Return the probability that chi squared is above a value.
+
+    For integer degrees of freedom it is a finite sum (Abramowitz and Stegun 1964, 26.4.4, 26.4.5).
+    """
+    half = 0.5 * value
+    if half == 0.0:
+        return 1.0
+    start = freedom % 2
+    tail = math.erfc(math.sqrt(half)) if start else math.exp(-half)
+    orders = (0.5 * k for k in range(start or 2, freedom, 2))
+    return min(
+        tail + math.fsum(math.exp(order * math.log(half) - half - math.lgamma(order + 1.0)) for order in orders), 1.0
+    )
+
+
+class Estimate(NamedTuple):
+    """Estimate of a condition over participants: geometric mean with Student's 95 % interval."""
+
+    condition: str
+    participants: int
+    mean: float
+    interval_95: tuple[float, float]
+
+
+def estimate_population(groups: Sequence[Group], excluded: Collection[str] = ()) -> list[Estimate]:
+    """Return the geometric mean over participants of the threshold, or of the answer, in each condition."""
+    values = dict[str, list[float]]()
+    for group in groups:
+        if group.participant != ALL and group.participant not in excluded:
+            value = group.fit.answer if isinstance(group.fit, PowerLaw) else group.fit.threshold
+            values.setdefault(group.condition, []).append(value)
+    estimates = []
+    for condition, each in values.items():
+        found = power_law([1.0] * len(each), each)
+        estimates.append(Estimate(condition, len(each), found.answer, found.answer_95))
+    return estimates
+
+
+def survey_table(experiment: ExperimentFile, answers: Sequence[Entry], excluded: Collection[str] = ()) -> list[Entry]:
+    """Return a row for each question by condition: number of answers, mean and standard deviation, or the choices.
+
+    A survey with the score `mean` has one more row, the mean of its likert questions of each participant and time.
+    """
+    table = []
+    for survey in experiment.survey:
+        own = [row for row in answers if row["survey"] == survey.name and row["participant"] not in excluded]
+        scores = dict[tuple[Any, ...], list[float]]()
+        likert = [question.name for question in survey.question if question.kind == "likert"]
+        for row in own if survey.score == "mean" else ():
+            if row["question"] in likert:
+                scores.setdefault((row["participant"], row["block"], row["condition"]), []).append(row["answer"])
+        own = own + [
+            {"question": "mean", "condition": key[2], "answer": float(np.mean(each))}
+            for key, each in scores.items()
+            if len(each) == len(likert)  # a mean of fewer ratings is another quantity
+        ]
+        for question in [*(question.name for question in survey.question), *(["mean"] if scores else [])]:
+            for condition in dict.fromkeys(row["condition"] for row in own):
+                given = [row["answer"] for row in own if (row["question"], row["condition"]) == (question, condition)]
+                if given:
+                    table.append(
+                        {
+                            "survey": survey.title or survey.name,
+                            "question": question,
+                            "condition": condition or "",
+                            "answers": len(given),
+                        }
+                        | _summarise(given)
+                    )
+    return table
+
+
+def _summarise(answers: Sequence[Any]) -> dict[str, Any]:
+    if all(isinstance(answer, int | float) for answer in answers):
+        deviation = float(np.std(answers, ddof=1)) if len(answers) > 1 else math.nan
+        return {"mean": float(np.mean(answers)), "sd": deviation, "given": ""}
+    counts = dict[str, int]()
+    for answer in answers:
+        counts[str(answer)] = counts.get(str(answer), 0) + 1
+    return {"mean": math.nan, "sd": math.nan, "given": "; ".join(f"{text}: {count}" for text, count in counts.items())}

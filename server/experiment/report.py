@@ -1,0 +1,191 @@
+"""Report of an experiment: one HTML file with design, exclusions, estimates, model comparison, methods and figures."""
+
+from __future__ import annotations
+
+import base64
+import html
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from softfinger.server.experiment.analysis import (
+    Group,
+    catch_shares,
+    excluded_participants,
+    format_fit,
+    format_interval,
+)
+from softfinger.server.experiment.comparison import compare_models, estimate_population
+from softfinger.server.experiment.design import conditions, plan_trials
+from softfinger.server.experiment.journal import Entry, read
+from softfinger.server.experiment.methods import count_trials, write_methods
+from softfinger.server.experiment.schema import ExperimentFile
+
+STYLE: Final = (
+    "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
+    "table{border-collapse:collapse;margin:1em 0}td,th{border-bottom:1px solid #ccc;padding:.2em .8em;text-align:left;"
+    "vertical-align:top}img{max-width:100%;display:block;margin:1em 0}"
+)
+PAGE: Final = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
+<title>{title}</title>
+<style>{style}</style>
+</head>
+<body>
+<h1>{title}</h1>
+{body}
+</body>
+</html>
+"""
+
+
+def write_report(
+    experiment: ExperimentFile,
+    rows: Sequence[Entry],
+    groups: Sequence[Group],
+    table: Sequence[Entry],
+    root: Path,
+    figures: Sequence[Path],
+) -> str:
+    """Return the report as HTML. All texts of the experiment and of participants are escaped.
+
+    Parameters
+    ----------
+    rows
+        Answered trials.
+    groups
+        Fits by condition.
+    table
+        Rows of `comparison.survey_table`.
+    root
+        Folder of the experiment.
+    figures
+        Files of figures; the PNG ones are embedded.
+    """
+    excluded = excluded_participants(experiment, rows)
+    sections = [
+        ("Design", _design(experiment)),
+        ("Participants and exclusions", _exclusions(rows, excluded, root)),
+        ("Estimates", _estimates(groups, excluded)),
+        ("Models with and without a factor", _models(experiment, rows, excluded)),
+        ("Surveys", _surveys(table)),
+        ("Figures", "".join(map(_image, (path for path in figures if path.suffix == ".png")))),
+        ("Methods", "".join(map(_paragraph, write_methods(experiment, rows, excluded, _starts(root))))),
+    ]
+    body = "\n".join(f"<h2>{heading}</h2>\n{content}" for heading, content in sections if content)
+    return PAGE.format(title=html.escape(experiment.title), style=STYLE, body=body)
+
+
+def _design(experiment: ExperimentFile) -> str:
+    task, procedure, design = experiment.task, experiment.procedure, experiment.design
+    levels = procedure.levels or procedure.starts or (procedure.start,)
+    facts = {
+        "question": task.question,
+        "task": task.kind,
+        "parameter": task.parameter,
+        "reference": "" if task.reference is None else f"{task.reference:g}",
+        "procedure": procedure.kind,
+        "levels" if procedure.levels else "starts": ", ".join(f"{level:g}" for level in levels),
+        "factors": "; ".join(f"{each.name}: {', '.join(map(str, each.levels))}" for each in experiment.factor),
+        "conditions": "; ".join(condition.name for condition in conditions(experiment)),
+        "order, seed": f"{design.order}, {design.seed}",
+        "trials of a session": str(len(plan_trials(experiment, 1))),
+        "scene, rig": f"{experiment.scene}, {experiment.rig}",
+    }
+    return _table((), [pair for pair in facts.items() if pair[1]])
+
+
+def _exclusions(rows: Sequence[Entry], excluded: Mapping[str, str], root: Path) -> str:
+    caught = catch_shares(rows)
+    journals = {path.parent.name: read(path) for path in sorted(root.glob("sub-*/sub-*_journal.jsonl"))}
+    lines = []
+    for participant, entries in journals.items():
+        own = [row for row in rows if row["participant"] == participant]
+        practice, catch, counted = count_trials(own)
+        right = f"{caught[participant][0]} of {catch}" if participant in caught else "none"
+        kinds = {entry["kind"] for entry in entries}
+        why = excluded.get(participant, "no")
+        if "finished" not in kinds:
+            why += "; the session is not finished"
+        lines.append((participant, str(counted), str(practice), right, why))
+    return _table(("participant", "analysed trials", "practice", "right catch trials", "excluded"), lines)
+
+
+def _estimates(groups: Sequence[Group], excluded: Mapping[str, str]) -> str:
+    population = _table(
+        ("condition", "participants", "geometric mean (95 % interval)"),
+        [
+            (each.condition, str(each.participants), format_interval(each.mean, each.interval_95))
+            for each in estimate_population(groups, excluded)
+        ],
+    )
+    own = [(group.participant, group.condition, str(group.trials), format_fit(group.fit)) for group in groups]
+    return population + _table(("participant", "condition", "trials", "estimate (95 % interval)"), own)
+
+
+def _models(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str]) -> str:
+    found = compare_models(experiment, rows, excluded)
+    note = "The AIC difference is that without the factor less that with it: above 0 favours the factor."
+    return "" if not found else _paragraph(note) + _table(
+        ("factor", "parameters with, without", "log likelihood with, without", "likelihood ratio", "AIC difference"),
+        [
+            (
+                each.factor,
+                f"{each.parameters[0]}, {each.parameters[1]}",
+                f"{each.log_likelihood[0]:.2f}, {each.log_likelihood[1]:.2f}",
+                f"χ²({each.freedom}) = {each.chi_squared:.2f}, {format_p(each.p_value)}",
+                f"{each.aic_difference:.2f}",
+            )
+            for each in found
+        ],
+    )  # fmt: skip
+
+
+def format_p(value: float) -> str:
+    """Format a p value: three decimals, or p < 0.001."""
+    return "p < 0.001" if value < 0.001 else f"p = {value:.3f}"
+
+
+def _surveys(table: Sequence[Entry]) -> str:
+    if not table:
+        return ""
+    lines = [
+        (
+            row["survey"], row["question"], row["condition"], str(row["answers"]),
+            row["given"] if math.isnan(row["mean"]) else f"{row['mean']:.1f}"
+            + ("" if math.isnan(row["sd"]) else f" ± {row['sd']:.1f}"),
+        )
+        for row in table
+    ]  # fmt: skip
+    return _table(("survey", "question", "condition", "answers", "mean ± standard deviation, or answers"), lines)
+
+
+def _starts(root: Path) -> list[dict[str, Any]]:
+    """Return what is stored about each start of a session, with `simulated` for dry runs."""
+    starts = []
+    for path in sorted(root.glob("sub-*/sub-*_run-*_about.json")):
+        journal = read(path.parent / f"{path.parent.name}_journal.jsonl")
+        is_simulated = any(entry["kind"] == "started" and entry["dry_run"] for entry in journal)
+        starts.append(msgspec.json.decode(path.read_bytes(), type=dict) | {"simulated": is_simulated})
+    return starts
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = ["<tr>" + "".join(f"<th>{html.escape(cell)}</th>" for cell in head) + "</tr>"] if head else []
+    lines += ["<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
+    return "<table>\n" + "\n".join(lines) + "\n</table>\n"
+
+
+def _paragraph(text: str) -> str:
+    return f"<p>{html.escape(text)}</p>\n"
+
+
+def _image(path: Path) -> str:
+    data = base64.b64encode(path.read_bytes()).decode()
+    return f'<img alt="{html.escape(path.stem)}" src="data:image/png;base64,{data}">\n'

@@ -1,0 +1,163 @@
+"""Statistics of a study: confidence, model comparison, means over participants, exclusions, scores of surveys."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+from test_experiment_design import small
+
+from softfinger.server.experiment.analysis import ALL, excluded_participants, fit_groups
+from softfinger.server.experiment.comparison import (
+    chi_squared_tail,
+    compare_models,
+    estimate_population,
+    survey_table,
+)
+from softfinger.server.experiment.experiment import Experiment
+from softfinger.server.experiment.psychometric import probability
+
+pytestmark = pytest.mark.plain
+
+STUDY = "stiffness-and-workload"
+PARTICIPANTS = range(1, 7)
+TLX = {"name": "load", "at": ["after"], "file": "nasa-tlx"}
+CATCH = {"rate": 0.5, "level": 1.0, "min_right": 0.75}
+
+
+@pytest.fixture(scope="module")
+def study() -> tuple[Experiment, list[dict[str, Any]]]:
+    """The shipped study with six simulated observers."""
+    experiment = Experiment(STUDY)
+    rows = [
+        row | row["levels"] | {"participant": f"sub-{number:02d}"}
+        for number in PARTICIPANTS
+        for row in experiment.rehearse(number)
+    ]
+    return experiment, rows
+
+
+def test_confidence_follows_signal_detection() -> None:
+    """Share of each mark: that of |x| in its part of 0 to 2, x normal with mean Phi^-1(p) and unit variance."""
+    experiment = Experiment(
+        small(confidence={}, factor=[]),
+        {"procedure.levels": [0.15], "procedure.repetitions": 2000, "observer.lapse": 0.0},
+    )
+    rows, observer = experiment.rehearse(), experiment.file.observer
+    mean = stats.norm.ppf(float(probability(0.15, observer.threshold, observer.slope)))
+    edges = np.array([0.0, 0.5, 1.0, 1.5, np.inf])
+    right = np.diff(stats.norm.cdf(edges - mean))
+    wrong = np.diff(stats.norm.cdf(edges + mean))
+    for is_right, shares in ((True, right), (False, wrong)):
+        found = Counter(row["confidence"] for row in rows if row["right"] == is_right)
+        # 4.5 standard deviations of a share of 2000 trials.
+        assert [found[mark] / 2000 for mark in (1.0, 2.0, 3.0, 4.0)] == pytest.approx(shares, abs=4.5 * 0.5 / 2000**0.5)
+
+
+def test_the_planted_thresholds_and_ratings_are_found(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
+    """0.15 without damping and 0.3 with it, within the intervals of all participants."""
+    experiment, rows = study
+    pooled = {group.condition: group.fit for group in fit_groups(experiment.file, rows) if group.participant == ALL}
+    for condition, threshold in (("0.0", 0.15), ("4.0", 0.3)):
+        low, high = pooled[condition].threshold_95
+        assert low <= threshold <= high
+
+
+def test_the_likelihood_ratio_is_that_of_scipys_maxima(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
+    """Of models with a threshold in each condition, or one for both, and one slope; to the grid's steps."""
+    experiment, rows = study
+    total = 0.0
+    two = [row for row in rows if row["participant"] in ("sub-01", "sub-02")]
+    for participant in ("sub-01", "sub-02"):
+        own = [row for row in two if row["participant"] == participant and not row["practice"] and not row["catch"]]
+        level, right = np.array([row["level"] for row in own]), np.array([row["right"] for row in own])
+        damped = np.array([row["condition"] == "4.0" for row in own])
+
+        def loss(point: Any, at: Any = (level, right, damped)) -> float:
+            threshold = np.exp(np.where(at[2], point[-2], point[0]))
+            chance = probability(at[0], threshold, np.exp(point[-1]), lapse=0.02)
+            return -float(np.log(np.where(at[1], chance, 1.0 - chance)).sum())
+
+        slopes = np.log([0.5, 12.0])
+        best = [
+            optimize.differential_evolution(loss, [(-5.0, 2.0)] * count + [slopes], rng=1, tol=1e-8).fun
+            for count in (1, 2)
+        ]
+        total += 2.0 * (best[0] - best[1])
+    (found,) = compare_models(experiment.file, two)
+    # Half a step of the grid, 1 % of a threshold and 4 % of a slope, costs some hundredths of each of 4 maxima.
+    assert found.chi_squared == pytest.approx(total, abs=0.1) and found.freedom == 2
+    assert found.p_value == pytest.approx(stats.chi2.sf(found.chi_squared, 2)) and found.p_value < 0.001
+    assert found.aic_difference == pytest.approx(found.chi_squared - 4.0)
+
+
+def test_a_factor_without_effect_is_none() -> None:
+    """Of 40 studies with the same observer in all conditions few have p < 0.05: chance of more than 6 is below 1 %."""
+    procedure = {"kind": "constant", "levels": [0.05, 0.1, 0.2, 0.4], "repetitions": 20}
+    experiment, low = Experiment(small(procedure=procedure)), 0
+    for participant in range(1, 41):
+        rows = [row | row["levels"] | {"participant": "sub-01"} for row in experiment.rehearse(participant)]
+        low += compare_models(experiment.file, rows)[0].p_value < 0.05
+    assert low <= 6
+
+
+def test_numbers_are_compared_by_regression() -> None:
+    """An intercept for each condition: the likelihood ratio is n log(RSS0 / RSS1), by NumPy's least squares."""
+    task = {"kind": "rate", "parameter": "object.table.material.stiffness_n_per_m", "question": "?"}
+    made = Experiment(
+        small(task=task, procedure={"kind": "constant", "levels": [100.0, 300.0, 900.0], "repetitions": 6}),
+        {"observer.by": {"2.0": {"scale": 15.0}}},
+    )
+    rows = [row | row["levels"] | {"participant": "sub-01"} for row in made.rehearse()]
+    x, y = np.log([row["level"] for row in rows]), np.log([row["answer"] for row in rows])
+    dummies = np.array([[row["damping"] == level for level in (0.0, 1.0, 2.0)] for row in rows], float)
+    with_factor = np.linalg.lstsq(np.column_stack([dummies, x]), y, rcond=None)[1][0]
+    without = np.linalg.lstsq(np.column_stack([np.ones_like(x), x]), y, rcond=None)[1][0]
+    (found,) = compare_models(made.file, rows)
+    assert found.chi_squared == pytest.approx(len(y) * np.log(without / with_factor)) and found.freedom == 2
+
+
+def test_chi_squared_is_scipys() -> None:
+    for freedom in (1, 2, 3, 4, 5, 8, 31):
+        for value in (0.0, 0.1, 1.0, 4.0, 30.0, 200.0):
+            assert chi_squared_tail(value, freedom) == pytest.approx(stats.chi2.sf(value, freedom), rel=1e-9)
+
+
+def test_means_over_participants_are_geometric(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
+    """With Student's interval of the logarithms, by SciPy."""
+    experiment, rows = study
+    groups = fit_groups(experiment.file, rows)
+    for found in estimate_population(groups):
+        each = np.log(
+            [group.fit.threshold for group in groups if group.condition == found.condition and group.participant != ALL]
+        )
+        assert found.mean == pytest.approx(np.exp(each.mean()))
+        assert found.interval_95 == pytest.approx(np.exp(stats.t.interval(0.95, 5, each.mean(), stats.sem(each))))
+
+
+def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
+    """One who guesses gets half of them right: the fit of all is that of the other two."""
+    experiment = Experiment(small(factor=[], catch=CATCH))
+    guessing = Experiment(small(factor=[], catch=CATCH), {"observer.threshold": 1e3})
+    rows = [
+        row | {"participant": f"sub-0{number}"}
+        for number, each in enumerate((experiment, experiment, guessing), 1)
+        for row in each.rehearse(number)
+    ]
+    assert list(excluded_participants(experiment.file, rows)) == ["sub-03"]
+    pooled = [group for group in fit_groups(experiment.file, rows) if group.participant == ALL]
+    assert [group.trials for group in pooled] == [24]
+
+
+def test_a_score_is_the_mean_of_all_ratings() -> None:
+    """Of six ratings, 10 to 60: 35; with one missing there is none."""
+    names = [question.name for question in Experiment(small(survey=[TLX])).file.survey[0].question]
+    made = Experiment(small(survey=[TLX])).file
+    row = {"participant": "sub-01", "survey": "load", "block": 1, "condition": None}
+    answers = [row | {"question": name, "answer": 10.0 * k} for k, name in enumerate(names, 1)]
+    table = survey_table(made, answers)
+    assert [(each["question"], each["mean"]) for each in table][-1] == ("mean", 35.0) and len(table) == 7
+    assert len(survey_table(made, answers[:-1])) == 5

@@ -1,0 +1,264 @@
+"""Surveys, interleaved staircases, catch trials, consent and screen, with the simulated observer."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+from collections import Counter
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from PIL import Image
+from test_experiment_design import file, small
+from test_experiment_session import drawn
+
+from softfinger.config.errors import ConfigError
+from softfinger.server import cli
+from softfinger.server.experiment.analysis import fit_groups
+from softfinger.server.experiment.design import plan_trials
+from softfinger.server.experiment.experiment import Experiment, RunOptions
+from softfinger.server.experiment.folder import load
+from softfinger.server.experiment.session import Stopped
+
+pytestmark = pytest.mark.plain
+
+STUDY = "stiffness-and-workload"
+PARTICIPANTS = range(1, 7)
+OFFLINE = RunOptions(dry_run=True, no_daemon=True)
+RECORDED = {
+    "curvature-by-rolling": "778b59d4b210ae6d 34124945ca001145",
+    "friction-magnitude": "3f070152f122aaee 793bb4ed85dc7734",
+    "path-tracing": "564a26843bb27eee 2c02301015026b00",
+    "stiffness-discrimination": "58b64ac58e895c2b 880c0416a71f375f",
+    "texture-roughness": "2f43b470c056546d 7df1ba64b202b3a6",
+    "weight-of-a-box": "5e8e9b3580126d40 be93cbaf6016e608",
+}
+"""Hashes of the order and of all rows of participant 1, from before there were surveys and catch trials."""
+TLX = {"name": "load", "at": ["after"], "file": "nasa-tlx"}
+AGE = {"name": "age", "kind": "number", "prompt": "?", "min": 18, "max": 99}
+HAND = {"name": "hand", "kind": "multi-choice", "prompt": "?", "options": ["left", "right"]}
+CATCH = {"rate": 0.5, "level": 1.0, "min_right": 0.75}
+
+
+def _png() -> bytes:
+    file = io.BytesIO()
+    Image.new("RGB", (2, 2), "red").save(file, "PNG")
+    return file.getvalue()
+
+
+PNG = _png()
+
+
+def hashed(values: Any) -> str:
+    return hashlib.sha256(msgspec.json.encode(values)).hexdigest()[:16]
+
+
+def survey(**changed: Any) -> dict[str, Any]:
+    return {"name": "about", "at": ["before"], "question": [AGE, HAND]} | changed
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_a_file_without_the_new_keys_gives_the_same_trials(name: str) -> None:
+    """Order, levels, answers and columns, bit for bit."""
+    experiment = Experiment(name)
+    order = [list(trial)[:5] for trial in plan_trials(experiment.file, 1)]
+    assert f"{hashed(order)} {hashed(experiment.rehearse())}" == RECORDED[name]
+
+
+def test_a_folder_of_an_older_version_goes_on(tmp_path: Path) -> None:
+    """Its experiment.json lacks the new keys, which have their defaults."""
+    experiment = Experiment(small())
+    rows = experiment.run(tmp_path, 1, OFFLINE)
+    description = json.loads((tmp_path / "experiment.json").read_text())
+    for key in ("consent", "debriefing", "survey", "catch", "confidence", "screen"):
+        description.pop(key, None)
+    (tmp_path / "experiment.json").write_text(json.dumps(description))
+    assert experiment.run(tmp_path, 1, OFFLINE) == rows
+    assert len(experiment.run(tmp_path, 2, OFFLINE)) == len(rows)
+
+
+def test_staircases_share_the_trials_and_go_by_their_own_answers() -> None:
+    """Each has half of the trials, in rounds of both, from its start; its level changes by its own answers alone."""
+    experiment = Experiment(STUDY)
+    own = [row for row in experiment.rehearse() if row["condition"] == "4.0"]
+    counted = [row for row in own if not row["practice"] and not row["catch"]]
+    order = [row["staircase"] for row in counted]
+    assert Counter(order) == {1: 30, 2: 30}
+    assert all(set(order[k : k + 2]) == {1, 2} for k in range(0, 60, 2)) and order[::2] != [order[0]] * 30
+    for number, start in enumerate(experiment.file.procedure.starts, 1):
+        stairs = [row for row in counted if row["staircase"] == number]
+        assert stairs[0]["level"] == start
+        streak = 0
+        for before, after in pairwise(stairs):
+            streak = streak + 1 if before["right"] else 0
+            change = after["level"] / before["level"]
+            if not before["right"]:
+                assert change > 1.0 or before["level"] == 1.0
+            elif streak == 2:
+                assert change < 1.0 or before["level"] == 0.01
+                streak = 0
+            else:
+                assert change == 1.0
+
+
+def test_catch_trials_are_added_and_not_fitted() -> None:
+    """One for ten trials of a condition, in its block, half of them with the test first; the fits are without them."""
+    experiment = Experiment(STUDY)
+    rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
+    catch = [row for row in rows if row["catch"]]
+    assert Counter(row["condition"] for row in catch) == {"0.0": 6, "4.0": 6}
+    assert {row["level"] for row in catch} == {1.0} and not any(row["practice"] for row in catch)
+    assert sum(row["test_first"] for row in catch) == 6
+    trials = plan_trials(experiment.file, 1)
+    counted = [trial.condition for trial in trials if not trial.practice]
+    assert [trial.number for trial in trials] == list(range(1, 137)) and counted == sorted(counted)
+    assert [group.trials for group in fit_groups(experiment.file, rows)] == [60, 60]
+
+
+def test_the_test_comes_first_in_half_of_the_trials_of_each_level() -> None:
+    """12 trials of each of 3 levels in each of 3 conditions; of an odd number one half is larger by one."""
+    for repetitions in (4, 5):
+        procedure = {"kind": "constant", "levels": [0.1, 0.2, 0.4], "repetitions": repetitions}
+        design = {"seed": 5, "test_first": "balanced-by-level"}
+        first, count = Counter[Any](), Counter[Any]()
+        for trial in plan_trials(file(procedure=procedure, design=design), 1):
+            count[trial.condition, trial.level] += 1
+            first[trial.condition, trial.level] += trial.test_first
+        assert set(count.values()) == {repetitions}
+        assert set(first.values()) == ({2} if repetitions == 4 else {2, 3})
+
+
+def test_a_study_goes_from_consent_to_report(tmp_path: Path) -> None:
+    """Two participants; tables, figures, and a page in one file whose texts are escaped."""
+    out, script = tmp_path / "out", "<script>alert(1)</script>"
+    for number in ("1", "2"):
+        words = ["experiment", STUDY, "--dry-run", "--no-daemon", "--out", str(out), "--participant", number]
+        words += ["--set", f"observer.answers.strategy={script}", "--set", f"task.question=Which {script}?"]
+        assert cli.main(words) == 0
+    with (out / "surveys.csv").open() as table:
+        answers = list(csv.DictReader(table))
+    assert [row["question"] for row in answers[:3]] == ["age", "hand", "mental-demand"]
+    assert Counter((row["survey"], row["at"], row["block"], row["condition"]) for row in answers) == {
+        ("demographics", "before", "0", ""): 4,
+        ("workload", "between", "1", "0.0"): 6, ("workload", "between", "1", "4.0"): 6,
+        ("workload", "after", "2", "4.0"): 6, ("workload", "after", "2", "0.0"): 6,
+        ("remarks", "after", "2", ""): 2,
+    }  # fmt: skip
+    with (out / "trials.csv").open() as table:
+        assert {"staircase", "catch", "confidence"} <= set(next(csv.DictReader(table)))
+    assert cli.main(["figure", str(out), "--report"]) == 0
+    figures = {path.name for path in (out / "figures").iterdir()}
+    for name in ("staircases", "confidence", "surveys"):
+        drawn(out / "figures" / name)
+    assert {"staircases.png", "confidence.svg", "surveys.png", "surveys.csv", "report.html"} <= figures
+    page = (out / "figures" / "report.html").read_text()
+    assert "<script" not in page and page.count("&lt;script&gt;alert(1)") >= 3
+    assert page.count("data:image/png;base64,") == 4 and 'src="http' not in page and "<link" not in page
+    for text in (
+        "2 interleaved staircases of 60 trials together per condition, starting at 0.8 and 0.05",
+        "Hart, S. G. and Staveland", "2 simulated observers took part", "of 12", "damping", "χ²(2) =",
+    ):  # fmt: skip
+        assert text in page
+
+
+def test_a_session_goes_on_within_a_survey(tmp_path: Path) -> None:
+    """Cut anywhere, the journal is completed to the same tables."""
+    experiment = Experiment(STUDY, {"procedure.trials": 4})
+    experiment.run(tmp_path, 1, OFFLINE)
+    journal, table = tmp_path / "sub-01" / "sub-01_journal.jsonl", tmp_path / "surveys.csv"
+    lines, whole = journal.read_bytes().splitlines(keepends=True), table.read_bytes()
+    for place in (2, 3, [b'"between"' in line for line in lines].index(True) + 2, len(lines) - 3):
+        journal.write_bytes(b"".join(lines[:place]))
+        experiment.run(tmp_path, 1, OFFLINE)
+        assert table.read_bytes() == whole
+
+
+def test_without_consent_there_is_no_trial(tmp_path: Path) -> None:
+    """The session stops before anything else is asked, and asks again when it is started again."""
+    declined = Experiment(STUDY, {"observer.answers": {"consent": "I do not agree"}})
+    for _ in range(2):
+        with pytest.raises(Stopped, match="did not agree"):
+            declined.run(tmp_path, 1, OFFLINE)
+    assert load(tmp_path)[1] == []
+    text = (tmp_path / "sub-01" / "sub-01_journal.jsonl").read_text()
+    assert text.count('"consent"') == 2 and '"survey"' not in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"catch": CATCH | {"rate": 1.5}}, "catch.rate = 1.5"),
+        ({"catch": CATCH | {"level": 0.0}}, "catch.level = 0.0"),
+        ({"catch": {"rate": 0.1}}, "level"),
+        ({"confidence": {"scale": [4, 1]}}, "the first mark, from 1"),
+        ({"task.kind": "rate", "task.reference": None, "confidence": {}}, "goes with compare"),
+        ({"task.kind": "rate", "task.reference": None, "catch": CATCH}, "goes with compare"),
+        ({"survey": [survey(question=[AGE | {"kind": "slider"}])]}, "kind = 'slider'"),
+        ({"survey": [survey(question=[AGE, AGE])]}, "has a name twice"),
+        ({"survey": [survey(), survey()]}, "has a name twice"),
+        ({"survey": [survey(at=[])]}, "give one or more of before"),
+        ({"survey": [survey(at=["between"])]}, "random order has no blocks"),
+        ({"survey": [survey(file="nasa-tlx")]}, "give one of file and question"),
+        ({"survey": [TLX | {"file": "nasa-tlz"}]}, "did you mean 'nasa-tlx'"),
+        ({"survey": [survey(question=[HAND | {"options": ["left"]}])]}, "needs two or more"),
+        ({"survey": [survey(question=[HAND | {"options": ["left", "left"]}])]}, "has an answer twice"),
+        ({"survey": [survey(question=[AGE | {"max": 10}])]}, "must be above min = 18"),
+        ({"survey": [survey(question=[AGE | {"kind": "likert"}])]}, "more than 21 marks"),
+        ({"survey": [survey(question=[AGE | {"labels": ["a", "b"]}])]}, "no other kind has any"),
+        ({"survey": [survey()], "observer.answers": {"agee": 3}}, "did you mean 'age'"),
+        ({"survey": [survey()], "observer.answers": {"hand": "none"}}, "must be one of left, right"),
+        ({"survey": [survey()], "observer.answers": {"age": "old"}}, "must be a number from 18 to 99"),
+        ({"procedure.starts": [0.1]}, "only a staircase has starts"),
+        ({"procedure.kind": "staircase", "procedure.starts": [0.1, 2.0]}, "starts = 2.0: must be from smallest"),
+        ({"procedure.kind": "staircase", "procedure.starts": [0.1, 0.2], "procedure.trials": 1}, "more staircases"),
+        ({"design.test_first": "balance"}, "did you mean 'balanced'"),
+        ({"screen.colour": "red"}, "screen.colour = 'red'"),
+        ({"screen.masking_noise": "brown"}, "masking_noise = 'brown'"),
+        ({"screen.by": {"3.0": {"colour": "#ffffff"}}}, "screen.by: no condition is called '3.0'"),
+        ({"screen.by": {"2.0": {"color": "#ffffff"}}}, "did you mean 'colour'"),
+        ({"screen.image": "none.png"}, "cannot be read: No such file"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_before_the_session(changes: dict[str, Any], said: str) -> None:
+    """With the key, the value and what to do."""
+    with pytest.raises(ConfigError, match=said):
+        Experiment(small() | {key: value for key, value in changes.items() if "." not in key},
+                   {key: value for key, value in changes.items() if "." in key})  # fmt: skip
+
+
+def test_an_image_is_a_file_of_the_study(tmp_path: Path) -> None:
+    """Outside its folder, by a link too, no image, or too large: refused. A change of it is another experiment."""
+    folder, outside = tmp_path / "study", tmp_path / "outside.png"
+    folder.mkdir()
+    outside.write_bytes(PNG)
+    (folder / "link.png").symlink_to(outside)
+    (folder / "text.png").write_text("no image")
+    (folder / "large.png").write_bytes(PNG + bytes(200_000))
+    (folder / "good.png").write_bytes(PNG)
+    text = (
+        'title = "t"\nscene = "paper-plane"\ndesign = { seed = 1 }\nscreen = { image = "NAME" }\n'
+        'procedure = { kind = "constant", levels = [0.1] }\n'
+        'task = { kind = "compare", parameter = "object.table.material.stiffness_n_per_m", reference = 500.0, '
+        'question = "?" }\n'
+    )
+    for name, said in (
+        ("../outside.png", "outside the experiment's folder"),
+        (str(outside), "outside the experiment's folder"),
+        ("link.png", "outside the experiment's folder"),
+        ("text.png", "is no image: give a PNG, JPEG or WebP"),
+        ("large.png", "at most 98304"),
+        ("gone.png", "cannot be read"),
+    ):
+        (folder / "e.toml").write_text(text.replace("NAME", name))
+        with pytest.raises(ConfigError, match=said):
+            Experiment(folder / "e.toml")
+    (folder / "e.toml").write_text(text.replace("NAME", "good.png"))
+    Experiment(folder / "e.toml").run(tmp_path / "out", 1, OFFLINE)
+    (folder / "good.png").write_bytes(PNG + b"\0")
+    with pytest.raises(ConfigError, match=r"other values \(good\.png\)"):
+        Experiment(folder / "e.toml").run(tmp_path / "out", 2, OFFLINE)
