@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError
-from softfinger.config.load import SceneSource, describe, load_scene, numbered, overridden, value_at
+from softfinger.config.load import SceneSource, describe, load_scene, overridden
+from softfinger.config.overrides import numbered, value_at
 from softfinger.proxy.bodies import RigidBodies, begin_bodies, check_bodies
 from softfinger.proxy.kernels.fingers import poses_in, write_contacts
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
