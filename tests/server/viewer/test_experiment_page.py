@@ -72,6 +72,7 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
             assert run.waits("How sure are you?")
             run.click("1")
         assert run.waits("The plates had other <i>damping</i>.")
+        run.click("go on")
         assert run.process.wait(WAIT_S) == 0
     rows = results(tmp_path / "out")
     assert [row["answer"] for row in rows] == ["first", "second", "second", "first"]
