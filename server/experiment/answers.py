@@ -123,10 +123,10 @@ class Participant:
         self._ask(prompt, f"{done_text} A break: Press Enter or a button to continue.")
 
     def end(self) -> None:
-        """Show the debriefing, and that the session is over."""
-        text = f"{self._experiment.debriefing}\n{END}" if self._experiment.debriefing else END
-        print_line(text)
-        self._show(Prompt(self._experiment.title, text))
+        """Show the debriefing until the participant has read it, and then that the session is over."""
+        if text := self._experiment.debriefing:
+            self._ask(Prompt(self._experiment.title, text, choices=(CONTINUE,)), f"{text} Enter or a button goes on.")
+        self._show(Prompt(self._experiment.title, END))
 
     def _prompt(self, text: str, **options: Any) -> Prompt:
         progress = self._progress
