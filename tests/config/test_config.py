@@ -157,7 +157,7 @@ def test_every_shipped_file_loads_and_survives_a_round_trip(kind: type[Scene | R
 def test_shipped_values_say_their_reason(path: Path) -> None:
     """Every number of a shipped file has a comment, which starts with the unit its key has."""
     for line in path.read_text("utf-8").splitlines():
-        match = re.match(r"(\w+) = ([^#]*?)\s*(#.*)?$", line)
+        match = re.match(r'(\w+) = ((?:"[^"]*"|[^#"])*?)\s*(#.*)?$', line)
         if match is None or match[2].startswith('"'):
             continue
         assert match[3], f"{path.name}: no reason beside: {line}"
