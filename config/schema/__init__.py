@@ -43,6 +43,7 @@ from softfinger.config.schema.effects import (
     Vibration,
     Viscosity,
 )
+from softfinger.config.schema.elastic import Below, Elastic, FixedRegion, HalfSpace, InBox
 from softfinger.config.schema.faults import Faults, Injection
 from softfinger.config.schema.fields import (
     Complaint,
