@@ -337,6 +337,7 @@ def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
             yield where, msgspec.UNSET, "must be of the only object of a scene: remove the other objects, or this table"
         if len(scene.finger) > 2:
             yield where, msgspec.UNSET, f"is felt by one or two fingers, and there are {len(scene.finger)}: remove some"
-        if scene.world is not None:
-            yield where, msgspec.UNSET, "cannot be combined with [world]: remove one of them"
+        for key, given in (("[world]", scene.world), ("[[effect]]", scene.effect or None)):
+            if known(given) and given is not None:
+                yield where, msgspec.UNSET, f"cannot be combined with {key}: remove one of them"
         return

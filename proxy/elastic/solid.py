@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.proxy.elastic.triangular import substitute_down, substitute_up
 from softfinger.proxy.elastic.volume import Volume
+from softfinger.proxy.kernels.jit.decorators import PLAIN
 
 Doubles = NDArray[np.float64]
 
@@ -66,6 +67,7 @@ class Solid:
         matrix = stiffness[self.free][:, self.free].tocsc()
         self.matrix: Final = matrix
         factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        self._factors: Final[Any] = factors
         lower, upper = factors.L.tocsc(), factors.U.tocsc()
         lower.sort_indices()
         upper.sort_indices()
@@ -76,6 +78,9 @@ class Solid:
     def solve(self, loads: Doubles) -> Doubles:
         """Return the displacements (N, k) times 1 Pa under nodal forces (N, k), N."""
         found = np.zeros(loads.shape)
+        if PLAIN:
+            found[self.free] = self._factors.solve(np.ascontiguousarray(loads[self.free]))
+            return found
         for start in range(0, loads.shape[1], BLOCK):
             block = np.ascontiguousarray(loads[self.free, start : start + BLOCK][self._rows])
             substitute_down(*self._lower, block)

@@ -20,6 +20,7 @@ from softfinger.proxy.kernels.model.effects import (
     Vibration,
     Viscosity,
 )
+from softfinger.proxy.kernels.model.elastic import Elastic, Surface
 from softfinger.proxy.kernels.model.laws import (
     Anisotropic,
     Friction,
@@ -93,6 +94,7 @@ __all__ = [
     "Cylinder",
     "Driven",
     "Ellipsoid",
+    "Elastic",
     "EllipsoidTip",
     "EulerZxz",
     "EulerZyx",
@@ -145,6 +147,7 @@ __all__ = [
     "Stribeck",
     "Texture",
     "Torsion",
+    "Surface",
     "Torus",
     "Touching",
     "Triangles",

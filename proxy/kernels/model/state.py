@@ -12,12 +12,14 @@ class World(NamedTuple):
     time     s, the sum of all time steps
     poses    current poses of all objects, None for one that cannot move
     was      the same at the last tick
+    surfaces  tuple of a Surface for each finger on an elastic object, None in other scenes
     """
 
     started: float
     time: float
     poses: Any
     was: Any
+    surfaces: Any = None
 
 
 class Probe(NamedTuple):
