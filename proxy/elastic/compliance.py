@@ -39,15 +39,15 @@ def patch_loads(solid: Solid, centers: Doubles, normals: Doubles, radius_m: floa
 
     mesh = solid.basis.mesh
     scalar = skfem.FacetBasis(mesh, skfem.ElementTetP2(), intorder=8)
-    points = scalar.global_coordinates().value  # (3, facets, quadrature points)
+    points = np.asarray(scalar.global_coordinates())  # (3, facets, quadrature points)
     _, facets, each = points.shape
     places = points.reshape(3, -1).T
-    outward = np.broadcast_to(scalar.normals.value, points.shape).reshape(3, -1).T
+    outward = np.broadcast_to(np.asarray(scalar.normals), points.shape).reshape(3, -1).T
     area = np.broadcast_to(scalar.dx, (facets, each)).ravel()
     shares = csr_matrix((scalar.N, facets * each))
     columns = np.arange(facets * each)
     for local, dofs in enumerate(scalar.element_dofs):
-        values = np.broadcast_to(scalar.basis[local][0].value, (facets, each)).ravel()
+        values = np.broadcast_to(np.asarray(scalar.basis[local][0]), (facets, each)).ravel()
         shares = shares + csr_matrix((values * area, (np.repeat(dofs, each), columns)), shape=shares.shape)
     rows, weights, owners = [], [], []
     for number, near in enumerate(cKDTree(places).query_ball_point(centers, radius_m)):

@@ -36,23 +36,28 @@ def fill(vertices: Doubles, triangles: Whole, resolution_m: float) -> Volume:
     ValueError
         If gmsh is not installed, or cannot fill the surface.
     """
-    edge = np.linalg.norm(np.ptp(vertices, axis=0)) / resolution_m
-    if edge**3 > 1e9:
-        raise ValueError(f"resolution_m = {resolution_m:g}: the body is {edge:.0f} times as large: take a larger one")
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    expected = abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6.0 / (resolution_m**3 / 8.5)  # of regular ones
+    if not expected <= limits.ELASTIC_TETRAHEDRA.high:
+        raise ValueError(
+            f"resolution_m = {resolution_m:g}: about {expected:,.0f} tetrahedra, at most "
+            f"{int(limits.ELASTIC_TETRAHEDRA.high):,} can be solved: take a larger one"
+        )
     try:
         import gmsh
     except (ImportError, OSError) as missing:
         raise ValueError(f"gmsh is not usable ({missing}): pip install 'softfinger[elastic]'") from missing
     gmsh.initialize([], False, False, False)  # neither the user's settings nor a signal handler
     try:
-        return _filled(gmsh, vertices, triangles, resolution_m)
+        points, corners = _filled(gmsh, vertices, triangles, resolution_m)
     except Exception as error:  # gmsh raises no other class
         raise ValueError(f"gmsh cannot fill the surface: {error}: repair the mesh, or give a .msh file") from error
     finally:
         gmsh.finalize()
+    return checked(points, corners)
 
 
-def _filled(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float) -> Volume:
+def _filled(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float) -> tuple[Doubles, Whole]:
     gmsh.option.setNumber("General.Terminal", 0)
     for name in ("Mesh.MeshSizeMin", "Mesh.MeshSizeMax"):
         gmsh.option.setNumber(name, resolution_m)
@@ -66,11 +71,12 @@ def _filled(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float)
     gmsh.model.geo.addVolume([loop])
     gmsh.model.geo.synchronize()
     mesh.generate(3)
+    mesh.optimize("Netgen")  # without it, thin bodies have flat tetrahedra
     tags, points, _ = mesh.getNodes()
     _, corners = mesh.getElementsByType(4)
     place = np.zeros(int(tags.max()) + 1, np.int64)
     place[tags.astype(np.int64)] = np.arange(len(tags))
-    return checked(np.asarray(points).reshape(-1, 3), place[corners.astype(np.int64)].reshape(-1, 4))
+    return np.asarray(points).reshape(-1, 3), place[corners.astype(np.int64)].reshape(-1, 4)
 
 
 def read_volume(file: str, scale: float) -> Volume:

@@ -306,8 +306,8 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     elastic, body, last, finger = scene.elastic, objects[0], state.world.surfaces[0], fingers[0]
     gain = memory_of(elastic, dt)
     rest, u, slope = vec3.scale(1.0 - gain, last.displacement), last.displacement, ZERO
-    after, contact = step_finger(scene, finger, objects, state.fingers[0], shifted(body, poses[0], u), dt)
-    for _ in range(ROUNDS - 1):
+    for left in range(ROUNDS - 1, -1, -1):
+        after, contact = step_finger(scene, finger, objects, state.fingers[0], shifted(body, poses[0], u), dt)
         goal, matrix, rise = rest, IDENTITY, ZERO
         if contact.mode != FREE:
             spot = contact_spot(elastic, body, finger, after, contact, dt)
@@ -317,10 +317,9 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
             matrix, rise = inverse(plus(IDENTITY, gain, moves)), times(transposed(given.at), spot.load)
         slope = times(transposed(matrix), vec3.scale(gain, rise))
         change = times(matrix, vec3.sub(goal, u))
-        if vec3.dot(change, change) <= SOLVED**2:
+        if left == 0 or vec3.dot(change, change) <= SOLVED**2:
             break
         u = vec3.add(u, change)
-        after, contact = step_finger(scene, finger, objects, state.fingers[0], shifted(body, poses[0], u), dt)
     surface = surface_after(finger, last, u, dt)
     return (after,), (report_on(body, contact, surface, slope),), (surface,)
 
@@ -372,19 +371,17 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     gain = memory_of(elastic, dt)
     u, v = last[0].displacement, last[1].displacement
     rest_u, rest_v = vec3.scale(1.0 - gain, u), vec3.scale(1.0 - gain, v)
-    one, first = step_finger(scene, fingers[0], objects, state.fingers[0], shifted(body, poses[0], u), dt)
-    two, second = step_finger(scene, fingers[1], objects, state.fingers[1], shifted(body, poses[1], v), dt)
     slope_u, slope_v = ZERO, ZERO
-    for _ in range(ROUNDS - 1):
+    for left in range(ROUNDS - 1, -1, -1):
+        one, first = step_finger(scene, fingers[0], objects, state.fingers[0], shifted(body, poses[0], u), dt)
+        two, second = step_finger(scene, fingers[1], objects, state.fingers[1], shifted(body, poses[1], v), dt)
         x = spot_of(elastic, objects, fingers[0], one, first, dt)
         y = spot_of(elastic, objects, fingers[1], two, second, dt)
         short = (vec3.sub(rest_u, u), vec3.sub(rest_v, v))
         change_u, change_v, slope_u, slope_v = correct_both(elastic, x, y, gain, short)
-        if vec3.dot(change_u, change_u) + vec3.dot(change_v, change_v) <= SOLVED**2:
+        if left == 0 or vec3.dot(change_u, change_u) + vec3.dot(change_v, change_v) <= SOLVED**2:
             break
         u, v = vec3.add(u, change_u), vec3.add(v, change_v)
-        one, first = step_finger(scene, fingers[0], objects, state.fingers[0], shifted(body, poses[0], u), dt)
-        two, second = step_finger(scene, fingers[1], objects, state.fingers[1], shifted(body, poses[1], v), dt)
     surface_u = surface_after(fingers[0], last[0], u, dt)
     surface_v = surface_after(fingers[1], last[1], v, dt)
     contacts = (report_on(body, first, surface_u, slope_u), report_on(body, second, surface_v, slope_v))
