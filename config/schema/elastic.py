@@ -8,7 +8,16 @@ from typing import Annotated
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.schema.fields import Complaint, Component, Coordinate, Table, direction_faults, known, said, within
+from softfinger.config.schema.fields import (
+    Complaint,
+    Component,
+    Coordinate,
+    Table,
+    direction_faults,
+    known,
+    said,
+    within,
+)
 
 Point = tuple[Coordinate, Coordinate, Coordinate]
 
@@ -50,21 +59,29 @@ class Elastic(Table, frozen=True, kw_only=True):
     """Linear elastic body under the surface of a mesh."""
 
     youngs_pa: Annotated[float, within(limits.YOUNGS_PA, "Young's modulus", 1e5)]
-    poisson: Annotated[float, within(limits.POISSON, "Poisson's ratio", 0.45)]
-    fixed: Annotated[tuple[FixedRegion, ...], said("regions in which the body does not move", [{"region": "below", "z_m": 1e-4}])]
+    poisson: Annotated[float, within(limits.ELASTIC_POISSON, "Poisson's ratio", 0.45)]
+    fixed: Annotated[
+        tuple[FixedRegion, ...], said("regions in which the body does not move", [{"region": "below", "z_m": 1e-4}])
+    ]
     reach: Annotated[
         tuple[FixedRegion, ...], said("regions of the surface that give; default: everywhere; the rest of it is rigid")
     ] = ()
-    resolution_m: Annotated[float, within(limits.RESOLUTION_M, "edge length of the volume mesh", 0.004)]
+    resolution_m: Annotated[float, within(limits.ELASTIC_EDGE_M, "edge length of the volume mesh", 0.004)]
     patch_radius_m: (
-        Annotated[float, within(limits.RESOLUTION_M, "radius of the area that carries a load; default: resolution_m", 0.004)]
+        Annotated[
+            float, within(limits.ELASTIC_EDGE_M, "radius of the area that carries a load; default: resolution_m", 0.004)
+        ]
         | None
     ) = None
     density_kg_per_m3: (
-        Annotated[float, within(limits.DENSITY_KG_PER_M3, "density, for the sag under gravity along -z of the object", 1100.0)]
+        Annotated[
+            float, within(limits.DENSITY_KG_PER_M3, "density, for the sag under gravity along -z of the object", 1100.0)
+        ]
         | None
     ) = None
-    damping_s: Annotated[float, within(limits.ELASTIC_DAMPING_S, "time constant of the surface (Kelvin-Voigt)", 0.01)] = 0.0
+    damping_s: Annotated[
+        float, within(limits.ELASTIC_DAMPING_S, "time constant of the surface (Kelvin-Voigt)", 0.01)
+    ] = 0.0
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.fixed) and not self.fixed:

@@ -66,7 +66,9 @@ def patch_loads(solid: Solid, centers: Doubles, normals: Doubles, radius_m: floa
     )
     loads = (shares @ spread).tocoo()
     return [
-        csr_matrix((loads.data, (_component(solid, scalar, axis)[loads.row], loads.col)), shape=(solid.basis.N, len(centers)))
+        csr_matrix(
+            (loads.data, (_component(solid, scalar, axis)[loads.row], loads.col)), shape=(solid.basis.N, len(centers))
+        )
         for axis in range(3)
     ]
 
@@ -80,7 +82,9 @@ def _component(solid: Solid, scalar: Any, axis: int) -> NDArray[np.int64]:
 
 
 def compliance(solid: Solid, loads: list[Any], done: Callable[[int], None] = lambda number: None) -> Doubles:
-    """Return the compliance (n, n, 3, 3), m/N times 1 Pa: [a, b, i, j] is the displacement i of patch a under load j on b.
+    """Return the compliance (n, n, 3, 3), m/N times 1 Pa.
+
+    Element [a, b, i, j] is the displacement i of patch a under the load j on patch b.
 
     `done` is called with the number of solved right-hand sides, out of 3 n.
     """

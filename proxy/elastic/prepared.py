@@ -36,9 +36,12 @@ ORDER: Final = 3.0
 BODIES: Final = 4
 """Number of bodies in memory, at most 450 MB each."""
 
-progress: Callable[[str, int], AbstractContextManager[Callable[[int], None]]] = lambda what, total: nullcontext(
-    lambda number: None
-)
+
+def _silent(what: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
+    return nullcontext(lambda number: None)
+
+
+progress: Callable[[str, int], AbstractContextManager[Callable[[int], None]]] = _silent
 """Display of progress, which the command line replaces."""
 
 
@@ -212,4 +215,6 @@ def _to_disk(body: Body) -> kept.Kept:
 def _from_disk(found: kept.Kept) -> Body:
     arrays: dict[str, Any] = dict(found.arrays)
     report = msgspec.convert(list(found.values["report"].values()), Report)
-    return Body(Arrays(arrays["vertices"], arrays["triangles"]), arrays["nodes"], ReadOnly(arrays["compliance"]), report)
+    return Body(
+        Arrays(arrays["vertices"], arrays["triangles"]), arrays["nodes"], ReadOnly(arrays["compliance"]), report
+    )

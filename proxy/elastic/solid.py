@@ -62,7 +62,9 @@ class Solid:
             component[of] = np.arange(3)[:, None]
         fixed = held(places)[np.arange(self.basis.N), component]
         if (fixed & (component == 0)).sum() < LEAST_FIXED:
-            raise ValueError(f"fixed: the regions contain {int((fixed & (component == 0)).sum())} nodes, at least 3 are needed")
+            raise ValueError(
+                f"fixed: the regions contain {int((fixed & (component == 0)).sum())} nodes, at least 3 are needed"
+            )
         self.free: Final = np.flatnonzero(~fixed)
         matrix = stiffness[self.free][:, self.free].tocsc()
         self.matrix: Final = matrix
@@ -92,7 +94,7 @@ class Solid:
         """Return the nodal forces (N,) of a body force of `direction` (3,) N/m^3."""
         skfem = self._skfem
 
-        @skfem.LinearForm
+        @skfem.LinearForm  # type: ignore[untyped-decorator]
         def weight(v: Any, w: Any) -> Any:
             return sum(component * v[axis] for axis, component in enumerate(direction))
 
@@ -105,10 +107,10 @@ class Solid:
         return skfem.FacetBasis(self.basis.mesh, self.basis.elem, intorder=order)
 
     def traction(self, pressure: Callable[[Doubles], Doubles], direction: Sequence[float]) -> Doubles:
-        """Return the nodal forces (N,) of a traction along `direction`, N/m^2 as a function of the position (3, ...)."""
+        """Return the nodal forces (N,) of a traction `pressure`, N/m^2, at positions (3, ...) along `direction`."""
         skfem = self._skfem
 
-        @skfem.LinearForm
+        @skfem.LinearForm  # type: ignore[untyped-decorator]
         def work(v: Any, w: Any) -> Any:
             return pressure(w.x) * sum(component * v[axis] for axis, component in enumerate(direction))
 

@@ -21,7 +21,7 @@ def kernel_elastic(thing: schema.Mesh, elastic: schema.Elastic, mesh: model.Tria
     return model.Elastic(
         compliance=body.compliance,
         nodes=ReadOnly(np.array(nodes, np.int32)),
-        count=float(len(body.nodes)),
+        number=float(len(body.nodes)),
         softness=1.0 / elastic.youngs_pa,
         damping=elastic.damping_s,
     )

@@ -113,7 +113,7 @@ def inverse(m: Mat3) -> Mat3:
 @jit
 def block_times(elastic: Elastic, a: int, b: int, v: Vec3) -> Vec3:
     """Return the displacement (3,) of node a under the load `v` (3,) on node b, times 1 Pa."""
-    at = 9 * (a * int(elastic.count) + b)
+    at = 9 * (a * int(elastic.number) + b)
     c = elastic.compliance
     return (
         c[at] * v[0] + c[at + 1] * v[1] + c[at + 2] * v[2],
@@ -125,7 +125,7 @@ def block_times(elastic: Elastic, a: int, b: int, v: Vec3) -> Vec3:
 @jit
 def add_block(m: Mat3, elastic: Elastic, a: int, b: int, weight: float) -> Mat3:
     """Return m plus the block of two nodes times `weight`."""
-    at = 9 * (a * int(elastic.count) + b)
+    at = 9 * (a * int(elastic.number) + b)
     c = elastic.compliance
     return (
         (m[0][0] + weight * c[at], m[0][1] + weight * c[at + 1], m[0][2] + weight * c[at + 2]),
@@ -186,9 +186,7 @@ def spot_on(elastic: Elastic, body: Any, facet: float, point: Vec3, normal: Vec3
 
 
 @jit
-def contact_spot(
-    elastic: Elastic, body: Any, finger: Finger, state: FingerState, contact: Contact, dt: float
-) -> Spot:
+def contact_spot(elastic: Elastic, body: Any, finger: Finger, state: FingerState, contact: Contact, dt: float) -> Spot:
     """Return the spot of the most loaded contact, with the load of all contacts of the finger."""
     found = spot_on(elastic, body, state.contacts[0].body, contact.contacts[0].point, contact.normal)
     force = ZERO
@@ -269,9 +267,7 @@ def report_on(body: Any, contact: Contact, surface: Surface, slope: Vec3) -> Con
     """Return the contact at its place on the deformed surface, with the force `slope` (3,) N, object frame, added."""
     moved, rate = turn_out_of(body.pose, surface.displacement), turn_out_of(body.pose, surface.rate)
     if contact.mode == FREE:
-        return replace(
-            contact, "velocity", vec3.add(contact.velocity, rate), "center", vec3.add(contact.center, moved)
-        )
+        return replace(contact, "velocity", vec3.add(contact.velocity, rate), "center", vec3.add(contact.center, moved))
     force = tilt(body.material.friction, contact, turn_out_of(body.pose, slope))
     one, two, three = contact.contacts
     one = replace(one, "point", vec3.add(one.point, moved), "force", vec3.add(one.force, force))
@@ -325,9 +321,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
 
 
 @jit
-def spot_of(
-    elastic: Elastic, objects: Any, finger: Finger, after: FingerState, contact: Contact, dt: float
-) -> Spot:
+def spot_of(elastic: Elastic, objects: Any, finger: Finger, after: FingerState, contact: Contact, dt: float) -> Spot:
     """Return the spot of a finger, with or without contact."""
     if contact.mode == FREE:
         return nearest_spot(elastic, objects, after.probe.position)

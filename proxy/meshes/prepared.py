@@ -179,7 +179,7 @@ def _state(thing: schema.Mesh) -> Any:
 def _key(data: bytes, thing: schema.Mesh, builder: Builder[Any]) -> str:
     """Return a hash of the file's bytes, its ending and scale, the type of the tree, and the program's source."""
     digest = hashlib.sha256(data)
-    made = SOURCE_HASH, len(data), Path(thing.file).suffix.lower(), thing.scale, builder.kind
+    made: tuple[Any, ...] = SOURCE_HASH, len(data), Path(thing.file).suffix.lower(), thing.scale, builder.kind
     if thing.elastic is not None:
         made = (*made, thing.elastic)
     digest.update(repr(made).encode())

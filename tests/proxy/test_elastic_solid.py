@@ -10,12 +10,12 @@ import pytest
 pytest.importorskip("skfem")
 gmsh = pytest.importorskip("gmsh")
 
-from softfinger.config.errors import ConfigError
-from softfinger.config.load import load_scene
-from softfinger.proxy.elastic.compliance import compliance, patch_loads
-from softfinger.proxy.elastic.prepared import body_of
-from softfinger.proxy.elastic.solid import Solid
-from softfinger.proxy.elastic.volume import Volume, boundary, checked, fill, quality, read_volume
+from softfinger.config.errors import ConfigError  # noqa: E402
+from softfinger.config.load import load_scene  # noqa: E402
+from softfinger.proxy.elastic.compliance import compliance, patch_loads  # noqa: E402
+from softfinger.proxy.elastic.prepared import body_of  # noqa: E402
+from softfinger.proxy.elastic.solid import Solid  # noqa: E402
+from softfinger.proxy.elastic.volume import Volume, boundary, checked, fill, quality, read_volume  # noqa: E402
 
 pytestmark = pytest.mark.plain
 
@@ -107,7 +107,10 @@ def deflection_under_a_disc(elements: float) -> float:
         return np.concatenate([np.isclose(x[:, :2], 0.0), np.zeros((len(x), 1), bool)], axis=1) | rim
 
     solid = Solid(half_space(1.0, 1.0 / elements, far), NU, held)
-    inside = lambda x: ((x[0] ** 2 + x[1] ** 2 < 1.0) & np.isclose(x[2], 0.0)).astype(float)
+
+    def inside(x: Any) -> Any:
+        return ((x[0] ** 2 + x[1] ** 2 < 1.0) & np.isclose(x[2], 0.0)).astype(float)
+
     return float(-displacement(solid, solid.traction(inside, (0.0, 0.0, -1.0)), (0.0, 0.0, 0.0))[2])
 
 
