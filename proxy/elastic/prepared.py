@@ -178,8 +178,8 @@ def _yielding(volume: Volume, triangles: NDArray[np.int64], elastic: schema.Elas
         raise ValueError("reach: no vertex of the surface is there and outside of `fixed`")
     if len(nodes) > limits.ELASTIC_NODES.high:
         raise ValueError(
-            f"{len(nodes):,} vertices of the surface give, at most {int(limits.ELASTIC_NODES.high):,} can: take a larger "
-            "resolution_m, or name the part that is touched in `reach`"
+            f"{len(nodes):,} vertices of the surface give, at most {int(limits.ELASTIC_NODES.high):,} can: take a "
+            "larger resolution_m, or name the part that is touched in `reach`"
         )
     return nodes
 
