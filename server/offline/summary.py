@@ -80,7 +80,7 @@ def _form(finger: FingerParts) -> str:
 
 def _size(item: ObjectBase) -> str:
     """Format the dimensions of the shape, as in the file."""
-    own = [name for name in item.__struct_fields__ if name not in Textured.__struct_fields__]
+    own = [name for name in item.__struct_fields__ if name not in (*Textured.__struct_fields__, "elastic")]
     return "".join(f", {name} {shown(getattr(item, name))}" for name in own if getattr(item, name) is not None)
 
 
