@@ -74,7 +74,18 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
         rolling=rolling,
         effects=kernel_effects(scene.effect),
         bodies=None if rigid is None else rigid.kernel(tuple(riders)),
+        elastic=_elastic(scene, bodies),
     )
+
+
+def _elastic(scene: schema.Scene, bodies: list[model.Object]) -> Any:
+    """Return the compliance of the only object if it is elastic, otherwise None."""
+    thing = scene.object[0] if len(scene.object) == 1 else None
+    if not isinstance(thing, schema.Mesh) or thing.elastic is None:
+        return None
+    from softfinger.proxy.elastic.surface import kernel_elastic
+
+    return kernel_elastic(thing, thing.elastic, bodies[0].shape.row[0])
 
 
 def same_model(one: Any, other: Any) -> bool:
@@ -132,7 +143,7 @@ def start_state(scene: model.Scene) -> model.State:
     )
     poses = _memory(scene.objects)
     was = None if isinstance(scene.objects, model.Many) else poses
-    world = model.World(started=0.0, time=0.0, poses=poses, was=was)
+    world = model.World(started=0.0, time=0.0, poses=poses, was=was, surfaces=_surfaces(scene))
     return model.State(world=world, fingers=(finger,) * len(scene.fingers))
 
 
@@ -141,6 +152,13 @@ def _memory(objects: model.Single | model.Many) -> Any:
     if isinstance(objects, model.Many):
         return Mutable(np.zeros(MEMORY * int(objects.size)))
     return None if objects.body.motion is None else objects.body.pose
+
+
+def _surfaces(scene: model.Scene) -> Any:
+    """Return the displacement under each finger before the first pose, None without an elastic object."""
+    if scene.elastic is None:
+        return None
+    return tuple(model.Surface(model.ZERO, model.ZERO) for _ in scene.fingers)
 
 
 def patches_of(objects: model.Single | model.Many) -> int:

@@ -43,6 +43,7 @@ from softfinger.config.schema.effects import (
     Vibration,
     Viscosity,
 )
+from softfinger.config.schema.elastic import Below, Elastic, FixedRegion, HalfSpace, InBox
 from softfinger.config.schema.faults import Faults, Injection
 from softfinger.config.schema.fields import (
     Complaint,
@@ -94,6 +95,7 @@ from softfinger.config.schema.world import GeomMaterial, World
 
 __all__ = [
     "BESIDE",
+    "Below",
     "Body",
     "Boundary",
     "Box",
@@ -109,15 +111,19 @@ __all__ = [
     "Driven",
     "Effect",
     "EffectBase",
+    "Elastic",
     "Ellipsoid",
     "Faults",
     "Finger",
     "FingerParts",
     "Fingertip",
+    "FixedRegion",
     "Friction",
     "GeomMaterial",
     "Guard",
+    "HalfSpace",
     "Heightmap",
+    "InBox",
     "Injection",
     "Length",
     "Magnet",

@@ -45,6 +45,7 @@ def said(meaning: str, example: Any = None) -> Meta:
 
 
 _UNITS: Final = {
+    "_kg_per_m3": "kg/m^3",
     "_rad_per_s": "rad/s",
     "_nm_per_a": "N m/A",
     "_nms_per_rad": "N m s/rad",

@@ -13,7 +13,7 @@ from softfinger.config.schema.effects import Effect
 from softfinger.config.schema.fields import Complaint, Table, known, sized
 from softfinger.config.schema.motions import Body
 from softfinger.config.schema.patch import Patch
-from softfinger.config.schema.shapes import Object
+from softfinger.config.schema.shapes import Mesh, Object
 from softfinger.config.schema.world import World
 
 
@@ -80,6 +80,7 @@ class Scene(Table, frozen=True, kw_only=True):
         yield from _method_faults(self)
         yield from _form_faults(self)
         yield from _tight_faults(self)
+        yield from _elastic_faults(self)
 
 
 def _finger_faults(scene: Scene) -> Iterator[Complaint]:
@@ -322,3 +323,21 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
             "needs friction to roll on, and no object has any: give one "
             "`friction = { static = 0.6, kinetic = 0.5 }` in its material, or leave [rolling] out",
         )
+
+
+def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
+    """Check that an elastic object is the only one, and touched by one or two fingers."""
+    if not known(scene.object, scene.finger, scene.world):
+        return
+    for index, item in enumerate(scene.object):
+        if not isinstance(item, Mesh) or not known(item.elastic) or item.elastic is None:
+            continue
+        where = f"object[{index}].elastic"
+        if len(scene.object) > 1:
+            yield where, msgspec.UNSET, "must be of the only object of a scene: remove the other objects, or this table"
+        if len(scene.finger) > 2:
+            yield where, msgspec.UNSET, f"is felt by one or two fingers, and there are {len(scene.finger)}: remove some"
+        for key, given in (("[world]", scene.world), ("[[effect]]", scene.effect or None)):
+            if known(given) and given is not None:
+                yield where, msgspec.UNSET, f"cannot be combined with {key}: remove one of them"
+        return

@@ -6,10 +6,12 @@ import math
 from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal, TypeVar, get_args
 
+import msgspec
 from msgspec import Struct
 
 from softfinger.config import limits
 from softfinger.config.schema.effects import ObjectEffect
+from softfinger.config.schema.elastic import Elastic
 from softfinger.config.schema.fields import (
     Complaint,
     Component,
@@ -265,6 +267,8 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
     shape: ClassVar[str] = "mesh"
     unrolls: ClassVar[bool] = True  # triangle by triangle, each in its plane
     endings: ClassVar[tuple[str, ...]] = (".ply", ".stl", ".obj", ".glb")
+    volumes: ClassVar[tuple[str, ...]] = (".msh", ".vtu")
+    """Files of tetrahedra, for elastic bodies."""
     file: Annotated[
         str,
         sized(
@@ -280,11 +284,27 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
     scale: Annotated[float, within(limits.MESH_SCALE, "metres per unit of the file; 0.001 for mm", 0.001)] = 1.0
     inside: Inside = False
     shading: Annotated[Shading, said("normals: force direction interpolated between vertex normals", "none")] = "none"
+    elastic: Annotated[Elastic | None, said("linear elastic body; without this table the object is rigid")] = None
 
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()
-        if known(self.file, self.mesh) and self.mesh is None and not self.file.lower().endswith(self.endings):
-            yield "file", self.file, f"must end in {', '.join(self.endings)}: export the mesh as one of these"
+        if not known(self.file, self.mesh, self.elastic):
+            return
+        endings = self.endings if self.elastic is None else (*self.endings, *self.volumes)
+        if self.mesh is None and not self.file.lower().endswith(endings):
+            yield "file", self.file, f"must end in {', '.join(endings)}: export the mesh as one of these"
+        if self.elastic is not None:
+            yield from self._elastic_faults()
+
+    def _elastic_faults(self) -> Iterator[Complaint]:
+        """Check that nothing else is given for an elastic object that its surface cannot have."""
+        for key, given in (("motion", self.motion), ("effect", self.effect or None)):
+            if known(given) and given is not None:
+                yield key, msgspec.UNSET, "cannot be combined with [object.elastic]: remove one of them"
+        if known(self.inside) and self.inside:
+            yield "inside", True, "is no side of an elastic body: leave it out"
+        if self.mesh is not None:
+            yield "mesh", self.mesh, "of a MuJoCo model cannot be elastic: export it to a file"
 
 
 def _too_tight(least_m: float, measure: str = "radius", what: str = "") -> str:

@@ -63,8 +63,17 @@ def step(scene: Scene, state: State, poses: Any, dt: float) -> Any:
 
 
 @step.of(None)
+def step_without_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
+    return step_once(scene, state, poses, dt)
+
+
+@by_type_of("elastic")
 def step_once(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     """Compute one contact step of all fingers, with all objects at their new poses."""
+
+
+@step_once.of(None)
+def step_on_rigid(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     world = advance(scene.objects, state.world, dt)
     objects = place_all(scene.objects, world)
     fingers, contacts = unzip(map_each(step_finger, (scene.fingers, state.fingers, poses), scene, objects, dt))

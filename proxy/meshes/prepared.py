@@ -126,7 +126,7 @@ def _remember(thing: schema.Mesh, state: Any, found: About) -> None:
 
 def _source(thing: schema.Mesh) -> tuple[Any, ...]:
     """Return the keys of an object that name its triangles."""
-    return thing.file, thing.mesh, thing.root, thing.scale
+    return thing.file, thing.mesh, thing.root, thing.scale, thing.elastic
 
 
 def _bytes(thing: schema.Mesh) -> bytes:
@@ -140,6 +140,11 @@ def _bytes(thing: schema.Mesh) -> bytes:
 
 
 def _mended(thing: schema.Mesh, data: bytes) -> tuple[Arrays, Report]:
+    if thing.elastic is not None:
+        from softfinger.proxy.elastic.prepared import body_of
+
+        mended = mend(body_of(thing).surface, loose=False)
+        return mended.arrays, report_of(mended, loose=False, scale=None)
     try:
         if thing.mesh is None:
             vertices, triangles = arrays_of(thing.file, data)
@@ -174,7 +179,9 @@ def _state(thing: schema.Mesh) -> Any:
 def _key(data: bytes, thing: schema.Mesh, builder: Builder[Any]) -> str:
     """Return a hash of the file's bytes, its ending and scale, the type of the tree, and the program's source."""
     digest = hashlib.sha256(data)
-    made = SOURCE_HASH, len(data), Path(thing.file).suffix.lower(), thing.scale, builder.kind
+    made: tuple[Any, ...] = SOURCE_HASH, len(data), Path(thing.file).suffix.lower(), thing.scale, builder.kind
+    if thing.elastic is not None:
+        made = (*made, thing.elastic)
     digest.update(repr(made).encode())
     return digest.hexdigest()
 

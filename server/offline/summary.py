@@ -9,6 +9,7 @@ from msgspec import Struct
 from softfinger.config.load import build
 from softfinger.config.schema import (
     DeviceConfig,
+    Elastic,
     FingerParts,
     Guard,
     Heightmap,
@@ -79,7 +80,7 @@ def _form(finger: FingerParts) -> str:
 
 def _size(item: ObjectBase) -> str:
     """Format the dimensions of the shape, as in the file."""
-    own = [name for name in item.__struct_fields__ if name not in Textured.__struct_fields__]
+    own = [name for name in item.__struct_fields__ if name not in (*Textured.__struct_fields__, "elastic")]
     return "".join(f", {name} {shown(getattr(item, name))}" for name in own if getattr(item, name) is not None)
 
 
@@ -107,6 +108,8 @@ def object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
         rows += _texture_rows(item, item.texture)
     if isinstance(item, Mesh):
         rows += [(f"  {name}", text) for name, text in mesh_report(item).rows(item.inside)]
+        if item.elastic is not None:
+            rows += _elastic_rows(item, item.elastic)
     return rows
 
 
@@ -114,8 +117,31 @@ def mesh_report(item: Mesh) -> Report:
     from softfinger.proxy.meshes.prepared import about
     from softfinger.server.progress import progress
 
+    if item.elastic is not None:
+        from softfinger.proxy.elastic import prepared
+
+        prepared.progress = progress
+        prepared.body_of(item)
     with progress(f"reading {item.file}"):
         return about(item).report
+
+
+def _elastic_rows(item: Mesh, elastic: Elastic) -> list[tuple[str, str]]:
+    from softfinger.proxy.elastic.prepared import body_of
+
+    report, force = body_of(item).report, Guard().force_max_n
+    softest = max(report.compliances) / elastic.youngs_pa
+    error = "not estimated: the file has one mesh" if report.error is None else f"{100.0 * report.error:.2g} %"
+    rows = [
+        ("  elastic", _values(elastic)),
+        ("  volume mesh", f"{report.tetrahedra:,} tetrahedra of {report.vertices:,} vertices, {report.nodes:,} give; "
+         f"quality {report.worst_quality:.2g} at worst, {report.mean_quality:.2g} on average; estimated error {error}"),
+        ("  largest displacement", f"{1000.0 * softest * force:.3g} mm at {force:g} N, of the points below"),
+    ]  # fmt: skip
+    for point, compliance in zip(report.points, report.compliances, strict=True):
+        place = ", ".join(f"{1000.0 * value:.3g}" for value in point)
+        rows.append((f"  at ({place}) mm", f"{elastic.youngs_pa / compliance:.4g} N/m along the normal"))
+    return rows
 
 
 def _heightmap_rows(item: Heightmap) -> list[tuple[str, str]]:

@@ -20,6 +20,7 @@ from softfinger.proxy.kernels.model.effects import (
     Vibration,
     Viscosity,
 )
+from softfinger.proxy.kernels.model.elastic import Elastic, Surface
 from softfinger.proxy.kernels.model.laws import (
     Anisotropic,
     Friction,
@@ -138,6 +139,7 @@ __all__ = [
     "Creased",
     "Cylinder",
     "Driven",
+    "Elastic",
     "Ellipsoid",
     "EllipsoidTip",
     "Entry",
@@ -195,6 +197,7 @@ __all__ = [
     "State",
     "StickSlip",
     "Stribeck",
+    "Surface",
     "Texture",
     "Tip",
     "Torsion",

@@ -197,6 +197,7 @@ class Scene(NamedTuple):
     rolling   rolling method or None
     effects   tuple of effects of the workspace
     bodies    Bodies, or None without a simulation
+    elastic   Elastic of the only object, or None
     """
 
     fingers: Any
@@ -204,3 +205,4 @@ class Scene(NamedTuple):
     rolling: Any
     effects: Any
     bodies: Any = None
+    elastic: Any = None

@@ -13,12 +13,14 @@ class World(NamedTuple):
     poses    current pose of the only object, None if it cannot move; of several objects the memory of their poses
              (`query.world`)
     was      pose of the only object at the last tick, None for several
+    surfaces  tuple of a Surface for each finger on an elastic object, None in other scenes
     """
 
     started: float
     time: float
     poses: Any
     was: Any
+    surfaces: Any = None
 
 
 class Probe(NamedTuple):

@@ -1,0 +1,220 @@
+"""Elastic bodies of a scene: from the file to surface and compliance, cached in memory and on disk."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import limits, schema
+from softfinger.config.errors import ConfigError
+from softfinger.proxy.elastic.compliance import compliance, patch_loads, vertex_normals
+from softfinger.proxy.elastic.solid import Solid, region_holds
+from softfinger.proxy.elastic.volume import Volume, boundary, fill, quality, read_volume
+from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.jit.cache import Folder
+from softfinger.proxy.kernels.jit.decorators import SOURCE_HASH
+from softfinger.proxy.meshes import kept
+from softfinger.proxy.meshes.mending import mend
+from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes
+
+Doubles = NDArray[np.float64]
+
+GRAVITY_M_PER_S2: Final = 9.80665
+PROBES: Final = 5
+"""Number of points whose stiffness is reported."""
+COARSER: Final = 1.5
+"""Ratio of the edge lengths of the two meshes of which the error is estimated."""
+ORDER: Final = 3.0
+"""Order of convergence of a patch's displacement with quadratic tetrahedra, see docs/model/elastic.md."""
+BODIES: Final = 4
+"""Number of bodies in memory, at most 450 MB each."""
+
+
+def _silent(what: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
+    return nullcontext(lambda number: None)
+
+
+progress: Callable[[str, int], AbstractContextManager[Callable[[int], None]]] = _silent
+"""Display of progress, which the command line replaces."""
+
+
+class Report(NamedTuple):
+    """Figures of a body, of Young's modulus 1 Pa.
+
+    points       (k, 3) m  of the surface, spread over it
+    compliances  (k,)      displacement there along the normal under 1 N, m/N times 1 Pa
+    error        1         largest relative error of them, estimated with a coarser mesh; None without one
+    """
+
+    vertices: int
+    tetrahedra: int
+    nodes: int
+    worst_quality: float
+    mean_quality: float
+    points: list[list[float]]
+    compliances: list[float]
+    error: float | None
+
+
+class Body(NamedTuple):
+    """Surface (vertices, m, and triangles), its vertices that give, their compliance, and figures.
+
+    nodes       (n,)       indices of vertices
+    compliance  (n n 9,)   see `compliance.compliance`
+    """
+
+    surface: Arrays
+    nodes: NDArray[np.int32]
+    compliance: ReadOnly
+    report: Report
+
+
+_bodies: Final[dict[str, Body]] = {}
+
+
+def body_of(thing: schema.Mesh, folder: Folder = kept.KEPT) -> Body:
+    """Return the body of an elastic mesh object, and store it on disk for later runs.
+
+    Raises
+    ------
+    ConfigError
+        If the file, its mesh or a value of [object.elastic] cannot be used.
+    """
+    assert thing.elastic is not None
+    try:
+        key = _key(thing, thing.elastic, read_bytes(thing.file))
+        if key not in _bodies:
+            found = kept.load(key, folder)
+            body = _made(thing, thing.elastic) if found is None else _from_disk(found)
+            if found is None:
+                kept.save(key, _to_disk(body), folder)
+            while len(_bodies) >= BODIES:
+                _bodies.pop(next(iter(_bodies)))
+            _bodies[key] = body
+        return _bodies[key]
+    except ConfigError as error:
+        raise ConfigError(f"object '{thing.name}': file: {error}") from error
+    except ValueError as error:
+        raise ConfigError(f"object '{thing.name}': elastic: {thing.file}: {error}") from error
+
+
+def _key(thing: schema.Mesh, elastic: schema.Elastic, data: bytes) -> str:
+    """Return a hash of the file and of all values that change the compliance; it is that of Young's modulus 1 Pa."""
+    digest = hashlib.sha256(data)
+    sags = elastic.density_kg_per_m3 is not None
+    same = msgspec.structs.replace(elastic, youngs_pa=elastic.youngs_pa if sags else 1.0, damping_s=0.0)
+    digest.update(repr((SOURCE_HASH, len(data), Path(thing.file).suffix.lower(), thing.scale, same)).encode())
+    return digest.hexdigest()
+
+
+def volume_of(thing: schema.Mesh, resolution_m: float) -> Volume:
+    """Return the volume mesh of an object; a file of tetrahedra has its own resolution.
+
+    Raises
+    ------
+    ConfigError, ValueError
+        If the file cannot be read, its surface is open, or it cannot be filled.
+    """
+    if thing.file.lower().endswith(thing.volumes):
+        return read_volume(thing.file, thing.scale)
+    vertices, triangles = arrays_of(thing.file, read_bytes(thing.file))
+    mended = mend(Arrays(vertices * thing.scale, triangles), thing.file.lower().endswith(".stl"))
+    if not mended.watertight:
+        raise ValueError(f"the mesh is open at {mended.open_edges} edges: close it, or leave out [object.elastic]")
+    return fill(mended.arrays.vertices, mended.arrays.triangles.astype(np.int64), resolution_m)
+
+
+def solid_of(volume: Volume, elastic: schema.Elastic) -> Solid:
+    """Return the body with its fixed regions. Raises ValueError if they contain fewer than three nodes."""
+    return Solid(
+        volume, elastic.poisson, lambda points: np.repeat(region_holds(elastic.fixed, points)[:, None], 3, axis=1)
+    )
+
+
+def _made(thing: schema.Mesh, elastic: schema.Elastic) -> Body:
+    volume = volume_of(thing, elastic.resolution_m)
+    triangles = boundary(volume)
+    nodes = _yielding(volume, triangles, elastic)
+    solid = solid_of(volume, elastic)
+    normals = vertex_normals(volume.vertices, triangles)
+    loads = patch_loads(solid, volume.vertices[nodes], normals[nodes], elastic.radius_m)
+    with progress(f"compliance of {thing.name}", 3 * len(nodes)) as done:
+        found = compliance(solid, loads, done)
+    placed = volume.vertices
+    if elastic.density_kg_per_m3 is not None:
+        weight = solid.gravity((0.0, 0.0, -GRAVITY_M_PER_S2 * elastic.density_kg_per_m3))
+        sag = solid.solve(weight[:, None])[:, 0] / elastic.youngs_pa
+        placed = placed + sag[solid.basis.nodal_dofs].T
+    used, corners = np.unique(triangles, return_inverse=True)
+    place = np.searchsorted(used, nodes).astype(np.int32)
+    surface = Arrays(np.ascontiguousarray(placed[used]), corners.reshape(-1, 3).astype(np.int32))
+    probes = _spread(volume.vertices[nodes])
+    own = np.einsum("ki,kij,kj->k", normals[nodes[probes]], found[probes, probes], normals[nodes[probes]])
+    error = _error(thing, elastic, volume.vertices[nodes[probes]], normals[nodes[probes]], own)
+    measured = quality(volume)
+    report = Report(
+        len(volume.vertices), len(volume.tetrahedra), len(nodes), float(measured.min()), float(measured.mean()),
+        volume.vertices[nodes[probes]].tolist(), own.tolist(), error,
+    )  # fmt: skip
+    return Body(surface, place, ReadOnly(found), report)
+
+
+def _yielding(volume: Volume, triangles: NDArray[np.int64], elastic: schema.Elastic) -> NDArray[np.int64]:
+    """Return the vertices of the surface that can be pressed in."""
+    nodes = np.unique(triangles)
+    points = volume.vertices[nodes]
+    chosen = ~region_holds(elastic.fixed, points)
+    if elastic.reach:
+        chosen &= region_holds(elastic.reach, points)
+    nodes = nodes[chosen]
+    if len(nodes) == 0:
+        raise ValueError("reach: no vertex of the surface is there and outside of `fixed`")
+    if len(nodes) > limits.ELASTIC_NODES.high:
+        raise ValueError(
+            f"{len(nodes):,} vertices of the surface give, at most {int(limits.ELASTIC_NODES.high):,} can: take a "
+            "larger resolution_m, or name the part that is touched in `reach`"
+        )
+    return nodes
+
+
+def _spread(points: Doubles) -> NDArray[np.int64]:
+    """Return up to five indices of points, each as far as possible from those before."""
+    chosen = [int(((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin())]
+    distance = ((points - points[chosen[0]]) ** 2).sum(axis=1)
+    while len(chosen) < min(PROBES, len(points)):
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
+    return np.array(chosen)
+
+
+def _error(
+    thing: schema.Mesh, elastic: schema.Elastic, points: Doubles, normals: Doubles, own: Doubles
+) -> float | None:
+    """Return the largest relative error of the compliances `own`, by Richardson's rule; None for a file of one mesh."""
+    if thing.file.lower().endswith(thing.volumes):
+        return None
+    solid = solid_of(volume_of(thing, COARSER * elastic.resolution_m), elastic)
+    found = compliance(solid, patch_loads(solid, points, normals, elastic.radius_m))
+    count = np.arange(len(points))
+    coarse = np.einsum("ki,kij,kj->k", normals, found[count, count], normals)
+    return float(np.abs(coarse / own - 1.0).max() / (COARSER**ORDER - 1.0))
+
+
+def _to_disk(body: Body) -> kept.Kept:
+    arrays = {**body.surface._asdict(), "nodes": body.nodes, "compliance": body.compliance.array}
+    return kept.Kept(arrays, {"report": body.report._asdict()})
+
+
+def _from_disk(found: kept.Kept) -> Body:
+    arrays: dict[str, Any] = dict(found.arrays)
+    report = msgspec.convert(list(found.values["report"].values()), Report)
+    return Body(
+        Arrays(arrays["vertices"], arrays["triangles"]), arrays["nodes"], ReadOnly(arrays["compliance"]), report
+    )

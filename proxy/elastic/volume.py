@@ -1,0 +1,138 @@
+"""Volume mesh of an elastic body: from its surface by gmsh, or from a file of tetrahedra by meshio."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import limits
+
+Doubles = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+FACES: Final = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
+"""Vertices of the faces of a tetrahedron of positive volume, counter-clockwise seen from outside."""
+CREASE_RAD: Final = 0.6
+"""Angle between triangles from which gmsh preserves the edge between them."""
+LEAST_QUALITY: Final = 0.01
+"""Quality below which a tetrahedron spoils the solution: a regular one has 1."""
+
+
+class Volume(NamedTuple):
+    """Tetrahedra (m, 4) of vertices (n, 3) m, of positive volume."""
+
+    vertices: Doubles
+    tetrahedra: Whole
+
+
+def fill(vertices: Doubles, triangles: Whole, resolution_m: float) -> Volume:
+    """Fill a closed surface with tetrahedra of about this edge length; its triangles are replaced, too.
+
+    Raises
+    ------
+    ValueError
+        If gmsh is not installed, or cannot fill the surface.
+    """
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    expected = abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6.0 / (resolution_m**3 / 8.5)  # of regular ones
+    if not expected <= limits.ELASTIC_TETRAHEDRA.high:
+        raise ValueError(
+            f"resolution_m = {resolution_m:g}: about {expected:,.0f} tetrahedra, at most "
+            f"{int(limits.ELASTIC_TETRAHEDRA.high):,} can be solved: take a larger one"
+        )
+    try:
+        import gmsh
+    except (ImportError, OSError) as missing:
+        raise ValueError(f"gmsh is not usable ({missing}): pip install 'softfinger[elastic]'") from missing
+    gmsh.initialize([], False, False, False)  # neither the user's settings nor a signal handler
+    try:
+        points, corners = _filled(gmsh, vertices, triangles, resolution_m)
+    except Exception as error:  # gmsh raises no other class
+        raise ValueError(f"gmsh cannot fill the surface: {error}: repair the mesh, or give a .msh file") from error
+    finally:
+        gmsh.finalize()
+    return checked(points, corners)
+
+
+def _filled(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float) -> tuple[Doubles, Whole]:
+    gmsh.option.setNumber("General.Terminal", 0)
+    for name in ("Mesh.MeshSizeMin", "Mesh.MeshSizeMax"):
+        gmsh.option.setNumber(name, resolution_m)
+    mesh = gmsh.model.mesh
+    surface = gmsh.model.addDiscreteEntity(2)
+    mesh.addNodes(2, surface, np.arange(1, len(vertices) + 1), vertices.ravel())
+    mesh.addElementsByType(surface, 2, [], (triangles + 1).ravel())
+    mesh.classifySurfaces(CREASE_RAD, True, True, np.pi)
+    mesh.createGeometry()
+    loop = gmsh.model.geo.addSurfaceLoop([tag for _, tag in gmsh.model.getEntities(2)])
+    gmsh.model.geo.addVolume([loop])
+    gmsh.model.geo.synchronize()
+    mesh.generate(3)
+    mesh.optimize("Netgen")  # without it, thin bodies have flat tetrahedra
+    tags, points, _ = mesh.getNodes()
+    _, corners = mesh.getElementsByType(4)
+    place = np.zeros(int(tags.max()) + 1, np.int64)
+    place[tags.astype(np.int64)] = np.arange(len(tags))
+    return np.asarray(points).reshape(-1, 3), place[corners.astype(np.int64)].reshape(-1, 4)
+
+
+def read_volume(file: str, scale: float) -> Volume:
+    """Return the tetrahedra of a .msh or .vtu file, m.
+
+    Raises
+    ------
+    ValueError
+        If meshio is not installed, the file cannot be read, or its tetrahedra cannot be used.
+    """
+    try:
+        import meshio
+    except ImportError as missing:
+        raise ValueError(f"meshio is not installed ({missing}): pip install 'softfinger[elastic]'") from missing
+    if not Path(file).is_file():
+        raise ValueError("no such file")
+    try:
+        found = meshio.read(file)
+    except (Exception, SystemExit) as error:  # meshio exits on some damaged files
+        raise ValueError(f"meshio cannot read it: {error}") from error
+    tetrahedra = found.cells_dict.get("tetra")
+    if tetrahedra is None:
+        raise ValueError(f"has no tetrahedra, only {', '.join(found.cells_dict) or 'nothing'}: export the volume mesh")
+    return checked(scale * np.asarray(found.points, np.float64), np.asarray(tetrahedra, np.int64))
+
+
+def checked(vertices: Doubles, tetrahedra: Whole) -> Volume:
+    """Return the volume without unused vertices. Raises ValueError for inverted, flat or too many tetrahedra."""
+    most = int(limits.ELASTIC_TETRAHEDRA.high)
+    if not 0 < len(tetrahedra) <= most:
+        raise ValueError(f"{len(tetrahedra):,} tetrahedra: at most {most:,} can be solved; take a larger resolution_m")
+    if not np.isfinite(vertices).all():
+        raise ValueError("a coordinate is not finite")
+    used, corners = np.unique(tetrahedra, return_inverse=True)
+    volume = Volume(vertices[used], corners.reshape(-1, 4))
+    measured = quality(volume)
+    worst = int(measured.argmin())
+    if measured[worst] <= 0.0:
+        raise ValueError(f"tetrahedron {worst} is inverted, with {int((measured <= 0.0).sum())} in all: mesh it again")
+    if measured[worst] < LEAST_QUALITY:
+        raise ValueError(f"tetrahedron {worst} is flat: quality {measured[worst]:.2g}, at least {LEAST_QUALITY:g}")
+    return volume
+
+
+def quality(volume: Volume) -> Doubles:
+    """Return 6 sqrt(2) V / l^3 of each tetrahedron, l its root-mean-square edge: 1 if regular, below 0 if inverted."""
+    a, b, c, d = (volume.vertices[volume.tetrahedra[:, i]] for i in range(4))
+    six = np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))
+    squares = sum(((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (a, c), (a, d), (b, c), (b, d), (c, d)))
+    found: Doubles = np.sqrt(2.0) * six / (np.asarray(squares) / 6.0) ** 1.5
+    return found
+
+
+def boundary(volume: Volume) -> Whole:
+    """Return the triangles (k, 3) that belong to one tetrahedron, counter-clockwise seen from outside."""
+    faces = volume.tetrahedra[:, FACES].reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    found: Whole = faces[first[count == 1]]
+    return found

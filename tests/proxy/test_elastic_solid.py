@@ -1,0 +1,189 @@
+"""Displacements of elastic bodies against closed forms, and bodies that cannot be used."""
+
+from math import log2, pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("skfem")
+gmsh = pytest.importorskip("gmsh")
+
+from softfinger.config.errors import ConfigError  # noqa: E402
+from softfinger.config.load import load_scene  # noqa: E402
+from softfinger.proxy.elastic.compliance import compliance, patch_loads  # noqa: E402
+from softfinger.proxy.elastic.prepared import body_of  # noqa: E402
+from softfinger.proxy.elastic.solid import Solid  # noqa: E402
+from softfinger.proxy.elastic.volume import Volume, boundary, checked, fill, quality, read_volume  # noqa: E402
+
+pytestmark = pytest.mark.plain
+
+NU = 0.3
+
+
+def box(x: float, y: float, z: float) -> tuple[Any, Any]:
+    """Return vertices and triangles of a box from the origin to x, y, z m."""
+    corners = np.array([[i, j, k] for i in (0.0, x) for j in (0.0, y) for k in (0.0, z)])
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return corners, np.array([t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))])
+
+
+def on_face(value: float, axis: int) -> Any:
+    return lambda x: np.isclose(x[axis], value).astype(float)
+
+
+def displacement(solid: Solid, load: Any, point: Any) -> Any:
+    """Return the displacement (3,) of the vertex nearest to a point."""
+    nearest = ((solid.volume.vertices - point) ** 2).sum(axis=1).argmin()
+    return solid.solve(load[:, None])[solid.basis.nodal_dofs[:, nearest], 0]
+
+
+def test_a_block_under_uniform_load_shortens_by_its_length_over_e_a() -> None:
+    length, width = 0.03, 0.02
+    solid = Solid(fill(*box(width, width, length), 0.01), NU, lambda x: np.isclose(x, 0.0))  # symmetry planes
+    load = solid.traction(on_face(length, 2), (0.0, 0.0, -1.0))
+    found = displacement(solid, load, (width, width, length))
+    assert found == pytest.approx([NU * width, NU * width, -length], rel=1e-9)
+
+
+def test_a_cantilever_bends_as_a_beam_with_shear() -> None:
+    length, width, height, load = 0.1, 0.02, 0.005, 2.0
+    solid = Solid(fill(*box(length, width, height), 0.005), NU, lambda x: np.repeat(x[:, :1] < 1e-9, 3, axis=1))
+    end = solid.traction(on_face(length, 0), (0.0, 0.0, -load / (width * height)))
+    inertia, shear = width * height**3 / 12.0, 5.0 / 6.0 / (2.0 * (1.0 + NU))
+    beam = load * length**3 / (3.0 * inertia) + load * length / (shear * width * height)
+    found = -displacement(solid, end, (length, 0.5 * width, 0.5 * height))[2]
+    assert found == pytest.approx(beam, rel=0.02)
+
+
+def test_a_simply_supported_plate_sags_as_navier_says() -> None:
+    side, height = 0.1, 0.005
+
+    def held(x: Any) -> Any:
+        ends = [np.isclose(x[:, axis], 0.0) | np.isclose(x[:, axis], side) for axis in (0, 1)]
+        return np.stack([ends[1], ends[0], ends[0] | ends[1]], axis=1)
+
+    solid = Solid(fill(*box(side, side, height), 0.006), NU, held)
+    load = solid.traction(on_face(height, 2), (0.0, 0.0, -1.0))
+    bending = height**3 / (12.0 * (1.0 - NU**2))
+    shear = 5.0 / 6.0 * height / (2.0 * (1.0 + NU))
+    plate = 0.0040624 * side**4 / bending + 0.07367 * side**2 / shear  # Timoshenko, table 8; Mindlin's shear term
+    centre = ((solid.volume.vertices - (0.5 * side, 0.5 * side, height)) ** 2).sum(axis=1)
+    near = solid.volume.vertices[centre.argmin()]
+    shape = np.sin(pi * near[0] / side) * np.sin(pi * near[1] / side)
+    assert -displacement(solid, load, near)[2] / shape == pytest.approx(plate, rel=0.03)
+
+
+def half_space(radius: float, edge: float, far: float) -> Volume:
+    """Return a quarter of a block under z = 0 with elements of length `edge` at a disc about the origin."""
+    gmsh.initialize([], False, False, False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        block, disc = gmsh.model.occ.addBox(0, 0, -far, far, far, far), gmsh.model.occ.addDisk(0, 0, 0, radius, radius)
+        gmsh.model.occ.fragment([(3, block)], [(2, disc)])
+        gmsh.model.occ.synchronize()
+        field = gmsh.model.mesh.field.add("MathEval")
+        gmsh.model.mesh.field.setString(field, "F", f"{edge} + 0.6 * max(0, sqrt(x*x + y*y + z*z) - {1.2 * radius})")
+        gmsh.model.mesh.field.setAsBackgroundMesh(field)
+        for name in ("MeshSizeExtendFromBoundary", "MeshSizeFromPoints"):
+            gmsh.option.setNumber(f"Mesh.{name}", 0)
+        gmsh.model.mesh.generate(3)
+        tags, points, _ = gmsh.model.mesh.getNodes()
+        _, corners = gmsh.model.mesh.getElementsByType(4)
+    finally:
+        gmsh.finalize()
+    place = np.zeros(int(tags.max()) + 1, np.int64)
+    place[tags.astype(np.int64)] = np.arange(len(tags))
+    return checked(points.reshape(-1, 3), place[corners.astype(np.int64)].reshape(-1, 4))
+
+
+def deflection_under_a_disc(elements: float) -> float:
+    """Return the centre deflection under unit pressure on a disc of radius 1, with that many elements a radius."""
+    far = 60.0
+
+    def held(x: Any) -> Any:
+        rim = (np.isclose(x[:, 0], far) | np.isclose(x[:, 1], far) | np.isclose(x[:, 2], -far))[:, None]
+        return np.concatenate([np.isclose(x[:, :2], 0.0), np.zeros((len(x), 1), bool)], axis=1) | rim
+
+    solid = Solid(half_space(1.0, 1.0 / elements, far), NU, held)
+
+    def inside(x: Any) -> Any:
+        return ((x[0] ** 2 + x[1] ** 2 < 1.0) & np.isclose(x[2], 0.0)).astype(float)
+
+    return float(-displacement(solid, solid.traction(inside, (0.0, 0.0, -1.0)), (0.0, 0.0, 0.0))[2])
+
+
+@pytest.mark.exhaustive
+def test_a_half_space_under_a_disc_converges_to_boussinesq() -> None:
+    coarse, middle, fine = (deflection_under_a_disc(elements) for elements in (2.5, 5.0, 10.0))
+    exact = 2.0 * (1.0 - NU**2)
+    assert fine == pytest.approx(exact, rel=0.03)
+    assert log2(abs((middle - coarse) / (fine - middle))) > 1.5
+
+
+def test_reciprocity_of_two_patches_before_it_is_imposed() -> None:
+    volume = fill(*box(0.03, 0.03, 0.012), 0.006)
+    solid = Solid(volume, 0.45, lambda x: np.repeat(x[:, 2:] < 1e-9, 3, axis=1))
+    tops = np.array([[0.01, 0.012, 0.012], [0.021, 0.017, 0.012]])
+    loads = patch_loads(solid, tops, np.tile([0.0, 0.0, 1.0], (2, 1)), 0.006)
+    first, second = (np.stack([load[:, k].toarray()[:, 0] for load in loads], axis=1) for k in (0, 1))
+    there, back = second.T @ solid.solve(first), first.T @ solid.solve(second)
+    assert there == pytest.approx(back.T, rel=1e-10, abs=1e-10 * abs(there).max())
+    assert compliance(solid, loads)[1, 0] == pytest.approx(there, rel=1e-9, abs=1e-9 * abs(there).max())
+
+
+def test_the_load_of_a_patch_is_one_newton_at_its_centre() -> None:
+    volume = fill(*box(0.03, 0.03, 0.012), 0.006)
+    solid = Solid(volume, 0.45, lambda x: np.repeat(x[:, 2:] < 1e-9, 3, axis=1))
+    (load, _, _) = patch_loads(solid, np.array([[0.014, 0.016, 0.012]]), np.array([[0.0, 0.0, 1.0]]), 0.006)
+    nodal = load.toarray()[:, 0]
+    assert nodal.sum() == pytest.approx(1.0, rel=1e-12)
+    # The quadrature of the disc, which the facets cut, has an error of some per cent of its radius.
+    assert solid.basis.doflocs @ nodal == pytest.approx([0.014, 0.016, 0.012], abs=0.0003)
+
+
+def test_the_boundary_is_closed_and_faces_outward() -> None:
+    volume = fill(*box(0.03, 0.02, 0.01), 0.006)
+    a, b, c = (volume.vertices[boundary(volume)[:, i]] for i in range(3))
+    assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0 == pytest.approx(0.03 * 0.02 * 0.01, rel=1e-6)
+    assert quality(volume).min() > 0.1
+
+
+def pad(folder: Path, triangles: Any = None, **changes: Any) -> Any:
+    vertices, faces = box(0.03, 0.03, 0.012)
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
+    lines += ["f " + " ".join(str(i + 1) for i in face) for face in (faces if triangles is None else faces[triangles])]
+    (folder / "pad.obj").write_text("\n".join(lines))
+    elastic = {"youngs_pa": 1e5, "poisson": 0.4, "fixed": [{"region": "below", "z_m": 1e-6}], "resolution_m": 0.006}
+    thing = {"shape": "mesh", "name": "pad", "file": str(folder / "pad.obj"), "material": {"stiffness_n_per_m": 1000.0}}
+    return load_scene({"fingertip": {"radius_m": 0.008}, "object": [thing | {"elastic": elastic | changes}]}).object[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"triangles": slice(1, None)}, "open at 3 edges"),
+        ({"fixed": [{"region": "below", "z_m": -1.0}]}, "fixed: the regions contain 0 nodes, at least 3"),
+        ({"fixed": []}, "has no region"),
+        ({"poisson": 0.5}, "poisson"),
+        ({"resolution_m": 1e-5}, "tetrahedra, at most 100,000"),
+        ({"reach": [{"region": "below", "z_m": -1.0}]}, "no vertex of the surface"),
+    ],
+)
+def test_bad_bodies_are_refused_in_one_line(tmp_path: Path, changes: Any, message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as refused:
+        body_of(pad(tmp_path, **changes))
+    assert "\n" not in str(refused.value)
+
+
+def test_inverted_and_missing_tetrahedra_are_refused(tmp_path: Path) -> None:
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    with pytest.raises(ValueError, match="tetrahedron 1 is inverted, with 1 in all"):
+        checked(corners, np.array([[0, 1, 2, 3], [0, 2, 1, 3]]))
+    meshio = pytest.importorskip("meshio")
+    meshio.Mesh(corners, [("triangle", [[0, 1, 2]])]).write(tmp_path / "flat.vtu")
+    with pytest.raises(ValueError, match="has no tetrahedra, only triangle"):
+        read_volume(str(tmp_path / "flat.vtu"), 1.0)
+    meshio.Mesh(corners, [("tetra", [[0, 1, 2, 3]])]).write(tmp_path / "one.vtu")
+    assert read_volume(str(tmp_path / "one.vtu"), 0.1).vertices == pytest.approx(0.1 * corners)
