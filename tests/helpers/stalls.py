@@ -160,7 +160,7 @@ class Patience:
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         reports = [report for kind in ("passed", "failed", "skipped") for report in terminalreporter.getreports(kind)]
-        told = [said for report in reports for said in report.user_properties]
+        told = [said for report in reports for said in getattr(report, "user_properties", ())]
         if repeated := [text for name, text in told if name == REPEATED]:
             terminalreporter.section("repeated")
             for line in repeated:
