@@ -30,7 +30,7 @@ STAND_INS = {
     "contact.fingertip.point_on_ball",
     "contact.fingertip.point_under_ball",
     "contact.fingertip.radius_of_curvature_of_ball",
-    "contact.fingertip.seen_by_ball",
+    "contact.fingertip.objects_for_ball",
     "contact.fingertip.torque_of_ball",
     "contact.fingertip.velocity_of_ball",
     "contact.normal.normal_force_linear",
