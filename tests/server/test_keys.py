@@ -223,4 +223,4 @@ def test_half_of_a_clients_keys_is_a_mistake(tmp_path: Path) -> None:
     public, secret = make_pair(tmp_path, "rig")
     for words in (["--keys", str(secret)], ["--server-key", str(public)]):
         done = subprocess.run([*COMMAND, "ctl", "heartbeat", *words], capture_output=True, text=True, check=False)
-        assert done.returncode == 2 and "goes with --" in done.stderr
+        assert done.returncode == 2 and "requires --" in done.stderr
