@@ -25,7 +25,9 @@ def advance(objects: Any, world: World, dt: float) -> Any:
 def advance_one(objects: Single, world: World, dt: float) -> World:
     time, body = world.time + dt, objects.body
     pose = moving_pose(body.motion, pose_at(body.motion, body.pose, time))
-    return World(started=1.0, time=time, poses=pose, was=since(world.poses, world.started, pose))
+    return World(
+        started=1.0, time=time, poses=pose, was=since(world.poses, world.started, pose), surfaces=world.surfaces
+    )
 
 
 @advance.of(Many)
@@ -34,7 +36,7 @@ def advance_many(objects: Many, world: World, dt: float) -> World:
     for i in range(int(objects.moving)):
         row = objects.movers[i]
         move_one(objects.entries[row], world, world.poses, MEMORY * row, time)
-    return World(started=1.0, time=time, poses=world.poses, was=None)
+    return World(started=1.0, time=time, poses=world.poses, was=None, surfaces=world.surfaces)
 
 
 @jit
