@@ -274,7 +274,7 @@ UNDECLARED = {
     "pytest": "the caller's, whose tests take the plugin and the contract",
 }
 """Imported, and no requirement of the package or of an extra for users."""
-IMPORTED_AS = {"foxglove": "foxglove-sdk", "rerun": "rerun-sdk", "pylsl": "pylsl"}
+IMPORTED_AS = {"foxglove": "foxglove-sdk", "rerun": "rerun-sdk", "pylsl": "pylsl", "skfem": "scikit-fem"}
 """Of extras that need not be installed here."""
 
 
