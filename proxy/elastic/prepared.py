@@ -32,7 +32,7 @@ PROBES: Final = 5
 COARSER: Final = 1.5
 """Ratio of the edge lengths of the two meshes of which the error is estimated."""
 ORDER: Final = 3.0
-"""Order of convergence of a patch's displacement with quadratic tetrahedra, see docs/model/elastic.md."""
+"""Order of convergence of a patch's displacement with quadratic tetrahedra, see docs/operate/elastic.md."""
 BODIES: Final = 4
 """Number of bodies in memory, at most 450 MB each."""
 
