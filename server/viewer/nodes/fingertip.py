@@ -43,7 +43,7 @@ def add_finger(api: Any, node: str, parts: schema.FingerParts) -> Any:
             opacity=opacity,
             cast_shadow=False,
         )
-        for name, mesh, colour, opacity in (("ball", finger(radii), SKIN, 0.82), ("nail", nail(radii), NAIL, None))
+        for name, mesh, colour, opacity in (("ball", finger(radii), SKIN, 0.3), ("nail", nail(radii), NAIL, None))
     )
     return skin
 
