@@ -1,4 +1,4 @@
-"""Objects of a scene as data: the container of several objects, and of those beside bodies that move by themselves."""
+"""Construction of `Many`: the objects of a scene with several objects, or with simulated bodies, as arrays."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.contact import rolling as _rolling  # noqa: F401  # they declare kernels of shapes
+from softfinger.proxy.kernels.contact import rolling as _rolling  # noqa: F401  # registers kernels of shapes
 from softfinger.proxy.kernels.contact.rest import alone as _alone  # noqa: F401
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.rows import Rows
@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.shapes import kernel_table as kinds
 from softfinger.proxy.kernels.shapes.any_shape import any_shape
 
 NO_BLOCK: Final = ReadOnly(np.zeros(1, np.int64))
-"""In place of the addresses of a simulation."""
+"""Placeholder for the addresses of a simulation."""
 NO_VALUES: Final = ReadOnly(np.zeros(1))
 AT_REST: Final = model.Motion(model.STILL, NO_BLOCK, 0.0, model.ZERO, model.ZERO, model.ZERO, 0.0, 0.0, 0.0, 0.0)
 
@@ -25,12 +25,12 @@ AT_REST: Final = model.Motion(model.STILL, NO_BLOCK, 0.0, model.ZERO, model.ZERO
 def many_objects(
     objects: list[model.Object], effects: tuple[model.Carrier, ...], fingers: tuple[model.Finger, ...], rolling: Any
 ) -> model.Many:
-    """Return any number of objects in their container, with the effects of some.
+    """Return the objects as arrays; `effects` are those of some objects.
 
     Raises ConfigError for more than ENTRIES objects.
     """
     if len(objects) > ENTRIES:
-        raise ConfigError(f"{len(objects)} walls and objects: at most {ENTRIES} are possible; leave some out")
+        raise ConfigError(f"{len(objects)} walls and objects: at most {ENTRIES} are possible; remove some")
     needs = _needs(objects, fingers, rolling)
     entries = [_entry(each, needs) for each in objects]
     surfaces = [each.shape.surface for each in entries]
@@ -93,7 +93,7 @@ def _motion(motion: Any) -> model.Motion:
 
 
 def _textures(textures: list[model.Texture | None]) -> Rows | None:
-    """Return a texture for each object, all with the same parts; an object without one has 0 columns."""
+    """Return a texture for each object, all with the same parts; a missing texture has 0 columns."""
     given = [each for each in textures if each is not None]
     if not given:
         return None

@@ -52,7 +52,6 @@ def test_a_box_hangs_by_soft_fingers(tmp_path: Path) -> None:
     assert number(r"points it turns by ([0-9.]+)", text) > 90.0
 
 
-@pytest.mark.exhaustive
 def test_a_finger_feels_how_hard_a_gripper_presses(tmp_path: Path) -> None:
     """Nothing before the gripper touches; then as much as it presses with, which actuator and object in series give."""
     text = said("teleoperate_a_gripper.py", cwd=tmp_path, plain=True)
@@ -94,7 +93,6 @@ def test_press_and_plot(tmp_path: Path) -> None:
     assert (tmp_path / "press.png").read_bytes().startswith(PNG)
 
 
-@pytest.mark.exhaustive
 def test_friction_sweep() -> None:
     """Coulomb's law to a tick of the drag, and to the digit that is printed."""
     out = run_notebook("friction_sweep.ipynb")
@@ -102,7 +100,6 @@ def test_friction_sweep() -> None:
     assert number(r"(\d+) pictures", out) == 2
 
 
-@pytest.mark.exhaustive
 def test_stiffness_staircase() -> None:
     """The staircase finds the threshold that its observer was made with."""
     out = run_notebook("stiffness_staircase.ipynb")
@@ -165,7 +162,6 @@ def test_change_a_parameter(tmp_path: Path, endpoints: tuple[str, str]) -> None:
     assert "1000 -> 500; largest normal force 1.00 N -> 0.50 N" in out
 
 
-@pytest.mark.exhaustive
 @pytest.mark.real_time
 def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
     """A picture is drawn of what arrives."""
@@ -201,7 +197,6 @@ def test_an_exception_in_a_python_driver_ends_the_run() -> None:
         assert Servo(device).read()[0] == PROTOCOL
 
 
-@pytest.mark.exhaustive
 @pytest.mark.real_time
 def test_my_driver_numba(tmp_path: Path) -> None:
     """The daemon runs on it to the last tick."""

@@ -37,7 +37,7 @@ class Filters(Table, frozen=True, kw_only=True):
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """Which device and grip, where it stands, its limits, its filters, its silences."""
+    """Selection of device and grip, mount, limits, filters and timeouts."""
 
     port: Annotated[int, within(PORT, "of the Inverse Service on this machine", 10001)] = 10001
     version: (

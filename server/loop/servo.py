@@ -6,7 +6,7 @@ the force, a slot of parameters, a ring of records, and an eventfd that notifies
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
@@ -109,6 +109,13 @@ def update_parameters(
 
 
 @jit
+def with_switch(tuning: Tuning, hands: Any, on: bool) -> Tuning:
+    """Return the parameters with `apply_switch` of each guard, for the last wrenches of the FingerMemories `hands`."""
+    guards = map_each(apply_switch, (tuning.guards, field_of_each(hands, "guard_state")), on)
+    return Tuning(tuning.scene, guards, tuning.passivity, tuning.tools, tuning.offsets)
+
+
+@jit
 def make_stamp(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int) -> Stamp:
     """Return the loop's part of a record: deadline, start and write of the tick, ns; `busy` is of the previous tick."""
     return Stamp(
@@ -126,6 +133,17 @@ def publish_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> None
     push(shared.ring, row)
     store_release(shared.progress, 0, ticks)
     _eventfd_write(shared.wake_fd, 1)
+
+
+@jit
+def schedule_next(
+    shared: Shared, schedule: Schedule, pace: Pace, woke: int, timespec: NDArray[np.int64]
+) -> tuple[int, Pace]:
+    """Return the duration of the tick that started at `woke`, ns, and the pace of the next tick."""
+    done = now_ns(timespec)
+    pace = next_pace(pace, done, schedule.period_ns)
+    store_release(shared.progress, 1, pace.missed)
+    return done - woke, pace
 
 
 @entry
@@ -155,21 +173,17 @@ def servo_loop(
         dt = nominal if schedule.own_clock else pace.dt
 
         version, tuning = update_parameters(shared.tuning, version, scratch.values, scratch.ramp, tuning)
-        befores, statuses = unzip(
-            map_each(read_one, (ios, buffers, tuning.guards, tuning.offsets, start.fingers, memory.fingers), dt)
-        )
+        reads = ios, buffers, tuning.guards, tuning.offsets, start.fingers, memory.fingers
+        befores, statuses = unzip(map_each(read_one, reads, dt))
         index, status = first_ended(statuses)
         if index >= 0:
             ending, finger = FINISHED if status == END else READ_FAILED, index
             break
         memory = Memory(memory.world, befores)
         on = is_on(shared.switch, woke)
-        guards = map_each(apply_switch, (tuning.guards, field_of_each(befores, "guard_state")), on)
-        now = Tuning(tuning.scene, guards, tuning.passivity, tuning.tools, tuning.offsets)
-        memory = tick(now, start, memory, samples, dt, nominal, number, records)
-        hands, statuses_out = unzip(
-            map_each(write_one, (ios, buffers, tuning.tools, start.fingers, befores, memory.fingers))
-        )
+        memory = tick(with_switch(tuning, befores, on), start, memory, samples, dt, nominal, number, records)
+        writes = ios, buffers, tuning.tools, start.fingers, befores, memory.fingers
+        hands, statuses_out = unzip(map_each(write_one, writes))
         wrote = now_ns(timespec)
         move_bodies(tuning.scene.bodies, number, wrote, shared.motion, scratch.motion, timespec)
         index, status_out = first_ended(statuses_out)
@@ -183,11 +197,7 @@ def servo_loop(
         map_each(stamp_one, (buffers, statuses, statuses_out), stamp)
         number += 1
         publish_record(shared, scratch.row, number)
-
-        done = now_ns(timespec)
-        busy = done - woke
-        pace = next_pace(pace, done, schedule.period_ns)
-        store_release(shared.progress, 1, pace.missed)
+        busy, pace = schedule_next(shared, schedule, pace, woke, timespec)
         bits, index = guarded_bits(buffers)
         health, fault = examine(health, bits, stamp.late, nominal if schedule.own_clock else pace.dt, nominal)
         if fault != 0:

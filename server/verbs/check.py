@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _with_starts(findings: list[Finding]) -> list[Finding]:
-    """Return the findings with an error for each scene whose [world] cannot begin at the rate of a rig beside it."""
+    """Return the findings, with an error for each scene whose [world] cannot start at the rate of a given rig."""
     usable = [finding for finding in findings if not finding.errors]
     rates = {load_rig(_locate(each.file)).servo.rate_hz for each in usable if each.kind == "rig"}
     checked = []

@@ -1,4 +1,4 @@
-"""Plots of the last seconds: depth, force and torsion beside the picture; spin and lateness in a tab."""
+"""Plots of the last seconds: depth, force and torsion below the controls; spin and lateness in a tab."""
 
 from __future__ import annotations
 

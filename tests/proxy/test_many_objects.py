@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import importlib
 import sys
 from collections.abc import Iterator
@@ -158,3 +159,46 @@ def test_other_objects_compile_no_step_anew() -> None:
     second.reset()
     np.testing.assert_allclose(second.run(moved)["force"], felt["force"], atol=1e-10)
     assert isinstance(second.scene.objects, model.Many)
+
+
+MODEL = """
+<mujoco>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1"/>
+    <geom name="left" type="box" size="0.02 0.02 0.02" pos="0 -0.06 0.02"/>
+    {bodies}
+  </worldbody>
+</mujoco>
+"""
+BODY = """
+    <body pos="{x} 0 0.02" euler="0 0 {turn}"><freejoint/>
+      <geom type="{kind}" size="0.02 0.02 0.02" mass="0.1"/></body>"""
+
+
+@pytest.mark.plain
+@pytest.mark.skipif(not PLAIN, reason="compiled, a scene with bodies takes half a minute")
+def test_two_fingers_on_free_bodies_start_again_and_are_copied(tmp_path: Path) -> None:
+    """Poses of many objects are memory of the state: `reset` and a copy in mid-contact give the same bits."""
+    apart, height = 0.041, 0.02
+    bodies = [BODY.format(x=apart * n, turn=5 * n, kind="sphere" if n % 2 else "box") for n in (-2, -1, 0, 1, 2)]
+    (tmp_path / "row.xml").write_text(MODEL.format(bodies="".join(bodies)))
+    world = {"model": str(tmp_path / "row.xml"), "material": RUBBER, "substeps": 1}
+    fingers = [{"name": name, "radius_m": R} for name in ("thumb", "index")]
+    engine = Engine({"finger": fingers, "coupling": {"stiffness_n_per_m": 1000.0}, "world": world})
+    share = np.arange(400) / 400.0
+    over, push = np.zeros((400, 7)), np.zeros((400, 7))
+    over[:, 0], over[:, 2] = 0.06 * share, 2.0 * height + R - 0.003 * np.sin(np.pi * share)
+    over[:, 3], over[:, 6] = np.cos(0.2 * share), np.sin(0.2 * share)
+    push[:, 0], push[:, 2], push[:, 3] = -2.0 * apart - height - R - 0.002 + 0.012 * share, height, 1.0
+    halves = [{"thumb": over[part], "index": push[part]} for part in (slice(200), slice(200, 400))]
+    first = [engine.run(half) for half in halves]
+    touched = {number for half in first for each in half.values() for number in each["contact.object"].tolist()}
+    assert len(touched) > 3  # with -1 for none
+    assert all(max(half[name]["contact.normal_force"].max() for half in first) > 0.3 for name in ("thumb", "index"))
+    engine.reset()
+    again = engine.run(halves[0])
+    continued = copy.deepcopy(engine).run(halves[1])
+    for name in ("thumb", "index"):
+        np.testing.assert_array_equal(again[name], first[0][name])
+        np.testing.assert_array_equal(continued[name], first[1][name])

@@ -1,4 +1,4 @@
-"""Rest position of the proxy among several contacts, after friction."""
+"""Equilibrium position of the proxy with several contacts, after friction."""
 
 from typing import Any, NamedTuple
 

@@ -114,7 +114,7 @@ def depth_without_texture(texture: None, body: Any, depth: float, normal: Vec3, 
 
 @texture_depth.of(Texture)
 def depth_with_texture(texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
-    if texture.columns == 0.0:  # of an object beside textured ones
+    if texture.columns == 0.0:  # no texture, in a scene with textured objects
         return depth_without_texture(None, body, depth, normal, position)
     return raise_by(texture.relief, texture, body, depth, normal, position)
 

@@ -126,7 +126,7 @@ def start_of_sliding(
     """
     wound = vec3.add_scaled(vec3.scale(stiffness, dragged), torque_stiffness, rolled_part)
     load = load_size(law, given.normal, wound)
-    # More than rounding above the cone: a finger at rest on it, as after a slide with mu_d = mu_s, remains at rest.
+    # A finger that slid with mu_d = mu_s stops on the cone: rounding must not make it slip again.
     if load > (1.0 + ROUNDING) * static_limit and load > ROUNDING * stiffness * given.radius:
         by_drag = stiffness * vec3.norm(dragged) >= torque_stiffness * vec3.norm(rolled_part)
         return float(CAUSE_DRAG) if by_drag else float(CAUSE_THETA_MAX)

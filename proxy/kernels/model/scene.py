@@ -76,19 +76,19 @@ class Entry(NamedTuple):
 
 
 class Smooth(NamedTuple):
-    """Mark of objects that are each touched in one point."""
+    """Type of the search in a scene without meshes and height maps."""
 
     meshes: float
 
 
 class Faceted(NamedTuple):
-    """Mark of objects among which are meshes, and no height maps."""
+    """Type of the search in a scene with meshes, but without height maps."""
 
     meshes: float
 
 
 class Creased(NamedTuple):
-    """Mark of objects among which are height maps; `meshes` is their number, which may be 0."""
+    """Type of the search in a scene with height maps; `meshes`, the number of meshes, may be 0."""
 
     meshes: float
 
@@ -107,7 +107,7 @@ class Tip(NamedTuple):
 
 
 class Many(NamedTuple):
-    """Any number of objects of any kinds, as data.
+    """Objects of any number and kinds, as arrays.
 
     An object's index is its row, plus ENTRIES times the index of the triangle if it is a mesh (`query.container`).
 

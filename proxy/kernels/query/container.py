@@ -30,17 +30,17 @@ from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes.composite import element_of_shape
 
 ENTRIES: Final = 1 << 16
-"""Objects that a scene may have: with a triangle's index in the upper bits an index is a whole number in a float64."""
+"""Largest number of objects. The triangle's index is in the upper bits of an index, which a float64 holds exactly."""
 MEMORY: Final = 16
-"""Numbers in the World's memory for one object: its pose now and at the last tick, and when they were written."""
+"""Numbers in the World's memory for one object: its poses of this tick and the last, and the time of the write."""
 AT_TIME: Final = 14
 ROUNDING: Final = 1.0 + 1e-9
-"""Factor of a squared distance that is more than its rounding."""
+"""Factor on a squared distance that covers its rounding."""
 
 
 @by_type
 def object_at(objects: Any, index: float) -> Any:
-    """Return the object with that index, or the first one for an index below 0."""
+    """Return the object `index`, the first object for an index below 0."""
 
 
 @object_at.of(Single)
@@ -51,7 +51,7 @@ def only_object(objects: Single, index: float) -> Any:
 
 @object_at.of(Many)
 def one_of_many(objects: Many, index: float) -> Object:
-    """Only what the caller reads of it is loaded."""
+    """Copy the row to an Object; the compiler loads only the fields that the caller uses."""
     row, facet = row_of(index), facet_of(index)
     entry = objects.entries[row]
     pose, was = poses_of(objects.poses, entry, row)
@@ -95,7 +95,7 @@ def step_on_many(objects: Many) -> float:
 
 @by_type
 def poses_of(poses: Any, entry: Entry, row: int) -> Any:
-    """Return the Poses of one of many objects now and at the last tick."""
+    """Return the poses of one of many objects in this tick and in the last."""
 
 
 @poses_of.of(None)
@@ -125,7 +125,7 @@ def write_pose(poses: Mutable, at: int, pose: Pose) -> None:
 
 @by_type
 def as_seen(tip: Any, shape: AnyShape, pose: Pose) -> Any:
-    """Return the shape as the centre of the fingertip sees it."""
+    """Return the shape, for an ellipsoidal fingertip its Minkowski sum with the fingertip."""
 
 
 @as_seen.of(None)
@@ -141,7 +141,7 @@ def as_seen_by_ellipsoid(tip: Tip, shape: AnyShape, pose: Pose) -> MinkowskiSum:
 
 @by_type
 def material_of_row(materials: Any, normal: Any, row: int) -> Any:
-    """Return the material of one of many objects; a bare one has the normal law alone."""
+    """Return the material of one of many objects; bare objects have only a normal law."""
 
 
 @material_of_row.of(None)
@@ -171,7 +171,7 @@ def some_texture(textures: Rows, row: int) -> Any:
 
 @by_type
 def extra_reach(tip: Any) -> Any:
-    """Return how much farther, m, an object reaches for the centre of the fingertip than its surface."""
+    """Return the largest semi-axis of an ellipsoidal fingertip, m, otherwise 0."""
 
 
 @extra_reach.of(None)
@@ -186,7 +186,7 @@ def reach_of_tip(tip: Tip) -> float:
 
 @jit
 def is_beyond(objects: Many, row: int, x: Vec3, limit: float) -> bool:
-    """Return whether one of many objects is farther than `limit` (m) from `x` for certain, which takes 2 ns."""
+    """Return True if the bounding ball of an object is farther than `limit` (m) from `x`; takes 2 ns."""
     entry = objects.entries[row]
     pose, _ = poses_of(objects.poses, entry, row)
     way = vec3.sub(x, pose.position)

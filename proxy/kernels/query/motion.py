@@ -119,7 +119,7 @@ def pose_of_any(motion: Motion, pose: Pose, time: float) -> Pose:
 
 @moving_pose.of(Motion)
 def moving_pose_of_any(motion: Motion, pose: Pose) -> Pose:
-    """In the world itself for one that stands still, as of a single object."""
+    """Return the identity for a fixed object, whose base pose is applied elsewhere, as for a single object."""
     return Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)) if motion.kind == STILL else pose
 
 

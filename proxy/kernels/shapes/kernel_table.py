@@ -1,9 +1,8 @@
 """Tables of addresses: how a kernel for many objects calls the kernels of a shape whose kind is data.
 
-Each kind of shape has a table with the addresses of the kernels it defines itself. They are compiled when the first
-scene needs them, each once for all scenes, and kept. A kernel in a table takes the row of a shape, the index of a
-triangle, and its own arguments (`called`). What a table has places for is registered in SLOTS (`any_shape`, and where
-resting and rolling are declared).
+Each kind of shape has a table with the addresses of the kernels that it implements itself. A kernel is compiled when
+the first scene needs it, once for all scenes, and cached. It takes the row of a shape, the index of a triangle, and its
+other arguments (`called`). `any_shape`, `rest/alone` and `rolling` register the slots of the table in SLOTS.
 """
 
 from __future__ import annotations
@@ -30,16 +29,16 @@ from softfinger.proxy.kernels.shapes.protocol import is_hollow
 CLOSEST, CLOSEST_FROM, CLOSEST_OR_BOUND, CLOSEST_WITHIN, CONSTRAINT, CURVATURE = 0, 1, 2, 3, 4, 5
 TRANSPORT, BEND, FOLLOWS, TRAVEL, MEETS, NEAREST, NEIGHBOUR, RAISED, SHADED = 6, 7, 8, 9, 10, 11, 12, 13, 14
 REST, AHEAD, UNROLL, CHART, MINKOWSKI = 15, 16, 17, 18, 19
-"""Places in a table of kernels."""
+"""Indices of the slots of a table."""
 OPTIONAL: Final = frozenset({AHEAD, UNROLL, CHART, MINKOWSKI})
-"""Kernels that few scenes call: a rolling method, textures, an ellipsoidal fingertip."""
+"""Slots that few scenes use: a rolling method, textures, an ellipsoidal fingertip."""
 INLINE: Final[dict[type, frozenset[int]]] = {Plane: frozenset({CLOSEST, TRANSPORT, TRAVEL, REST})}
 """Kernels of a kind that are compiled into their callers."""
 TABLE_SIZE: Final = 20
 
 
 class KernelSlot(NamedTuple):
-    """Place of a kernel in a table: what chooses it by shape, and values of the types of its arguments and result."""
+    """Slot of a table: the kernel chosen by shape, and examples of its arguments and its result, for their types."""
 
     choice: Any
     arguments: tuple[Any, ...]
@@ -47,21 +46,21 @@ class KernelSlot(NamedTuple):
 
 
 SLOTS: Final[dict[int, KernelSlot]] = {}
-"""Kernels by their place."""
+"""Slots by their index."""
 
 
 class KernelTable(ReadOnly):
     """Addresses of the kernels of one kind of shape, which are compiled when the first scene needs them.
 
-    shape  one of that kind
-    slots  places that are filled
+    shape  example of that kind
+    slots  indices of the filled slots
     """
 
     def __init__(self, shape: Any, slots: frozenset[int]) -> None:
         self._shape, self._rows, self.slots = shape, numba.typeof(Rows([shape])), slots
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy as the table of the same kind in this process: addresses of code mean nothing in another."""
+        """Copy as the table of the same kind in this process: addresses of code are invalid in another process."""
         return shared_table, (self._shape, self.slots)
 
     @functools.cached_property
@@ -102,7 +101,7 @@ def shared_table(shape: Any, slots: frozenset[int]) -> KernelTable:
 
 
 def is_two_sided(shape: Any) -> bool:
-    """Return whether `side` tells from which side a shape is touched (`may_be_hollow`)."""
+    """Return True if the shape has `side` (`may_be_hollow`)."""
     return is_hollow.has(type(shape)) and hasattr(shape, "side")
 
 

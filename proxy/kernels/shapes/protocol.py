@@ -143,7 +143,7 @@ def travel(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> A
 def rest_on(shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3) -> Any:
     """Return the rest position of the proxy on a single object, the normal there, and a flag.
 
-    body  object with this shape; everything except `shape` is in the world frame
+    pose  pose of the object; everything except `shape` is in the world frame
 
     The flag is 1 if the search exhausted its budget before the rest position was found, otherwise 0.
     """

@@ -178,7 +178,7 @@ def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, square: float)
 
 @jit
 def corner_beside(corners: Corners, foot: Foot) -> int:
-    """Return the corner at a foot point, or within the limit BESIDE of it on an edge; -1 for none."""
+    """Return the corner at a foot point or, on an edge, closer to it than BESIDE; -1 for none."""
     if foot.feature >= 3:
         return foot.feature - 3
     for i in range(3):
