@@ -210,10 +210,8 @@ def test_stop_over_an_arming_that_hangs(stub: Stub, bench: StubBench) -> None:
         arming.start()
         while not stub.busy():
             time.sleep(0.001)
-        begun = time.monotonic()
         device.stop()
-        assert time.monotonic() - begun < 0.9, "it waited for the library"
-        assert arming.is_alive()
+        assert arming.is_alive(), "it waited for the library"
         arming.join(10.0)
         assert stub["force_on"] == 0 and stub.norm() == 0.0
 

@@ -192,9 +192,7 @@ def test_a_service_that_stops_reading_gets_one_more_force(service: Service, push
     assert [servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) for servo in servos] == [WITHHELD] * 2
     for device in pushing:
         device.stop()
-        begun = time.monotonic()
         device.stop()
-        assert time.monotonic() - begun < 0.5  # the first one has waited a second
         assert "has not answered it for 1 s" in device.zero_failure()
         device.close()
     service.set(deaf=False)

