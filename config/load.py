@@ -17,7 +17,7 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.overrides import changed
 from softfinger.config.scalars import Fault
-from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene, Textured
+from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene, Textured, World
 from softfinger.config.sources import FOLDERS, find, printable, read_toml
 from softfinger.config.validate import examine
 
@@ -30,10 +30,14 @@ _LISTED: Final = 12
 
 
 class FaultyConfig(ConfigError):
-    """ConfigError with the single faults in `faults`, for callers that list them."""
+    """ConfigError for callers that list the faults.
 
-    def __init__(self, faults: Sequence[Fault]) -> None:
-        self.faults = tuple(faults)
+    faults  all of them
+    config  the scene or rig with UNSET in the place of what is unusable, for further checks
+    """
+
+    def __init__(self, faults: Sequence[Fault], config: Any = None) -> None:
+        self.faults, self.config = tuple(faults), config
         lines = [str(fault) for fault in faults[:_LISTED]]
         if more := len(faults) - len(lines):
             lines.append(f"and {more} more: mend these first")
@@ -84,11 +88,8 @@ def load_scene(
         return completed(_with_overrides(Scene, scene, "scene", overrides or {}, sources or {}))
     loaded = _load(Scene, scene, overrides or {}, sources or {})
     folder = find(scene, Scene).parent
-    things = tuple(_beside(folder, thing) for thing in loaded.object)
-    world = loaded.world
-    if world is not None:
-        root = None if world.root is None else str(folder / world.root)
-        world = msgspec.structs.replace(world, model=str(folder / world.model), root=root)
+    things = tuple(beside(folder, thing) for thing in loaded.object)
+    world = None if loaded.world is None else world_beside(folder, loaded.world)
     return completed(msgspec.structs.replace(loaded, object=things, world=world))
 
 
@@ -162,7 +163,14 @@ def completed(scene: Scene) -> Scene:
     return build(Scene, describe(with_geoms(scene)), f"{scene.world.model} in the scene")
 
 
-def _beside(folder: Path, thing: Object) -> Object:
+def world_beside(folder: Path, world: World) -> World:
+    """Return a world whose files are relative to a folder."""
+    root = None if world.root is None else str(folder / world.root)
+    return msgspec.structs.replace(world, model=str(folder / world.model), root=root)
+
+
+def beside(folder: Path, thing: Object) -> Object:
+    """Return an object whose files are relative to a folder."""
     if isinstance(thing, Heightmap | Mesh):
         root = None if thing.root is None else str(folder / thing.root)
         return msgspec.structs.replace(thing, file=str(folder / thing.file), root=root)
@@ -175,7 +183,7 @@ def _beside(folder: Path, thing: Object) -> Object:
 def _built(struct_type: type[T], mapping: object, where: str, sources: Mapping[str, str]) -> T:
     value, faults = examine(struct_type, mapping, where, sources)
     if faults:
-        raise FaultyConfig(faults)
+        raise FaultyConfig(faults, value)
     assert isinstance(value, struct_type)
     return value
 

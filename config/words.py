@@ -13,6 +13,7 @@ from msgspec import inspect
 from softfinger.config.schema import unit
 from softfinger.config.typeinfo import options, unwrapped
 
+_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _INDEX: Final = re.compile(r"\[\d+\]")
 _SHOWN: Final = 60
 
@@ -36,7 +37,7 @@ def expected(info: inspect.Type, key: str) -> str:
             what = _items((kind.item_type,), key)
             return "a list" + (_length(kind, what) or f" of {what}")
         case inspect.UnionType():
-            return " or ".join(expected(option, key) for option in options(kind))
+            return " or ".join(dict.fromkeys(expected(option, key) for option in options(kind)))
         case inspect.NoneType():
             return "left out"
         case _:
@@ -65,7 +66,7 @@ def _items(types: Sequence[inspect.Type], key: str) -> str:
 def missing(info: inspect.Type, dotted: str, name: str) -> str:
     """Return the message for a missing required field, with the key or table to add."""
     kind, extra = unwrapped(info)
-    if isinstance(kind, inspect.StructType):
+    if not isinstance(kind, inspect.VarTupleType) and _is_table(kind):
         return f"{dotted} is missing: add the table [{_INDEX.sub('', dotted)}]"
     if isinstance(kind, inspect.VarTupleType) and _is_table(kind.item_type):
         return f"{dotted} is missing: add at least one table [[{dotted}]]"
@@ -129,6 +130,12 @@ def near(given: object, allowed: Iterable[object]) -> str:
     begun = [name for name in names if len(given) >= 3 and name.startswith(given.lower())]
     close = begun[:3] or difflib.get_close_matches(given.lower(), names, n=1)
     return f" (did you mean {' or '.join(map(repr, close))}?)" if close else ""
+
+
+def joined(key: str, name: object) -> str:
+    """Return the dotted key of an entry of a table."""
+    part = name if isinstance(name, str) and _BARE_KEY.fullmatch(name) else shown(name)
+    return f"{key}.{part}" if key else part
 
 
 def either(names: Iterable[object]) -> str:
