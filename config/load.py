@@ -17,7 +17,8 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.overrides import changed
 from softfinger.config.scalars import Fault
-from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene, Textured, World
+from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene
+from softfinger.config.schema.fields import known
 from softfinger.config.sources import FOLDERS, find, printable, read_toml
 from softfinger.config.validate import examine
 
@@ -86,11 +87,12 @@ def load_scene(
         return overridden(scene, overrides, "override") if overrides else scene
     if isinstance(scene, Mapping):
         return completed(_with_overrides(Scene, scene, "scene", overrides or {}, sources or {}))
-    loaded = _load(Scene, scene, overrides or {}, sources or {})
     folder = find(scene, Scene).parent
-    things = tuple(beside(folder, thing) for thing in loaded.object)
-    world = None if loaded.world is None else world_beside(folder, loaded.world)
-    return completed(msgspec.structs.replace(loaded, object=things, world=world))
+    try:
+        loaded = _load(Scene, scene, overrides or {}, sources or {})
+    except FaultyConfig as error:
+        raise FaultyConfig(error.faults, _in_folder(folder, error.config)) from error
+    return completed(_in_folder(folder, loaded))
 
 
 def load_rig(
@@ -163,21 +165,25 @@ def completed(scene: Scene) -> Scene:
     return build(Scene, describe(with_geoms(scene)), f"{scene.world.model} in the scene")
 
 
-def world_beside(folder: Path, world: World) -> World:
-    """Return a world whose files are relative to a folder."""
-    root = None if world.root is None else str(folder / world.root)
-    return msgspec.structs.replace(world, model=str(folder / world.model), root=root)
+def _in_folder(folder: Path, scene: Scene) -> Scene:
+    """Return a scene whose files are relative to a folder."""
+    things, world = scene.object, scene.world
+    if known(things):
+        things = tuple(_beside(folder, thing) if known(thing) else thing for thing in things)
+    if known(world) and world is not None and known(world.model, world.root):
+        root = None if world.root is None else str(folder / world.root)
+        world = msgspec.structs.replace(world, model=str(folder / world.model), root=root)
+    return msgspec.structs.replace(scene, object=things, world=world)
 
 
-def beside(folder: Path, thing: Object) -> Object:
-    """Return an object whose files are relative to a folder."""
-    if isinstance(thing, Heightmap | Mesh):
+def _beside(folder: Path, thing: Object) -> Object:
+    if isinstance(thing, Heightmap | Mesh) and known(thing.file, thing.root):
         root = None if thing.root is None else str(folder / thing.root)
         return msgspec.structs.replace(thing, file=str(folder / thing.file), root=root)
-    if not isinstance(thing, Textured) or thing.texture is None:
+    texture = getattr(thing, "texture", None)
+    if not known(texture) or texture is None or not known(texture.file):
         return thing
-    texture = msgspec.structs.replace(thing.texture, file=str(folder / thing.texture.file))
-    return msgspec.structs.replace(thing, texture=texture)
+    return msgspec.structs.replace(thing, texture=msgspec.structs.replace(texture, file=str(folder / texture.file)))
 
 
 def _built(struct_type: type[T], mapping: object, where: str, sources: Mapping[str, str]) -> T:

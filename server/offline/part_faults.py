@@ -7,21 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from softfinger.config.errors import ConfigError, HapticError, RecordingError
-from softfinger.config.load import FaultyConfig, beside, world_beside
+from softfinger.config.load import FaultyConfig
 from softfinger.config.schema import DeviceConfig, Object, Rig, Scene, Servo, World
 from softfinger.config.schema.fields import known
 from softfinger.server.offline.summary import object_rows
 
 
-def part_faults(config: Any, path: Path, file: str) -> list[str]:
-    """Return the faults of the parts of a scene or rig that was read from `path`; `file` is its name in messages."""
-    checks = _scene_checks(config, path) if isinstance(config, Scene) else _rig_checks(config, file)
+def part_faults(config: Any, file: str) -> list[str]:
+    """Return the faults of the parts of a scene or rig; `file` is its name in messages."""
+    checks = _scene_checks(config) if isinstance(config, Scene) else _rig_checks(config, file)
     return [fault for check in checks for fault in _faults(check)]
 
 
@@ -35,13 +34,12 @@ def _faults(check: Callable[[], object]) -> list[str]:
     return []
 
 
-def _scene_checks(scene: Scene, path: Path) -> Iterator[Callable[[], object]]:
-    folder = path.parent
+def _scene_checks(scene: Scene) -> Iterator[Callable[[], object]]:
     for item in scene.object if known(scene.object) else ():
         if _is_complete(item) and known(item.shape):
-            yield partial(_check_object, folder, item)
+            yield partial(_check_object, item)
     if scene.world is not None and _is_complete(scene.world):
-        yield partial(_check_world, folder, scene.world)
+        yield partial(_check_world, scene.world)
 
 
 def _rig_checks(rig: Any, file: str) -> Iterator[Callable[[], object]]:
@@ -67,16 +65,16 @@ def _is_complete(value: object) -> bool:
     return all(map(_is_complete, value)) if isinstance(value, list | tuple) else known(value)
 
 
-def _check_object(folder: Path, item: Object) -> None:
+def _check_object(item: Object) -> None:
     """Raise ConfigError for an unusable file of an object."""
-    object_rows(beside(folder, item), has_patch=False)
+    object_rows(item, has_patch=False)
 
 
-def _check_world(folder: Path, world: World) -> None:
+def _check_world(world: World) -> None:
     """Raise ConfigError for an unusable model."""
     from softfinger.config.mjcf import read_model
 
-    read_model(world_beside(folder, world))
+    read_model(world)
 
 
 def _check_device(device: DeviceConfig, rate_hz: float, table: str, file: str) -> None:

@@ -131,11 +131,11 @@ def examine_file(file: str) -> Finding:
         if kind == "experiment":
             return _experiment(file, path)
         config = load_scene(path) if kind == "scene" else load_rig(path)
-        if faults := part_faults(config, path, file):
+        if faults := part_faults(config, file):
             return Finding(file, kind, [], faults, {}, {})
         summary = scene_summary(config) if isinstance(config, Scene) else rig_summary(config)
     except FaultyConfig as error:
-        faults = [*map(str, error.faults), *part_faults(error.config, path, file)]
+        faults = [*map(str, error.faults), *part_faults(error.config, file)]
         return Finding(file, kind, [], faults, {}, {})
     except (ConfigError, DeviceError) as error:
         return Finding(file, kind, [], [str(error)], {}, {})
