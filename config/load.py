@@ -17,7 +17,8 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.overrides import changed
 from softfinger.config.scalars import Fault
-from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene, Textured
+from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene
+from softfinger.config.schema.fields import known
 from softfinger.config.sources import FOLDERS, find, printable, read_toml
 from softfinger.config.validate import examine
 
@@ -30,10 +31,14 @@ _LISTED: Final = 12
 
 
 class FaultyConfig(ConfigError):
-    """ConfigError with the single faults in `faults`, for callers that list them."""
+    """ConfigError for callers that list the faults.
 
-    def __init__(self, faults: Sequence[Fault]) -> None:
-        self.faults = tuple(faults)
+    faults  all of them
+    config  the scene or rig with UNSET in the place of what is unusable, for further checks
+    """
+
+    def __init__(self, faults: Sequence[Fault], config: Any = None) -> None:
+        self.faults, self.config = tuple(faults), config
         lines = [str(fault) for fault in faults[:_LISTED]]
         if more := len(faults) - len(lines):
             lines.append(f"and {more} more: mend these first")
@@ -82,14 +87,12 @@ def load_scene(
         return overridden(scene, overrides, "override") if overrides else scene
     if isinstance(scene, Mapping):
         return completed(_with_overrides(Scene, scene, "scene", overrides or {}, sources or {}))
-    loaded = _load(Scene, scene, overrides or {}, sources or {})
     folder = find(scene, Scene).parent
-    things = tuple(_beside(folder, thing) for thing in loaded.object)
-    world = loaded.world
-    if world is not None:
-        root = None if world.root is None else str(folder / world.root)
-        world = msgspec.structs.replace(world, model=str(folder / world.model), root=root)
-    return completed(msgspec.structs.replace(loaded, object=things, world=world))
+    try:
+        loaded = _load(Scene, scene, overrides or {}, sources or {})
+    except FaultyConfig as error:
+        raise FaultyConfig(error.faults, _in_folder(folder, error.config)) from error
+    return completed(_in_folder(folder, loaded))
 
 
 def load_rig(
@@ -162,20 +165,31 @@ def completed(scene: Scene) -> Scene:
     return build(Scene, describe(with_geoms(scene)), f"{scene.world.model} in the scene")
 
 
+def _in_folder(folder: Path, scene: Scene) -> Scene:
+    """Return a scene whose files are relative to a folder."""
+    things, world = scene.object, scene.world
+    if known(things):
+        things = tuple(_beside(folder, thing) if known(thing) else thing for thing in things)
+    if known(world) and world is not None and known(world.model, world.root):
+        root = None if world.root is None else str(folder / world.root)
+        world = msgspec.structs.replace(world, model=str(folder / world.model), root=root)
+    return msgspec.structs.replace(scene, object=things, world=world)
+
+
 def _beside(folder: Path, thing: Object) -> Object:
-    if isinstance(thing, Heightmap | Mesh):
+    if isinstance(thing, Heightmap | Mesh) and known(thing.file, thing.root):
         root = None if thing.root is None else str(folder / thing.root)
         return msgspec.structs.replace(thing, file=str(folder / thing.file), root=root)
-    if not isinstance(thing, Textured) or thing.texture is None:
+    texture = getattr(thing, "texture", None)
+    if not known(texture) or texture is None or not known(texture.file):
         return thing
-    texture = msgspec.structs.replace(thing.texture, file=str(folder / thing.texture.file))
-    return msgspec.structs.replace(thing, texture=texture)
+    return msgspec.structs.replace(thing, texture=msgspec.structs.replace(texture, file=str(folder / texture.file)))
 
 
 def _built(struct_type: type[T], mapping: object, where: str, sources: Mapping[str, str]) -> T:
     value, faults = examine(struct_type, mapping, where, sources)
     if faults:
-        raise FaultyConfig(faults)
+        raise FaultyConfig(faults, value)
     assert isinstance(value, struct_type)
     return value
 

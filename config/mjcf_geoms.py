@@ -27,12 +27,14 @@ CONVEX: Final = 0.01
 class Taken(NamedTuple):
     """Geom and the object made of it; None if it cannot be touched.
 
-    `note` gives the reason, or the difference from MuJoCo's geom.
+    `note` gives the reason, or the difference from MuJoCo's geom. `is_lost`: it collides and has a material, but no
+    object can be made of it.
     """
 
     name: str
     object: schema.Object | None
     note: str
+    is_lost: bool = False
 
 
 def with_geoms(scene: schema.Scene) -> schema.Scene:
@@ -68,6 +70,14 @@ def taken(world: schema.World) -> Iterator[Taken]:
         if geom.meshname and model.geom_type[geom.id] == package.mjtGeom.mjGEOM_MESH:
             _check_groups(name, spec, int(model.geom_dataid[geom.id]))
         yield _object(name, geom.id, world, material, model, data)
+
+
+def lost(scene: schema.Scene) -> list[Taken]:
+    """Return the geoms that collide and have a material, but that fingers pass through."""
+    if scene.world is None:
+        return []
+    have = {thing.name for thing in scene.object}
+    return [each for each in taken(scene.world) if each.is_lost and each.name not in have]
 
 
 def _material(world: schema.World, geom: Any) -> schema.Material | None:
@@ -108,13 +118,13 @@ def _object(name: str, geom: int, world: schema.World, material: schema.Material
         case kinds.mjGEOM_HFIELD:
             source = _hfield(world, model, number)
             if isinstance(source, str):
-                return Taken(name, None, source)
+                return Taken(name, None, source, is_lost=True)
             return Taken(name, schema.Heightmap(**source, **place), "smooth between its heights, level beyond its rim")
         case kinds.mjGEOM_MESH:
             source = {"file": world.model, "root": world.root, "mesh": model.mesh(number).name}
             return Taken(name, schema.Mesh(**source, **place), _hull_note(model, number))
     kind = kinds(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
-    return Taken(name, None, f"is of the type {kind}, which fingers do not touch")
+    return Taken(name, None, f"is of the type {kind}, which fingers do not touch", is_lost=True)
 
 
 def _check_groups(name: str, spec: Any, number: int) -> None:

@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Final, NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+from xml.parsers import expat
 
 from softfinger.config import limits
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
 from softfinger.config.mjcf_files import check_place
 
-if TYPE_CHECKING:
-    from xml.etree.ElementTree import Element
-
+COMMENT: Final = re.compile(r"""<!--(?:[^<>"']|(?<=\w)'(?=\w))*-->""")
+"""Comment, which in a file for MuJoCo may contain `--`. It has no quotation mark, so it ends no attribute."""
 SIZE_MAX: Final = 1 << 24
 """Largest size of a model with all files that it includes, bytes."""
 BODIES_MAX: Final = 1000
@@ -138,30 +141,40 @@ class _Model:
                 self.read(inner, part, f"{self._name}, {part.name}", max(attached[model] + unknown, 1), depth + 1)
 
     def _root(self, text: str, name: str) -> Element:
-        from xml.etree import ElementTree
-
+        """Parse XML as MuJoCo does, which knows no namespaces and no document types."""
         self._bytes += len(text) + FILE_BYTES
         if self._bytes > SIZE_MAX:
             raise ConfigError(f"world.model {name}: has more than {SIZE_MAX:,} bytes with all that it includes")
-        if "<!ENTITY" in text:
-            raise ConfigError(f"world.model {name}: declares entities, and MuJoCo knows none: write them out")
+        builder, parser, count = ElementTree.TreeBuilder(), expat.ParserCreate(), 0
+
+        def start(tag: str, attributes: dict[str, str]) -> None:
+            nonlocal count
+            count += 1
+            if count > ELEMENTS_MAX:
+                raise ConfigError(
+                    f"world.model {name}: has more than {ELEMENTS_MAX:,} elements, the most that can be read"
+                )
+            builder.start(tag, attributes)
+
+        def start_doctype(_: str, *declared: object) -> None:
+            if any(declared):  # MuJoCo would read an element in it
+                raise ConfigError(
+                    f"world.model {name}: declares a document type, and MuJoCo knows none: remove <!DOCTYPE>"
+                )
+
+        parser.StartElementHandler, parser.EndElementHandler = start, builder.end
+        parser.StartDoctypeDeclHandler = start_doctype
         text = text.strip("\0 \t\r\n")  # MuJoCo, too, permits it around the XML
-        parser: Any = ElementTree.XMLPullParser(["start"])
-        begun: list[Element] = []
+        text = COMMENT.sub(lambda found: "\n" * found[0].count("\n"), text)
         try:
             for place in range(0, len(text), CHUNK):  # in chunks, since parsing blocks other threads
-                parser.feed(text[place : place + CHUNK])
-                begun += [element for _, element in parser.read_events()]
-                if len(begun) > ELEMENTS_MAX:
-                    raise ConfigError(
-                        f"world.model {name}: has more than {ELEMENTS_MAX:,} elements, the most that can be read"
-                    )
-            parser.close()
-        except ElementTree.ParseError as error:
+                parser.Parse(text[place : place + CHUNK], False)
+            parser.Parse("", True)
+        except expat.ExpatError as error:
             raise ConfigError(
                 f"world.model {name}: is no well-formed XML, which is required even if MuJoCo reads it: {error}"
             ) from error
-        return begun[0]
+        return builder.close()
 
     def _text(self, path: Path) -> str | None:
         """Return the text of a part; None if it cannot be read, which MuJoCo reports."""

@@ -8,7 +8,6 @@ descriptions (`msgspec.inspect`). For an unusable value they record the fault, s
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping
 from itertools import islice
 from typing import Any, Final
@@ -18,11 +17,11 @@ from msgspec import UNSET, Struct, inspect
 from softfinger.config.materials import Library
 from softfinger.config.scalars import Fault, Report, checked_literal, checked_number, checked_text
 from softfinger.config.typeinfo import described, options, unwrapped
-from softfinger.config.words import either, expected, missing, near, shown
+from softfinger.config.untagged import Untagged, read_untagged
+from softfinger.config.words import either, expected, joined, missing, near, shown
 
 UNKNOWN_SHOWN: Final = 8
 """Unknown keys named per table. Fewer than a message lists, so that the message also shows how many more there are."""
-_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
 def examine(
@@ -113,7 +112,7 @@ def _named(kind: inspect.DictType, value: object, key: str, report: Report) -> A
     before = len(report.faults)
     items = {}
     for name, item in value.items():
-        dotted = _join(key, name)
+        dotted = joined(key, name)
         given = _value(kind.key_type, name, dotted, report)
         items[given] = _value(kind.value_type, item, dotted, report)
     return items if len(report.faults) == before else UNSET
@@ -126,11 +125,11 @@ def _tagged(structs: list[inspect.StructType], value: object, key: str, report: 
     tag_field = str(structs[0].tag_field)
     if not isinstance(value, Mapping):
         return report.add(key, f"{key} = {shown(value)}: must be a table")
-    dotted, tags = _join(key, tag_field), [struct.tag for struct in structs]
+    dotted, tags = joined(key, tag_field), [struct.tag for struct in structs]
     allowed = either(tags)
     if tag_field not in value:
         report.add(dotted, f"{dotted} is missing: give {allowed}, such as {tag_field} = {shown(tags[0])}")
-        return _without_tag(structs, structs, value, key, report)
+        return _untagged(structs, structs, value, key, report)
     tag = value[tag_field]
     for struct in structs:
         if type(tag) is type(struct.tag) and tag == struct.tag:
@@ -138,27 +137,20 @@ def _tagged(structs: list[inspect.StructType], value: object, key: str, report: 
     hint = near(tag, tags)
     report.add(dotted, f"{dotted} = {shown(tag)}: must be {allowed}{hint}")
     meant = [struct for struct in structs if hint and repr(struct.tag) in hint]
-    return _without_tag(structs, meant or structs, value, key, report)
+    return _untagged(structs, meant or structs, value, key, report)
 
 
-def _without_tag(
+def _untagged(
     structs: list[inspect.StructType],
     meant: list[inspect.StructType],
     value: Mapping[Any, Any],
     key: str,
     report: Report,
 ) -> Any:
-    """Record the faults of a table whose kind is unknown: in keys that all structs of `meant` share, or none has."""
-    every = {field.encode_name for struct in structs for field in struct.fields}
-    likely = [{field.encode_name: field.type for field in struct.fields} for struct in meant]
-    gathering = any(getattr(struct.cls, "gathers", None) for struct in structs)
-    for name, item in value.items():
-        dotted = _join(key, name)
-        if name in likely[0] and all(each.get(name) == likely[0][name] for each in likely):
-            _value(likely[0][name], item, dotted, report)
-        elif name != structs[0].tag_field and name not in every and not gathering:
-            report.add(dotted, f"{dotted} is not a key here{near(name, sorted(every))}")
-    return UNSET
+    """Read what is certain of a table whose kind is unknown, for the checks across tables."""
+    start = len(report.faults)
+    cls, values = read_untagged(Untagged(structs, meant), value, key, report, _value)
+    return UNSET if cls is None else _made(cls, values, key, report, start)
 
 
 def _struct(info: inspect.StructType, value: object, key: str, report: Report) -> Any:
@@ -185,12 +177,13 @@ def _from_library(info: inspect.StructType, library: Library, value: object, key
     name, entries = given[library.key], library.entries()
     if name in entries:
         return library.filled(given)
-    dotted = key if isinstance(value, str) else _join(key, library.key)
+    dotted = key if isinstance(value, str) else joined(key, library.key)
     choices = ", ".join(entries)
     report.add(
         dotted, f"{dotted} = {shown(name)}: not in the library{near(name, entries)}; it has {choices}; or give numbers"
     )
-    return _without_tag([info], [info], given, key, report)
+    read_untagged(Untagged([info], [info]), given, key, report, _value)
+    return UNSET  # its keys would have the values of the library
 
 
 def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report: Report) -> Any:
@@ -204,12 +197,12 @@ def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report
         values[gathers] = {k: v for k, v in extra.items() if isinstance(k, str)}
         extra = {k: v for k, v in extra.items() if not isinstance(k, str)}
     for name in islice(extra, UNKNOWN_SHOWN):
-        dotted = _join(key, name)
+        dotted = joined(key, name)
         report.add(dotted, f"{dotted} is not a key here{near(name, allowed)}; keys are {', '.join(allowed)}")
     if len(extra) > UNKNOWN_SHOWN:
         report.add(key, f"{key or 'the whole'}: {len(extra) - UNKNOWN_SHOWN} more keys that have no meaning here")
     for f in info.fields:
-        dotted = _join(key, f.encode_name)
+        dotted = joined(key, f.encode_name)
         if f.encode_name == gathers:
             continue
         if f.encode_name in value:
@@ -231,8 +224,3 @@ def _made(cls: type[Struct], values: dict[str, Any], key: str, report: Report, s
         dotted = f"{key}.{name}" if key else name
         report.add(dotted, f"{dotted}: {text}" if seen is UNSET else f"{dotted} = {shown(seen)}: {text}")
     return struct
-
-
-def _join(key: str, name: object) -> str:
-    part = name if isinstance(name, str) and _BARE_KEY.fullmatch(name) else shown(name)
-    return f"{key}.{part}" if key else part

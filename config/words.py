@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from msgspec import inspect
@@ -13,6 +13,7 @@ from msgspec import inspect
 from softfinger.config.schema import unit
 from softfinger.config.typeinfo import options, unwrapped
 
+_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _INDEX: Final = re.compile(r"\[\d+\]")
 _SHOWN: Final = 60
 
@@ -31,25 +32,41 @@ def expected(info: inspect.Type, key: str) -> str:
         case inspect.BoolType():
             return "true or false"
         case inspect.TupleType():
-            each, _ = unwrapped(kind.item_types[0])
-            limits = _span(each) if isinstance(each, inspect.FloatType | inspect.IntType) else ""
-            noun = "truth values" if isinstance(each, inspect.BoolType) else "numbers"
-            return f"a list of {len(kind.item_types)} {noun}{limits}{_unit(key)}"
+            return f"a list of {len(kind.item_types)} {_items(kind.item_types, key)}"
         case inspect.VarTupleType() | inspect.ListType():
-            what = "tables" if _is_table(kind.item_type) else "values"
+            what = _items((kind.item_type,), key)
             return "a list" + (_length(kind, what) or f" of {what}")
         case inspect.UnionType():
-            return " or ".join(expected(option, key) for option in options(kind))
+            return " or ".join(dict.fromkeys(expected(option, key) for option in options(kind)))
         case inspect.NoneType():
             return "left out"
         case _:
             return "a table"
 
 
+def _items(types: Sequence[inspect.Type], key: str) -> str:
+    """Describe the entries of a list, such as `numbers from 0 to 1 m`; only their noun if their ranges differ."""
+    kinds = [unwrapped(each)[0] for each in types]
+    kind = kinds[0] if all(each == kinds[0] for each in kinds) else None
+    match kind:
+        case inspect.FloatType() | inspect.IntType():
+            noun = "integers" if isinstance(kind, inspect.IntType) else "numbers"
+            return f"{noun}{_span(kind)}{_unit(key)}"
+        case inspect.StrType():
+            return "texts" + _length(kind, "characters")
+        case inspect.LiteralType():
+            return f"values, each {either(kind.values)}"
+        case inspect.BoolType():
+            return "truth values"
+    if all(isinstance(each, inspect.FloatType | inspect.IntType) for each in kinds):
+        return f"numbers{_unit(key)}"
+    return "tables" if all(map(_is_table, types)) else "values"
+
+
 def missing(info: inspect.Type, dotted: str, name: str) -> str:
     """Return the message for a missing required field, with the key or table to add."""
     kind, extra = unwrapped(info)
-    if isinstance(kind, inspect.StructType):
+    if not isinstance(kind, inspect.VarTupleType) and _is_table(kind):
         return f"{dotted} is missing: add the table [{_INDEX.sub('', dotted)}]"
     if isinstance(kind, inspect.VarTupleType) and _is_table(kind.item_type):
         return f"{dotted} is missing: add at least one table [[{dotted}]]"
@@ -73,14 +90,12 @@ def _length(kind: inspect.StrType | inspect.VarTupleType | inspect.ListType, wha
 
 
 def _span(kind: inspect.FloatType | inspect.IntType) -> str:
-    """Return the range of a number: ` from 0 to 40`, ` above 0`, or an empty text."""
-    low = f"{kind.ge:g}" if kind.ge is not None else f"above {kind.gt:g}" if kind.gt is not None else ""
-    high = f"{kind.le:g}" if kind.le is not None else f"below {kind.lt:g}" if kind.lt is not None else ""
-    if low and high:
-        return f" from {low} to {high}"
-    if low:
-        return f" {low}" if kind.ge is None else f" of at least {low}"
-    return f" {high}" if kind.lt is not None else f" of at most {high}" if high else ""
+    """Return the range of a number: ` from 0 to 40`, ` above 0 and at most 1`, or an empty text."""
+    if kind.ge is not None and kind.le is not None:
+        return f" from {kind.ge:g} to {kind.le:g}"
+    bounds = (("above", kind.gt), ("of at least", kind.ge), ("below", kind.lt), ("at most", kind.le))
+    given = " and ".join(f"{what} {bound:g}" for what, bound in bounds if bound is not None)
+    return f" {given}" if given else ""
 
 
 def shown(value: object) -> str:
@@ -115,6 +130,12 @@ def near(given: object, allowed: Iterable[object]) -> str:
     begun = [name for name in names if len(given) >= 3 and name.startswith(given.lower())]
     close = begun[:3] or difflib.get_close_matches(given.lower(), names, n=1)
     return f" (did you mean {' or '.join(map(repr, close))}?)" if close else ""
+
+
+def joined(key: str, name: object) -> str:
+    """Return the dotted key of an entry of a table."""
+    part = name if isinstance(name, str) and _BARE_KEY.fullmatch(name) else shown(name)
+    return f"{key}.{part}" if key else part
 
 
 def either(names: Iterable[object]) -> str:

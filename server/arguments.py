@@ -32,6 +32,10 @@ class Parser(argparse.ArgumentParser):
             self._refuse(unknown)
         return namespace, unknown
 
+    def _parse_optional(self, arg_string: str) -> Any:
+        """Accept the columns `-,t,x` as a value: no option has a comma."""
+        return None if arg_string.startswith("-,") else super()._parse_optional(arg_string)
+
     def _refuse(self, words: Sequence[str]) -> NoReturn:
         from softfinger.config.words import near  # importing it takes longer than parsing a command line
 

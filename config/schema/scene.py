@@ -177,7 +177,7 @@ def _method_faults(scene: Scene) -> Iterator[Complaint]:
     if not known(scene.rolling, scene.object) or scene.rolling is None or scene.rolling.method != "rotation_vector":
         return
     for index, item in enumerate(scene.object):
-        if known(item) and not item.unrolls:
+        if known(item) and known(item.shape) and not item.unrolls:
             yield (
                 "rolling.method",
                 "rotation_vector",
@@ -209,7 +209,7 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
     if not known(scene.object):
         return
     for index, item in enumerate(scene.object):
-        if not known(item):
+        if not known(item) or not known(item.shape):
             continue
         if all(known(getattr(item, name)) for name in item.__struct_fields__) and not item.bears_ellipsoid:
             yield (

@@ -49,7 +49,7 @@ Inside = Annotated[bool, said("true: a cavity, touched from inside", False)]
 class ObjectBase(Table, frozen=True, kw_only=True):
     """Common keys of all objects. A shape adds its dimensions and its tag."""
 
-    shape: ClassVar[str]
+    shape: ClassVar[str] = msgspec.UNSET  # type: ignore[assignment]  # of an object of unknown shape, in checks
     unrolls: ClassVar[bool] = False
     """Whether the rolling method `rotation_vector` has a closed form on this shape."""
     added: ClassVar[list[type[Struct]]] = []

@@ -26,6 +26,12 @@ READERS: Final[dict[str, Callable[[bytes], Faces]]] = {
     "glb": glb.read,
 }
 """Reader of the files of each ending."""
+OTHER_FILES: Final = {
+    b"version https://git-lfs": "is a pointer of Git LFS and not the file: get it with `git lfs pull`",
+    b"\x1f\x8b": "is compressed (gzip): unpack it",
+    b"PK\x03\x04": "is compressed (zip): unpack it",
+}
+"""Reason to refuse a file of another kind, by its first bytes."""
 _REASON_MAX: Final = 200
 """Characters of an exception's text in a message."""
 
@@ -54,6 +60,9 @@ def arrays_of(path: str | Path, data: bytes) -> Arrays:
     Raises ConfigError with file and fault, also if the file has another number of faces than it states.
     """
     kind = _kind(path)
+    for start, reason in OTHER_FILES.items():
+        if data.startswith(start):
+            raise ConfigError(f"{path}: {reason}")
     try:
         faces = READERS[kind](data)
         _check(faces)

@@ -1,30 +1,25 @@
-"""Answers of a participant: by a key in the terminal, a button of the device, the page, or another program."""
+"""Sources of answers: a participant at the device, or the simulated observer."""
 
 from __future__ import annotations
 
-import os
-import select
 import sys
-import termios
 import time
-import tty
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Final
 
 from softfinger.config.errors import CommandRefused, ConfigError
 from softfinger.server.experiment.design import Condition, PlannedTrial
 from softfinger.server.experiment.files import screen_for
 from softfinger.server.experiment.haptics import Haptics
+from softfinger.server.experiment.interfaces import Answer, Progress, TouchResult
 from softfinger.server.experiment.observer import SimulatedObserver
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Question
-from softfinger.server.experiment.session import Answer, Progress, TouchResult, is_right_answer
-from softfinger.server.wire.client_requests import parse_number
+from softfinger.server.experiment.session import is_right_answer
+from softfinger.server.experiment.terminal import CHOICES, is_single, keyboard, parse_answer, print_line
 from softfinger.server.wire.commands import TEXT_ANSWER_MAX, Prompt
 
-CHOICES: Final = ("first", "second")
-KEYS: Final = {"1": "first", "2": "second"}
 NUMBERS: Final = (1e-6, 1e6)
 """Range of an estimate, which is a number above 0."""
 CONTINUE: Final = "go on"
@@ -92,25 +87,23 @@ class Participant:
     def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Answer:
         progress = self._progress
         assert progress is not None
-        return self.ask(progress.title, question, condition, trial.number)
+        return self.ask(progress.title, question, condition, trial.number, (0, 0))
 
-    def ask(self, title: str, question: Question, condition: Condition | None, number: int) -> Answer:
-        line = question.text
+    def ask(
+        self, title: str, question: Question, condition: Condition | None, number: int, place: tuple[int, int]
+    ) -> Answer:
+        line, (done, of) = question.text, place
+        if of > 1:
+            title = f"{title}: question {done + 1} of {of}"
+        prompt = partial(Prompt, title, line, *place if of > 1 else (0, 0))
         if question.kind == "text":
-            return self._ask(Prompt(title, line, text_length=TEXT_ANSWER_MAX), f"{line} A text, then Enter")
+            return self._ask(prompt(text_length=TEXT_ANSWER_MAX), f"{line} A text, then Enter")
         if question.kind == "number":
             limits = question.min, question.max
-            return self._ask(
-                Prompt(title, line, number=limits), f"{line} A number from {limits[0]:g} to {limits[1]:g}, then Enter"
-            )
-        if question.kind == "likert":
-            answer = self._ask(
-                Prompt(title, line, choices=question.marks), f"{line} One of {', '.join(question.marks)}, then Enter"
-            )
-            return answer._replace(value=float(answer.value))
-        return self._ask(
-            Prompt(title, line, choices=question.options), f"{line} One of {', '.join(question.options)}, then Enter"
-        )
+            return self._ask(prompt(number=limits), f"{line} A number from {limits[0]:g} to {limits[1]:g}, then Enter")
+        choices = question.marks if question.kind == "likert" else question.options
+        answer = self._ask(prompt(choices=choices), f"{line} One of {', '.join(choices)}, then Enter")
+        return answer._replace(value=float(answer.value)) if question.kind == "likert" else answer
 
     def _show_feedback(self, is_right: bool) -> None:
         """Show whether the answer to a practice trial was right, so that the participant learns the question."""
@@ -196,7 +189,9 @@ class DryRun:
     def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Answer:
         return Answer(self._observer.confidence(trial, condition, level, question))
 
-    def ask(self, title: str, question: Question, condition: Condition | None, number: int) -> Answer:
+    def ask(
+        self, title: str, question: Question, condition: Condition | None, number: int, place: tuple[int, int]
+    ) -> Answer:
         return Answer(self._observer.survey(question, condition, number))
 
     def prepare(self, progress: Progress, condition: Condition) -> None:
@@ -207,60 +202,3 @@ class DryRun:
 
     def pause(self, done: int, of: int) -> None:
         """Do nothing: the simulated observer needs no break."""
-
-
-def is_single(prompt: Prompt) -> bool:
-    """Return True if a single key answers the prompt."""
-    return len(prompt.choices) == 1 or prompt.choices == CHOICES
-
-
-def parse_answer(prompt: Prompt, typed: str, buttons: int) -> tuple[str | float | None, str]:
-    """Return the answer that the typed text and newly pressed buttons mean, or None, and the unused text.
-
-    With one choice, any key or button answers. With CHOICES, the keys 1 and 2 and the first two buttons do. All other
-    prompts take a line.
-    """
-    choices = prompt.choices
-    if len(choices) == 1:
-        return (choices[0] if typed or buttons else None), ""
-    if choices == CHOICES:
-        keys = [KEYS[key] for key in typed if key in KEYS]
-        return (keys[0] if keys else CHOICES[0] if buttons & 1 else CHOICES[1] if buttons & 2 else None), ""
-    line, newline, rest = typed.partition("\n")
-    if not newline or not line.strip():
-        return None, rest if newline else line
-    if prompt.text_length:
-        return line.strip()[: prompt.text_length], rest
-    return (line.strip()[:64] if choices else parse_number(line)), rest
-
-
-def print_line(line: str) -> None:
-    """Print a line for the participant, independent of the log level."""
-    print(line, flush=True)
-
-
-@contextmanager
-def keyboard(single: bool) -> Iterator[Callable[[], str]]:
-    """Yield a function that returns the text typed since its last call.
-
-    A terminal passes it on key by key if `single`, otherwise line by line.
-    """
-    descriptor = sys.stdin.fileno()
-    before = termios.tcgetattr(descriptor) if single and sys.stdin.isatty() else None
-    is_at_end = False
-
-    def keys() -> str:
-        nonlocal is_at_end
-        if is_at_end or not select.select([descriptor], [], [], 0.0)[0]:
-            return ""
-        data = os.read(descriptor, 256)
-        is_at_end = not data
-        return data.decode(errors="replace")
-
-    try:
-        if before is not None:
-            tty.setcbreak(descriptor)
-        yield keys
-    finally:
-        if before is not None:
-            termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

@@ -22,9 +22,10 @@ from softfinger.server.experiment.answers import DryRun, Participant
 from softfinger.server.experiment.design import Condition, conditions
 from softfinger.server.experiment.folder import Folder, load, read_trials
 from softfinger.server.experiment.haptics import Haptics
+from softfinger.server.experiment.interfaces import NullApparatus
 from softfinger.server.experiment.journal import Entry, Journal, Memory
 from softfinger.server.experiment.masses import load_changed_scene
-from softfinger.server.experiment.session import NullApparatus, Session, Stopped
+from softfinger.server.experiment.session import Session, Stopped
 from softfinger.server.viewer.door.process import PageProcess
 from softfinger.server.viewer.roles import Role
 

@@ -15,9 +15,9 @@ from softfinger.config.load import describe, load_scene
 from softfinger.config.overrides import numbered, value_at
 from softfinger.config.schema import Scene
 from softfinger.server.experiment import rigs
+from softfinger.server.experiment.interfaces import Stimulus, TouchResult
 from softfinger.server.experiment.masses import load_changed_scene, split
 from softfinger.server.experiment.schema import ONE, ExperimentFile
-from softfinger.server.experiment.session import Stimulus, TouchResult
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import Sample, Subscription
 from softfinger.server.wire.protocol import CONTACT, FINGERS, finger_of

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from softfinger.server.experiment.psychometric import GUESS, SLOPES, probability
-from softfinger.server.experiment.schema import Procedure
+from softfinger.server.experiment.schema_trials import Procedure
 
 GRID: Final = 60
 """Number of thresholds in the grid of QUEST+, from half the lowest level to twice the highest, in geometric steps."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final
 
 from softfinger.config.errors import HapticError
 from softfinger.server.experiment.design import Condition, PlannedTrial, conditions, plan_trials
 from softfinger.server.experiment.folder import Folder
+from softfinger.server.experiment.interfaces import Answer, AnswerSource, Apparatus, Progress, Stimulus
 from softfinger.server.experiment.journal import Entry, Memory
 from softfinger.server.experiment.procedures import make_procedures
 from softfinger.server.experiment.schema import ExperimentFile
@@ -23,99 +24,6 @@ class Stopped(HapticError):
     """End of a session on request, before its last trial; a new start resumes at that trial."""
 
     exit_code = 0
-
-
-class Stimulus(NamedTuple):
-    """Stimulus of a touch.
-
-    trial, touch  number of the trial, and of the touch in it, from 1
-    scene         scene of the condition, None: the experiment's
-    changes       parameters by dotted path
-    """
-
-    trial: int
-    touch: int
-    scene: str | None
-    changes: dict[str, Any]
-
-
-class Progress(NamedTuple):
-    """Progress of a session.
-
-    trial, trials    number of the trial, and of all
-    block, blocks    the same for the block
-    practice         True if the trial does not count
-    touch, touches   number of the touch in the trial, and of all in it
-    """
-
-    trial: int
-    trials: int
-    block: int
-    blocks: int
-    practice: bool
-    touch: int
-    touches: int
-
-    @property
-    def title(self) -> str:
-        """Trial and block for the participant; omits the condition."""
-        block = f"Block {self.block} of {self.blocks}, " if self.blocks > 1 else ""
-        return f"{block}{'trial' if block else 'Trial'} {self.trial} of {self.trials}{', practice' * self.practice}"
-
-    @property
-    def text(self) -> str:
-        """Number of the next touch, if there are several."""
-        return f"Touch {self.touch} of {self.touches}" if self.touches > 1 else ""
-
-
-class TouchResult(NamedTuple):
-    """Result of a touch: numbers for the table of trials, and every tick."""
-
-    summary: dict[str, Any]
-    ticks: list[dict[str, Any]]
-
-
-class Apparatus(Protocol):
-    """Presents stimuli."""
-
-    def touch(self, stimulus: Stimulus) -> TouchResult:
-        """Present a stimulus, from zero force to zero force."""
-
-
-class NullApparatus:
-    """No apparatus: only design, answers, journal and tables, as fast as possible."""
-
-    def touch(self, stimulus: Stimulus) -> TouchResult:
-        return TouchResult({}, [])
-
-
-class Answer(NamedTuple):
-    """Answer: `first` or `second` of a comparison, else a number; and the response time (s), if known."""
-
-    value: str | float
-    after_s: float | None = None
-
-
-class AnswerSource(Protocol):
-    """Source of answers."""
-
-    def instruct(self) -> None:
-        """Show the instructions until the participant starts."""
-
-    def prepare(self, progress: Progress, condition: Condition) -> None:
-        """Prepare for the next touch."""
-
-    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Answer:
-        """Return the answer to a trial, after its touches."""
-
-    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Answer:
-        """Return the confidence in the answer to a trial."""
-
-    def ask(self, title: str, question: Question, condition: Condition | None, number: int) -> Answer:
-        """Return the answer to a question that belongs to no trial, the `number`-th of the session."""
-
-    def pause(self, done: int, of: int) -> None:
-        """Wait until the participant continues."""
 
 
 class Session:
@@ -148,7 +56,7 @@ class Session:
         Raises Stopped if the participant does not agree.
         """
         if self.experiment.consent and not any(entry["agreed"] for entry in journal.of("consent")):
-            answer = answers.ask(self.experiment.title, consent_question(self.experiment), None, 0)
+            answer = answers.ask(self.experiment.title, consent_question(self.experiment), None, 0, (0, 0))
             journal.write("consent", agreed=answer.value == AGREE)
             if answer.value != AGREE:
                 raise Stopped("the participant did not agree: no trial was run")
@@ -192,11 +100,12 @@ class Session:
         answered = {(entry["survey"], entry["block"], entry["question"]) for entry in journal.of("survey")}
         for survey in self.experiment.survey:
             condition = self.conditions[ended[-1]] if is_by_block and "between" in survey.at else None
-            for question in survey.question if at in survey.at else ():
+            for done, question in enumerate(survey.question if at in survey.at else ()):
                 if (survey.name, block, question.name) in answered:
                     continue
                 number = 1 + len(journal.of("survey"))
-                answer = answers.ask(survey.title or self.experiment.title, question, condition, number)
+                title, place = survey.title or self.experiment.title, (done, len(survey.question))
+                answer = answers.ask(title, question, condition, number, place)
                 journal.write("survey", **_survey_entry(survey, question, at, block, condition, answer))
 
     def _pause_if_due(self, trial: PlannedTrial, answers: AnswerSource) -> None:

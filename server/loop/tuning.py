@@ -40,8 +40,10 @@ def make_tuning(
 ) -> Tuning:
     """Return the parameters of the servo for a scene, a guard and each finger's tool, within the limits of its device.
 
-    Logs a warning for each object stiffer than the specified maximum of a device; it is rendered anyway.
+    Logs a warning for each object stiffer than the specified maximum of a device, which is rendered anyway, and for
+    geoms of a model that fingers pass through.
     """
+    _warn_of_lost_geoms(scene)
     guards = tuple(guard_limits(guard, info) for info in devices)
     for info, limits in zip(devices, guards, strict=True):
         if limits.force_max > 0.0:
@@ -69,6 +71,15 @@ def _build_with_progress(scene: schema.Scene) -> model.Scene:
 def with_scene(tuning: Tuning, scene: schema.Scene) -> Tuning:
     """Return the tuning with other parameters of its scene, and the same guard."""
     return tuning._replace(scene=build_scene(scene, tuning.scene), passivity=_passivity(scene.passivity))
+
+
+def _warn_of_lost_geoms(scene: schema.Scene) -> None:
+    if scene.world is None:
+        return
+    from softfinger.config.mjcf_geoms import lost  # it needs MuJoCo
+
+    for geom in lost(scene):
+        log.warning("fingers pass through geom '%s': it %s", geom.name, geom.note)
 
 
 def _warn_if_too_stiff(scene: schema.Scene, force_max: float, device: DeviceInfo) -> None:

@@ -16,11 +16,33 @@ from softfinger.server.recording.results import csv_lines
 
 SKIPPED: Final = "-"
 """Name of a column that does not belong to the pose."""
-_UTF_16: Final = (b"\xff\xfe", b"\xfe\xff")
+_WIDE: Final = {
+    b"\xff\xfe\0\0": "UTF-32", b"\0\0\xfe\xff": "UTF-32", b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16",
+}  # fmt: skip
+"""Byte order marks of text that is not UTF-8."""
 _QUOTED: Final = re.compile(r'"([^"]*)"')
 _COMMENT: Final = re.compile(rb"\s*(#|%|//|;|$)")
-_SEPARATORS: Final = tuple(re.compile(each) for each in (r"\s*;\s*", r" *\t *", r"\s*,\s*", r"\s+", r"\s*[,;\s]\s*"))
-"""Separators of cells; the first that gives as many cells as there are columns is used."""
+_NUMBER: Final = re.compile(r"[+-]?([0-9]+[.,]?[0-9]*|[.,][0-9]+)(e[+-]?[0-9]+)?|nan|[+-]?inf", re.IGNORECASE)
+_SEPARATORS: Final = {
+    ";": re.compile(r"\s*;\s*"),
+    "tab": re.compile(r" *\t *"),
+    ",": re.compile(r"\s*,\s*"),
+    "blank": re.compile(r"\s+"),
+    "several": re.compile(r"\s*[,;\s]\s*"),
+}
+"""Separators of cells. The first that splits the first row into as many cells as there are columns splits all rows."""
+
+
+class _Dialect:
+    """Dialect of a table, from its rows so far.
+
+    separator  name of the separator of cells, empty before the first row
+    commas     True for a decimal comma, False for a decimal point, as they occurred
+    """
+
+    def __init__(self) -> None:
+        self.separator = ""
+        self.commas = set[bool]()
 
 
 class Layout(NamedTuple):
@@ -73,7 +95,7 @@ def read_table(path: Path, layout: Layout) -> Poses:
     with #, %, // or ; are skipped. Times are relative to the first row. Raises RecordingError, with the line, if the
     table is malformed.
     """
-    numbers, values, commas = array("q"), array("d"), set[bool]()
+    numbers, values, dialect = array("q"), array("d"), _Dialect()
     try:
         with open_input(path) as file:
             number = 0
@@ -81,12 +103,12 @@ def read_table(path: Path, layout: Layout) -> Poses:
                 number += 1
                 if number == 1:
                     line = _without_mark(path, line)
-                if number <= layout.skip or (_COMMENT.match(line) and line.count(b";") != len(layout.columns) - 1):
+                if number <= layout.skip or _is_comment(line, len(layout.columns)):
                     continue
                 if len(numbers) >= POSES_MAX:
                     raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the most that are read: cut it up")
                 numbers.append(number)
-                values.extend(_parse_row(f"{path}, line {number}", line, layout, commas))
+                values.extend(_parse_row(f"{path}, line {number}", line, layout, dialect))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
     table = np.frombuffer(values).reshape(-1, len(layout.columns))
@@ -106,51 +128,68 @@ def read_table(path: Path, layout: Layout) -> Poses:
 
 def _without_mark(path: Path, line: bytes) -> bytes:
     """Return the first line without a byte order mark. Raises RecordingError for text of another kind."""
-    if line.startswith(_UTF_16):
-        raise RecordingError(f"{path}: is text in UTF-16: save it as UTF-8")
+    if wide := next((name for mark, name in _WIDE.items() if line.startswith(mark)), None):
+        raise RecordingError(f"{path}: is text in {wide}: save it as UTF-8")
+    if b"\0" in line:
+        raise RecordingError(f"{path}: is no text in UTF-8: save it as CSV in UTF-8")
     if b"\r" in line.rstrip(b"\r\n"):
         raise RecordingError(f"{path}, line 1: has carriage returns: save it with line feeds")
     return line.removeprefix(b"\xef\xbb\xbf")
 
 
-def _parse_row(location: str, line: bytes, layout: Layout, commas: set[bool]) -> list[float]:
-    """Return the numbers of a line; `commas` gets whether a decimal comma or a decimal point was found."""
+def _is_comment(line: bytes, columns: int) -> bool:
+    """Return True for a line without cells: empty, only separators, or a comment."""
+    has_cells = line.strip(b" ,;\t\r\n") != b""
+    return not has_cells or (_COMMENT.match(line) is not None and line.count(b";") != columns - 1)
+
+
+def _parse_row(location: str, line: bytes, layout: Layout, dialect: _Dialect) -> list[float]:
+    """Return the numbers of a line."""
     try:
-        text = line.decode().strip()
+        text = line.decode().replace("\N{MINUS SIGN}", "-")
     except UnicodeDecodeError as error:
         raise RecordingError(f"{location}: not a text file (not UTF-8)") from error
+    is_first = dialect.separator == ""
     row = []
-    for name, cell in zip(layout.columns, _cells(location, text, len(layout.columns)), strict=True):
-        try:
-            row.append(0.0 if name == SKIPPED else float(cell.replace(",", ".")))
-        except ValueError as error:
+    for name, cell in zip(layout.columns, _cells(location, text, len(layout.columns), dialect), strict=True):
+        if name != SKIPPED and not _NUMBER.fullmatch(cell):
             what = "the cell is empty: fill it, or delete the line"
             if cell:
-                what = f"{cell[:40]!r} is not a number; --skip N skips a heading"
-            raise RecordingError(f"{location}, column '{name}': {what}") from error
-        commas |= {mark == "," for mark in ",." if name != SKIPPED and mark in cell}
-    if len(commas) > 1:
+                remedy = "--skip N skips a heading" if is_first else "write a number such as -0.02 or 2e-3"
+                what = f"{cell[:40]!r} is not a number; {remedy}"
+            raise RecordingError(f"{location}, column '{name}': {what}")
+        row.append(0.0 if name == SKIPPED else float(cell.replace(",", ".")))
+        dialect.commas |= {mark == "," for mark in ",." if name != SKIPPED and mark in cell}
+    if len(dialect.commas) > 1:
         raise RecordingError(f"{location}: has decimal commas and decimal points: write all numbers with points")
     return row
 
 
-def _cells(location: str, text: str, columns: int) -> list[str]:
+def _cells(location: str, text: str, columns: int, dialect: _Dialect) -> list[str]:
     """Return the cells of a line, without empty ones at its end that exceed the number of columns.
 
     A comma between quotation marks is a decimal comma, or in a text that is not read.
     """
-    text = _QUOTED.sub(lambda quoted: quoted[1].replace(",", "."), text)
-    counts = []
-    for separator in _SEPARATORS:
-        cells = separator.split(text)
+    text = _QUOTED.sub(lambda quoted: re.sub("[,;\t]", ".", quoted[1]), text)
+    counts = {}
+    for name, separator in _SEPARATORS.items():
+        if dialect.separator not in ("", name):
+            continue
+        cells = separator.split(text.strip(" \r\n") if name == "tab" else text.strip())
         while len(cells) > columns and not cells[-1]:
             cells.pop()
         if len(cells) == columns:
+            dialect.separator = name
             return cells
-        counts.append(len(cells))
-    found = next((count for count in counts if count > 1), 1)
+        counts[name] = len(cells)
+    separator_name, found = next(((name, count) for name, count in counts.items() if count > 1), ("", 1))
+    advice = f"give a name or {SKIPPED} for each"
+    if found == 1 and dialect.separator == "":
+        advice = "separate them by commas, semicolons, tabs or blanks"
+    elif separator_name == "," and found > columns and "." not in text:
+        advice += "; decimal commas need semicolons, tabs or blanks between the values"
     raise RecordingError(
-        f"{location}: {found} values where --columns has {columns}: give a name or {SKIPPED} for each; "
+        f"{location}: {found} value{'s' * (found != 1)} where --columns has {columns}: {advice}; "
         "--skip N skips lines at the start"
     )
 

@@ -10,10 +10,9 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from softfinger.config.errors import ConfigError, DeviceError, HapticError, RecordingError
+from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.load import FaultyConfig, describe, load_rig, load_scene
 from softfinger.config.schema import (
-    DeviceConfig,
     Guard,
     Mesh,
     Object,
@@ -24,7 +23,8 @@ from softfinger.config.schema import (
 from softfinger.config.sources import EXPERIMENTS, find, find_in, names_in, read_toml, shipped
 from softfinger.config.words import near, shown
 from softfinger.server.offline.figures import plot_file
-from softfinger.server.offline.summary import mesh_report, object_rows, rig_summary, scene_summary
+from softfinger.server.offline.part_faults import part_faults
+from softfinger.server.offline.summary import mesh_report, rig_summary, scene_summary
 from softfinger.server.offline.worlds import check_start
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
@@ -131,21 +131,12 @@ def examine_file(file: str) -> Finding:
         if kind == "experiment":
             return _experiment(file, path)
         config = load_scene(path) if kind == "scene" else load_rig(path)
-        if isinstance(config, Scene):
-            if faults := _object_faults(config):
-                return Finding(file, kind, [], faults, {}, {})
-            summary = scene_summary(config)
-        else:
-            if config.security is not None:
-                from softfinger.server.publishing.allowed import key_folders
-
-                key_folders(config.security)
-            for table, device in config.tables.items():
-                _check_driver(device, config.servo.rate_hz, table, file)
-                _check_recording(device, table, file)
-            summary = rig_summary(config)
+        if faults := part_faults(config, file):
+            return Finding(file, kind, [], faults, {}, {})
+        summary = scene_summary(config) if isinstance(config, Scene) else rig_summary(config)
     except FaultyConfig as error:
-        return Finding(file, kind, [], [str(fault) for fault in error.faults], {}, {})
+        faults = [*map(str, error.faults), *part_faults(error.config, file)]
+        return Finding(file, kind, [], faults, {}, {})
     except (ConfigError, DeviceError) as error:
         return Finding(file, kind, [], [str(error)], {}, {})
     return Finding(file, kind, summary, [], describe(config), _reports(config))
@@ -157,17 +148,6 @@ def _experiment(file: str, path: Path) -> Finding:
 
     experiment = Experiment(path).file
     return Finding(file, "experiment", summary(experiment), [], describe(experiment), {})
-
-
-def _object_faults(scene: Scene) -> list[str]:
-    """Return what is wrong with the files of each object."""
-    faults = []
-    for item in scene.object:
-        try:
-            object_rows(item, scene.soft)
-        except ConfigError as error:
-            faults.append(str(error))
-    return faults
 
 
 def _reports(config: Scene | Rig) -> dict[str, Any]:
@@ -253,29 +233,6 @@ def _exists(file: str) -> bool:
         return Path(file).exists()
     except (OSError, ValueError):  # not a valid file name
         return False
-
-
-def _check_driver(device: DeviceConfig, rate_hz: float, table: str, file: str) -> None:
-    """Raise ConfigError if the driver is unknown, or if it does not accept the rig's options or this rate."""
-    from softfinger.drivers import registry
-
-    try:
-        registry.load(device.driver)
-    except HapticError as error:
-        raise ConfigError(f"{file}: {table}.driver = {device.driver!r}: {error}") from error
-    registry.check(device, rate_hz, f"{file} [{table}]")
-
-
-def _check_recording(device: DeviceConfig, table: str, file: str) -> None:
-    """Raise ConfigError if the recording that a rig replays cannot be loaded."""
-    if device.driver != "replay":
-        return
-    from softfinger.drivers.poses import load_poses
-
-    try:
-        load_poses(device.options["recording"])
-    except RecordingError as error:
-        raise ConfigError(f"{file}: {table}.recording: {error}") from error
 
 
 def _show(finding: Finding) -> None:

@@ -244,6 +244,7 @@ def _row(field: inspect.Field) -> Row:
     allowed = re.sub(
         r"^(a number|an integer) from", lambda found: "" if "number" in found[1] else "integer,", allowed
     ).strip()
+    allowed = allowed.removeprefix("a number ")
     allowed = re.sub(r"^text of (.*) characters( like .*)?", r"text, \1", allowed)  # characters: see its meaning
     allowed = f"{allowed} {unit(field.encode_name)}".strip()
     if field.required or field.default in (None, msgspec.NODEFAULT):  # no default: an empty table

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
@@ -18,7 +19,8 @@ TEXT: Final = (
 COLOUR: Final = '<div data-colour="{colour}" style="height: 6em; margin-top: 0.5em; background: {colour}"></div>'
 IMAGE: Final = '<img alt="" src="{image}" style="display: block; max-width: 100%; margin-top: 0.5em">'
 NOISE: Final = '<span hidden data-masking-noise="{noise}" data-volume="{volume}"></span>'
-DIGITS: Final = "123456789"
+DIGITS: Final = "1234567890"
+NUMBER: Final = re.compile(r"-?[0-9.]+")
 LARGE_MAX: Final = 3
 """Up to this number, each choice has a large button; more choices share a row."""
 PROMPT_ORDER: Final = -1.0
@@ -146,9 +148,12 @@ def format_screen(prompt: Prompt) -> str:
 
 
 def assign_keys(choices: tuple[str, ...]) -> dict[str, str]:
-    """Return the keys of choices: a digit that is a choice, else of its position; Enter for a single choice."""
+    """Return the keys of choices: Enter for a single choice, the digits of a scale, else the digit of the position.
+
+    A scale with longer marks, such as 0 to 100, has no keys: typing the 5 of 50 would answer 5.
+    """
     if len(choices) == 1:
         return {"enter": choices[0]}
-    if any(digit in choices for digit in DIGITS):
-        return {digit: digit for digit in DIGITS if digit in choices}
+    if all(NUMBER.fullmatch(choice) for choice in choices):
+        return {choice: choice for choice in choices} if set(choices) <= set(DIGITS) else {}
     return dict(zip(DIGITS, choices, strict=False))

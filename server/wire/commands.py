@@ -7,7 +7,7 @@ the table METHODS.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple, TypedDict
 
 import msgspec
 import numpy as np
@@ -211,6 +211,15 @@ class Prompt(Struct, frozen=True, forbid_unknown_fields=True):
     ] = ""
     masking_noise: Annotated[str, Meta(pattern="^(none|white|pink)$")] = "none"
     volume: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.2
+
+
+class PromptScreen(TypedDict, total=False):
+    """Keys of a prompt for the participant's page alone."""
+
+    colour: str
+    image: str
+    masking_noise: str
+    volume: float
 
 
 class Prompted(Struct, frozen=True):

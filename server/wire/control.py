@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from functools import wraps
 from types import TracebackType
-from typing import Any, Concatenate, ParamSpec, Self
+from typing import Any, Concatenate, ParamSpec, Self, Unpack
 
 import zmq
 import zmq.asyncio
@@ -54,6 +54,7 @@ from softfinger.server.wire.commands import (
     OfObject,
     Prompt,
     Prompted,
+    PromptScreen,
     Quaternion,
     RecordStart,
     RecordStarted,
@@ -232,9 +233,16 @@ class Control(Closeable):
         progress: tuple[int, int] = (0, 0),
         choices: Sequence[str] = (),
         number: tuple[float, float] | None = None,
+        text_length: int = 0,
+        **screen: Unpack[PromptScreen],
     ) -> Prompted:
-        """Show a title, a text, progress (done, total) and a question, by choices or a range, on all pages."""
-        return self._ask("set_prompt", Prompt(title, text, *progress, tuple(choices), number), Prompted)
+        """Show a title, a text, progress (done, total) and a question on all pages.
+
+        The answer is one of `choices`, a number in the range `number`, or a text of at most `text_length` characters.
+        `screen` is what the participant's page adds: `colour`, `image`, `masking_noise`, `volume`, as in `Prompt`.
+        """
+        prompt = Prompt(title, text, *progress, tuple(choices), number, text_length, **screen)
+        return self._ask("set_prompt", prompt, Prompted)
 
     def answer(self, value: str | float, prompt: int | None = None) -> Applied:
         """Answer the question with this prompt number, by default the present one; refused if none is open."""

@@ -501,7 +501,7 @@ def test_all_faults_are_reported_at_once() -> None:
 
 
 def test_faults_behind_an_unknown_kind_are_reported_too() -> None:
-    """In keys of the kind that was meant, in those that all kinds share, and keys of none; no guess what is missing."""
+    """In keys of the kind that was meant, values that fit no kind, keys of none, and what all kinds need."""
     bad = scene()
     bad["object"] = [
         {"name": "a", "shape": "spher", "radius_m": -2, "colour": 3, "material": {"stiffness_n_per_m": -5}},
@@ -512,11 +512,31 @@ def test_faults_behind_an_unknown_kind_are_reported_too() -> None:
     with pytest.raises(FaultyConfig) as caught:
         build(Scene, bad, "scene.toml")
     assert [fault.key for fault in caught.value.faults] == [
-        *("object[0].shape", "object[0].radius_m", "object[0].colour", "object[0].material.stiffness_n_per_m"),
-        *("object[1].shape", "object[1].position_m", "object[1].material.stiffness_n_per_m"),
+        *("object[0].shape", "object[0].colour", "object[0].material.stiffness_n_per_m", "object[0].radius_m"),
+        *("object[1].shape", "object[1].position_m", "object[1].material.stiffness_n_per_m", "object[1].size_m"),
         *("object[2].material.name", "object[2].material.damping_ns_per_m"),
-        *("object[3].shape", "object[3].effect[0].kind"),
+        *("object[3].shape", "object[3].effect[0].kind", "object[3].radius_m"),
     ]
+
+
+def test_an_object_of_unknown_shape_is_checked_with_the_others() -> None:
+    """Its name, its body and its material; what is missing in all kinds is missing here."""
+    material = {"stiffness_n_per_m": 500.0}
+    bad = scene() | {
+        "object": [
+            {"name": "a", "shape": "cube", "material": material, "motion": {"kind": "body", "body": "x"}},
+            {"name": "a", "shape": "spher", "radius_m": 0.1, "material": material | {"torsion": {}}},
+            {"name": "1", "shape": "thing"},
+        ],
+        "rolling": {"method": "rotation_vector"},
+    }
+    with pytest.raises(FaultyConfig) as caught:
+        build(Scene, bad, "scene.toml")
+    assert sorted(fault.key for fault in caught.value.faults) == [
+        "object[0].motion", "object[0].shape", "object[1].material.torsion.friction_length_m",
+        "object[1].material.torsion.stiffness_nm_per_rad", "object[1].name", "object[1].shape", "object[2].material",
+        "object[2].name", "object[2].shape",
+    ]  # fmt: skip
 
 
 def test_ceilings_cannot_be_raised_by_a_file() -> None:

@@ -80,7 +80,8 @@ def test_all_shapes_are_tested_here() -> None:
 
 def test_an_unknown_shape_lists_the_known_ones() -> None:
     """A misspelt shape is answered with all names and the nearest one."""
-    (fault,) = refused({**mapping("sphere"), "object": [{"name": "x", "shape": "elipsoid"}]})
+    item = {"name": "x", "shape": "elipsoid", "material": {"stiffness_n_per_m": 500.0}}
+    (fault,) = refused({**mapping("sphere"), "object": [item]})
     assert all(repr(name) in fault for name in SHAPES)
     assert "did you mean 'ellipsoid'" in fault
 

@@ -59,6 +59,12 @@ at = ["before"]
 name = "remark"
 kind = "text"
 prompt = "Which hand?"
+[[survey.question]]
+name = "age"
+kind = "number"
+prompt = "How old?"
+min = 18
+max = 99
 [[survey]]
 name = "workload"
 at = ["between"]

@@ -366,7 +366,7 @@ HOSTILE = {
     "nothing": ("", "no well-formed XML"),
     "no XML": ("<mujoco", "no well-formed XML"),
     "another root": ("<robots/>", "robots"),
-    "an entity that grows": (BOMB, "declares entities"),
+    "an entity that grows": (BOMB, "declares a document type"),
     "an unknown element": ("<mujoco><wheel/></mujoco>", "wheel"),
     "no mass": (
         f'<mujoco>{OPTION}<worldbody><body><freejoint/><geom size="0.1" mass="0"/></body></worldbody></mujoco>',
@@ -379,6 +379,19 @@ HOSTILE = {
     ),
     "a missing mesh": ('<mujoco><asset><mesh name="m" file="none.stl"/></asset></mujoco>', "none.stl"),
     "a file outside": ('<mujoco><include file="../../etc/passwd"/></mujoco>', "outside of its folder"),
+    "a file outside, in a namespace": (
+        '<mujoco xmlns="a"><include file="../secret.xml"/></mujoco>',
+        "outside of its folder",
+    ),
+    "a file outside, in an element of a namespace": (
+        '<mujoco><include xmlns="a" file="../secret.xml"/></mujoco>',
+        "outside of its folder",
+    ),
+    "a file outside, in a declaration that MuJoCo does not know": (
+        "<!DOCTYPE mujoco [<!NOTATION n SYSTEM \"> <mujoco><include file='../secret.xml'/></mujoco><!--\">]>"
+        "<mujoco/><!-- -->",
+        "declares a document type",
+    ),
     "a file outside, included twice": (
         '<mujoco><include file="inner.xml"/></mujoco>',
         "outside of its folder",

@@ -21,7 +21,7 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.meshes.formats import glb
 from softfinger.proxy.meshes.prepared import about
-from softfinger.proxy.meshes.reading import Arrays, arrays_of
+from softfinger.proxy.meshes.reading import OTHER_FILES, Arrays, arrays_of
 from softfinger.proxy.meshes.report import Report
 
 pytestmark = pytest.mark.plain
@@ -220,7 +220,10 @@ STRIPS = [0, 2, 1, 3, -1, 4, 5, 6, 7, -1, 0, 1, 4, 5, -1, 1, 3, 5, 7, -1, 3, 2, 
 PLYS = {
     "text": ply("ascii", [INDICES], LINES.encode()),
     "carriage returns": ply("ascii", [INDICES], LINES.encode()).replace(b"\n", b"\r\n"),
+    "carriage returns alone": ply("ascii", [INDICES], LINES.encode()).replace(b"\n", b"\r"),
     "little endian": ply(LITTLE, [INDICES], ROWS),
+    "padded": ply(LITTLE, [INDICES], ROWS.ljust(512, b"\0")),
+    "text, padded": ply("ascii", [INDICES], LINES.encode().ljust(512, b"\0")),
     "big endian": ply(BIG, [INDICES], b"".join(struct.pack(">B3i", 3, *face) for face in FACES)),
     "new line at the end": ply(LITTLE, [INDICES], ROWS + b"\n"),
     "another name": ply(LITTLE, [INDICES.replace("indices", "index")], ROWS),
@@ -264,6 +267,9 @@ def test_what_a_ply_lacks_is_said(tmp_path: Path) -> None:
         path, PLYS["text"].replace(b"vertex_indices", b"corners")
     )
     assert "a list has -1 entries" in refusal(path, PLYS["strips"].replace(b"29 0 2", b"-1 0 2"))
+    assert "has the corner -2" in refusal(path, PLYS["strips"].replace(b"29 0 2", b"29 -2 2"))
+    for start, reason in OTHER_FILES.items():
+        assert reason in refusal(path, start + PLYS["little endian"])
 
 
 # --- GLB -----------------------------------------------------------------------------------------
@@ -384,6 +390,14 @@ def test_glb_sparse_accessors_are_read(tmp_path: Path) -> None:
         check_box(
             tmp_path / f"{len(places)}.glb", made.data([{"attributes": {"POSITION": at}, "indices": made.add(SOME)}])
         )
+
+
+def test_a_glb_without_scenes_has_the_nodes_that_are_no_children(tmp_path: Path) -> None:
+    """As glTF permits; a child is placed once, by its parent."""
+    made = Glb()
+    part = {"attributes": {"POSITION": made.add(CORNERS.astype(np.float32))}, "indices": made.add(SOME)}
+    nodes = [{"mesh": 0, "scale": [0.5] * 3}, {"children": [0], "scale": [2.0] * 3}]
+    check_box(tmp_path / "a.glb", made.data([part], nodes=nodes, scenes=[]))
 
 
 def test_what_a_glb_has_besides_is_refused_by_name(tmp_path: Path) -> None:

@@ -49,6 +49,19 @@ def written(path: Path, body: str, option: str = "", **world: Any) -> Path:
     return scene
 
 
+def test_xml_that_mujoco_reads_is_read(tmp_path: Path) -> None:
+    """A prefix that nothing declares, as tools leave it in a URDF, and a comment with two hyphens."""
+    scene = written(tmp_path / "m.xml", '<!-- the robot\'s -- own -->\n<worldbody><geom size="1"/></worldbody>')
+    assert len(load_scene(scene).object) == 1
+    urdf = tmp_path / "m.urdf"
+    urdf.write_text(
+        '<robot name="r"><link name="a" drake:mass="1"><collision><geometry><sphere radius="1"/></geometry></collision>'
+        "</link><gazebo:plugin/></robot>"
+    )
+    scene.write_text(scene.read_text().replace("m.xml", "m.urdf"))
+    assert [thing.name for thing in load_scene(scene).object] == ["a"]
+
+
 def placed(thing: schema.Object) -> np.ndarray:
     """Return the vertices of a mesh (n, 3), in the world."""
     assert isinstance(thing, schema.Mesh)

@@ -10,6 +10,8 @@ import pytest
 import trimesh
 from helpers.called import called
 
+from softfinger.server.verbs.check import examine_file
+
 
 @pytest.mark.plain
 def test_check_tells_what_is_modelled_and_what_is_left_out() -> None:
@@ -146,6 +148,37 @@ def test_check_tells_how_geoms_are_taken(tmp_path: Path) -> None:
     assert every.returncode == 0, every.stderr
     assert re.search(r"11 of 11 geoms touched", every.stdout)
     assert re.search(r"map +3 x 2 pixels, .* heights 0 to 0\.05 m", every.stdout)
+
+
+@pytest.mark.plain
+def test_a_fault_does_not_hide_those_of_other_parts(tmp_path: Path) -> None:
+    """Files of objects, the model of a world, devices and recordings are checked in the same pass as the keys."""
+    files = {
+        "scene": """
+            fingertip = { radius_m = -1 }
+            world = { model = "none.xml" }
+            object = [{ name = "one", shape = "mehs", file = "one.stl", material = "wood" }]""",
+        "rig": """
+            servo = { rate_hz = 99 }
+            [devices.thumb]
+            driver = "seriall"
+            [devices.index]
+            driver = "replay"
+            recordin = "x"
+            [devices.middle]
+            driver = "replay"
+            recording = "none.csv\"""",
+    }
+    for name, text in files.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+    scene, rig = (examine_file(str(tmp_path / f"{name}.toml")).errors for name in files)
+    expected = {
+        "fingertip.radius_m = -1": scene, "'mehs'": scene, "one.stl: cannot be read": scene, "none.xml: cannot": scene,
+        "servo.rate_hz = 99": rig, "did you mean 'serial'": rig, "did you mean 'recording'": rig,
+        "recording is missing": rig, "devices.middle.recording: ": rig,
+    }  # fmt: skip
+    assert [part for part, errors in expected.items() if sum(part in error for error in errors) != 1] == []
+    assert len(scene) == 4 and len(rig) == 5
 
 
 @pytest.mark.plain

@@ -13,7 +13,7 @@ from softfinger.config.errors import CommandRefused
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
-from softfinger.server.wire.commands import Prompt
+from softfinger.server.wire.commands import Prompt, PromptScreen
 from softfinger.server.wire.protocol import EVENT
 
 pytestmark = pytest.mark.real_time
@@ -41,9 +41,11 @@ def test_a_question_is_shown_and_answered_once(client: Client) -> None:
         client.mark("begin")
         if (sample := events.receive(0.1)) is not None:
             told.append(sample.data)
-    asked = client.set_prompt("trial 3", "Which?", (2, 40), choices=("first", "second"))
+    screen = {"colour": "#3366cc", "image": "data:image/png;base64,AAAA", "masking_noise": "pink", "volume": 0.5}
+    asked = client.set_prompt("trial 3", "Which?", (2, 40), choices=("first", "second"), **screen)
     assert client.get_prompt() == asked and asked.open and asked.answer is None
-    assert asked.prompt == Prompt("trial 3", "Which?", 2, 40, ("first", "second"))
+    assert asked.prompt == Prompt("trial 3", "Which?", 2, 40, ("first", "second"), **screen)
+    assert PromptScreen.__annotations__.keys() == screen.keys() and Prompt.__struct_fields__[-4:] == tuple(screen)
     client.answer("second", asked.number)
     found = client.get_prompt()
     assert not found.open and found.answer == "second" and 0.0 < found.after_s < WAIT_S
@@ -83,7 +85,8 @@ def test_a_text_is_taken_and_not_published(client: Client) -> None:
         client.mark("begin")
         if (sample := events.receive(0.1)) is not None:
             told.append(sample.data)
-    asked = client.ask("set_prompt", Prompt("remarks", "Any?", text_length=12))
+    asked = client.set_prompt("remarks", "Any?", text_length=12)
+    assert asked.prompt == Prompt("remarks", "Any?", text_length=12)
     for value in ("", "   ", "x" * 13, 1.0):
         with pytest.raises(CommandRefused, match="bad_params"):
             client.ask("answer", {"value": value})

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from pathlib import Path
 
 import pytest
 
@@ -75,3 +76,19 @@ def test_an_object_stiffer_than_the_device_is_told(exponent, stiffness, caplog):
         caplog.clear()
         make_tuning(scene, schema.Guard(force_max_n=12.0), [dataclasses.replace(STRONG, stiffness_max_n_per_m=limit)])
         assert (f"'table' has {stiffness:.0f} N/m at the guard's 12 N" in caplog.text) == told
+
+
+def test_a_geom_that_fingers_pass_through_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A height field with oblong pixels; not a geom without a material or collisions, nor one with an object."""
+    model = tmp_path / "model.xml"
+    model.write_text(
+        '<mujoco><asset><hfield name="h" nrow="3" ncol="3" size="2 1 1 1"/></asset><worldbody>'
+        '<geom name="hills" type="hfield" hfield="h"/><geom name="own" type="hfield" hfield="h"/><geom size="1"/>'
+        '<geom size="1" contype="0" conaffinity="0"/></worldbody></mujoco>'
+    )
+    material = {"stiffness_n_per_m": 500.0}
+    own = {"name": "own", "shape": "plane", "material": material}
+    world = {"model": str(model), "geom": [{"name": name, "material": material} for name in ("hills", "own")]}
+    make_tuning(load_scene({"fingertip": {"radius_m": 0.01}, "world": world, "object": [own]}), RIG)
+    (said,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert said.startswith("fingers pass through geom 'hills': it is a height field with pixels of 2 m along x and 1 m")

@@ -86,7 +86,8 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
 def _placed(head: dict[str, Any]) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Yield each mesh of the scene and its matrix (4, 4)."""
     nodes = head.get("nodes", [])
-    scenes = head.get("scenes") or [{"nodes": range(len(nodes))}]
+    children = {int(child) for node in nodes for child in node.get("children", [])}
+    scenes = head.get("scenes") or [{"nodes": [number for number in range(len(nodes)) if number not in children]}]
     waiting = [(int(node), np.eye(4)) for node in scenes[head.get("scene", 0)].get("nodes", [])]
     seen = set[int]()
     while waiting:

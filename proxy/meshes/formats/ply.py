@@ -25,7 +25,7 @@ _KINDS: Final = {
 }
 _TYPES: Final = {name: kind for kind, names in _KINDS.items() for name in names}
 _ORDERS: Final = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_END: Final = re.compile(rb"\nend_header[ \t]*(?:\r\n|\n|\r)")
+_END: Final = re.compile(rb"[\r\n]end_header[ \t]*(?:\r\n|\n|\r)")
 _LISTS: Final = ("vertex_indices", "vertex_index")
 
 
@@ -60,13 +60,13 @@ def read(data: bytes) -> Faces:
     order, elements, body = _head(data)
     is_text = order == ""
     if is_text:  # from here on a text is a binary file of float64
-        body, order = numbers(body, np.float64).astype("<f8").tobytes(), "<"
+        body, order = numbers(body.rstrip(b"\0"), np.float64).astype("<f8").tobytes(), "<"
         elements = [each._replace(properties=[_as_float64(one) for one in each.properties]) for each in elements]
     at, tables, rows = 0, dict[str, Table](), dict[str, int]()
     for element in elements:
         rows[element.name] = element.rows
         tables[element.name], at = _rows(element, body, at, order)
-    if behind := body[at:].strip(b" \t\r\n"):
+    if behind := body[at:].strip(b"\0 \t\r\n"):
         rest = f"{(len(body) - at) // 8:,} numbers" if is_text else f"{len(behind):,} bytes"
         raise ValueError(f"has other rows than its head names: {rest} are left over")
     if not rows.get("vertex"):
@@ -195,4 +195,4 @@ def _corners(table: Table) -> Column:
 
 def _cut(row: Indices) -> list[Indices]:
     """Return the strips between the entries -1 of a row."""
-    return [part[part >= 0] for part in np.split(row, np.flatnonzero(row == -1))]
+    return [part[part != -1] for part in np.split(row, np.flatnonzero(row == -1))]

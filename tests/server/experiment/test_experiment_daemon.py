@@ -28,8 +28,8 @@ from softfinger.server import cli
 from softfinger.server.experiment.experiment import Experiment, RunOptions, results
 from softfinger.server.experiment.files import shipped
 from softfinger.server.experiment.haptics import START_TOLERANCE_M, Haptics, interpolate_path
+from softfinger.server.experiment.interfaces import Stimulus, TouchResult
 from softfinger.server.experiment.journal import read
-from softfinger.server.experiment.session import Stimulus, TouchResult
 from softfinger.server.loop.guard import DISARMED
 from softfinger.server.recording.run import Run, load_run
 from softfinger.server.remote import Client

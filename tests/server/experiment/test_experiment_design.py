@@ -12,8 +12,9 @@ from softfinger.config.errors import ConfigError
 from softfinger.server.experiment.design import conditions, plan_trials, williams
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.files import shipped
+from softfinger.server.experiment.interfaces import Progress
 from softfinger.server.experiment.schema import ExperimentFile
-from softfinger.server.experiment.session import Progress, number_blocks
+from softfinger.server.experiment.session import number_blocks
 
 pytestmark = pytest.mark.plain
 
@@ -90,6 +91,11 @@ def test_practice_comes_first() -> None:
         ({"task.reference": None}, "compare needs a reference"),
         ({"procedure.kind": "stair"}, "did you mean 'staircase'"),
         ({"procedure.levels": []}, "constant needs levels"),
+        ({"procedure.levels": 0.1}, "must be a list of 0 to 200 numbers above 0 and at most 1e"),
+        ({"procedure.start": 0.0}, "must be a number above 0 and at most 1e"),
+        ({"task.scale_ends": "soft"}, "must be a list of texts of 1 to 64 characters"),
+        ({"task.scale": [1]}, "must be a list of 2 integers, this has 1"),
+        ({"motion.fingertip": [[0.0, 0.0]]}, "must be a list of 4 numbers, this has 2"),
         ({"procedure.kind": "staircase", "procedure.start": 2.0}, "must be from smallest = 0.005"),
         ({"task.parameter": "object.table.material.stifness"}, "is not a key here"),
         ({"task.parameter": "object.chair.material.stiffness_n_per_m"}, "there is no object.chair"),

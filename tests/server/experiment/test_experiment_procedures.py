@@ -9,7 +9,7 @@ from scipy import stats
 from softfinger.server.experiment.analysis import format_fit, power_law, student_975
 from softfinger.server.experiment.procedures import GRID, QuestPlus, Staircase
 from softfinger.server.experiment.psychometric import QUANTILES, SLOPE, SLOPE_SD, SLOPES, fit, probability
-from softfinger.server.experiment.schema import Procedure
+from softfinger.server.experiment.schema_trials import Procedure
 
 pytestmark = pytest.mark.plain
 

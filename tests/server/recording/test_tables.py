@@ -73,6 +73,48 @@ def test_a_column_that_is_sometimes_empty_is_left_out(tmp_path: Path) -> None:
     assert read_table(file, Layout(("t", "x", "y", "z", "-"))).position[:, 2].tolist() == [0.01, 0.02, 0.03, 0.04]
 
 
+DECIMAL_COMMA = ("0,004 0,1 0,2 0,3", "0,005 0,1 0,2 0,3")
+
+
+@pytest.mark.parametrize(
+    ("text", "columns"),
+    [
+        ("foo\t0\t0\t0\t0.01\n\t0.1\t0\t0\t0.01\n", "-,t,x,y,z"),
+        ("0\t0\t0\t0.01\tfoo\n0.1\t0\t0\t0.01\t\n", "t,x,y,z,-"),
+        ('"a;b, c";0;0;0;0,01\n;0,1;0;0;0,01\n', "-,t,x,y,z"),
+        ("0;0;0;0,01\n0,1;0;0;0,01\n;;;\n", "t,x,y,z"),
+        ("0,0,0,.01\n0.1,0,0,1E-2\n,,,\n", "t,x,y,z"),
+        ("0,0,0,1e-2\n0.1,\N{MINUS SIGN}0,0,0.01\n", "t,x,y,z"),
+    ],
+)
+def test_dialects_of_spreadsheets(text: str, columns: str, tmp_path: Path) -> None:
+    """Empty cells at both ends of a line, a separator in a quoted text, empty rows, numbers without a zero."""
+    file, out = tmp_path / "theirs.csv", tmp_path / "poses.csv"
+    file.write_text(text, "utf-8")
+    assert main(["import", str(file), "--columns", columns, "--out", str(out)]) == 0
+    poses = load_poses(out)
+    assert poses.t.tolist() == [0.0, 0.1] and poses.position.tolist() == [[0.0, 0.0, 0.01]] * 2
+
+
+@pytest.mark.parametrize(
+    ("lines", "fault"),
+    [
+        ((*DECIMAL_COMMA, "0,006 0 0"), "line 3: 3 values where --columns has 4"),
+        (("0;0;0;0", "1,0,0,0"), "line 2: 1 value where --columns has 4"),
+        (("0 0 0 0", "1 0_2 0 0"), "column 'x': '0_2' is not a number; write a number such as"),
+        (("0|0|0|0",), "1 value where --columns has 4: separate them by commas, semicolons, tabs or blanks"),
+        (("0,0,0,1,0,0,0,2",), "8 values .*; decimal commas need semicolons, tabs or blanks"),
+        (("0;.;0;0",), r"'\.' is not a number"),
+    ],
+)
+def test_a_row_is_not_read_in_another_dialect(lines: tuple[str, ...], fault: str, tmp_path: Path) -> None:
+    """The first row sets the separator: a row that lost a value is not completed by splitting a decimal comma."""
+    file = tmp_path / "theirs.csv"
+    file.write_text("\n".join(lines))
+    with pytest.raises(RecordingError, match=fault):
+        read_table(file, Layout(("t", "x", "y", "z")))
+
+
 def test_an_empty_first_cell_is_no_remark(tmp_path: Path) -> None:
     """A line that begins with ; is skipped as a remark, but not if it has a cell for each column."""
     file = tmp_path / "theirs.csv"
@@ -126,6 +168,8 @@ def test_a_layout_that_makes_no_poses_is_refused(parts: tuple, fault: str) -> No
         (b"", "0 pose"),
         (b"0 0 0 0\n\xff 0 0 0\n", "line 2: not a text file"),
         ("0;0;0;0,01\n".encode("utf-16"), "is text in UTF-16: save it as UTF-8"),
+        ("0;0;0;0,01\n".encode("utf-32"), "is text in UTF-32: save it as UTF-8"),
+        ("0;0;0;0,01\n".encode("utf-16-le"), "is no text in UTF-8: save it as CSV in UTF-8"),
         (b"0 0 0 0\r1 0 0 0\r", "line 1: has carriage returns: save it with line feeds"),
         (b"0,0,0,0\n1,,0,0\n", "line 2, column 'x': the cell is empty: fill it, or delete the line$"),
         (b"0 0 0 0\n1 0 0 1e9\n", "outside"),

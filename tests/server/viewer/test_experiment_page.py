@@ -34,8 +34,11 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
     with session(tmp_path, STUDY) as run:
         assert run.waits("Which plate is stiffer?", "Your answers are stored without <b>your name</b>.")
         run.click("I agree")
-        assert run.waits("About you", "Which hand?")
+        assert run.waits("About you: question 1 of 2", "Which hand?")
         run.write("your answer", "the <b>left</b> one")
+        run.click("answer")
+        assert run.waits("About you: question 2 of 2", "How old?")
+        run.write("your number", "29")
         run.click("answer")
         assert run.waits("Which plate is stiffer?", "guess if you are not sure")
         with viewer("--endpoint", f"ipc://{tmp_path}/t", "--role", "watcher") as (_, address):
@@ -65,6 +68,8 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
         assert run.waits("How sure are you?")
         run.page.keyboard.press("4")
         assert run.waits("How hard was it?", "0: very low, 100: very high")
+        run.page.keyboard.press("5")  # of 50 or 95: it answers nothing
+        assert run.waits("How hard was it?")
         run.click("95")
         assert run.waits("A break", "2 of 4 trials are done.")
         run.page.keyboard.press("Enter")
@@ -83,7 +88,7 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
     assert [row["confidence"] for row in rows] == [3.0, 4.0, 1.0, 1.0]
     with (tmp_path / "out" / "surveys.csv").open() as file:
         surveys = [(row["question"], row["condition"], row["answer"]) for row in csv.DictReader(file)]
-    assert surveys == [("remark", "", "the <b>left</b> one"), ("effort", "0.0", "95.0")]
+    assert surveys == [("remark", "", "the <b>left</b> one"), ("age", "", "29.0"), ("effort", "0.0", "95.0")]
     own = tmp_path / "out" / "sub-01"
     files = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*") if path.is_file()}
     assert files == {
@@ -124,8 +129,16 @@ def test_a_rating_and_an_estimate_through_the_page(tmp_path: Path, through_chrom
 
 @pytest.mark.plain
 def test_each_choice_has_its_key() -> None:
-    """Two by their place, marks of a scale by their digit, the only one by Enter; beyond nine there is the button."""
+    """Two by their place, marks of a scale by their digit, the only one by Enter; beyond ten there is the button."""
     assert assign_keys(("first", "second")) == {"1": "first", "2": "second"}
     assert assign_keys(("3", "4", "5")) == {"3": "3", "4": "4", "5": "5"}
+    assert assign_keys(("0", "1", "2")) == {"0": "0", "1": "1", "2": "2"}
     assert assign_keys(("go on",)) == {"enter": "go on"}
-    assert len(assign_keys(tuple(f"choice {k}" for k in range(12)))) == 9
+    assert len(assign_keys(tuple(f"choice {k}" for k in range(12)))) == 10
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("marks", [range(0, 101, 5), range(1, 11), range(-3, 4)])
+def test_a_scale_with_longer_marks_has_no_keys(marks: range) -> None:
+    """The first key of 50 is 5, of 10 is 1, and the fifth mark of -3 to 3 is 1."""
+    assert assign_keys(tuple(map(str, marks))) == {}
