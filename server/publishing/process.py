@@ -1,6 +1,7 @@
 """Main loop of the publisher: a single thread that handles ticks first, then the daemon's messages, then peers.
 
-It ends with the daemon, on request, or by an abort in libzmq if a peer exhausts its memory.
+It ends with the daemon, on request, by an abort in libzmq if a peer exhausts its memory, or by SIGPROF if libzmq does
+not return. The daemon then starts it again.
 """
 
 from __future__ import annotations
@@ -39,6 +40,9 @@ KEY_CHECK_S: Final = 1.0
 """Interval of the check of the folders of keys."""
 MAX_BUSY_US: Final = 50_000
 KILL_US: Final = 1_000_000
+STUCK_S: Final = 0.5
+"""CPU time of one step after which the process ends. libzmq walks its tree of all topics for each connection that
+closes: after a flood of topics for up to a minute, in which no request to stop the force would be read."""
 RETRY_S: Final = 0.005
 """Interval of retries while the daemon does not read."""
 
@@ -97,6 +101,7 @@ class Publishing:
         poll, bell = self._poll(), self._rows.bell
         renewals, report_s, keys_s = self._renewals(), 0.0, time.monotonic() + KEY_CHECK_S
         while not self._ended:
+            limit_step()
             timeout_s = RETRY_S if self._channel.has_queued else PERIOD_S
             ready = {number for number, _ in poll.poll(timeout_s * 1000.0)}
             if bell in ready:
@@ -135,6 +140,7 @@ class Publishing:
     def _send_ticks(self) -> None:
         messages, latest, readers = self._messages, self._latest, self._readers
         for row in self._rows.take():
+            limit_step()
             for topic, body in messages.encode_row(row):
                 latest[topic] = body
                 for each in readers:
@@ -239,6 +245,11 @@ def request_priority(priority: int) -> bool:
     except OSError:  # for the reason reported for the servo
         return False
     return True
+
+
+def limit_step() -> None:
+    """Allow STUCK_S of CPU time until the next call; beyond that the system ends the process by SIGPROF."""
+    signal.setitimer(signal.ITIMER_PROF, STUCK_S)
 
 
 def drop_priority_when_busy() -> None:

@@ -23,6 +23,11 @@ TIMEOUT_S: Final = 5.0
 SCENE_TIMEOUT_S: Final = 300.0
 """A scene is compiled first, which takes half a minute, and longer on a busy machine."""
 
+RESEND_S: Final = 0.25
+RESENT: Final = ("disarm", "stop")
+"""Methods sent again after RESEND_S without an answer: a request is lost if the publisher process ends before it has
+read it, and these may be executed twice."""
+
 
 class NoAnswer(HapticError):
     """No answer arrived from an endpoint."""

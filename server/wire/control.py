@@ -26,6 +26,8 @@ from softfinger.config.errors import CommandRefused
 from softfinger.server.closing import Closeable
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.client_requests import (
+    RESEND_S,
+    RESENT,
     TIMEOUT_S,
     NoAnswer,
     R,
@@ -119,17 +121,19 @@ class Control(Closeable):
             self._check_answers(method)
         until = time.monotonic() + wait_s
         command_id, frames = encode_request(method, params, wait_s)
-        sent = False
-        while not sent and self._socket.poll(milliseconds(until - time.monotonic()), zmq.POLLOUT):
+        send_at = now = time.monotonic()
+        while now < until:
             # Sending is impossible if the peer is not a ROUTER or has left a thousand requests unanswered, and libzmq
             # may disconnect at any moment.
-            with contextlib.suppress(zmq.Again):
-                self._socket.send_multipart(frames, zmq.NOBLOCK)
-                sent = True
-        while sent and self._socket.poll(milliseconds(until - time.monotonic())):
-            answer = decode_answer(self._socket.recv_multipart())
-            if answer.get("command_id") == command_id:  # not a late answer to an earlier request
-                return result_of(answer, kind)
+            if now >= send_at and self._socket.poll(milliseconds(until - now), zmq.POLLOUT):
+                with contextlib.suppress(zmq.Again):
+                    self._socket.send_multipart(frames, zmq.NOBLOCK)
+                    send_at = now + RESEND_S if method in RESENT else until
+            elif self._socket.poll(milliseconds(min(send_at, until) - now)):
+                answer = decode_answer(self._socket.recv_multipart())
+                if answer.get("command_id") == command_id:  # not a late answer to an earlier request
+                    return result_of(answer, kind)
+            now = time.monotonic()
         raise no_answer(method, self.endpoint, wait_s)
 
     def _check_answers(self, method: str) -> None:
@@ -318,6 +322,8 @@ class AsyncControl:
         try:
             async with asyncio.timeout(milliseconds(wait_s) / 1000.0):
                 await self._socket.send_multipart(frames)  # waits as long as sending is impossible
+                while method in RESENT and not (await asyncio.wait([answer], timeout=RESEND_S))[0]:
+                    await self._socket.send_multipart(frames)
                 return result_of(await answer, kind)
         except TimeoutError:
             raise no_answer(method, self.endpoint, wait_s) from None

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import ctypes
+import os
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,8 +25,9 @@ from softfinger.drivers import registry
 from softfinger.server.app import Daemon
 from softfinger.server.publishing.brake import SHORT, takes_force_off
 from softfinger.server.services.commands import AT_ONCE, WAITING_MAX
+from softfinger.server.wire.client_requests import RESEND_S
 from softfinger.server.wire.commands import METHODS
-from softfinger.server.wire.control import Control
+from softfinger.server.wire.control import AsyncControl, Control
 
 WAIT_S = 120.0
 BEFORE = 12
@@ -159,6 +164,36 @@ def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path)
             assert daemon.wait(WAIT_S)
             assert len(list(other.answers())) < WAITING_MAX - 1
             other.close()
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("client", ["blocking", "asyncio"])
+def test_a_disarm_that_is_lost_is_sent_again(client, monkeypatch, tmp_path):
+    """The publisher process receives it and is killed before it reads it. The device is given zero from the next one
+    on, and the client has its answer."""
+
+    async def disarm_in_task() -> Any:
+        async with AsyncControl(endpoint, WAIT_S) as control:
+            await control.get_state()
+            stall()
+            return await control.disarm()
+
+    def stall() -> None:
+        os.kill(pid, signal.SIGSTOP)
+        threading.Timer(2.0 * RESEND_S, os.kill, (pid, signal.SIGKILL)).start()
+
+    with running(monkeypatch, tmp_path) as (daemon, device):
+        endpoint, pid = str(daemon.commands_endpoint), daemon.publisher.pid
+        assert eventually(lambda: forced(device))
+        if client == "asyncio":
+            armed = asyncio.run(disarm_in_task())
+        else:
+            with Control(endpoint, WAIT_S) as control:
+                control.get_state()
+                stall()
+                armed = control.disarm()
+        assert armed.armed is False and daemon.publisher.pid != pid
+        assert eventually(lambda: not forced(device))
 
 
 HOLD = ctypes.PyDLL(None).usleep

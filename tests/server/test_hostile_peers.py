@@ -99,6 +99,7 @@ def attack(step):
         except OSError:
             pass
 
+sys.stdin.readline()
 END = time.monotonic() + float(sys.argv[2])
 kept = []
 """
@@ -258,9 +259,13 @@ TOGETHER = {
         "no ZMTP",
         "pings, and never reading",
         "a handshake byte by byte",
+    ),
+    "by how many they are": (
+        "connections that say nothing",
+        "subscribers to nothing",
+        "subscribers who never read",
         "connect and go",
     ),
-    "by how many they are": ("connections that say nothing", "subscribers to nothing", "subscribers who never read"),
 }
 """Every attack, those beside each other that leave room for each other: what is promised is promised against all."""
 WITHSTOOD = (
@@ -308,9 +313,12 @@ def attacked(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
             with ExitStack() as ends:
                 peers = []
                 for name in names:
-                    peers.append(subprocess.Popen([sys.executable, "-c", PEER + ATTACKS[name], bound, "120"]))
+                    program = [sys.executable, "-c", PEER + ATTACKS[name], bound, "120"]
+                    peers.append(subprocess.Popen(program, stdin=subprocess.PIPE))
                     ends.callback(peers[-1].wait)
                     ends.callback(peers[-1].kill)
+                for peer in peers:  # at once: those that have begun would slow the start of the others
+                    peer.stdin.close()
                 local.take(0.0)
                 missing = read_on(local, healthy, seconds)
                 assert all(peer.poll() is None for peer in peers), "an attack was over"
@@ -417,7 +425,9 @@ def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Pa
         never_read = [sys.executable, "-c", PEER + ATTACKS["subscribers who never read"], bound, "60"]
         with (
             Program(words, stdout=subprocess.PIPE, text=True) as stopped,
-            Program(never_read, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as silent,
+            Program(
+                never_read, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            ) as silent,
             Subscription(bound, ("contact",)) as watching,
         ):
             try:
@@ -448,6 +458,7 @@ def test_the_daemon_ends_while_a_subscriber_is_stopped() -> None:
             Program([sys.executable, "-c", STOPPED, bound], stdout=subprocess.PIPE, text=True) as stopped,
             Program(
                 [sys.executable, "-c", PEER + ATTACKS["subscribers who never read"], bound, "60"],
+                stdin=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             ) as silent,
         ):

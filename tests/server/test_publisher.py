@@ -380,3 +380,10 @@ def test_readers_of_a_broadcast_see_no_torn_row_and_count_what_they_miss():
     writer.join()
     assert [taken[i] + int(place.lost[0]) for i, place in enumerate(places)] == [count, count]
     assert all(place.lost[0] > 0 for place in places)  # they were overtaken: the test was one
+
+
+def test_a_publisher_that_is_stuck_in_one_step_ends():
+    """The system ends it after STUCK_S of CPU time, however long it would take."""
+    program = "from softfinger.server.publishing.process import limit_step\nlimit_step()\nwhile True: pass"
+    done = subprocess.run([sys.executable, "-c", program], check=False, timeout=120.0)
+    assert done.returncode == -signal.SIGPROF
