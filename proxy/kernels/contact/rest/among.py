@@ -42,6 +42,7 @@ from softfinger.proxy.kernels.query.objects import (
     constraint_of,
     deepest,
     is_inside,
+    is_world_plane,
     neighbour_on,
     normal_law_of,
 )
@@ -363,6 +364,9 @@ def project_until_rest(
         is_inside(objects, one.body), is_inside(objects, two.body), is_inside(objects, three.body)
     )  # fmt: skip
     hollow = inside1 or inside2 or inside3
+    flat = (
+        is_world_plane(objects, one.body) and is_world_plane(objects, two.body) and is_world_plane(objects, three.body)
+    )
     p1, p2, p3 = 0.0, 0.0, 0.0
     for turn in range(rounds):
         at = linearisation_point(inside1, center, base, p2, n2, p3, n3)
@@ -392,7 +396,7 @@ def project_until_rest(
         moved = vec3.add(base, displacement(solution.place, n1, n2, n3))
         step = vec3.sub(moved, center)
         center = moved
-        square = vec3.dot(step, step)
+        square = 0.0 if flat else vec3.dot(step, step)  # planes do not turn: the solution is exact
         if square <= near:
             break
     held = (
