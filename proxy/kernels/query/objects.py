@@ -25,7 +25,7 @@ from softfinger.proxy.kernels.shapes import (
     curvature,
     is_hollow,
 )
-from softfinger.proxy.kernels.shapes.composite import Deepest, has_creases, nearest_of_shape, neighbour_of, raised_clear
+from softfinger.proxy.kernels.shapes.composite import Deepest, has_creases, nearest_of_shape, neighbour_of
 from softfinger.proxy.kernels.shapes.plane import closest_on_plane
 
 NOBODY: Vec3 = (-1.0, -1.0, -1.0)
@@ -198,10 +198,3 @@ def facets_of_mesh(search: Any, row: int, known: Vec3) -> Vec3:
 @jit
 def facet_in(row: int, index: float) -> float:
     return facet_of(index) if index >= 0.0 and row_of(index) == row else -1.0
-
-
-@jit
-def raised_clear_of(objects: Any, index: float, center: Vec3, radius: float) -> Vec3:
-    """Return `raised_clear` of object `index` in the world frame."""
-    body = object_at(objects, index)
-    return out_of(body.pose, raised_clear(body.shape, into(body.pose, center), radius))

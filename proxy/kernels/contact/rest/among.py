@@ -313,17 +313,8 @@ def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Acti
         if beyond == active[0].body:
             break
         active = one_constraint(beyond, active[0].normal, 0.0)
-        goal, active = relax(objects, radius, probe, goal, active, 1)
+        goal, active, _ = relaxed(objects, radius, probe, goal, active, 1, BUDGET)
     return goal, active
-
-
-@jit
-def relax(
-    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int
-) -> tuple[Vec3, ActiveSet]:
-    """Return `relaxed` without the budget, if it is known to need little of it."""
-    center, active, _ = relaxed(objects, radius, base, center, active, rounds, BUDGET)
-    return center, active
 
 
 @jit
