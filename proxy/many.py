@@ -64,7 +64,7 @@ def _needs(objects: list[model.Object], fingers: tuple[model.Finger, ...], rolli
 
 
 def _entry(thing: model.Object, needs: frozenset[int]) -> model.Entry:
-    shape = any_shape(thing.shape, needs)
+    shape = any_shape(thing.shape, thing.pose, needs)
     return model.Entry(shape, _pose(thing.pose), _motion(thing.motion), thing.material.normal, thing.number)
 
 

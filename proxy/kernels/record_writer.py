@@ -53,14 +53,8 @@ def write_contact(
     row[AT.contact_patch_radius] = contact.patch_radius
     put3(row, AT.contact_patch_normal, contact.patch_normal)
     put3(row, AT.contact_patch_stretch, contact.patch_stretch)
-    write_each_contact(contact.contacts, row)
     row[AT.contact_budget] = contact.budget
-
-
-@jit
-def write_each_contact(contacts: Any, row: Any) -> None:
-    """Fill the fields of each contact in a record (RECORD_SIZE,)."""
-    one, two, three = padded(contacts, NO_OUTCOME, 3)
+    one, two, three = padded(contact.contacts, NO_OUTCOME, 3)
     write_outcome(row, AT.contacts0_object, one)
     write_outcome(row, AT.contacts1_object, two)
     write_outcome(row, AT.contacts2_object, three)

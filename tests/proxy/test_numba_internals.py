@@ -70,6 +70,19 @@ def test_what_is_forced_inline_is_not_called() -> None:
     assert len(defined) == 1
 
 
+def test_a_literal_argument_compiles_no_further_kernel() -> None:
+    """`get_call_template`: numba would compile a kernel for each literal, and again for a variable."""
+
+    @decorators.jit
+    def add(x: float, n: int) -> float:
+        return x + n
+
+    kernel: Any = add
+    caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, n: kernel(x, n) + kernel(x, 2) + kernel(x, n=3))
+    assert caller(1.0, 1) == 9.0
+    assert [each.args for each in kernel.dispatcher.nopython_signatures] == [(types.float64, types.int64)]
+
+
 def test_what_is_compiled_into_its_callers_has_no_machine_code(tmp_path: Any) -> None:
     """`JITCodeLibrary`, `CompilerBase`: callers compute with it, whether it is compiled or comes from a file."""
 

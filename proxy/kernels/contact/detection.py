@@ -72,15 +72,12 @@ class Meeting(NamedTuple):
 
 
 @jit
-def first_rest(objects: Any, radius: float, position: Vec3, met: Vec3, active: ActiveSet) -> Vec3:
-    """Return the initial proxy (3,) m of a contact that was detected with the proxy at `met`."""
-    body = object_at(objects, active[0].body)
-    return rest_above_probe(body, radius, position, met, active[0])
+def first_rest(objects: Any, radius: float, position: Vec3, met: Vec3, constraint: Constraint) -> Vec3:
+    """Return the initial proxy (3,) m of a contact that was detected with the proxy at `met`.
 
-
-@jit
-def rest_above_probe(body: Any, radius: float, position: Vec3, met: Vec3, constraint: Constraint) -> Vec3:
-    """Return the proxy over the probe, at the depth along the normal; `met` if `follows` is False for that position."""
+    It is over the probe, at the depth along the normal; `met` if `follows` is False for that position.
+    """
+    body = object_at(objects, constraint.body)
     over = vec3.add(position, vec3.scale(constraint.depth, constraint.normal))
     return over if follows_on(body, radius, OffsetPoint(met, constraint.normal), over) else met
 
@@ -193,7 +190,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
             active, center = nothing, position  # the contact just released, up to rounding
     place, over = center, active[0].body >= 0.0 and exact
     if over:
-        place = first_rest(objects, radius, position, center, active)
+        place = first_rest(objects, radius, position, center, active[0])
     if len(state.contacts) > 1 and any_creases(objects) and state.started != 0.0 and active[0].body >= 0.0:
         center = met  # the gap is only a bound if the search of a height map did not finish
     if not any_moves(objects):

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.model import NONE, Vec3
 from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.frames import into, out_of
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import (
     SINGLE_POINT,
     WITH_MESH,
@@ -16,9 +18,9 @@ from softfinger.proxy.kernels.query.kinds import (
     by_multipoint,
     has_creases_at,
 )
-from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest, raised_clear_of
+from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, ROOM
-from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
+from softfinger.proxy.kernels.shapes.composite import EVERYWHERE, raised_clear
 
 GRAZE = 1e-4
 """Overlap with a mesh, as a share of the radius, that counts as clear if the nearest triangle cannot be found: larger
@@ -88,7 +90,8 @@ def raised(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3
 
 @raised.otherwise
 def raise_off_object(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
-    return raised_clear_of(objects, index, center, radius), True
+    body = object_at(objects, index)
+    return out_of(body.pose, raised_clear(body.shape, into(body.pose, center), radius)), True
 
 
 @raised.of(WITH_MESH)

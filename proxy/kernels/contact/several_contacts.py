@@ -88,15 +88,6 @@ def nothing_approached(probe: Probe) -> Approach:
 
 
 @jit
-def continue_single(
-    scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float
-) -> Approach:
-    """Continue the only contact of the last tick on its object."""
-    index = state.contacts[0].body
-    return continue_contact(scene, finger, object_at(objects, index), index, state, probe, dt)
-
-
-@jit
 def is_clear_of_others(
     objects: Any, radius: float, start: Vec3, center: Vec3, index: float, budget: int, room: float
 ) -> bool:
@@ -138,7 +129,9 @@ def approach_among_several(
         single = is_single(state, finger.radius)
         approach = nothing_approached(motion.probe)
         if single:
-            approach = continue_single(scene, finger, shapes, state, motion.probe, motion.dt)
+            index = state.contacts[0].body
+            body = object_at(shapes, index)
+            approach = continue_contact(scene, finger, body, index, state, motion.probe, motion.dt)
             single = rolls_clear_of_others(shapes, finger.radius, approach)
         if not single:
             approach = continue_several(scene, objects, shapes, finger.radius, state, motion)

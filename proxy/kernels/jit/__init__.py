@@ -1,4 +1,14 @@
 """Compilation of kernels by numba: options, cache, dispatch, memory, arrays, atomics, sequence lock, C calls.
 
-Nothing of geometry or contact.
+Nothing of geometry or contact. A kernel has one of these decorators:
+
+    @jit                   called by kernels, compiled into them
+    @entry                 called from Python
+    @outlined              called by kernels, by address: too large to be compiled into each of them
+    @outlined_where(holds) outlined for some types of arguments, otherwise as @jit
+    @c_function(signature) called by a C library, or by address
+    @by_type               declares a kernel chosen by the type of its first argument: `.of(Kind)` implements it
+    @by_type_of(field)     the same, by the type of a field of the first argument
+
+Other choices, as those of `query/kinds.py`, are functions that call `chosen_by`.
 """

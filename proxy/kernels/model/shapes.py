@@ -148,7 +148,7 @@ class AnyShape(NamedTuple):
     kernels   addresses of the kernels of its kind (`shapes.any_shape`)
     facet     index of the triangle of a mesh that is meant, 0 for other shapes
     side      -1 if it is touched from inside, else 1
-    surface   SMOOTH, FACETED for a mesh, CREASED for a height map, FLAT for a plane
+    surface   SMOOTH, FACETED for a mesh, CREASED for a height map, FLAT or WORLD_PLANE for a plane
     reach  m  radius of a ball about the origin of its frame that contains it; inf if none does
     """
 
@@ -160,8 +160,9 @@ class AnyShape(NamedTuple):
     reach: float
 
 
-SMOOTH, FACETED, CREASED, FLAT = 0.0, 1.0, 2.0, 3.0
-"""Surfaces of `AnyShape`: touched in one point, made of triangles, touched in several points as one body, a plane."""
+SMOOTH, FACETED, CREASED, FLAT, WORLD_PLANE = 0.0, 1.0, 2.0, 3.0, 4.0
+"""Surfaces of `AnyShape`: touched in one point, made of triangles, touched in several points as one body, a plane, a
+plane whose frame is the world's."""
 
 
 class Facet(NamedTuple):

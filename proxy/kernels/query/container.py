@@ -15,18 +15,21 @@ from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import (
     STILL,
+    WORLD_PLANE,
     AnyShape,
     Entry,
     Many,
     Material,
     MinkowskiSum,
     Object,
+    Plane,
     Pose,
     Single,
     Tip,
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.shapes.any_shape import plane_of
 from softfinger.proxy.kernels.shapes.composite import element_of_shape
 
 ENTRIES: Final = 1 << 16
@@ -34,6 +37,8 @@ ENTRIES: Final = 1 << 16
 MEMORY: Final = 16
 """Numbers in the World's memory for one object: its poses of this tick and the last, and the time of the write."""
 AT_TIME: Final = 14
+NO_PLANE: Final = Plane((0.0, 0.0, 1.0), 0.0)
+"""Placeholder in the result of `world_plane`."""
 ROUNDING: Final = 1.0 + 1e-9
 """Factor on a squared distance that covers its rounding."""
 
@@ -64,6 +69,41 @@ def one_of_many(objects: Many, index: float) -> Object:
         was=was,
         texture=texture_of_row(objects.textures, row),
     )
+
+
+@by_type
+def world_plane(objects: Any, index: float) -> Any:
+    """Return True and its Plane if object `index` of many is a plane at rest, otherwise False.
+
+    Such a plane is in the world frame, and its queries need no pose. The compiler knows that of a single object.
+    """
+
+
+@world_plane.of(Single)
+def not_of_many(objects: Single, index: float) -> tuple[bool, Plane]:
+    return False, NO_PLANE
+
+
+@world_plane.of(Many)
+def plane_of_many(objects: Many, index: float) -> tuple[bool, Plane]:
+    return plane_under(objects.tip, objects.entries[row_of(index)].shape)
+
+
+@by_type
+def plane_under(tip: Any, shape: AnyShape) -> Any:
+    """Return `world_plane`; an ellipsoidal fingertip touches Minkowski sums, not planes."""
+
+
+@plane_under.of(None)
+def plane_under_ball(tip: None, shape: AnyShape) -> tuple[bool, Plane]:
+    if shape.surface == WORLD_PLANE:
+        return True, plane_of(shape)
+    return False, NO_PLANE
+
+
+@plane_under.of(Tip)
+def no_plane_under_ellipsoid(tip: Tip, shape: AnyShape) -> tuple[bool, Plane]:
+    return False, NO_PLANE
 
 
 @jit

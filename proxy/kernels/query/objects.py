@@ -7,7 +7,15 @@ from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Many, Material, Single, Smooth, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
-from softfinger.proxy.kernels.query.container import ENTRIES, facet_of, facet_step, is_beyond, object_at, row_of
+from softfinger.proxy.kernels.query.container import (
+    ENTRIES,
+    facet_of,
+    facet_step,
+    is_beyond,
+    object_at,
+    row_of,
+    world_plane,
+)
 from softfinger.proxy.kernels.shapes import (
     bend,
     closest,
@@ -17,7 +25,8 @@ from softfinger.proxy.kernels.shapes import (
     curvature,
     is_hollow,
 )
-from softfinger.proxy.kernels.shapes.composite import Deepest, has_creases, nearest_of_shape, neighbour_of, raised_clear
+from softfinger.proxy.kernels.shapes.composite import Deepest, has_creases, nearest_of_shape, neighbour_of
+from softfinger.proxy.kernels.shapes.plane import closest_on_plane
 
 NOBODY: Vec3 = (-1.0, -1.0, -1.0)
 """Three indices of no object."""
@@ -45,6 +54,10 @@ def closest_or_bound_on(body: Any, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
 @jit
 def closest_to_within(objects: Any, index: float, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """Return `closest_within` of object `index` in the world frame."""
+    is_plane, plane = world_plane(objects, index)
+    if is_plane:
+        gap, foot, up = closest_on_plane(plane, x)
+        return gap, foot, up, budget
     body = object_at(objects, index)
     gap, foot, up, budget = closest_within(body.shape, into(body.pose, x), budget)
     return gap, out_of(body.pose, foot), turn_out_of(body.pose, up), budget
@@ -55,6 +68,10 @@ def constraint_of(
     objects: Any, index: float, center: Vec3, radius: float, normal: Vec3, budget: int
 ) -> tuple[Vec3, Vec3, int]:
     """Return `constraint_at` of object `index` in the world frame."""
+    is_plane, plane = world_plane(objects, index)
+    if is_plane:
+        _, foot, up = closest_on_plane(plane, center)
+        return foot, up, budget
     body = object_at(objects, index)
     pose = body.pose
     foot, up, budget = constraint_at(body.shape, into(pose, center), radius, turn_into(pose, normal), budget)
@@ -86,6 +103,13 @@ def is_inside(objects: Any, index: float) -> bool:
 
 
 @jit
+def is_world_plane(objects: Any, index: float) -> bool:
+    """Return True if object `index` is a plane at rest, or none."""
+    is_plane, _ = world_plane(objects, index)
+    return is_plane or index < 0.0
+
+
+@jit
 def slides_round_hollow(body: Any, radius: float, center: Vec3, normal: Vec3, theta: float) -> bool:
     """Return True if a roll by `theta` rad moves the contact too far round a hollow to roll there.
 
@@ -100,8 +124,11 @@ def slides_round_hollow(body: Any, radius: float, center: Vec3, normal: Vec3, th
 def curvature_of(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     """Return `curvature` of object `index` in the world frame.
 
-    0 for a height map, which may be touched on both sides of a valley at once.
+    0 for a plane, and for a height map, which may be touched on both sides of a valley at once.
     """
+    is_plane, _ = world_plane(objects, index)
+    if is_plane:
+        return 0.0, 0.0, normal
     body = object_at(objects, index)
     if has_creases(body.shape) != 0.0:
         return 0.0, 0.0, normal
@@ -140,11 +167,14 @@ def deepest_of_one(objects: Single, x: Vec3, within: float, known: Vec3, budget:
 def deepest_of_many(objects: Many, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
     smallest, index = NOWHERE, -1.0
     for row in range(int(objects.size)):
-        if is_beyond(objects, row, x, min(within, smallest)):
-            continue
-        body = object_at(objects, float(row))
-        facets = facets_of(objects.search, row, known)
-        gap, facet, budget = nearest_of_shape(body.shape, into(body.pose, x), within, facets, budget)
+        gap, facet = NOWHERE, 0.0
+        is_plane, plane = world_plane(objects, float(row))
+        if is_plane:
+            gap, _, _ = closest_on_plane(plane, x)
+        elif not is_beyond(objects, row, x, min(within, smallest)):
+            body = object_at(objects, float(row))
+            facets = facets_of(objects.search, row, known)
+            gap, facet, budget = nearest_of_shape(body.shape, into(body.pose, x), within, facets, budget)
         if gap < smallest:
             smallest, index = gap, row + ENTRIES * facet
     return Deepest(smallest, index, budget)
@@ -168,10 +198,3 @@ def facets_of_mesh(search: Any, row: int, known: Vec3) -> Vec3:
 @jit
 def facet_in(row: int, index: float) -> float:
     return facet_of(index) if index >= 0.0 and row_of(index) == row else -1.0
-
-
-@jit
-def raised_clear_of(objects: Any, index: float, center: Vec3, radius: float) -> Vec3:
-    """Return `raised_clear` of object `index` in the world frame."""
-    body = object_at(objects, index)
-    return out_of(body.pose, raised_clear(body.shape, into(body.pose, center), radius))

@@ -19,6 +19,7 @@ from softfinger.proxy.kernels.model import (
     FACETED,
     FLAT,
     SMOOTH,
+    WORLD_PLANE,
     AnyShape,
     Box,
     CappedCylinder,
@@ -122,10 +123,11 @@ SLOTS.update(
 )
 
 
-def any_shape(shape: Any, needs: frozenset[int]) -> AnyShape:
-    """Return a shape as one whose kind is data."""
+def any_shape(shape: Any, pose: Any, needs: frozenset[int]) -> AnyShape:
+    """Return a shape as one whose kind is data; its pose is None in the world frame."""
     kind = type(shape)
-    surface = {Mesh: FACETED, Heightmap: CREASED, Plane: FLAT}.get(kind, SMOOTH)
+    plane = WORLD_PLANE if pose is None else FLAT
+    surface = {Mesh: FACETED, Heightmap: CREASED, Plane: plane}.get(kind, SMOOTH)
     side = float(shape.side) if is_two_sided(shape) else 1.0
     return AnyShape(ShapeRow([shape]), kernel_table(shape, needs), 0.0, side, surface, reach_of(shape))
 
@@ -144,7 +146,7 @@ plane_of: Any = (lambda shape: shape.sizes[0]) if PLAIN else jit(_plane_of)
 
 @closest.of(AnyShape)
 def closest_on_any(shape: AnyShape, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    if shape.surface == FLAT:
+    if shape.surface >= FLAT:
         return closest_on_plane(plane_of(shape), x)
     return called(shape, CLOSEST, FOOT, (x,))
 
@@ -190,7 +192,7 @@ def constraint_of_any(
 
 @transport.of(AnyShape)
 def transport_on_any(shape: AnyShape, v: Vec3, normal_from: Vec3, normal_to: Vec3) -> Vec3:
-    if shape.surface == FLAT:
+    if shape.surface >= FLAT:
         return v
     if shape.kernels[TRANSPORT] != 0:
         return called(shape, TRANSPORT, ZERO, (v, normal_from, normal_to))
@@ -219,7 +221,7 @@ def follows_on_any(shape: AnyShape, radius: float, start: Vec3, normal: Vec3, en
 
 @travel.of(AnyShape)
 def travel_to_any(shape: AnyShape, start: Vec3, end: Vec3, radius: float, leaves: bool) -> float:
-    if shape.surface == FLAT:
+    if shape.surface >= FLAT:
         return travel_to_plane(plane_of(shape), start, end, radius, leaves)
     if shape.kernels[TRAVEL] != 0:
         return called(shape, TRAVEL, 0.0, (start, end, radius, leaves))

@@ -49,7 +49,7 @@ def settle_on_one(
 def rest_on_any(
     shape: AnyShape, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
-    if shape.surface == FLAT:
+    if shape.surface >= FLAT:
         return rest_on_plane(shape, pose, radius, probe, center, deflection, normal)
     if shape.kernels[REST] != 0:
         return called(shape, REST, NO_REST, (pose, radius, probe, center, deflection, normal))

@@ -42,6 +42,7 @@ from softfinger.proxy.kernels.query.objects import (
     constraint_of,
     deepest,
     is_inside,
+    is_world_plane,
     neighbour_on,
     normal_law_of,
 )
@@ -312,17 +313,8 @@ def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Acti
         if beyond == active[0].body:
             break
         active = one_constraint(beyond, active[0].normal, 0.0)
-        goal, active = relax(objects, radius, probe, goal, active, 1)
+        goal, active, _ = relaxed(objects, radius, probe, goal, active, 1, BUDGET)
     return goal, active
-
-
-@jit
-def relax(
-    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int
-) -> tuple[Vec3, ActiveSet]:
-    """Return `relaxed` without the budget, if it is known to need little of it."""
-    center, active, _ = relaxed(objects, radius, base, center, active, rounds, BUDGET)
-    return center, active
 
 
 @jit
@@ -363,6 +355,9 @@ def project_until_rest(
         is_inside(objects, one.body), is_inside(objects, two.body), is_inside(objects, three.body)
     )  # fmt: skip
     hollow = inside1 or inside2 or inside3
+    flat = (
+        is_world_plane(objects, one.body) and is_world_plane(objects, two.body) and is_world_plane(objects, three.body)
+    )
     p1, p2, p3 = 0.0, 0.0, 0.0
     for turn in range(rounds):
         at = linearisation_point(inside1, center, base, p2, n2, p3, n3)
@@ -392,7 +387,7 @@ def project_until_rest(
         moved = vec3.add(base, displacement(solution.place, n1, n2, n3))
         step = vec3.sub(moved, center)
         center = moved
-        square = vec3.dot(step, step)
+        square = 0.0 if flat else vec3.dot(step, step)  # planes do not turn: the solution is exact
         if square <= near:
             break
     held = (
