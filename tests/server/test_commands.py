@@ -318,7 +318,7 @@ def test_several_fingers_are_commanded_together(rig):
         ),
         ("set_params", {"finger.thumb.radius_m": 0.01, "finger.0.radius_m": 0.01}, "given twice"),
         ("set_scene", {"scene": "sphere"}, "take a rig with [device]"),
-        ("set_scene", {"scene": swapped}, "(index, thumb) are not those of the running one (thumb, index)"),
+        ("set_scene", {"scene": swapped}, "(index, thumb) differ from the running ones (thumb, index)"),
     ]
     with running(two_devices(device, device, guard=describe(rig())["guard"]), scene) as (_, control, kept):
 
