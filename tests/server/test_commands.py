@@ -291,7 +291,7 @@ def test_who_names_a_daemon_by_its_telemetry_commands_that_one(rig, tmp_path):
     with on("one", "elsewhere") as (_, _, one), on("other", "one.commands") as (_, _, other):
         with (
             RemoteClient(f"ipc://{tmp_path}/one", timeout_s=WAIT_S) as client,
-            pytest.raises(ConfigError, match=r"telemetry is on ipc://.*/other, and not on .*/one: name its commands"),
+            pytest.raises(ConfigError, match=r"telemetry on ipc://.*/other, not on .*/one: give its command endpoint"),
         ):
             client.disarm()
         assert one.force_n > 0.0 and other.force_n > 0.0
