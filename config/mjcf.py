@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.arrays.grids import Grid
 from softfinger.config.errors import ConfigError
-from softfinger.config.files import read_input
 from softfinger.config.mjcf_files import check_flexes, check_place, place_files
-from softfinger.config.mjcf_size import SIZE_MAX, check_files
+from softfinger.config.mjcf_size import check_files, read_text
 from softfinger.config.urdf import complete, is_urdf
 
 if TYPE_CHECKING:
@@ -109,11 +108,7 @@ def compiled(path: str, root: str | None = None) -> Compiled:
 
 def _compile(path: str, root: str | None) -> Compiled:
     package, name = mujoco_module(), repr(path)[1:-1]
-    try:
-        text = read_input(path, SIZE_MAX).decode("utf-8-sig")
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise ConfigError(f"world.model {name}: cannot be read: {reason}") from error
+    text = read_text(path, name)
     home = Path(os.path.realpath(Path(path).parent if root is None else root))
     names = check_files(text, Path(path), name, home)
     path = os.path.abspath(path)  # MuJoCo puts a relative one in front of files of included models

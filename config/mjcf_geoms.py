@@ -52,7 +52,7 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
 
 
 def taken(world: schema.World) -> Iterator[Taken]:
-    """Convert each geom of the model, in their order. Raises ConfigError for an unusable model."""
+    """Convert each geom of the model, in their order, then its flexes. Raises ConfigError for an unusable model."""
     package = mujoco_module()
     spec, model, _ = compiled(world.model, world.root)
     data = package.MjData(model)
@@ -70,6 +70,10 @@ def taken(world: schema.World) -> Iterator[Taken]:
         if geom.meshname and model.geom_type[geom.id] == package.mjtGeom.mjGEOM_MESH:
             _check_groups(name, spec, int(model.geom_dataid[geom.id]))
         yield _object(name, geom.id, world, material, model, data)
+    for number in range(model.nflex):
+        if model.flex_contype[number] or model.flex_conaffinity[number]:
+            name = package.mj_id2name(model, package.mjtObj.mjOBJ_FLEX, number) or f"flex-{number}"
+            yield Taken(name, None, "is a flexible body, which fingers do not touch", is_lost=True)
 
 
 def lost(scene: schema.Scene) -> list[Taken]:

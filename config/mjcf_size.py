@@ -10,16 +10,15 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 from xml.parsers import expat
 
-from softfinger.config import limits
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
+from softfinger.config.mjcf_bounds import check_numbers, product
 from softfinger.config.mjcf_files import check_place
 
 COMMENT: Final = re.compile(r"""<!--(?:[^<>"']|(?<=\w)'(?=\w))*-->""")
@@ -36,43 +35,8 @@ CHUNK: Final = 1 << 15
 """Characters parsed at a time, which takes a millisecond."""
 DEPTH_MAX: Final = 8
 """Deepest nesting of models attached to models."""
-PARSED: Final = ("include", "model")
-"""Elements whose files are XML."""
 ROWS_PER_BYTE: Final = 1 / 50
 """Vertices per byte of a mesh file, at most, in the usual notation."""
-
-
-class Bound(NamedTuple):
-    """Largest product of the values of some attributes."""
-
-    attributes: tuple[str, ...]
-    most: int
-
-
-PIXELS: Final = 1 << 24
-USERS: Final = ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
-TEXT: Final = 1 << 20
-BOUNDS: Final[Mapping[str, tuple[Bound, ...]]] = {
-    "hfield": (Bound(("nrow", "ncol"), int(limits.GRID_VALUES.high)),),
-    "texture": (Bound(("width", "height"), PIXELS), Bound(("width", "width"), PIXELS)),
-    "flexcomp": (Bound(("count",), 16_000), Bound(("cellcount",), 1000)),
-    "flex": (Bound(("cellcount",), 1000),),
-    "user": (Bound(("dim",), 1_000_000),),
-    "camera": (Bound(("resolution",), 1 << 22),),  # a rangefinder has a value for each pixel
-    "size": tuple(
-        Bound((name,), most)
-        for name, most in (
-            *(
-                (f"nuser_{each}", 1000)
-                for each in ["body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor"]
-            ),
-            ("nuserdata", 1 << 20),
-            ("nkey", 1000),
-        )
-    ),
-}
-LISTS: Final = ("vertex", "normal", "texcoord", "face", "point", "element", "elevation")
-"""Attributes that are lists of numbers."""
 
 
 class Names(NamedTuple):
@@ -88,6 +52,17 @@ class Names(NamedTuple):
     folders: set[str]
     flexes: set[str]
     attaches: list[str]
+
+
+def read_text(path: str | Path, name: str) -> str:
+    """Return the text of a model's file; in comments, other encodings than UTF-8 are permitted.
+
+    Raises ConfigError if it is no regular file or too large.
+    """
+    try:
+        return read_input(path, SIZE_MAX).decode("utf-8", errors="replace").removeprefix("\ufeff")
+    except OSError as error:
+        raise ConfigError(f"world.model {name}: cannot be read: {error.strerror or error}") from error
 
 
 def check_files(text: str, path: Path, name: str, home: Path) -> Names:
@@ -116,24 +91,25 @@ class _Model:
     def read(self, text: str, path: Path, name: str, times: int, depth: int) -> None:
         """Count a file `times` times, including the files that it includes and attaches."""
         models, attached = dict[str, Path](), Counter[str]()
-        folder, waiting = path.parent, [(self._root(text, name), times, name)]
+        folder, waiting = path.parent, [(self._root(text, name), times, name, path.parent)]
         while waiting:
-            element, times, name = waiting.pop()
-            self._check_paths(element, folder, name)
-            self._check_numbers(element, name)
+            element, times, name, own = waiting.pop()
+            self._check_paths(element, name)
+            check_numbers(element, name)
             given = element.get("file") or ""
             match element.tag:
                 case "include":
-                    if (inner := self._text(folder / given)) is not None:
+                    part = self._found(element, (folder, own), name)
+                    if (inner := self._text(part)) is not None:
                         within = f"{self._name}, {given}"
-                        waiting.append((self._root(inner, within), times, within))
+                        waiting.append((self._root(inner, within), times, within, part.parent))
                 case "model":
-                    models[element.get("name") or Path(given).stem] = folder / given
+                    models[element.get("name") or Path(given).stem] = self._found(element, (folder, own), name)
                 case "attach":
                     attached[element.get("model") or ""] += times
             self._count(element, times, folder, name)
-            copies = times * (_product(element, ("count",)) if element.tag == "replicate" else 1)
-            waiting += [(child, copies, name) for child in element]
+            copies = times * (product(element, ("count",)) if element.tag == "replicate" else 1)
+            waiting += [(child, copies, name, own) for child in element]
         unknown = sum(count for model, count in attached.items() if model not in models)
         for model, part in models.items():
             inner = self._text(part) if depth < DEPTH_MAX else None
@@ -166,6 +142,8 @@ class _Model:
         parser.StartDoctypeDeclHandler = start_doctype
         text = text.strip("\0 \t\r\n")  # MuJoCo, too, permits it around the XML
         text = COMMENT.sub(lambda found: "\n" * found[0].count("\n"), text)
+        if "\N{REPLACEMENT CHARACTER}" in text:
+            raise ConfigError(f"world.model {name}: is no text in UTF-8: save it as UTF-8")
         try:
             for place in range(0, len(text), CHUNK):  # in chunks, since parsing blocks other threads
                 parser.Parse(text[place : place + CHUNK], False)
@@ -176,15 +154,29 @@ class _Model:
             ) from error
         return builder.close()
 
-    def _text(self, path: Path) -> str | None:
-        """Return the text of a part; None if it cannot be read, which MuJoCo reports."""
-        try:
-            return read_input(path, SIZE_MAX).decode("utf-8-sig")
-        except (OSError, ValueError):
-            return None
+    def _found(self, element: Element, folders: tuple[Path, ...], name: str) -> Path:
+        """Return the file of an element, as MuJoCo finds it: in the first folder that has it.
 
-    def _check_paths(self, element: Element, folder: Path, name: str) -> None:
-        """Check the files that are read here, and note those that only MuJoCo finds."""
+        The folders are those of the model and of the file with the element. Raises ConfigError if it is not below
+        `home`.
+        """
+        given = element.get("file") or ""
+        places = [folder / given for folder in folders]
+        found = next((place for place in places if os.access(place, os.R_OK)), places[0])
+        check_place(found, self._home, f"{name}: <{element.tag} file={given!r}>")
+        return found
+
+    def _text(self, path: Path) -> str | None:
+        """Return the text of a part; None if it cannot be opened, which MuJoCo reports.
+
+        Raises ConfigError if it is no regular file or too large.
+        """
+        if not os.access(path, os.R_OK):
+            return None
+        return read_text(path, f"{self._name}, {path.name}")
+
+    def _check_paths(self, element: Element, name: str) -> None:
+        """Note the files that only MuJoCo finds."""
         given = element.get("file") or ""
         match element.tag:
             case "include" | "model":
@@ -195,21 +187,6 @@ class _Model:
                 self.names.flexes.add(given)
             case "compiler":
                 self.names.folders.update(element.get(key) or "" for key in ("meshdir", "assetdir"))
-        if element.tag in PARSED:
-            check_place(folder / given, self._home, f"{name}: <{element.tag} file={given!r}>")
-
-    def _check_numbers(self, element: Element, name: str) -> None:
-        for bound in BOUNDS.get(element.tag, ()):
-            if (given := _product(element, bound.attributes)) > bound.most:
-                what = " x ".join(dict.fromkeys(bound.attributes))
-                raise ConfigError(
-                    f"world.model {name}: <{element.tag}> has {what} = {given:,}; at most {bound.most:,} can be read"
-                )
-        for key in LISTS:
-            if len(element.get(key) or "") > TEXT:
-                raise ConfigError(
-                    f"world.model {name}: <{element.tag} {key}> has more than {TEXT:,} characters: put it in a file"
-                )
 
     def _count(self, element: Element, times: int, folder: Path, name: str) -> None:
         bodies = int(element.tag in ("body", "link"))
@@ -228,7 +205,7 @@ class _Model:
                 return 0  # MuJoCo reports it
         if (points := element.get("point")) is not None:
             return len(points.split()) // 3
-        return _product(element, ("count",)) if element.get("count") else 1000
+        return product(element, ("count",)) if element.get("count") else 1000
 
     def _add(self, what: str, count: int, most: int, why: str) -> None:
         self._counted[what] += count
@@ -236,15 +213,3 @@ class _Model:
             raise ConfigError(
                 f"world.model {self._name}: has {self._counted[what]:,} {what} or more; at most {most:,} {why}"
             )
-
-
-def _product(element: Element, attributes: tuple[str, ...]) -> int:
-    """Return the product of the whole numbers in attributes, 1 if there are none; MuJoCo reports other values."""
-    product = 1
-    for attribute in attributes:
-        for word in (element.get(attribute) or "").split():
-            try:
-                product *= max(int(float(word)), 0)
-            except (ValueError, OverflowError):
-                continue
-    return product

@@ -78,8 +78,8 @@ class Client(Control):
             )
             if _address_part(endpoint) != _address_part(self.telemetry):
                 raise ConfigError(
-                    f"commands at {self.endpoint} are those of the daemon whose telemetry is on {endpoint}, and not on "
-                    f"{self.telemetry}: name its commands, too, as its first lines say them"
+                    f"commands at {self.endpoint} belong to the daemon with telemetry on {endpoint}, not on "
+                    f"{self.telemetry}: give its command endpoint, too, which it prints at the start"
                 )
             self._verified = True
         return super()._ask(method, params, kind)

@@ -19,8 +19,8 @@ from softfinger.server.experiment.session_figures import draw_session
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Fit the answers of an experiment's folder and draw them as PNG and SVG, the numbers beside as CSV and JSON. "
-        "Made anew each time."
+        "Fit the answers of an experiment's folder and draw them as PNG and SVG, with the numbers as CSV and JSON. "
+        "Earlier figures are replaced."
     )
     parser.add_argument("folder", metavar="FOLDER", help="folder written by `softfinger experiment`")
     parser.add_argument("--out", metavar="FOLDER", help="where figures go (default: FOLDER/figures)")

@@ -47,8 +47,8 @@ def check_motors(guard: Guard, rig_values: Mapping[str, Any], where: str) -> Non
         value = rig_values.get(f"guard.{key}", limit)
         if value is None or value > limit:
             raise ConfigError(
-                f"{where}: {PREFIX}guard.{key} = {value}: the rig's {limit:g} is what its motors bear: "
-                f"give no more than that"
+                f"{where}: {PREFIX}guard.{key} = {value}: the rig's {limit:g} is the limit of its motors: "
+                f"give at most that"
             )
 
 

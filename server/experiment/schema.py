@@ -77,9 +77,9 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
         str, sized(Range(1, 4096, ""), "rig: a shipped name, or a file in the folder of this one", "omega-6")
     ] = "simulated-hand"
     instructions: Annotated[str, sized(TEXT, "first text that the participant reads")] = ""
-    consent: Annotated[str, sized(TEXT, "text that the participant has to agree to before anything else")] = ""
-    debriefing: Annotated[str, sized(TEXT, "what the participant reads last")] = ""
-    overrides: Annotated[dict[str, Any], said("parameters of the scene, or rig.guard.KEY, that hold throughout")] = (
+    consent: Annotated[str, sized(TEXT, "text that the participant has to agree to before the session")] = ""
+    debriefing: Annotated[str, sized(TEXT, "text at the end of the session")] = ""
+    overrides: Annotated[dict[str, Any], said("parameters of the scene, or rig.guard.KEY, for all trials")] = (
         msgspec.field(default_factory=dict)
     )
     task: Task
@@ -89,11 +89,11 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
     trial: Trial = Trial()
     motion: Annotated[
         dict[str, tuple[Waypoint, ...]],
-        said("where a led hand goes in a touch, t x y z, by finger; `fingertip` where there is one"),
+        said("path of a led hand in a touch, t x y z, by finger; `fingertip` if there is only one"),
     ] = msgspec.field(default_factory=dict)
     turn: Annotated[
         dict[str, tuple[Turn, ...]],
-        said("how it is turned in a touch, t and a rotation vector (rad, world), by finger; default: as it is"),
+        said("rotation of the hand in a touch, t and a rotation vector (rad, world), by finger; default: none"),
     ] = msgspec.field(default_factory=dict)
     observer: Observer = Observer()
     survey: Annotated[tuple[Survey, ...], sized(Range(0, 20, "a session"), "surveys, in order")] = ()
@@ -128,7 +128,7 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
         if known(self.task):
             for key, value in (("catch", self.catch), ("confidence", self.confidence)):
                 if known(value) and value is not None and self.task.kind != "compare":
-                    yield key, msgspec.UNSET, f"goes with compare: a {self.task.kind} is not right or wrong"
+                    yield key, msgspec.UNSET, f"is only for compare: a {self.task.kind} is not right or wrong"
         if known(self.survey):
             names = [survey.name for survey in self.survey if known(survey)]
             if len(set(names)) < len(names):

@@ -95,7 +95,10 @@ class Survey(SurveyFile, frozen=True, kw_only=True):
         said("before: before the first trial; between: after each block but the last; after: after the last trial"),
     ]
     file: Annotated[
-        str, sized(Range(0, 4096, ""), "file of its questions, shipped or beside this one, in place of [[question]]")
+        str,
+        sized(
+            Range(0, 4096, ""), "file of its questions, shipped or in the folder of this file, in place of [[question]]"
+        ),
     ] = ""
 
     def faults(self) -> Iterator[Complaint]:
@@ -126,7 +129,7 @@ class Confidence(Table, frozen=True, kw_only=True):
 
     question: Annotated[str, sized(Range(1, 4000, ""), "the question")] = "How sure are you?"
     scale: Annotated[tuple[int, int], said("first and last mark", [1, 4])] = (1, 4)
-    scale_ends: Annotated[tuple[Option, ...], said("what the first and last mark mean", ["a guess", "certain"])] = (
+    scale_ends: Annotated[tuple[Option, ...], said("labels of the first and the last mark", ["a guess", "certain"])] = (
         "a guess",
         "certain",
     )

@@ -88,7 +88,7 @@ class Procedure(Table, frozen=True, kw_only=True):
         Literal["constant", "staircase", "questplus"],
         said(
             "constant: every level equally often, in random order; staircase: `down` right answers in a row make it "
-            "smaller, a wrong one larger (Levitt 1971); questplus: the level whose answer is expected to tell most "
+            "smaller, a wrong one larger (Levitt 1971); questplus: the level with the most informative answer "
             "(Watson 2017)"
         ),
     ]
@@ -178,7 +178,7 @@ class Design(Table, frozen=True, kw_only=True):
     test_first: Annotated[
         Literal["balanced", "balanced-by-level"],
         said(
-            "compare: half of the trials begin with the test: of all, or of those of each condition and level; of each "
-            "condition and staircase if a procedure chooses the levels"
+            "compare: half of the trials begin with the test: of all trials, or of those of each condition and level; "
+            "of each condition and staircase if a procedure chooses the levels"
         ),
     ] = "balanced"

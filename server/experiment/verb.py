@@ -20,7 +20,7 @@ log: Final = logging.getLogger(__name__)
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Run an experiment: the trials of one participant in their order, from the first one without an answer. "
-        "Started again after a crash or Ctrl-C it goes on where it ended."
+        "After a crash or Ctrl-C the same command continues the session."
     )
     parser.add_argument("file", metavar="FILE", help="an experiment's .toml, or the name of a shipped one")
     parser.add_argument("--out", metavar="FOLDER", help="folder for all participants; default: the experiment's name")

@@ -182,8 +182,8 @@ class Ledger:
 
     def _permission_error(self, path: Path, error: OSError) -> ConfigError:
         return ConfigError(
-            f"{self._at(path)} may not be changed by this user ({error.strerror}): what is for the whole machine takes "
-            "root, so sudo; without --system it is for you alone"
+            f"{self._at(path)} may not be changed by this user ({error.strerror}): an installation for all users needs "
+            "root: use sudo; without --system it is for this user"
         )
 
     def _at(self, path: Path) -> Path:

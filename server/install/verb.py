@@ -33,9 +33,9 @@ Rules for devices and limits for real time are the machine's: {command}
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Write the systemd unit, the man page and shell completion for you alone, or with --system those of the whole "
-        "machine, with udev rules for every supported device and limits for real time. What was written is recorded, "
-        "and --remove takes it away; a file of somebody else is never overwritten, one that was edited never removed."
+        "Write the systemd unit, the man page and shell completion for this user, or with --system for the "
+        "machine, with udev rules for every supported device and limits for real time. The files are recorded, "
+        "and --remove removes them; files of other origin are not overwritten, and edited files not removed."
     )
     parser.add_argument("--system", action="store_true", help="for all users, as root; with rules and limits")
     parser.add_argument("--remove", action="store_true", help="remove the written files")

@@ -50,9 +50,7 @@ def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
     if name is None:
         return []
     if name not in library.entries():
-        return [
-            ("  library", f"{name}, which is not in the library of this version; the values are those of the scene")
-        ]
+        return [("  library", f"{name}, which is not in the library of this version; the scene gives the values")]
     library_values = dict(flat(describe(library_table(kind, name))))
     keys = _TABLES[kind].__struct_fields__
     scene_values = {key: value for key, value in flat(mapping) if key.partition(".")[0] in keys}

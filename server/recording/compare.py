@@ -162,7 +162,7 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
         first = max(0, row - ramp - round(COMMAND_S * run.rate_hz))
         comparable[first:row] = False
         left_out += _span(
-            ticks, first, row, "when the command after them was done is not recorded, or it was on its way"
+            ticks, first, row, "the time of the command after them is not recorded, or it was not yet done"
         )
     withheld = _withheld(run)
     comparable[withheld] = False

@@ -57,8 +57,8 @@ def check_replacement(
     new_names, old_names = ([finger.name for finger in each.fingers] for each in (scene, running_scene))
     if new_names != old_names and max(len(new_names), len(old_names)) > 1:
         raise ConfigError(
-            f"the fingers of the new scene ({', '.join(new_names)}) are not those of the running one "
-            f"({', '.join(old_names)}), whose names telemetry has as long as the process: start another"
+            f"the fingers of the new scene ({', '.join(new_names)}) differ from the running ones "
+            f"({', '.join(old_names)}), and telemetry keeps their names: start another daemon"
         )
     for name, new, old in (
         ("[telemetry]", rig.telemetry, running_rig.telemetry),
@@ -72,6 +72,6 @@ def check_replacement(
     ):
         if new != old:
             raise ConfigError(
-                f"{name} = {new} of the new rig is not the {old} of the running one: it holds as long as the "
-                "process: leave it as it is, or start another"
+                f"{name} = {new} of the new rig differs from {old}, which cannot change in a running "
+                "daemon: leave it, or start another daemon"
             )

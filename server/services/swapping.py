@@ -17,7 +17,7 @@ NAME: Final = "swapped"
 STATUS: Final = Path("/proc/self/status")
 ADVICE: Final = (
     "a tick that needs it waits for the disk: end the programs that fill the memory, or let the daemon lock its memory "
-    "(softfinger doctor says how)"
+    "(see `softfinger doctor`)"
 )
 
 

@@ -35,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  softfinger ctl set_scene scene=sphere          # or a file: scene=mine.toml\n"
         "  softfinger ctl drive object=lid 'position_m=[0, 0, 0.01]'"
     )
-    parser.add_argument("method", metavar="METHOD", help="method: one of those below")
+    parser.add_argument("method", metavar="METHOD", help="method: one of the list below")
     parser.add_argument(
         "params", nargs="*", metavar="key=value", help="its parameters: values of TOML or JSON, else texts"
     )

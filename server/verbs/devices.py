@@ -43,7 +43,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rig",
         help="rig with the library or firmware file for the devices of its driver; with --ask its maker's library "
-        "or service is asked also if USB lists none of them",
+        "or service is queried also if USB lists none of them",
     )
 
 

@@ -261,7 +261,7 @@ class PoseWriter:
         step = 0 if stats.last_tick < 0 else sample.tick - stats.last_tick
         if not DT_MIN_S <= sample.dt <= DT_MAX_S:
             raise ProtocolError(
-                f"tick {sample.tick} says that it took dt = {sample.dt:g} s: no loop has such a period "
+                f"tick {sample.tick} has dt = {sample.dt:g} s: no loop has such a period "
                 f"({DT_MIN_S:g} to {DT_MAX_S:g}): is it this program's stream?"
             )
         if sample.lost:

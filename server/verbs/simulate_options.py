@@ -30,6 +30,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, metavar="HZ", help="tick rate in place of the rig's (1000)")
     parser.add_argument(
         "--rig",
-        help="rig whose guard limits the force, and whose options the device has (replay; with --device "
-        "simulated-SCENE, or simulated where there is none)",
+        help="rig with the guard and the options of the device (replay; with --device "
+        "simulated-SCENE, or simulated if there is none)",
     )

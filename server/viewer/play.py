@@ -132,9 +132,9 @@ class Play:
         assert self._scene is not None and self._bodies is not None
         projection = self._bodies.below(self._proxy(finger))
         if projection is None:
-            return "nothing lies below the fingertip: move it over an object first"
+            return "no object is below the fingertip: move it over one first"
         if projection.object_index >= len(self._scene.object):
-            return "no finger touches what lies below: move the fingertip over another object first"
+            return "the object below cannot be touched: move the fingertip over another one first"
         below = self._scene.object[projection.object_index]
         if name == "roll" and self._scene.rolling is None:
             return "this scene has no `[rolling]`; the tab *Feel* switches it on"

@@ -56,7 +56,7 @@ def check_endpoint(endpoint: str, key: str, public: bool = False) -> None:
     if not public and not _is_loopback(host):
         raise ConfigError(
             f"{key} = {endpoint!r} can be reached from other machines, which needs CURVE keys, and none "
-            f"are configured: use tcp://127.0.0.1:{port} or an ipc:// path; docs/operate/network.md says how others "
+            f"are configured: use tcp://127.0.0.1:{port} or an ipc:// path; docs/operate/network.md shows how others "
             "get keys, or reach it through an SSH tunnel"
         )
 

@@ -26,8 +26,8 @@ ADVICE: Final = {
     "pose_jumped": "the pose jumped farther than a hand moves: check sensors and cable; if it was a hand, raise "
     "guard.speed_max_m_per_s",
     "pose_frozen": "the pose repeats bit for bit under a force: move the handle; if it rests, disarm",
-    "too_fast": "the handle was faster than guard.handle_speed_max_m_per_s: hold it, and arm if the rig asks for that; "
-    "if nobody moved it so, take a softer scene, or turn to the sign of the force",
+    "too_fast": "the handle was faster than guard.handle_speed_max_m_per_s: hold it, and arm if the rig requires it; "
+    "if no hand moved it so fast, use a softer scene, or check the sign of the force",
     "motor_hot": "the force is lowered until the motors have cooled: let go for a while, or take a softer scene",
     "energy_spent": "the rendering gave the hand more than guard.energy_max_j, and its force fades: take a softer "
     "scene or [passivity]; for an object that is meant to push, raise that limit",

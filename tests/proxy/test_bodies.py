@@ -392,6 +392,15 @@ HOSTILE = {
         "<mujoco/><!-- -->",
         "declares a document type",
     ),
+    "a file outside, in a part that is no UTF-8": (
+        '<mujoco><include file="latin.xml"/></mujoco>',
+        "outside of its folder",
+    ),
+    "a file outside, in a part beside a part": (
+        '<mujoco><include file="sub/part.xml"/></mujoco>',
+        "outside of its folder",
+    ),
+    "a name that is no UTF-8": ('<mujoco model="\N{REPLACEMENT CHARACTER}"/>', "is no text in UTF-8"),
     "a file outside, included twice": (
         '<mujoco><include file="inner.xml"/></mujoco>',
         "outside of its folder",
@@ -476,6 +485,12 @@ def test_a_model_that_cannot_be_used_is_one_clear_error(name: str, tmp_path: Pat
     path = tmp_path / "hostile.xml"
     path.write_text(text)
     (tmp_path / "inner.xml").write_text('<mujocoinclude><include file="../secret.xml"/></mujocoinclude>')
+    (tmp_path / "latin.xml").write_bytes(
+        '<mujoco><!-- \xe9 --><include file="../secret.xml"/></mujoco>'.encode("latin-1")
+    )
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "part.xml").write_text('<mujoco><include file="beside.xml"/></mujoco>')
+    (tmp_path / "sub" / "beside.xml").write_text('<mujoco><include file="../../secret.xml"/></mujoco>')
     (tmp_path / "ball.xml").write_text(f"<mujocoinclude>{BALL}</mujocoinclude>")
     (tmp_path / "model.xml").write_text(f"<mujoco><worldbody>{BALL * 3}</worldbody></mujoco>")
     (tmp_path / "outer.xml").write_text(

@@ -62,6 +62,19 @@ def test_xml_that_mujoco_reads_is_read(tmp_path: Path) -> None:
     assert [thing.name for thing in load_scene(scene).object] == ["a"]
 
 
+def test_included_files_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
+    """In the folder of the model, else in that of the file that includes them, also from there upwards; in Latin-1."""
+    scene = written(tmp_path / "m.xml", '<include file="sub/part.xml"/>')
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "part.xml").write_text(
+        '<mujoco><include file="own.xml"/><include file="../upper.xml"/></mujoco>'
+    )
+    for name in ("sub/own.xml", "upper.xml"):
+        text = f'<mujoco><!-- \xe9 --><worldbody><geom name="{name}" size="1"/></worldbody></mujoco>'
+        (tmp_path / name).write_bytes(text.encode("latin-1"))
+    assert [thing.name for thing in load_scene(scene).object] == ["sub/own.xml", "upper.xml"]
+
+
 def placed(thing: schema.Object) -> np.ndarray:
     """Return the vertices of a mesh (n, 3), in the world."""
     assert isinstance(thing, schema.Mesh)

@@ -96,7 +96,7 @@ def test_simulate_verb_runs_the_device(tmp_path: Path, capsys: pytest.CaptureFix
     ("words", "message"),
     [
         (["--device", "replay", "--rig", "replay"], "'replay' cannot be run without a clock"),
-        (["--poses", "tap", "--duration", "1"], "--duration goes with --device"),
+        (["--poses", "tap", "--duration", "1"], "--duration needs --device"),
     ],
 )
 def test_simulate_verb_says_what_cannot_be(

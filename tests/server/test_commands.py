@@ -291,7 +291,7 @@ def test_who_names_a_daemon_by_its_telemetry_commands_that_one(rig, tmp_path):
     with on("one", "elsewhere") as (_, _, one), on("other", "one.commands") as (_, _, other):
         with (
             RemoteClient(f"ipc://{tmp_path}/one", timeout_s=WAIT_S) as client,
-            pytest.raises(ConfigError, match=r"telemetry is on ipc://.*/other, and not on .*/one: name its commands"),
+            pytest.raises(ConfigError, match=r"telemetry on ipc://.*/other, not on .*/one: give its command endpoint"),
         ):
             client.disarm()
         assert one.force_n > 0.0 and other.force_n > 0.0
@@ -318,7 +318,7 @@ def test_several_fingers_are_commanded_together(rig):
         ),
         ("set_params", {"finger.thumb.radius_m": 0.01, "finger.0.radius_m": 0.01}, "given twice"),
         ("set_scene", {"scene": "sphere"}, "take a rig with [device]"),
-        ("set_scene", {"scene": swapped}, "(index, thumb) are not those of the running one (thumb, index)"),
+        ("set_scene", {"scene": swapped}, "(index, thumb) differ from the running ones (thumb, index)"),
     ]
     with running(two_devices(device, device, guard=describe(rig())["guard"]), scene) as (_, control, kept):
 

@@ -142,7 +142,7 @@ def test_fingers_are_replaced_together(driver: Driver) -> None:
         assert [acts(device)[:3] for device in driver.devices[:2]] == [["arm", "stop", "close"]] * 2
         assert not any(device.wrenches[-1].any() for device in driver.devices[:2])
         until(lambda: len(driver.devices) == 4 and driver.pressed)
-        with pytest.raises(ConfigError, match=r"\(index, thumb\) are not those of the running one \(thumb, index\)"):
+        with pytest.raises(ConfigError, match=r"\(index, thumb\) differ from the running ones \(thumb, index\)"):
             running.replace(two_fingers(finger=[{"name": name, "radius_m": 0.01} for name in reversed(NAMES)]))
         running.stop()
         assert running.wait(WAIT_S)

@@ -84,11 +84,13 @@ def test_a_geom_that_fingers_pass_through_is_said(tmp_path: Path, caplog: pytest
     model.write_text(
         '<mujoco><asset><hfield name="h" nrow="3" ncol="3" size="2 1 1 1"/></asset><worldbody>'
         '<geom name="hills" type="hfield" hfield="h"/><geom name="own" type="hfield" hfield="h"/><geom size="1"/>'
-        '<geom size="1" contype="0" conaffinity="0"/></worldbody></mujoco>'
+        '<geom size="1" contype="0" conaffinity="0"/>'
+        '<flexcomp name="cloth" type="grid" count="2 2 1" spacing="1 1 1" dim="2"/></worldbody></mujoco>'
     )
     material = {"stiffness_n_per_m": 500.0}
     own = {"name": "own", "shape": "plane", "material": material}
     world = {"model": str(model), "geom": [{"name": name, "material": material} for name in ("hills", "own")]}
     make_tuning(load_scene({"fingertip": {"radius_m": 0.01}, "world": world, "object": [own]}), RIG)
-    (said,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
-    assert said.startswith("fingers pass through geom 'hills': it is a height field with pixels of 2 m along x and 1 m")
+    hills, cloth = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert hills.startswith("fingers pass through geom 'hills': it is a height field with pixels of 2 m along x and")
+    assert cloth == "fingers pass through geom 'cloth': it is a flexible body, which fingers do not touch"

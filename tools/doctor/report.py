@@ -42,8 +42,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const="",
         metavar="FILE",
-        help="open the rig's device and write what it is and does to a JSON file (softfinger-DRIVER-report.json). "
-        "Zero force is all that it is sent. On a terminal you are asked to move the handle",
+        help="open the rig's device and write a report on it to a JSON file (softfinger-DRIVER-report.json). "
+        "Only zero force is sent. In a terminal, prompts ask for movements of the handle",
     )
     parser.add_argument(
         "--with-force",

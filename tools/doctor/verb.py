@@ -18,7 +18,7 @@ from softfinger.tools.measure import add_output_options, show
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Is this machine good enough: what it is, what it grants, what the servo loop does on it. Exit code 0 when "
+        "Check whether this machine is good enough: hardware, permissions, timing of the servo loop. Exit code 0 if "
         "nothing is bad. With --device-report: a file on the device of a rig, to be attached to an issue."
     )
     parser.add_argument("--rig", default="replay", help="rig file or the name of a shipped one (default: %(default)s)")

@@ -30,7 +30,7 @@ MADE: Final = "<!-- made by `make reference`; change the program, not this file 
 
 _KEYS: Final = """\
 Units are SI and end each key. Neither a file nor a flag widens a range. A text has its length. A key without
-*required* or a default may be left out. `[[name]]` may stand several times."""
+*required* or a default may be left out. `[[name]]` may be repeated."""
 
 
 def scenes() -> str:
@@ -87,17 +87,17 @@ An experiment file (TOML) describes trials and answers: [run an experiment](../r
 
 _KEPT: Final = {
     "experiment.json": "the experiment; the folder refuses another one",
-    "files.json": "hashes of the scene files and the rig file of the experiment; the folder refuses others",
+    "files.json": "hashes of the scene files and the rig file of the experiment; the folder refuses changed files",
     "dataset_description.json": "title and version of BIDS, which defines the file names",
     "trials.csv, participants.tsv": "a row per trial of all participants, made from the journals",
     "surveys.csv": "a row per answer to a question of a survey; `sub-01/sub-01_surveys.csv` for one participant",
-    "figures/": "what `softfinger figure` writes: figures, numbers, `report.html`",
+    "figures/": "output of `softfinger figure`: figures, numbers, `report.html`",
     "sub-01/sub-01_journal.jsonl": "every event, a line each: the source of all tables",
     "sub-01/sub-01_design.json, sub-01_order.csv": "seed, conditions, the order of trials",
     "sub-01/sub-01_trials.csv": "a row per trial",
     "sub-01/sub-01_run-01_ticks.mcap": "every tick and marker of a start: [recordings](../operate/recordings.md)",
     "sub-01/sub-01_run-01_about.json": "versions, rig, scene, device of a start",
-    "sub-01/sub-01_run-01_doctor.json": "what [doctor](../operate/doctor.md) found",
+    "sub-01/sub-01_run-01_doctor.json": "result of [doctor](../operate/doctor.md)",
     "sub-01/trials/sub-01_trial-0001.csv": "every tick of the touches of a trial",
 }
 
@@ -226,11 +226,11 @@ faulted`. [Safety](../safety.md#what-cannot-be-caught) has what cannot be caught
     ]
     table = schema.grid(["hazard", "detection", "reaction: safe state", "recovery", "event", "cases passed"], rows)
     about = """\
-What the test run has seen (`make faults-seen`). Ticks at 1 kHz, from the first tick with the fault until the
+Results of the test run (`make faults-seen`). Ticks at 1 kHz, from the first tick with the fault until the
 emulated device had received zero; where the guard waits, such as for `frozen_s` (0.1 s in the tests), that is in
-them. After that, what became of the run."""
+them. Then the state of the run."""
     columns = ["hazard", "injected", "ticks until zero", "event", "state", "recovery"]
-    return _page(head, table, "## What was injected and seen", about, schema.grid(columns, _seen_rows(seen)))
+    return _page(head, table, "## Injected faults and results", about, schema.grid(columns, _seen_rows(seen)))
 
 
 def _seen_rows(seen: list[dict[str, Any]]) -> list[list[str]]:

@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Define the arguments of the verb."""
     parser.description = (
         "Forward the telemetry of a daemon to any number of subscribers, by key to other machines, and their commands "
-        "back; ends with Ctrl-C, and says then what was handed on."
+        "back; Ctrl-C ends it and prints the number of messages."
     )
     parser.add_argument(
         "--from",

@@ -12,8 +12,8 @@ from softfinger.server.keys import make_pair
 def configure(parser: argparse.ArgumentParser) -> None:
     """Define the arguments of the verb."""
     parser.description = (
-        "Make a key pair for each name: NAME.key, which others may have, and NAME.key_secret (mode 600), which nobody "
-        "else may. What is there is not overwritten."
+        "Make a key pair for each name: NAME.key, which is public, and NAME.key_secret (mode 600), which is "
+        "secret. Existing files are not overwritten."
     )
     parser.add_argument("folder", type=Path, help="where to; made if it is not there")
     parser.add_argument("names", nargs="+", metavar="NAME", help="of a machine or a person")

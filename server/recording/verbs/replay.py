@@ -132,7 +132,7 @@ def _from_file(path: Path, past: Run) -> Against:
         missing = ~np.isin(fields["tick"], numbers)
         if missing.any():
             raise RecordingError(
-                f"{path}: has no tick {fields['tick'][missing][0]:.0f}, nor {missing.sum() - 1} others of the recording"
+                f"{path}: has no tick {fields['tick'][missing][0]:.0f}, nor {missing.sum() - 1} more of the recording"
             )
         order = np.argsort(numbers, kind="stable")
         indices = order[np.searchsorted(numbers[order], fields["tick"])]

@@ -401,6 +401,6 @@ def test_each_shipped_experiment_runs_on_a_daemon(name: str, tmp_path: Path) -> 
     """One trial of its least and of its largest level: the hand feels something, and no tick is lost."""
     levels = Experiment(name).file.procedure.levels or (0.1, 0.6)
     changes: dict[str, Any] = {"procedure.kind": "constant", "procedure.levels": [min(levels), max(levels)]}
-    changes |= {"procedure.repetitions": 1, "design.practice": 0}
+    changes |= {"procedure.repetitions": 1, "procedure.starts": [], "design.practice": 0}
     rows = Experiment(name, changes).run(tmp_path / "out", 1, settings(tmp_path))
     assert all(row["peak_force_n"] > 0.1 and row["lost_ticks"] == 0 for row in rows)

@@ -105,11 +105,11 @@ def test_practice_comes_first() -> None:
         ({"factor.0.parameter": "rig.guard.force_max_n", "factor.0.levels": [1.0, -1.0]}, "guard.force_max_n = -1.0"),
         (
             {"rig": "touch", "factor.0.parameter": "rig.guard.continuous_force_n", "factor.0.levels": [0.5, 0.95]},
-            "0.95: the rig's 0.88 is what its motors bear",
+            "0.95: the rig's 0.88 is the limit of its motors",
         ),
         (
             {"rig": "touch", "overrides": {"rig.guard.heat_time_s": 1e3}},
-            "heat_time_s = 1000.0: the rig's .* is what its motors bear",
+            "heat_time_s = 1000.0: the rig's .* is the limit of its motors",
         ),
         (  # of the levels, 40.5 / 1.1 to 40.5 / 1.4, none is above 40
             {"task.parameter": "rig.guard.force_max_n", "task.reference": 40.5, "task.more": "down"},

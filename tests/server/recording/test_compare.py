@@ -157,7 +157,7 @@ def test_commands_are_done_again(tmp_path: Path) -> None:
     outcome = replayed(recorded(tmp_path / "told.mcap", records, [told]))
     assert outcome.first is None and outcome.compared > 0
     assert {span.why for span in outcome.left_out} >= {
-        "when the command after them was done is not recorded, or it was on its way"
+        "the time of the command after them is not recorded, or it was not yet done"
     }
     other = event("command", "set_scene", tick, command_id="a", what={"scene": "sphere", "tick": tick})
     outcome = replayed(recorded(tmp_path / "other.mcap", records, [other]))

@@ -202,7 +202,7 @@ def test_in_deep_contact_a_press_plays_and_without_force_none_is_shown(
     assert eventually(lambda: not screen.shows("force off") and client.get_state().force[2] > 5.0)
     with felt(daemon) as found:
         play(screen, "press", found)
-    assert not screen.shows("nothing lies below")
+    assert not screen.shows("no object is below")
 
 
 def test_the_slider_follows_a_gesture(screen: Screen, client: Client) -> None:
