@@ -163,6 +163,9 @@ def completed(scene: Scene) -> Scene:
 
 
 def _beside(folder: Path, thing: Object) -> Object:
+    if isinstance(thing, Mesh) and thing.elastic is not None and thing.elastic.solution is not None:
+        elastic = msgspec.structs.replace(thing.elastic, solution=str(folder / thing.elastic.solution))
+        thing = msgspec.structs.replace(thing, elastic=elastic)
     if isinstance(thing, Heightmap | Mesh):
         root = None if thing.root is None else str(folder / thing.root)
         return msgspec.structs.replace(thing, file=str(folder / thing.file), root=root)

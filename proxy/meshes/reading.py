@@ -26,6 +26,8 @@ READERS: Final[dict[str, Callable[[bytes], Faces]]] = {
     "glb": glb.read,
 }
 """Reader of the files of each ending."""
+TETRAHEDRA: Final = ("msh", "vtu")
+"""Endings of the files of elastic bodies that `proxy/elastic/volume.py` reads."""
 _REASON_MAX: Final = 200
 """Characters of an exception's text in a message."""
 
@@ -39,7 +41,7 @@ class Arrays(NamedTuple):
 
 def read_bytes(path: str | Path) -> bytes:
     """Return the content of a mesh file. Raises ConfigError if it is missing, too large, or of an unknown ending."""
-    if _kind(path) not in READERS:
+    if _kind(path) not in (*READERS, *TETRAHEDRA):
         raise ConfigError(f"{path}: is none of {', '.join(f'.{kind}' for kind in READERS)}: export it as one of these")
     try:
         return read_input(path, BYTES_MAX)

@@ -1,0 +1,134 @@
+"""The shipped scenes with an elastic object, which run without mesher and solver from the solutions beside them."""
+
+import contextlib
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from softfinger.config.load import load_scene
+from softfinger.config.schema import Elastic, Mesh, Scene
+from softfinger.config.sources import FOLDERS
+from softfinger.drivers.poses import load_poses
+from softfinger.proxy.elastic import solution
+from softfinger.proxy.elastic.prepared import body_of, solve
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.meshes.reading import read_bytes
+from softfinger.server.cli import main
+from softfinger.tools import elastic_scenes
+
+pytestmark = pytest.mark.plain
+
+NAMES = list(elastic_scenes.MESHES)
+
+
+def shipped(name: str) -> tuple[Mesh, Elastic]:
+    thing = load_scene(name).object[0]
+    assert isinstance(thing, Mesh) and thing.elastic is not None and thing.elastic.solution is not None
+    return thing, thing.elastic
+
+
+def identity(thing: Mesh, elastic: Elastic) -> str:
+    return solution.identity(thing, elastic, read_bytes(thing.file))
+
+
+def test_the_meshes_are_those_of_the_tool(tmp_path: Path) -> None:
+    for written in elastic_scenes.write_meshes(tmp_path):
+        assert written.read_bytes() == (FOLDERS[Scene] / written.name).read_bytes()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_solution_is_small_and_of_the_values_in_the_scene(name: str) -> None:
+    thing, elastic = shipped(name)
+    assert Path(str(elastic.solution)).stat().st_size < 300_000
+    body = solution.read(str(elastic.solution), identity(thing, elastic))
+    assert body.report.nodes == len(body.nodes) > 80
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_solution_is_what_the_solver_finds(name: str) -> None:
+    pytest.importorskip("skfem")
+    pytest.importorskip("gmsh")
+    thing, elastic = shipped(name)
+    kept, found = body_of(thing).report, solve(thing, elastic).report
+    # Another version of gmsh fills the body with other tetrahedra.
+    assert max(found.compliances) == pytest.approx(max(kept.compliances), rel=0.1)
+
+
+def test_a_damaged_or_foreign_solution_is_refused(tmp_path: Path) -> None:
+    thing, elastic = shipped("press-a-pad")
+    key, data = identity(thing, elastic), Path(str(elastic.solution)).read_bytes()
+    other = msgspec.structs.replace(elastic, poisson=0.3)
+    for changed in (other, msgspec.structs.replace(elastic, reach=()), msgspec.structs.replace(elastic, fixed=())):
+        with pytest.raises(ValueError, match="solution of other values"):
+            solution.read(str(elastic.solution), identity(thing, changed))
+    softer = msgspec.structs.replace(elastic, youngs_pa=1.0, damping_s=1.0, solution=None)
+    assert identity(thing, softer) == key
+    file, random = tmp_path / "pad.npz", np.random.default_rng(46)
+    for at in random.integers(len(data), size=40):
+        file.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
+        with contextlib.suppress(ValueError):  # a bit of the archive's date or attributes may be any
+            solution.read(str(file), key)
+    for damaged in (data[: len(data) // 2], b"", b"\x80\x04K\x01.", data.replace(b"compliance", b"complianse")):
+        file.write_bytes(damaged)
+        with pytest.raises(ValueError, match="is "):
+            solution.read(str(file), key)
+    packed = tmp_path / "packed.npz"
+    np.savez_compressed(packed, **{name: np.zeros(1, kind) for name, kind in solution.TYPES.items()})
+    with pytest.raises(ValueError, match="is no solution"):
+        solution.read(str(packed), key)
+
+
+def without(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the extra's packages unavailable."""
+    for name in ("gmsh", "skfem", "meshio"):
+        monkeypatch.setitem(sys.modules, name, None)
+
+
+def test_without_the_extra_one_line_names_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`check`, `simulate` and `replay` of a scene that has to be solved; a shipped scene needs no extra."""
+    without(monkeypatch)
+    monkeypatch.setattr(sys.modules["softfinger.proxy.elastic.prepared"], "_bodies", {})
+    assert main(["check", "press-a-pad"]) == 0
+    assert "N/m along the normal" in capsys.readouterr().out
+    text = (FOLDERS[Scene] / "press-a-pad.toml").read_text("utf-8").replace("poisson = 0.45 ", "poisson = 0.37 ")
+    text = text.replace('"press-a-pad.', f'"{FOLDERS[Scene]}/press-a-pad.')
+    file = tmp_path / "pad.toml"
+    for content in (text, text.replace("solution =", "# solution =")):
+        file.write_text(content, "utf-8")
+        simulate = ["simulate", "--scene", str(file), "--poses", "tap", "--out", str(tmp_path / "out.csv")]
+        replay = ["replay", "tap", "--scene", str(file), "--against", str(tmp_path / "out.csv")]
+        for command in (["check", str(file)], simulate, replay):
+            assert main(command) == 2
+            printed = capsys.readouterr()
+            lines = [line for line in printed.err.splitlines() if not line.endswith("not usable") and line.strip()]
+            assert len(lines) == 1 and "pip install 'softfinger[elastic]'" in lines[0], printed.err
+            assert ("solution of other values" in lines[0]) == (content is text)
+
+
+def test_a_cantilever_is_as_stiff_as_a_beam_in_series_with_the_finger() -> None:
+    engine, depth, length = Engine("bend-a-strip"), 0.004, 0.09
+    poses = np.tile([0.0, 0.0, 0.01 - depth, 1.0, 0.0, 0.0, 0.0], (40, 1))  # until the damping has decayed
+    force = engine.run(poses)["force"][-1, 2]
+    _, elastic = shipped("bend-a-strip")
+    beam = 3.0 * elastic.youngs_pa * 0.02 * 0.003**3 / 12.0 / length**3
+    # The patch beside the tip also dents the strip, and a plate of this width is 2 % stiffer than a beam.
+    assert force == pytest.approx(depth / (1.0 / 1000.0 + 1.0 / beam), rel=0.04)
+
+
+def test_the_thumb_feels_the_squeeze_of_the_index_finger() -> None:
+    """Both recordings at two instants: touched at 1.1 s, squeezed at 1.9 s; each for some ticks of 40 ms at rest."""
+    engine = Engine("squeeze-a-ball", rate_hz=25.0)
+    tracks: dict[str, Any] = {}
+    for finger in ("thumb", "index"):
+        poses = load_poses(f"squeeze-{finger}")
+        tracks[finger] = np.repeat(np.hstack([poses.position, poses.orientation])[[0, 110, 190]], (1, 8, 8), axis=0)
+    records = engine.run(tracks)
+    thumb, index = (records[finger]["force"][:, 0] for finger in ("thumb", "index"))
+    assert index[16] > 4.0 * index[8] > 0.0
+    assert thumb[16] < 1.5 * thumb[8] < 0.0
