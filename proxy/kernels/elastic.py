@@ -11,7 +11,7 @@ Source of the method: James and Pai (2001). This module is imported for scenes w
 """
 
 from collections.abc import Callable
-from math import sqrt
+from math import pi, sqrt
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.normal import normal_force_of
@@ -27,7 +27,7 @@ from softfinger.proxy.kernels.query.world import all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import ROOM
 from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
 from softfinger.proxy.kernels.step import step_finger, step_once
-from softfinger.proxy.record import FREE, ROLLING
+from softfinger.proxy.record import FREE, LARGE_DISPLACEMENT, LARGE_ROTATION, LARGE_STRAIN, ROLLING
 
 ROUNDS = 6
 """Largest number of rigid steps of a finger in a tick."""
@@ -39,6 +39,10 @@ LEAN_RAD = 1e-6
 """Angle between the contact normal and that of the facet from which the contact is on an edge."""
 DEPTH_STEP_M = 1e-7
 """Change of the depth by which the stiffness of the normal force is measured."""
+
+ROTATION_MAX_RAD = 10.0 * pi / 180.0
+STRAIN_MAX = 0.1
+"""Rotation and strain above which the body is no longer linear."""
 
 Mat3 = tuple[Vec3, Vec3, Vec3]
 ZERO: Vec3 = (0.0, 0.0, 0.0)
@@ -234,14 +238,46 @@ def memory_of(elastic: Elastic, dt: float) -> float:
 
 
 @jit
-def surface_after(finger: Finger, last: Surface, displacement: Vec3, dt: float) -> Surface:
-    """Return the displacement with its rate, filtered as the probe's velocity is."""
-    if dt <= 0.0:
-        return Surface(displacement, last.rate)
-    gain = 1.0 / (finger.velocity_time_constant + dt)
-    moved = vec3.sub(displacement, last.displacement)
-    rate = vec3.add_scaled(vec3.faded(finger.velocity_time_constant * gain, last.rate), gain, moved)
-    return Surface(displacement, rate)
+def surface_after(
+    scene: Scene, finger: Finger, last: Surface, displacement: Vec3, contact: Contact, bent: Any, dt: float
+) -> Surface:
+    """Return the displacement with its rate, filtered as the probe's velocity is, and the limits that are exceeded.
+
+    bent  largest rotation, rad, and strain of the body
+    """
+    elastic, body, rate = scene.elastic, scene.objects.body, last.rate
+    if dt > 0.0:
+        gain = 1.0 / (finger.velocity_time_constant + dt)
+        moved = vec3.sub(displacement, last.displacement)
+        rate = vec3.add_scaled(vec3.faded(finger.velocity_time_constant * gain, last.rate), gain, moved)
+    beyond = 0.0
+    if vec3.dot(displacement, displacement) > elastic.large * elastic.large:
+        beyond += LARGE_DISPLACEMENT
+    if bent[0] > ROTATION_MAX_RAD:
+        beyond += LARGE_ROTATION
+    if bent[1] > STRAIN_MAX:
+        beyond += LARGE_STRAIN
+    if contact.mode == FREE:
+        return Surface(displacement, rate, ZERO, 0.0)
+    return Surface(displacement, rate, turn_out_of(body.pose, displacement), beyond)
+
+
+@jit
+def bending_under(elastic: Elastic, spot: Spot) -> tuple[float, float]:
+    """Return the largest rotation, rad, and strain of the body under the load of a spot: an upper bound.
+
+    Those of the components of the load on each node are added, wherever in the body they are.
+    """
+    rotation, strain = 0.0, 0.0
+    for i in range(3):
+        if spot.nodes[i] < 0:
+            continue
+        for j in range(3):
+            share = elastic.softness * spot.weights[i] * abs(spot.load[j])
+            at = 6 * spot.nodes[i] + 2 * j
+            rotation += share * elastic.bending[at]
+            strain += share * elastic.bending[at + 1]
+    return rotation, strain
 
 
 @by_type
@@ -307,13 +343,13 @@ def press(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt
 def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last, finger = scene.elastic, objects.body, state.world.surfaces[0], fingers[0]
     gain = memory_of(elastic, dt)
-    rest, u, slope = vec3.scale(1.0 - gain, last.displacement), last.displacement, ZERO
+    rest, u, slope, bent = vec3.scale(1.0 - gain, last.displacement), last.displacement, ZERO, (0.0, 0.0)
     for left in range(ROUNDS - 1, -1, -1):
         after, contact = step_finger(finger, state.fingers[0], shifted(body, poses[0], u), scene, objects, dt)
-        goal, matrix, rise = rest, IDENTITY, ZERO
+        goal, matrix, rise, bent = rest, IDENTITY, ZERO, (0.0, 0.0)
         if contact.mode != FREE:
             spot = contact_spot(elastic, body, finger, after, contact, dt)
-            given = respond(elastic, spot, spot)
+            given, bent = respond(elastic, spot, spot), bending_under(elastic, spot)
             goal = vec3.add_scaled(rest, gain, times(given.compliance, spot.load))
             moves = plus(plus(product(given.compliance, spot.spring), 1.0, given.at), 1.0, given.by)
             matrix, rise = inverse(plus(IDENTITY, gain, moves)), times(transposed(given.at), spot.load)
@@ -322,7 +358,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         if left == 0 or vec3.dot(change, change) <= SOLVED**2:
             break
         u = vec3.add(u, change)
-    surface = surface_after(finger, last, u, dt)
+    surface = surface_after(scene, finger, last, u, contact, bent, dt)
     return (after,), (report_on(body, contact, surface, slope),), (surface,)
 
 
@@ -382,7 +418,9 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         if left == 0 or vec3.dot(change_u, change_u) + vec3.dot(change_v, change_v) <= SOLVED**2:
             break
         u, v = vec3.add(u, change_u), vec3.add(v, change_v)
-    surface_u = surface_after(fingers[0], last[0], u, dt)
-    surface_v = surface_after(fingers[1], last[1], v, dt)
+    bent_x, bent_y = bending_under(elastic, x), bending_under(elastic, y)
+    bent = (bent_x[0] + bent_y[0], bent_x[1] + bent_y[1])
+    surface_u = surface_after(scene, fingers[0], last[0], u, first, bent, dt)
+    surface_v = surface_after(scene, fingers[1], last[1], v, second, bent, dt)
     contacts = (report_on(body, first, surface_u, slope_u), report_on(body, second, surface_v, slope_v))
     return (one, two), contacts, (surface_u, surface_v)

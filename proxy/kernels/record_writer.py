@@ -3,8 +3,9 @@
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import padded
-from softfinger.proxy.kernels.model import NO_OUTCOME, Contact, ContactOutcome, Quaternion, Vec3
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.tuples import map_each, padded
+from softfinger.proxy.kernels.model import NO_OUTCOME, Contact, ContactOutcome, Quaternion, Surface, Vec3
 from softfinger.proxy.record import AT
 
 
@@ -55,6 +56,32 @@ def write_contact(
     put3(row, AT.contact_patch_stretch, contact.patch_stretch)
     write_each_contact(contact.contacts, row)
     row[AT.contact_budget] = contact.budget
+
+
+@by_type
+def write_surfaces(surfaces: Any, rows: Any) -> None:
+    """Fill the fields of an elastic surface in the records of all fingers; `surfaces` as in World."""
+
+
+@write_surfaces.of(None)
+def write_no_surfaces(surfaces: None, rows: Any) -> None:
+    map_each(write_surface, (rows,), (0.0, 0.0, 0.0), 0.0)
+
+
+@write_surfaces.otherwise
+def write_every_surface(surfaces: Any, rows: Any) -> None:
+    map_each(write_own_surface, (rows, surfaces))
+
+
+@jit
+def write_own_surface(row: Any, surface: Surface) -> None:
+    write_surface(row, surface.moved, surface.beyond)
+
+
+@jit
+def write_surface(row: Any, moved: Vec3, beyond: float) -> None:
+    put3(row, AT.contact_displacement, moved)
+    row[AT.contact_nonlinear] = beyond
 
 
 @jit

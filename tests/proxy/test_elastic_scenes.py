@@ -18,6 +18,7 @@ from softfinger.proxy.elastic.prepared import body_of, solve
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.meshes.reading import read_bytes
 from softfinger.server.cli import main
+from softfinger.server.wire.events import RecordEvents
 from softfinger.tools import elastic_scenes
 
 pytestmark = pytest.mark.plain
@@ -132,3 +133,36 @@ def test_the_thumb_feels_the_squeeze_of_the_index_finger() -> None:
     thumb, index = (records[finger]["force"][:, 0] for finger in ("thumb", "index"))
     assert index[16] > 4.0 * index[8] > 0.0
     assert thumb[16] < 1.5 * thumb[8] < 0.0
+
+
+def pressed(name: str, depth: float, **values: float) -> Any:
+    """Return the record after a scene's object was pressed at the origin until its damping has decayed."""
+    engine = Engine(name)
+    for key, value in values.items():
+        engine.set(f"object.0.elastic.{key}", value)
+    poses = np.tile([0.0, 0.0, 0.01, 1.0, 0.0, 0.0, 0.0], (45, 1))
+    poses[:, 2] -= np.minimum(np.linspace(0.0, 1.5 * depth, 45), depth)  # a jump would end below a thin strip
+    return engine.run(poses)
+
+
+def test_limits_of_linear_elasticity_are_reported_once_each() -> None:
+    """A cantilever under a load at its end turns there by F L^2 / 2 E I, and its root has the strain F L h / 2 E I."""
+    _, elastic = shipped("bend-a-strip")
+    length, height = 0.09, 0.003
+    rigidity = elastic.youngs_pa * 0.02 * height**3 / 12.0
+    events = RecordEvents()
+    named = []
+    for depth in (0.0, 0.008, 0.03, 0.03, 0.0, 0.03):
+        records = pressed("bend-a-strip", depth)
+        force, moved = records["force"][-1, 2], records["contact.displacement"][-1]
+        turned, strained = force * length**2 / 2.0 / rigidity, force * length * height / 2.0 / rigidity
+        assert strained < 0.1
+        # The bound adds the components of the load, and the patch; 10 degrees lie between the two depths.
+        expected = (np.linalg.norm(moved) > 0.1 * 0.11403 and 1) + (2 if turned > np.radians(10.0) else 0)
+        assert int(records["contact.nonlinear"][-1]) == expected
+        reported = events.observe(np.asarray(records)[-1:])
+        named += [(each["name"], each["nonlinear"]) for each in reported if each["kind"] == "elastic"]
+    assert named[-1] == ("nonlinear", 3) and len(named) == 1
+    soft = pressed("press-a-pad", 0.005, youngs_pa=1e4)
+    assert int(soft["contact.nonlinear"][-1]) & 4
+    assert int(pressed("press-a-pad", 0.0005)["contact.nonlinear"][-1]) == 0

@@ -11,7 +11,7 @@ import pytest
 
 from softfinger.proxy.engine import STEP_FIELDS, Step
 from softfinger.proxy.kernels.model import NO_OUTCOME, Contact
-from softfinger.proxy.kernels.record_writer import write_contact
+from softfinger.proxy.kernels.record_writer import write_contact, write_surface
 from softfinger.proxy.record import AT, CAUSE_NAMES, FIELDS, NAMED, RECORD_SIZE, ContactMode, Kind
 
 ROOT = Path(__file__).parents[2]
@@ -37,6 +37,7 @@ def test_step_has_every_field_that_the_contact_fills():
     outcome = outcome._replace(contacts=(NO_OUTCOME,))
     force, orientation = (1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0)
     write_contact.py_func(row, 7, 0.001, force, orientation, outcome, force, force)
+    write_surface.py_func(row, force, 1.0)
     filled = {f.name for f in FIELDS if not np.isnan(row[f.at : f.at + f.size]).any()}
     patches = {name for name in filled if name.startswith("contacts")}
     assert len(patches) == 18
