@@ -7,7 +7,9 @@ as that of a point load does, and is symmetric (Maxwell, Betti).
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,12 +103,20 @@ def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = 
     together = hstack(loads).tocsc()  # component by component
     found, bending = np.empty((3 * count, 3 * count)), np.empty((2, 3 * count))
     back, gradient = together.T.tocsr(), _surface_gradient(solid)
-    for start in range(0, 3 * count, BLOCK):
-        part = slice(start, min(start + BLOCK, 3 * count))
+    # Loads that meet the same columns of the factor are solved together, so that the others are skipped.
+    first = np.minimum.reduceat(solid.eliminated[together.indices], together.indptr[:-1])
+    parts = np.array_split(np.argsort(first, kind="stable"), -(-3 * count // BLOCK))
+
+    def solve(part: NDArray[np.int64]) -> None:
         moved = solid.solve(together[:, part].toarray())
         found[:, part] = back @ moved
         bending[:, part] = _largest_parts(gradient, moved)
-        done(part.stop)
+
+    solved = 0
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:  # the kernels release the interpreter lock
+        for part, _ in zip(parts, threads.map(solve, parts), strict=True):
+            solved += len(part)
+            done(solved)
     found += found.T.copy()
     found *= 0.5
     blocks = found.reshape(3, count, 3, count).transpose(1, 3, 0, 2)

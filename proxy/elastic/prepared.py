@@ -74,26 +74,45 @@ def body_of(thing: schema.Mesh, folder: Folder = kept.KEPT) -> Body:
         raise ConfigError(f"object '{thing.name}': elastic: {thing.file}: {error}") from error
 
 
-def _solved(thing: schema.Mesh, elastic: schema.Elastic, identity: str, folder: Folder) -> Body:
-    """Return the body from the file `solution`, from the cache, or by solving."""
+def stored_body(thing: schema.Mesh, folder: Folder = kept.KEPT) -> Body | None:
+    """Return the body if it was solved before, here or in the file `solution`: for pictures, which do not wait."""
+    assert thing.elastic is not None
+    try:
+        identity = solution.identity(thing, thing.elastic, read_bytes(thing.file))
+    except ConfigError:  # a file of another machine
+        return None
+    return _bodies.get(identity) or _stored(thing.elastic, identity, folder)[0]
+
+
+def _stored(elastic: schema.Elastic, identity: str, folder: Folder) -> tuple[Body | None, str]:
+    """Return the body from the file `solution` or from the cache, and a reason if that file is not used."""
     refusal = ""
     if elastic.solution is not None:
         try:
-            return solution.read(elastic.solution, identity)
+            return solution.read(elastic.solution, identity), ""
         except (OSError, ValueError) as error:
             reason = error.strerror or error if isinstance(error, OSError) else error
             refusal = f"solution {elastic.solution} is not used: {reason}"
-    key = hashlib.sha256(repr((SOURCE_HASH, identity)).encode()).hexdigest()
-    found = kept.load(key, folder)
-    if found is not None:
-        return _from_disk(found)
+    found = kept.load(_key(identity), folder)
+    return None if found is None else _from_disk(found), refusal
+
+
+def _key(identity: str) -> str:
+    return hashlib.sha256(repr((SOURCE_HASH, identity)).encode()).hexdigest()
+
+
+def _solved(thing: schema.Mesh, elastic: schema.Elastic, identity: str, folder: Folder) -> Body:
+    """Return the body from the file `solution`, from the cache, or by solving."""
+    body, refusal = _stored(elastic, identity, folder)
+    if body is not None:
+        return body
     try:
         body = solve(thing, elastic)
     except ValueError as error:
         raise ValueError(f"{error}; {refusal}" if refusal else str(error)) from error
     if refusal:
         log.warning("object '%s': %s; the body was solved", thing.name, refusal)
-    kept.save(key, _to_disk(body), folder)
+    kept.save(_key(identity), _to_disk(body), folder)
     return body
 
 

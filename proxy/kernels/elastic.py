@@ -229,8 +229,8 @@ def contact_spot(elastic: Elastic, body: Any, finger: Finger, state: FingerState
         size = vec3.norm(drag)
         if size > 0.0:  # the friction turns with the deflection, and the point follows the probe along it
             t = vec3.scale(1.0 / size, drag)
-            side = plus_outer(plus_outer(IDENTITY, vec3.scale(-1.0, n), n), vec3.scale(-1.0, t), t)
-            spring = plus(ZEROS, finger.coupling.stiffness, side)
+            across = plus_outer(plus_outer(IDENTITY, vec3.scale(-1.0, n), n), vec3.scale(-1.0, t), t)
+            spring = plus(ZEROS, finger.coupling.stiffness, across)
             a, b, c = found.slopes
             slopes = (vec3.scale(vec3.dot(a, t), t), vec3.scale(vec3.dot(b, t), t), vec3.scale(vec3.dot(c, t), t))
             found = replace(found, "slopes", slopes)
