@@ -1,6 +1,6 @@
 """Picture of a deformed elastic body: its vertices under the loads in the records of a tick.
 
-The loads follow from `contact.point`, `contact.displacement` and `contacts[].force`; the compliance is that of the servo.
+The loads follow from `contact.point`, `contact.displacement` and `contacts[].force`. The compliance is the servo's.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.proxy.elastic.body import Body
+from softfinger.proxy.elastic.solid import region_holds
 from softfinger.proxy.kernels.numerics.rotations import rotate
 from softfinger.proxy.record import AT, FREE, PATCHES
 
@@ -38,12 +39,11 @@ class Deformed:
         self._compliance: Final = body.compliance.array.reshape(count, count, 3, 3)
         self._numbers: Final = np.full(len(body.surface.vertices), -1)
         self._numbers[body.nodes] = np.arange(count)
-        nearest = [int(((body.surface.vertices - each) ** 2).sum(axis=1).argmin()) for each in vertices]
-        self._drawn: Final = self._numbers[nearest]
+        self._drawn, self._shares = self._followed(vertices)
 
     def at(self, rows: Iterable[Doubles]) -> Doubles:
         """Return the vertices (n, 3) m, object frame, under the contacts in a record (RECORD_SIZE,) of each finger."""
-        moved = np.zeros((len(self._body.nodes) + 1, 3))  # the last one is that of vertices that do not give
+        moved = np.zeros((len(self._body.nodes), 3))
         for row in rows:
             if int(row[AT.contact_mode]) == FREE:
                 continue
@@ -54,9 +54,25 @@ class Deformed:
             nodes, weights = self._spot(self._into(point - self._thing.position_m))
             for node, weight in zip(nodes, weights, strict=True):
                 if node >= 0:
-                    moved[:-1] += self._softness * weight * (self._compliance[:, node] @ load)
-        found: Doubles = self._vertices + moved[self._drawn]
+                    moved += self._softness * weight * (self._compliance[:, node] @ load)
+        found: Doubles = self._vertices + self._shares[:, None] * moved[self._drawn]
         return found
+
+    def _followed(self, vertices: Doubles) -> tuple[NDArray[np.int64], Doubles]:
+        """Return the node that each of `vertices` (n, 3) follows, and its share of that node's displacement.
+
+        A vertex outside of `reach` has no compliance. Its share grows from 0 at the fixed regions to 1 at the node.
+        """
+        assert self._thing.elastic is not None
+        places = self._body.surface.vertices
+        held = places[region_holds(self._thing.elastic.fixed, places)]
+        nodes, shares = np.empty(len(vertices), np.int64), np.empty(len(vertices))
+        for index, vertex in enumerate(vertices):
+            distances = np.linalg.norm(places[self._body.nodes] - vertex, axis=1)
+            nodes[index] = distances.argmin()
+            far, near = np.linalg.norm(held - vertex, axis=1).min(initial=1e9), distances[nodes[index]]
+            shares[index] = far / max(far + near, 1e-12)
+        return nodes, shares
 
     def _into(self, vector: Doubles) -> Doubles:
         """Return a vector (3,) of the world frame in the object frame."""
