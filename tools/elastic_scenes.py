@@ -67,7 +67,7 @@ def _divided(points: Points, faces: Faces) -> tuple[Points, Faces]:
 
 MESHES: Final = {
     "press-a-pad": box((-0.03, -0.03, 0.0), (0.03, 0.03, 0.02)),
-    "bend-a-strip": box((0.0, -0.01, 0.0), (0.11, 0.01, 0.003)),
+    "bend-a-strip": box((-0.1, -0.01, -0.003), (0.01, 0.01, 0.0)),
     "squeeze-a-ball": ball(BALL_M),
 }
 """Vertices and triangles for each shipped scene."""
