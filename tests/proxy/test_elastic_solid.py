@@ -4,6 +4,7 @@ from math import log2, pi
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from softfinger.proxy.elastic.compliance import patch_loads, solve_patches  # no
 from softfinger.proxy.elastic.prepared import body_of  # noqa: E402
 from softfinger.proxy.elastic.solid import Solid  # noqa: E402
 from softfinger.proxy.elastic.volume import Volume, boundary, checked, fill, quality, read_volume  # noqa: E402
+from softfinger.proxy.meshes.prepared import about  # noqa: E402
 
 pytestmark = pytest.mark.plain
 
@@ -187,3 +189,13 @@ def test_inverted_and_missing_tetrahedra_are_refused(tmp_path: Path) -> None:
         read_volume(str(tmp_path / "flat.vtu"), 1.0)
     meshio.Mesh(corners, [("tetra", [[0, 1, 2, 3]])]).write(tmp_path / "one.vtu")
     assert read_volume(str(tmp_path / "one.vtu"), 0.1).vertices == pytest.approx(0.1 * corners)
+
+
+def test_a_file_of_tetrahedra_is_the_body_of_a_scene(tmp_path: Path) -> None:
+    meshio = pytest.importorskip("meshio")
+    volume = fill(*box(0.03, 0.03, 0.012), 0.008)
+    meshio.Mesh(volume.vertices, [("tetra", volume.tetrahedra)]).write(tmp_path / "pad.vtu")
+    thing = msgspec.structs.replace(pad(tmp_path, resolution_m=0.008), file=str(tmp_path / "pad.vtu"))
+    report = body_of(thing).report
+    assert report.tetrahedra == len(volume.tetrahedra) and report.error is None
+    assert about(thing).report.watertight
