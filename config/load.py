@@ -177,6 +177,10 @@ def _in_folder(folder: Path, scene: Scene) -> Scene:
 
 
 def _beside(folder: Path, thing: Object) -> Object:
+    elastic = getattr(thing, "elastic", None)
+    if known(elastic) and elastic is not None and known(elastic.solution) and elastic.solution is not None:
+        elastic = msgspec.structs.replace(elastic, solution=str(folder / elastic.solution))
+        thing = msgspec.structs.replace(thing, elastic=elastic)
     if isinstance(thing, Heightmap | Mesh) and known(thing.file, thing.root):
         root = None if thing.root is None else str(folder / thing.root)
         return msgspec.structs.replace(thing, file=str(folder / thing.file), root=root)

@@ -24,6 +24,7 @@ from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.jit.tuples import rows_of
 from softfinger.proxy.kernels.model import Scene, State
 from softfinger.proxy.kernels.query.bodies import step_bodies
+from softfinger.proxy.kernels.record_writer import write_surfaces
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import CAUSE_NAMES, NAMED, POSITION_MAX_M, RECORD_SIZE, ContactMode
 from softfinger.proxy.records import Records
@@ -103,6 +104,8 @@ class Step:
     patch_normal = Part(_vector, "contact.patch_normal")
     patch_stretch = Part(_vector, "contact.patch_stretch")
     budget = Part(int, "contact.budget")
+    displacement = Part(_vector, "contact.displacement")
+    nonlinear = Part(int, "contact.nonlinear")
 
     def __init__(self, record: Array) -> None:
         self.record = record
@@ -137,6 +140,7 @@ def step_many(
         state, contacts = step(parameters, state, probes, dt)
         rows = rows_of(parameters.fingers, records[i], 0)
         write_contacts(contacts, rows, probes, first_tick + i, dt)
+        write_surfaces(state.world.surfaces, rows)
         step_bodies(parameters.bodies)
     pack(state_values, state)
 

@@ -42,6 +42,11 @@ CAUSE_REVERSE: Final = 5
 CAUSE_RELEASE: Final = 6
 CAUSE_RESTART: Final = 7
 
+LARGE_DISPLACEMENT: Final = 1
+LARGE_ROTATION: Final = 2
+LARGE_STRAIN: Final = 4
+"""Bits of `contact.nonlinear`."""
+
 UNSEARCHED: Final = 1
 ON_ITS_WAY: Final = 2
 """Values of `contact.budget`, besides 0."""
@@ -123,6 +128,18 @@ class Offsets(NamedTuple):
     limits_speed: Annotated[int, 1, "float", "m/s", "", "smoothed speed of the handle; 0 without that limit"]
     limits_heat: Annotated[int, 1, "float", "1", "", "heat of the motors, 1 that of the continuous force for ever"]
     limits_energy: Annotated[int, 1, "float", "J", "", "energy that contacts gave to the hand and that still counts"]
+    contact_displacement: Annotated[int, 3, "float", "m", "world", "displacement of an elastic surface at the contact"]
+    contact_nonlinear: Annotated[
+        int,
+        1,
+        "int",
+        "bits",
+        "",
+        (
+            "limits of linear elasticity that are exceeded: 1 displacement above 10 % of the object's size, 2 rotation "
+            "above 10 degrees, 4 strain above 10 %"
+        ),
+    ]
 
 
 @dataclass(frozen=True)

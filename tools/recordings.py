@@ -7,7 +7,7 @@ and rounded to fixed decimals, so that every machine writes the same bytes. The 
 centre touches the plane at z = 0.010 m and presses 1 mm at 0.009 m. All recordings start and end at rest in free space,
 in one pose, and therefore loop without a return. A pinch has two recordings of equal length, one for each finger, which
 press the sides of a box of 40 mm, x = -0.02 m and x = 0.02 m. So does a lift, with a box that rests on z = 0. Each
-scene with moving bodies has one or two motions. The file is long because of this list of motions.
+scene with moving bodies or an elastic object has one or two motions. The file is long because of this list of motions.
 """
 
 from __future__ import annotations
@@ -278,6 +278,47 @@ def plates() -> list[Move]:
     return [hold(0.3), *row, Move(1.2, (-(PLATES - 1) * PLATE_PITCH_M, 0.0, 0.0)), hold(0.3)]
 
 
+def press_a_pad() -> list[Move]:
+    """Return a motion that presses a pad 5 mm deep, strokes 12 mm along y, which sticks and then slides, and back."""
+    down, stroke = (0.0, 0.0, RADIUS_M - 0.005 - ABOVE_M), (0.0, 0.012, 0.0)
+    return [
+        hold(0.3),
+        Move(0.8, down),
+        hold(0.3),
+        Move(0.8, stroke),
+        Move(0.8, _back(stroke)),
+        hold(0.2),
+        Move(0.6, _back(down)),
+        hold(0.3),
+    ]
+
+
+def bend_a_strip() -> list[Move]:
+    """Return a motion that bends a strip near its free end, moves 30 mm towards its clamp and back, and lets it go."""
+    down, inwards = (0.0, 0.0, RADIUS_M - 0.01 - ABOVE_M), (-0.03, 0.0, 0.0)
+    return [
+        hold(0.3),
+        Move(1.0, down),
+        hold(0.3),
+        Move(1.0, inwards),
+        Move(1.0, _back(inwards)),
+        hold(0.2),
+        Move(0.5, _back(down)),
+        hold(0.3),
+    ]
+
+
+def squeeze(side: float, presses: bool) -> list[Move]:
+    """Return the motion of one of two fingers on a ball, from `side` -1 or 1 of it.
+
+    It touches with 1 mm of depth; the finger that presses does so twice by another 4 mm, while the other waits.
+    """
+    touch, press_in = (-side * (ABOVE_M - PRESSED_M), 0.0, 0.0), (-side * 0.004, 0.0, 0.0)
+    squeezes = [Move(0.7, press_in), hold(0.2), Move(0.7, _back(press_in)), hold(0.2)]
+    middle = 2 * squeezes if presses else [hold(2 * sum(move.seconds for move in squeezes))]
+    return [hold(0.3), Move(0.6, touch), hold(0.2), *middle, Move(0.5, _back(touch)), hold(0.3)]
+
+
 def _back(travel: Vector) -> Vector:
     x, y, z = travel
     return (-x, -y, -z)
@@ -302,6 +343,8 @@ PLATE_PITCH_M: Final = 0.02
 """Number and pitch of the plates in the scene `plates`."""
 HALF_SMALL_BOX_M: Final = 0.015
 """Half edge of a box of the scene `stack-boxes`."""
+HALF_BALL_M: Final = 0.020
+"""Radius of the ball of the scene `squeeze-a-ball`."""
 INDEX_THINNER_M: Final = 0.002
 """Difference of the finger radii in the scene `pinch`; the thinner index finger starts closer by it."""
 
@@ -319,6 +362,10 @@ RECORDINGS: Final[dict[str, Script]] = {
     "press-a-button": Script((0.0, 0.0, 0.030), press_a_button),
     "roll-a-pencil": Script((-0.25 * PENCIL_WAY_M, 0.0, 0.008 + ABOVE_M), roll_a_pencil),
     "plates": Script((-0.5 * (PLATES - 1) * PLATE_PITCH_M, -0.0075, ABOVE_M), plates),
+    "press-a-pad": Script(OVER_THE_PLANE, press_a_pad),
+    "bend-a-strip": Script(OVER_THE_PLANE, bend_a_strip),
+    "squeeze-thumb": Script((-HALF_BALL_M - ABOVE_M, 0.0, 0.0), lambda: squeeze(-1.0, presses=False)),
+    "squeeze-index": Script((HALF_BALL_M + ABOVE_M, 0.0, 0.0), lambda: squeeze(1.0, presses=True)),
     "push-a-ball": Script((-0.04, 0.0, 0.050), push_a_ball),
     "stack-thumb": Script((-HALF_SMALL_BOX_M - ABOVE_M, 0.0, HALF_SMALL_BOX_M), lambda: stack(-1.0)),
     "stack-index": Script((HALF_SMALL_BOX_M + ABOVE_M, 0.0, HALF_SMALL_BOX_M), lambda: stack(1.0)),

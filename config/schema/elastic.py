@@ -16,6 +16,7 @@ from softfinger.config.schema.fields import (
     direction_faults,
     known,
     said,
+    sized,
     within,
 )
 
@@ -82,6 +83,13 @@ class Elastic(Table, frozen=True, kw_only=True):
     damping_s: Annotated[
         float, within(limits.ELASTIC_DAMPING_S, "time constant of the surface (Kelvin-Voigt)", 0.01)
     ] = 0.0
+
+    solution: (
+        Annotated[
+            str, sized(limits.FILE_NAME_LENGTH, "file of the solved body; default: it is solved, and cached", "pad.npz")
+        ]
+        | None
+    ) = None
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.fixed) and not self.fixed:

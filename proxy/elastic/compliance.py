@@ -7,8 +7,10 @@ as that of a point load does, and is symmetric (Maxwell, Betti).
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,26 +83,76 @@ def _component(solid: Solid, scalar: Any, axis: int) -> NDArray[np.int64]:
     return place
 
 
-def compliance(solid: Solid, loads: list[Any], done: Callable[[int], None] = lambda number: None) -> Doubles:
-    """Return the compliance (n, n, 3, 3), m/N times 1 Pa.
+class Solution(NamedTuple):
+    """Response of a body of Young's modulus 1 Pa to unit loads on its n patches.
 
-    Element [a, b, i, j] is the displacement i of patch a under the load j on patch b.
-
-    `done` is called with the number of solved right-hand sides, out of 3 n.
+    compliance  (n, n, 3, 3) m/N  element [a, b, i, j] is the displacement i of patch a under the load j on patch b
+    bending     (n, 3, 2) 1/N     largest rotation, rad, and largest strain in a tetrahedron at the surface, under each
+                                  load: norms of the two parts of the mean gradient of the displacement
     """
+
+    compliance: Doubles
+    bending: Doubles
+
+
+def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = lambda number: None) -> Solution:
+    """Solve for unit loads on all patches; `done` is called with the number of solved loads, out of 3 n."""
     from scipy.sparse import hstack
 
     count = loads[0].shape[1]
     together = hstack(loads).tocsc()  # component by component
-    found = np.empty((3 * count, 3 * count))
-    back = together.T.tocsr()
-    for start in range(0, 3 * count, BLOCK):
-        part = slice(start, min(start + BLOCK, 3 * count))
-        found[:, part] = back @ solid.solve(together[:, part].toarray())
-        done(part.stop)
+    found, bending = np.empty((3 * count, 3 * count)), np.empty((2, 3 * count))
+    back, gradient = together.T.tocsr(), _surface_gradient(solid)
+    # Loads that meet the same columns of the factor are solved together, so that the others are skipped.
+    first = np.minimum.reduceat(solid.eliminated[together.indices], together.indptr[:-1])
+    parts = np.array_split(np.argsort(first, kind="stable"), -(-3 * count // BLOCK))
+
+    def solve(part: NDArray[np.int64]) -> None:
+        moved = solid.solve(together[:, part].toarray())
+        found[:, part] = back @ moved
+        bending[:, part] = _largest_parts(gradient, moved)
+
+    solved = 0
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:  # the kernels release the interpreter lock
+        for part, _ in zip(parts, threads.map(solve, parts), strict=True):
+            solved += len(part)
+            done(solved)
     found += found.T.copy()
     found *= 0.5
-    return np.ascontiguousarray(found.reshape(3, count, 3, count).transpose(1, 3, 0, 2))
+    blocks = found.reshape(3, count, 3, count).transpose(1, 3, 0, 2)
+    return Solution(blocks, bending.reshape(2, 3, count).transpose(2, 1, 0))
+
+
+def _surface_gradient(solid: Solid) -> Any:
+    """Return the sparse matrix (9 m, N) of the mean displacement gradients [k, i, j] = du_i / dx_j.
+
+    It is that of the m tetrahedra with a face on the surface.
+    """
+    from scipy.sparse import csr_matrix
+
+    mesh = solid.basis.mesh
+    outer = np.unique(mesh.f2t[0, mesh.boundary_facets()])
+    corners = mesh.t[:, outer]
+    edges = mesh.p[:, corners[1:]] - mesh.p[:, corners[:1]]  # (3, 3, m): component, edge
+    inner = np.linalg.inv(edges.transpose(2, 1, 0))  # (m, 3, 3): column of each corner but the first
+    slopes = np.concatenate([-inner.sum(axis=2, keepdims=True), inner], axis=2)  # (m, j, corner)
+    each = np.arange(len(outer))
+    rows, columns, values = [], [], []
+    for i, j, corner in np.ndindex(3, 3, 4):
+        rows.append(9 * each + 3 * i + j)
+        columns.append(solid.basis.nodal_dofs[i, corners[corner]])
+        values.append(slopes[:, j, corner])
+    indices = np.concatenate(rows), np.concatenate(columns)
+    return csr_matrix((np.concatenate(values), indices), shape=(9 * len(outer), solid.basis.N))
+
+
+def _largest_parts(gradient: Any, moved: Doubles) -> Doubles:
+    """Return the largest rotation, rad, and strain of each of the displacements (N, k): (2, k)."""
+    g = (gradient @ moved).reshape(-1, 3, 3, moved.shape[1])
+    mirrored = g.transpose(0, 2, 1, 3)
+    strain = np.sqrt((((g + mirrored) * 0.5) ** 2).sum(axis=(1, 2)))
+    rotation = np.sqrt((((g - mirrored) * 0.5) ** 2).sum(axis=(1, 2)) * 0.5)
+    return np.stack([rotation.max(axis=0), strain.max(axis=0)])
 
 
 def vertex_normals(vertices: Doubles, triangles: NDArray[np.int64]) -> Doubles:

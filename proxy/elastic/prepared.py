@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.elastic.compliance import compliance, patch_loads, vertex_normals
+from softfinger.proxy.elastic import solution
+from softfinger.proxy.elastic.body import Body, Report
+from softfinger.proxy.elastic.compliance import patch_loads, solve_patches, vertex_normals
 from softfinger.proxy.elastic.solid import Solid, region_holds
 from softfinger.proxy.elastic.volume import Volume, boundary, fill, quality, read_volume
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
@@ -25,6 +26,8 @@ from softfinger.proxy.meshes.mending import mend
 from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes
 
 Doubles = NDArray[np.float64]
+
+log: Final = logging.getLogger(__name__)
 
 GRAVITY_M_PER_S2: Final = 9.80665
 PROBES: Final = 5
@@ -45,37 +48,6 @@ progress: Callable[[str, int], AbstractContextManager[Callable[[int], None]]] = 
 """Display of progress, which the command line replaces."""
 
 
-class Report(NamedTuple):
-    """Figures of a body, of Young's modulus 1 Pa.
-
-    points       (k, 3) m  of the surface, spread over it
-    compliances  (k,)      displacement there along the normal under 1 N, m/N times 1 Pa
-    error        1         largest relative error of them, estimated with a coarser mesh; None without one
-    """
-
-    vertices: int
-    tetrahedra: int
-    nodes: int
-    worst_quality: float
-    mean_quality: float
-    points: list[list[float]]
-    compliances: list[float]
-    error: float | None
-
-
-class Body(NamedTuple):
-    """Surface (vertices, m, and triangles), its vertices that give, their compliance, and figures.
-
-    nodes       (n,)       indices of vertices
-    compliance  (n n 9,)   see `compliance.compliance`
-    """
-
-    surface: Arrays
-    nodes: NDArray[np.int32]
-    compliance: ReadOnly
-    report: Report
-
-
 _bodies: Final[dict[str, Body]] = {}
 
 
@@ -89,29 +61,59 @@ def body_of(thing: schema.Mesh, folder: Folder = kept.KEPT) -> Body:
     """
     assert thing.elastic is not None
     try:
-        key = _key(thing, thing.elastic, read_bytes(thing.file))
-        if key not in _bodies:
-            found = kept.load(key, folder)
-            body = _made(thing, thing.elastic) if found is None else _from_disk(found)
-            if found is None:
-                kept.save(key, _to_disk(body), folder)
+        identity = solution.identity(thing, thing.elastic, read_bytes(thing.file))
+        if identity not in _bodies:
+            body = _solved(thing, thing.elastic, identity, folder)
             while len(_bodies) >= BODIES:
                 _bodies.pop(next(iter(_bodies)))
-            _bodies[key] = body
-        return _bodies[key]
+            _bodies[identity] = body
+        return _bodies[identity]
     except ConfigError as error:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
     except ValueError as error:
         raise ConfigError(f"object '{thing.name}': elastic: {thing.file}: {error}") from error
 
 
-def _key(thing: schema.Mesh, elastic: schema.Elastic, data: bytes) -> str:
-    """Return a hash of the file and of all values that change the compliance; it is that of Young's modulus 1 Pa."""
-    digest = hashlib.sha256(data)
-    sags = elastic.density_kg_per_m3 is not None
-    same = msgspec.structs.replace(elastic, youngs_pa=elastic.youngs_pa if sags else 1.0, damping_s=0.0)
-    digest.update(repr((SOURCE_HASH, len(data), Path(thing.file).suffix.lower(), thing.scale, same)).encode())
-    return digest.hexdigest()
+def stored_body(thing: schema.Mesh, folder: Folder = kept.KEPT) -> Body | None:
+    """Return the body if it was solved before, here or in the file `solution`: for pictures, which do not wait."""
+    assert thing.elastic is not None
+    try:
+        identity = solution.identity(thing, thing.elastic, read_bytes(thing.file))
+    except ConfigError:  # a file of another machine
+        return None
+    return _bodies.get(identity) or _stored(thing.elastic, identity, folder)[0]
+
+
+def _stored(elastic: schema.Elastic, identity: str, folder: Folder) -> tuple[Body | None, str]:
+    """Return the body from the file `solution` or from the cache, and a reason if that file is not used."""
+    refusal = ""
+    if elastic.solution is not None:
+        try:
+            return solution.read(elastic.solution, identity), ""
+        except (OSError, ValueError) as error:
+            reason = error.strerror or error if isinstance(error, OSError) else error
+            refusal = f"solution {elastic.solution} is not used: {reason}"
+    found = kept.load(_key(identity), folder)
+    return None if found is None else _from_disk(found), refusal
+
+
+def _key(identity: str) -> str:
+    return hashlib.sha256(repr((SOURCE_HASH, identity)).encode()).hexdigest()
+
+
+def _solved(thing: schema.Mesh, elastic: schema.Elastic, identity: str, folder: Folder) -> Body:
+    """Return the body from the file `solution`, from the cache, or by solving."""
+    body, refusal = _stored(elastic, identity, folder)
+    if body is not None:
+        return body
+    try:
+        body = solve(thing, elastic)
+    except ValueError as error:
+        raise ValueError(f"{error}; {refusal}" if refusal else str(error)) from error
+    if refusal:
+        log.warning("object '%s': %s; the body was solved", thing.name, refusal)
+    kept.save(_key(identity), _to_disk(body), folder)
+    return body
 
 
 def volume_of(thing: schema.Mesh, resolution_m: float) -> Volume:
@@ -138,7 +140,8 @@ def solid_of(volume: Volume, elastic: schema.Elastic) -> Solid:
     )
 
 
-def _made(thing: schema.Mesh, elastic: schema.Elastic) -> Body:
+def solve(thing: schema.Mesh, elastic: schema.Elastic) -> Body:
+    """Mesh and solve a body. Raises ConfigError or ValueError if that is not possible."""
     volume = volume_of(thing, elastic.resolution_m)
     triangles = boundary(volume)
     nodes = _yielding(volume, triangles, elastic)
@@ -146,7 +149,7 @@ def _made(thing: schema.Mesh, elastic: schema.Elastic) -> Body:
     normals = vertex_normals(volume.vertices, triangles)
     loads = patch_loads(solid, volume.vertices[nodes], normals[nodes], elastic.radius_m)
     with progress(f"compliance of {thing.name}", 3 * len(nodes)) as done:
-        found = compliance(solid, loads, done)
+        found, bending = solve_patches(solid, loads, done)
     placed = volume.vertices
     if elastic.density_kg_per_m3 is not None:
         weight = solid.gravity((0.0, 0.0, -GRAVITY_M_PER_S2 * elastic.density_kg_per_m3))
@@ -163,7 +166,7 @@ def _made(thing: schema.Mesh, elastic: schema.Elastic) -> Body:
         len(volume.vertices), len(volume.tetrahedra), len(nodes), float(measured.min()), float(measured.mean()),
         volume.vertices[nodes[probes]].tolist(), own.tolist(), error,
     )  # fmt: skip
-    return Body(surface, place, ReadOnly(found), report)
+    return Body(surface, place, ReadOnly(found), ReadOnly(bending), report)
 
 
 def _yielding(volume: Volume, triangles: NDArray[np.int64], elastic: schema.Elastic) -> NDArray[np.int64]:
@@ -197,24 +200,27 @@ def _spread(points: Doubles) -> NDArray[np.int64]:
 def _error(
     thing: schema.Mesh, elastic: schema.Elastic, points: Doubles, normals: Doubles, own: Doubles
 ) -> float | None:
-    """Return the largest relative error of the compliances `own`, by Richardson's rule; None for a file of one mesh."""
+    """Return the error of the compliances `own` over the largest, by Richardson's rule; None for a file of one mesh."""
     if thing.file.lower().endswith(thing.volumes):
         return None
     solid = solid_of(volume_of(thing, COARSER * elastic.resolution_m), elastic)
-    found = compliance(solid, patch_loads(solid, points, normals, elastic.radius_m))
+    found = solve_patches(solid, patch_loads(solid, points, normals, elastic.radius_m)).compliance
     count = np.arange(len(points))
     coarse = np.einsum("ki,kij,kj->k", normals, found[count, count], normals)
-    return float(np.abs(coarse / own - 1.0).max() / (COARSER**ORDER - 1.0))
+    return float(np.abs(coarse - own).max() / own.max() / (COARSER**ORDER - 1.0))
 
 
 def _to_disk(body: Body) -> kept.Kept:
-    arrays = {**body.surface._asdict(), "nodes": body.nodes, "compliance": body.compliance.array}
-    return kept.Kept(arrays, {"report": body.report._asdict()})
+    tables = {"nodes": body.nodes, "compliance": body.compliance.array, "bending": body.bending.array}
+    return kept.Kept({**body.surface._asdict(), **tables}, {"report": body.report._asdict()})
 
 
 def _from_disk(found: kept.Kept) -> Body:
     arrays: dict[str, Any] = dict(found.arrays)
-    report = msgspec.convert(list(found.values["report"].values()), Report)
     return Body(
-        Arrays(arrays["vertices"], arrays["triangles"]), arrays["nodes"], ReadOnly(arrays["compliance"]), report
+        surface=Arrays(arrays["vertices"], arrays["triangles"]),
+        nodes=arrays["nodes"],
+        compliance=ReadOnly(arrays["compliance"]),
+        bending=ReadOnly(arrays["bending"]),
+        report=Report(**found.values["report"]),
     )

@@ -69,13 +69,17 @@ class Solid:
         matrix = stiffness[self.free][:, self.free].tocsc()
         self.matrix: Final = matrix
         factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        self._factors: Final[Any] = factors
-        lower, upper = factors.L.tocsc(), factors.U.tocsc()
+        # K is symmetric and positive definite, so its pivots are on the diagonal: K = L D L^T.
+        self._factors: Final[Any] = factors if PLAIN else None
+        lower = factors.L.tocsc()
         lower.sort_indices()
-        upper.sort_indices()
         self._lower: Final = (lower.indptr, lower.indices, lower.data)
-        self._upper: Final = (upper.indptr, upper.indices, upper.data)
-        self._rows, self._columns = np.argsort(factors.perm_r), factors.perm_c
+        self._diagonal: Final = factors.U.diagonal()
+        self._order: Final = factors.perm_c
+        self._rows: Final = np.argsort(factors.perm_c)
+        self.eliminated: Final = np.full(self.basis.N, self.basis.N)
+        """Place of each unknown in the order of elimination."""
+        self.eliminated[self.free[self._rows]] = np.arange(len(self.free))
 
     def solve(self, loads: Doubles) -> Doubles:
         """Return the displacements (N, k) times 1 Pa under nodal forces (N, k), N."""
@@ -86,8 +90,8 @@ class Solid:
         for start in range(0, loads.shape[1], BLOCK):
             block = np.ascontiguousarray(loads[self.free, start : start + BLOCK][self._rows])
             substitute_down(*self._lower, block)
-            substitute_up(*self._upper, block)
-            found[self.free, start : start + BLOCK] = block[self._columns]
+            substitute_up(*self._lower, self._diagonal, block)
+            found[self.free, start : start + BLOCK] = block[self._order]
         return found
 
     def gravity(self, direction: Sequence[float]) -> Doubles:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 import softfinger.proxy.kernels.elastic  # noqa: F401  registers its step
@@ -9,6 +11,9 @@ from softfinger.config import schema
 from softfinger.proxy.elastic.prepared import body_of
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
+
+LARGE: Final = 0.1
+"""Displacement over the diagonal of the body from which `contact.nonlinear` is set."""
 
 
 def kernel_elastic(thing: schema.Mesh, elastic: schema.Elastic, mesh: model.Triangles) -> model.Elastic:
@@ -24,4 +29,6 @@ def kernel_elastic(thing: schema.Mesh, elastic: schema.Elastic, mesh: model.Tria
         number=float(len(body.nodes)),
         softness=1.0 / elastic.youngs_pa,
         damping=elastic.damping_s,
+        bending=body.bending,
+        large=LARGE * float(np.linalg.norm(np.ptp(body.surface.vertices, axis=0))),
     )

@@ -11,7 +11,7 @@ Source of the method: James and Pai (2001). This module is imported for scenes w
 """
 
 from collections.abc import Callable
-from math import sqrt
+from math import pi, sqrt
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.normal import normal_force_of
@@ -27,18 +27,22 @@ from softfinger.proxy.kernels.query.world import all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import ROOM
 from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
 from softfinger.proxy.kernels.step import step_finger, step_once
-from softfinger.proxy.record import FREE, ROLLING
+from softfinger.proxy.record import FREE, LARGE_DISPLACEMENT, LARGE_ROTATION, LARGE_STRAIN, ROLLING
 
 ROUNDS = 6
 """Largest number of rigid steps of a finger in a tick."""
-SOLVED = 1e-13
-"""Change of the displacement, m, below which it is not corrected."""
+SOLVED = 1e-11
+"""Change of the displacement, m, below which it is not corrected: 0.01 uN for a finger of 1000 N/m."""
 ON_EDGE = 1e-9
 """Barycentric weight below which a contact is on the edge of its facet."""
 LEAN_RAD = 1e-6
 """Angle between the contact normal and that of the facet from which the contact is on an edge."""
 DEPTH_STEP_M = 1e-7
 """Change of the depth by which the stiffness of the normal force is measured."""
+
+ROTATION_MAX_RAD = 10.0 * pi / 180.0
+STRAIN_MAX = 0.1
+"""Rotation and strain above which the body is no longer linear."""
 
 Mat3 = tuple[Vec3, Vec3, Vec3]
 ZERO: Vec3 = (0.0, 0.0, 0.0)
@@ -186,6 +190,21 @@ def spot_on(elastic: Elastic, body: Any, facet: float, point: Vec3, normal: Vec3
     return Spot(nodes, (of_a, of_b, of_c), (to_a, to_b, to_c), ZERO, ZEROS)
 
 
+@by_type
+def friction_on(law: Any, force: Vec3, normal: Vec3) -> Any:
+    """Return the friction (3,) N in a force."""
+
+
+@friction_on.of(None)
+def no_friction(law: None, force: Vec3, normal: Vec3) -> Vec3:
+    return ZERO
+
+
+@friction_on.otherwise
+def tangential_part(law: Any, force: Vec3, normal: Vec3) -> Vec3:
+    return vec3.reject(force, normal)
+
+
 @jit
 def contact_spot(elastic: Elastic, body: Any, finger: Finger, state: FingerState, contact: Contact, dt: float) -> Spot:
     """Return the spot of the most loaded contact, with the load of all contacts of the finger."""
@@ -203,9 +222,20 @@ def contact_spot(elastic: Elastic, body: Any, finger: Finger, state: FingerState
         spring = plus(ZEROS, side, plus_outer(IDENTITY, vec3.scale(-1.0, n), n))
         spring = plus_outer(spring, vec3.scale(stiffness, n), n)
         return replace(found, "load", vec3.scale(-1.0, force), "slopes", ZEROS, "spring", spring)
+    spring = ZEROS
     if contact.normal_force > 0.0:
         along = vec3.add_scaled(n, 1.0 / contact.normal_force, vec3.reject(force, n))
-    return replace(found, "load", vec3.scale(-1.0, force), "spring", plus_outer(ZEROS, vec3.scale(stiffness, along), n))
+        drag = friction_on(body.material.friction, force, n)
+        size = vec3.norm(drag)
+        if size > 0.0:  # the friction turns with the deflection, and the point follows the probe along it
+            t = vec3.scale(1.0 / size, drag)
+            across = plus_outer(plus_outer(IDENTITY, vec3.scale(-1.0, n), n), vec3.scale(-1.0, t), t)
+            spring = plus(ZEROS, finger.coupling.stiffness, across)
+            a, b, c = found.slopes
+            slopes = (vec3.scale(vec3.dot(a, t), t), vec3.scale(vec3.dot(b, t), t), vec3.scale(vec3.dot(c, t), t))
+            found = replace(found, "slopes", slopes)
+    spring = plus_outer(spring, vec3.scale(stiffness, along), n)
+    return replace(found, "load", vec3.scale(-1.0, force), "spring", spring)
 
 
 @jit
@@ -234,14 +264,46 @@ def memory_of(elastic: Elastic, dt: float) -> float:
 
 
 @jit
-def surface_after(finger: Finger, last: Surface, displacement: Vec3, dt: float) -> Surface:
-    """Return the displacement with its rate, filtered as the probe's velocity is."""
-    if dt <= 0.0:
-        return Surface(displacement, last.rate)
-    gain = 1.0 / (finger.velocity_time_constant + dt)
-    moved = vec3.sub(displacement, last.displacement)
-    rate = vec3.add_scaled(vec3.faded(finger.velocity_time_constant * gain, last.rate), gain, moved)
-    return Surface(displacement, rate)
+def surface_after(
+    scene: Scene, finger: Finger, last: Surface, displacement: Vec3, contact: Contact, bent: Any, dt: float
+) -> Surface:
+    """Return the displacement with its rate, filtered as the probe's velocity is, and the limits that are exceeded.
+
+    bent  largest rotation, rad, and strain of the body
+    """
+    elastic, body, rate = scene.elastic, scene.objects.body, last.rate
+    if dt > 0.0:
+        gain = 1.0 / (finger.velocity_time_constant + dt)
+        moved = vec3.sub(displacement, last.displacement)
+        rate = vec3.add_scaled(vec3.faded(finger.velocity_time_constant * gain, last.rate), gain, moved)
+    beyond = 0.0
+    if vec3.dot(displacement, displacement) > elastic.large * elastic.large:
+        beyond += LARGE_DISPLACEMENT
+    if bent[0] > ROTATION_MAX_RAD:
+        beyond += LARGE_ROTATION
+    if bent[1] > STRAIN_MAX:
+        beyond += LARGE_STRAIN
+    if contact.mode == FREE:
+        return Surface(displacement, rate, ZERO, 0.0)
+    return Surface(displacement, rate, turn_out_of(body.pose, displacement), beyond)
+
+
+@jit
+def bending_under(elastic: Elastic, spot: Spot) -> tuple[float, float]:
+    """Return the largest rotation, rad, and strain of the body under the load of a spot: an upper bound.
+
+    Those of the components of the load on each node are added, wherever in the body they are.
+    """
+    rotation, strain = 0.0, 0.0
+    for i in range(3):
+        if spot.nodes[i] < 0:
+            continue
+        for j in range(3):
+            share = elastic.softness * spot.weights[i] * abs(spot.load[j])
+            at = 6 * spot.nodes[i] + 2 * j
+            rotation += share * elastic.bending[at]
+            strain += share * elastic.bending[at + 1]
+    return rotation, strain
 
 
 @by_type
@@ -307,13 +369,14 @@ def press(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt
 def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last, finger = scene.elastic, objects.body, state.world.surfaces[0], fingers[0]
     gain = memory_of(elastic, dt)
-    rest, u, slope = vec3.scale(1.0 - gain, last.displacement), last.displacement, ZERO
+    rest, slope, bent = vec3.scale(1.0 - gain, last.displacement), ZERO, (0.0, 0.0)
+    u = vec3.add_scaled(last.displacement, dt, last.rate)
     for left in range(ROUNDS - 1, -1, -1):
         after, contact = step_finger(finger, state.fingers[0], shifted(body, poses[0], u), scene, objects, dt)
-        goal, matrix, rise = rest, IDENTITY, ZERO
+        goal, matrix, rise, bent = rest, IDENTITY, ZERO, (0.0, 0.0)
         if contact.mode != FREE:
             spot = contact_spot(elastic, body, finger, after, contact, dt)
-            given = respond(elastic, spot, spot)
+            given, bent = respond(elastic, spot, spot), bending_under(elastic, spot)
             goal = vec3.add_scaled(rest, gain, times(given.compliance, spot.load))
             moves = plus(plus(product(given.compliance, spot.spring), 1.0, given.at), 1.0, given.by)
             matrix, rise = inverse(plus(IDENTITY, gain, moves)), times(transposed(given.at), spot.load)
@@ -322,7 +385,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         if left == 0 or vec3.dot(change, change) <= SOLVED**2:
             break
         u = vec3.add(u, change)
-    surface = surface_after(finger, last, u, dt)
+    surface = surface_after(scene, finger, last, u, contact, bent, dt)
     return (after,), (report_on(body, contact, surface, slope),), (surface,)
 
 
@@ -369,8 +432,9 @@ def correct_both(elastic: Elastic, one: Spot, two: Spot, gain: float, short: Any
 def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last = scene.elastic, objects.body, state.world.surfaces
     gain = memory_of(elastic, dt)
-    u, v = last[0].displacement, last[1].displacement
-    rest_u, rest_v = vec3.scale(1.0 - gain, u), vec3.scale(1.0 - gain, v)
+    rest_u, rest_v = vec3.scale(1.0 - gain, last[0].displacement), vec3.scale(1.0 - gain, last[1].displacement)
+    u = vec3.add_scaled(last[0].displacement, dt, last[0].rate)
+    v = vec3.add_scaled(last[1].displacement, dt, last[1].rate)
     slope_u, slope_v = ZERO, ZERO
     for left in range(ROUNDS - 1, -1, -1):
         one, first = step_finger(fingers[0], state.fingers[0], shifted(body, poses[0], u), scene, objects, dt)
@@ -382,7 +446,9 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         if left == 0 or vec3.dot(change_u, change_u) + vec3.dot(change_v, change_v) <= SOLVED**2:
             break
         u, v = vec3.add(u, change_u), vec3.add(v, change_v)
-    surface_u = surface_after(fingers[0], last[0], u, dt)
-    surface_v = surface_after(fingers[1], last[1], v, dt)
+    bent_x, bent_y = bending_under(elastic, x), bending_under(elastic, y)
+    bent = (bent_x[0] + bent_y[0], bent_x[1] + bent_y[1])
+    surface_u = surface_after(scene, fingers[0], last[0], u, first, bent, dt)
+    surface_v = surface_after(scene, fingers[1], last[1], v, second, bent, dt)
     contacts = (report_on(body, first, surface_u, slope_u), report_on(body, second, surface_v, slope_v))
     return (one, two), contacts, (surface_u, surface_v)

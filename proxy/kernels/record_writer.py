@@ -3,8 +3,9 @@
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import padded
-from softfinger.proxy.kernels.model import NO_OUTCOME, Contact, ContactOutcome, Quaternion, Vec3
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.tuples import map_each, padded
+from softfinger.proxy.kernels.model import NO_OUTCOME, ZERO, Contact, ContactOutcome, Quaternion, Surface, Vec3
 from softfinger.proxy.record import AT
 
 
@@ -54,10 +55,33 @@ def write_contact(
     put3(row, AT.contact_patch_normal, contact.patch_normal)
     put3(row, AT.contact_patch_stretch, contact.patch_stretch)
     row[AT.contact_budget] = contact.budget
+    put3(row, AT.contact_displacement, ZERO)
+    row[AT.contact_nonlinear] = 0.0
     one, two, three = padded(contact.contacts, NO_OUTCOME, 3)
     write_outcome(row, AT.contacts0_object, one)
     write_outcome(row, AT.contacts1_object, two)
     write_outcome(row, AT.contacts2_object, three)
+
+
+@by_type
+def write_surfaces(surfaces: Any, rows: Any) -> None:
+    """Fill the fields of an elastic surface in the records of all fingers, after `write_contact`; see World.surfaces."""
+
+
+@write_surfaces.of(None)
+def write_no_surfaces(surfaces: None, rows: Any) -> None:
+    pass
+
+
+@write_surfaces.otherwise
+def write_every_surface(surfaces: Any, rows: Any) -> None:
+    map_each(write_surface, (rows, surfaces))
+
+
+@jit
+def write_surface(row: Any, surface: Surface) -> None:
+    put3(row, AT.contact_displacement, surface.moved)
+    row[AT.contact_nonlinear] = surface.beyond
 
 
 @jit

@@ -181,7 +181,9 @@ def _key(data: bytes, thing: schema.Mesh, builder: Builder[Any]) -> str:
     digest = hashlib.sha256(data)
     made: tuple[Any, ...] = SOURCE_HASH, len(data), Path(thing.file).suffix.lower(), thing.scale, builder.kind
     if thing.elastic is not None:
-        made = (*made, thing.elastic)
+        from softfinger.proxy.elastic.prepared import body_of
+
+        made = (*made, *(hashlib.sha256(each.tobytes()).digest() for each in body_of(thing).surface))
     digest.update(repr(made).encode())
     return digest.hexdigest()
 

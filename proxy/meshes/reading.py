@@ -32,6 +32,8 @@ OTHER_FILES: Final = {
     b"PK\x03\x04": "is compressed (zip): unpack it",
 }
 """Reason to refuse a file of another kind, by its first bytes."""
+TETRAHEDRA: Final = ("msh", "vtu")
+"""Endings of the files of elastic bodies that `proxy/elastic/volume.py` reads."""
 _REASON_MAX: Final = 200
 """Characters of an exception's text in a message."""
 
@@ -45,7 +47,7 @@ class Arrays(NamedTuple):
 
 def read_bytes(path: str | Path) -> bytes:
     """Return the content of a mesh file. Raises ConfigError if it is missing, too large, or of an unknown ending."""
-    if _kind(path) not in READERS:
+    if _kind(path) not in (*READERS, *TETRAHEDRA):
         raise ConfigError(f"{path}: is none of {', '.join(f'.{kind}' for kind in READERS)}: export it as one of these")
     try:
         return read_input(path, BYTES_MAX)

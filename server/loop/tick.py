@@ -13,7 +13,7 @@ from softfinger.proxy.kernels.model import Contact, FingerState, Pose, Probe, Sc
 from softfinger.proxy.kernels.numerics.rotations import as_unit
 from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, tip_of
 from softfinger.proxy.kernels.numerics.vec3 import norm
-from softfinger.proxy.kernels.record_writer import put3, write_contact
+from softfinger.proxy.kernels.record_writer import put3, write_contact, write_surfaces
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import AT, POSITION_MAX_M, RECORD_SIZE
 from softfinger.proxy.scene import start_state
@@ -256,4 +256,5 @@ def tick(
         Output(tuning.passivity, tuning.scene.bodies),
         Instant(number, dt, period),
     )
+    write_surfaces(state.world.surfaces, records)
     return Memory(state.world, hands)

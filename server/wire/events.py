@@ -45,7 +45,10 @@ _TRANSITIONS: Final[dict[str, tuple[str, int | None]]] = {
     "release": ("release", None),
 }
 
-_WATCHED: Final = [AT.contact_mode, AT.contact_cause, AT.servo_guard, AT.servo_missed]
+NONLINEAR: Final = "the elastic object is deformed more than its linear model describes: press less, or raise youngs_pa"
+"""Remedy of the event `nonlinear`."""
+
+_WATCHED: Final = [AT.contact_mode, AT.contact_cause, AT.servo_guard, AT.servo_missed, AT.contact_nonlinear]
 
 
 class RecordEvents:
@@ -61,6 +64,8 @@ class RecordEvents:
         self._finger, self._of_servo = finger, of_servo
         self._watched: list[float] | None = None
         self._object = -1
+        self._nonlinear = 0
+        """Limits of linear elasticity that were reported: each is reported once."""
         self._delayed: dict[tuple[str, str], int] = {}
         self._sent_s: dict[tuple[str, str], float] = {}
 
@@ -79,8 +84,8 @@ class RecordEvents:
         return events
 
     def _append_changes(self, record: NDArray[np.float64], watched: list[float], events: list[Map]) -> None:
-        mode, cause, guard, missed = (int(value) for value in watched)
-        before = [int(value) for value in self._watched] if self._watched else [mode, 0, 0, missed]
+        mode, cause, guard, missed, nonlinear = (int(value) for value in watched)
+        before = [int(value) for value in self._watched] if self._watched else [mode, 0, 0, missed, 0]
         self._watched = watched
         if cause:
             events.append(self._contact(record, CAUSE_NAMES[cause], before[0], mode))
@@ -88,6 +93,17 @@ class RecordEvents:
         for bit in range(rising.bit_length()):
             if rising >> bit & 1:
                 self._delay("guard", self._guard_names[bit] if bit < len(self._guard_names) else f"bit {bit}", 1)
+        if nonlinear & ~self._nonlinear:
+            self._nonlinear |= nonlinear
+            events.append(
+                {
+                    **_head(record, "elastic", "nonlinear"),
+                    "nonlinear": nonlinear,
+                    "displacement": _vector(record, AT.contact_displacement),
+                    "finger": self._finger,
+                    "message": NONLINEAR,
+                }
+            )
         # The counter restarts with the servo.
         if self._of_servo:
             self._delay("servo", "missed", missed - before[3] if missed >= before[3] else missed)

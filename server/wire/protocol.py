@@ -83,7 +83,7 @@ EVENT_KEYS: Final = (
     SCHEMA_KEY,
     Key("timestamp", "float", "s", "", "time of the event since the epoch"),
     _TICK_KEY,
-    Key("kind", "str", "", "", "contact, guard, servo, device, command, mark, fault, state or lifecycle"),
+    Key("kind", "str", "", "", "contact, guard, elastic, servo, device, command, mark, fault, state or lifecycle"),
     Key("name", "str", "", "", "what happened"),
 )
 """Keys of every event."""
@@ -112,6 +112,12 @@ EVENT_EXTRA_KEYS: Final = {
         Key("count", "int", "1", "", "interventions since the last event of this name"),
         _FINGER_KEY,
         Key("message", "str", "", "", "remedy; empty if there is none"),
+    ),
+    "elastic": (
+        Key("nonlinear", "int", "bits", "", "limits of linear elasticity that are exceeded, as `contact.nonlinear`"),
+        Key("displacement", "float[3]", "m", "world", "displacement of the surface at the contact"),
+        _FINGER_KEY,
+        Key("message", "str", "", "", "remedy"),
     ),
     "servo": (
         Key("count", "int", "1", "", "deadlines missed since the last event of this name"),

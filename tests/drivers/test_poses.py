@@ -96,9 +96,12 @@ def test_unknown_names_are_refused_with_the_known(tmp_path: Path) -> None:
 
 def test_shipped_recordings_load() -> None:
     """Every shipped recording can be read by its name, with and without its ending."""
-    pairs = [f"{name}-{finger}" for name in ("lift", "pinch", "stack") for finger in ("index", "thumb")]
+    pairs = [f"{name}-{finger}" for name in ("lift", "pinch", "squeeze", "stack") for finger in ("index", "thumb")]
     bodies = ["open-a-door", "open-a-drawer", "press-a-button", "push-a-ball", "roll-a-pencil", "turn-a-knob"]
-    assert shipped_names() == sorted([*pairs, *bodies, "plates", "press-roll-spin-drag", "roll-follow", "tap"])
+    elastic = ["bend-a-strip", "press-a-pad"]
+    assert shipped_names() == sorted(
+        [*pairs, *bodies, *elastic, "plates", "press-roll-spin-drag", "roll-follow", "tap"]
+    )
     for name in shipped_names():
         assert load_poses(name).t.tolist() == load_poses(name + ".csv").t.tolist()
 

@@ -4,6 +4,7 @@ from math import log2, pi
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -12,10 +13,11 @@ gmsh = pytest.importorskip("gmsh")
 
 from softfinger.config.errors import ConfigError  # noqa: E402
 from softfinger.config.load import load_scene  # noqa: E402
-from softfinger.proxy.elastic.compliance import compliance, patch_loads  # noqa: E402
+from softfinger.proxy.elastic.compliance import patch_loads, solve_patches  # noqa: E402
 from softfinger.proxy.elastic.prepared import body_of  # noqa: E402
 from softfinger.proxy.elastic.solid import Solid  # noqa: E402
 from softfinger.proxy.elastic.volume import Volume, boundary, checked, fill, quality, read_volume  # noqa: E402
+from softfinger.proxy.meshes.prepared import about  # noqa: E402
 
 pytestmark = pytest.mark.plain
 
@@ -130,7 +132,7 @@ def test_reciprocity_of_two_patches_before_it_is_imposed() -> None:
     first, second = (np.stack([load[:, k].toarray()[:, 0] for load in loads], axis=1) for k in (0, 1))
     there, back = second.T @ solid.solve(first), first.T @ solid.solve(second)
     assert there == pytest.approx(back.T, rel=1e-10, abs=1e-10 * abs(there).max())
-    assert compliance(solid, loads)[1, 0] == pytest.approx(there, rel=1e-9, abs=1e-9 * abs(there).max())
+    assert solve_patches(solid, loads).compliance[1, 0] == pytest.approx(there, rel=1e-9, abs=1e-9 * abs(there).max())
 
 
 def test_the_load_of_a_patch_is_one_newton_at_its_centre() -> None:
@@ -187,3 +189,13 @@ def test_inverted_and_missing_tetrahedra_are_refused(tmp_path: Path) -> None:
         read_volume(str(tmp_path / "flat.vtu"), 1.0)
     meshio.Mesh(corners, [("tetra", [[0, 1, 2, 3]])]).write(tmp_path / "one.vtu")
     assert read_volume(str(tmp_path / "one.vtu"), 0.1).vertices == pytest.approx(0.1 * corners)
+
+
+def test_a_file_of_tetrahedra_is_the_body_of_a_scene(tmp_path: Path) -> None:
+    meshio = pytest.importorskip("meshio")
+    volume = fill(*box(0.03, 0.03, 0.012), 0.008)
+    meshio.Mesh(volume.vertices, [("tetra", volume.tetrahedra)]).write(tmp_path / "pad.vtu")
+    thing = msgspec.structs.replace(pad(tmp_path, resolution_m=0.008), file=str(tmp_path / "pad.vtu"))
+    report = body_of(thing).report
+    assert report.tetrahedra == len(volume.tetrahedra) and report.error is None
+    assert about(thing).report.watertight

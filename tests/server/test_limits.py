@@ -438,7 +438,11 @@ def test_a_recorded_hand_comes_to_no_limit():
     assert records[:, AT.limits_energy].max() < 0.1 * 0.2
 
 
-RECORDED = {"pinch": ("pinch-thumb", "pinch-index"), "lift-a-box": ("lift-thumb", "lift-index")}
+RECORDED = {
+    "pinch": ("pinch-thumb", "pinch-index"),
+    "lift-a-box": ("lift-thumb", "lift-index"),
+    "squeeze-a-ball": ("squeeze-thumb", "squeeze-index"),
+}
 """Recordings that are for a scene of several fingers."""
 ALONE = ("press-roll-spin-drag", "roll-follow", "tap")
 """Those of one finger, but for what hands of a simulated device intend: played open loop it is deep in the bodies."""

@@ -15,6 +15,9 @@ class Elastic(NamedTuple):
     number                        number of nodes
     softness    1/Pa              1/E
     damping     s                 time constant of a displacement
+    bending     (nodes 6,)        for each node and direction x, y, z of a unit load on it: the largest rotation and the
+                                  largest strain of the body, 1/N times 1 Pa
+    large       m                 displacement from which the body is no longer linear
     """
 
     compliance: ReadOnly
@@ -22,10 +25,20 @@ class Elastic(NamedTuple):
     number: float
     softness: float
     damping: float
+    bending: ReadOnly
+    large: float
 
 
 class Surface(NamedTuple):
-    """Displacement (3,) m of the surface under a fingertip, in the object frame, and its filtered rate (3,) m/s."""
+    """Surface under a fingertip.
+
+    displacement  (3,) m    in the object frame
+    rate          (3,) m/s  filtered rate of it
+    moved         (3,) m    the displacement in the world frame, 0 without contact
+    beyond        bits of `contact.nonlinear`
+    """
 
     displacement: Vec3
     rate: Vec3
+    moved: Vec3
+    beyond: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -63,6 +63,8 @@ class Bodies:
         """Objects on a body of [world]: name of the body, and pose in its frame."""
         self._surfaces: Final[dict[int, PlaneSurface | TriangleSurface]] = {}
         """Surfaces for `below`, if known."""
+        self._deform: Callable[[Collection[NDArray[np.float64]]], None] | None = None
+        """Function that draws the elastic object, if its body is known."""
         self._objects = (*scene.object, *visual_geoms(scene))
         for object_index, obj in enumerate(self._objects):
             initial_pose = (obj.position_m, obj.orientation_wxyz)
@@ -84,9 +86,11 @@ class Bodies:
         obj = self._scene.object[object_index]
         if len(mesh.faces):  # thinning may leave nothing of a mesh of tiny parts
             self._surfaces[object_index] = TriangleSurface(mesh)
-            _add_surface(
+            drawn = _add_surface(
                 self._api, f"/objects/{object_index}", obj, mesh._replace(flat=True), _colour(object_index, obj)
             )
+            if isinstance(obj, schema.Mesh) and obj.elastic is not None:
+                self._deform = _deformation(obj, mesh.vertices, drawn)
 
     def show(self, row: NDArray[np.float64]) -> None:
         """Move the objects with a motion to their poses in a tick (RECORD_SIZE,)."""
@@ -95,6 +99,11 @@ class Bodies:
             pose = pose_at(motion, initial, time)
             self.poses[object_index] = (pose.position, pose.orientation)
             self._update_frame(object_index)
+
+    def deform(self, rows: Collection[NDArray[np.float64]]) -> None:
+        """Draw an elastic object under its contacts in a tick: a record (RECORD_SIZE,) of each finger."""
+        if self._deform is not None:
+            self._deform(rows)
 
     def move_bodies(self, bodies: Mapping[str, PoseTuple]) -> None:
         """Move the objects on bodies to the poses of these bodies (name, world frame)."""
@@ -151,6 +160,24 @@ def visual_geoms(scene: schema.Scene) -> list[schema.Object]:
     return [obj for obj in geoms if obj is not None and not isinstance(obj, Filed)]
 
 
+def _deformation(
+    obj: schema.Mesh, vertices: NDArray[np.float64], drawn: Any
+) -> Callable[[Collection[NDArray[np.float64]]], None] | None:
+    """Return the function that moves the vertices of the drawn surface; None if the body was not solved here."""
+    from softfinger.proxy.elastic.deformed import Deformed  # only for scenes with an elastic object
+    from softfinger.proxy.elastic.prepared import stored_body
+
+    body = stored_body(obj)
+    if body is None:
+        return None
+    deformed = Deformed(obj, body, vertices)
+
+    def draw(rows: Collection[NDArray[np.float64]]) -> None:
+        drawn.vertices = (CM * deformed.at(rows)).astype(np.float32)
+
+    return draw
+
+
 def _colour(object_index: int, obj: Any) -> Colour:
     return MAP if isinstance(obj, schema.Heightmap) else OBJECTS[object_index % len(OBJECTS)]
 
@@ -168,12 +195,13 @@ def _add_object(api: Any, node: str, obj: Any, colour: tuple[int, int, int]) -> 
     _add_surface(api, node, obj, mesh, colour)
 
 
-def _add_surface(api: Any, node: str, obj: Any, mesh: Mesh, colour: tuple[int, int, int]) -> None:
+def _add_surface(api: Any, node: str, obj: Any, mesh: Mesh, colour: tuple[int, int, int]) -> Any:
+    """Add the surface of an object, and return its node; None for a height map."""
     if isinstance(obj, schema.Heightmap):
         add_relief(api, f"{node}/surface", mesh, colour)
-        return
+        return None
     inside = getattr(obj, "inside", False)
-    api.add_mesh_simple(
+    return api.add_mesh_simple(
         f"{node}/surface",
         CM * mesh.vertices,
         mesh.faces,

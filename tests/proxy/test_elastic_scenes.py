@@ -1,0 +1,199 @@
+"""The shipped scenes with an elastic object, which run without mesher and solver from the solutions beside them."""
+
+import contextlib
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from softfinger.config.load import load_scene
+from softfinger.config.schema import Elastic, Mesh, Scene
+from softfinger.config.sources import FOLDERS
+from softfinger.drivers.poses import load_poses
+from softfinger.proxy.elastic import solution
+from softfinger.proxy.elastic.deformed import Deformed
+from softfinger.proxy.elastic.prepared import body_of, solve
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.meshes.reading import read_bytes
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.cli import main
+from softfinger.server.wire.events import RecordEvents
+from softfinger.tools import elastic_scenes
+
+pytestmark = pytest.mark.plain
+
+NAMES = list(elastic_scenes.MESHES)
+
+
+def shipped(name: str) -> tuple[Mesh, Elastic]:
+    thing = load_scene(name).object[0]
+    assert isinstance(thing, Mesh) and thing.elastic is not None and thing.elastic.solution is not None
+    return thing, thing.elastic
+
+
+def identity(thing: Mesh, elastic: Elastic) -> str:
+    return solution.identity(thing, elastic, read_bytes(thing.file))
+
+
+def test_the_meshes_are_those_of_the_tool(tmp_path: Path) -> None:
+    for written in elastic_scenes.write_meshes(tmp_path):
+        assert written.read_bytes() == (FOLDERS[Scene] / written.name).read_bytes()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_solution_is_small_and_of_the_values_in_the_scene(name: str) -> None:
+    thing, elastic = shipped(name)
+    assert Path(str(elastic.solution)).stat().st_size < 300_000
+    body = solution.read(str(elastic.solution), identity(thing, elastic))
+    assert body.report.nodes == len(body.nodes) > 80
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_solution_is_what_the_solver_finds(name: str) -> None:
+    pytest.importorskip("skfem")
+    pytest.importorskip("gmsh")
+    thing, elastic = shipped(name)
+    kept, found = body_of(thing).report, solve(thing, elastic).report
+    # Another version of gmsh fills the body with other tetrahedra.
+    assert max(found.compliances) == pytest.approx(max(kept.compliances), rel=0.1)
+
+
+def test_a_damaged_or_foreign_solution_is_refused(tmp_path: Path) -> None:
+    thing, elastic = shipped("press-a-pad")
+    key, data = identity(thing, elastic), Path(str(elastic.solution)).read_bytes()
+    other = msgspec.structs.replace(elastic, poisson=0.3)
+    for changed in (other, msgspec.structs.replace(elastic, reach=()), msgspec.structs.replace(elastic, fixed=())):
+        with pytest.raises(ValueError, match="solution of other values"):
+            solution.read(str(elastic.solution), identity(thing, changed))
+    softer = msgspec.structs.replace(elastic, youngs_pa=1.0, damping_s=1.0, solution=None)
+    assert identity(thing, softer) == key
+    file, random = tmp_path / "pad.npz", np.random.default_rng(46)
+    for at in random.integers(len(data), size=40):
+        file.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
+        with contextlib.suppress(ValueError):  # a bit of the archive's date or attributes may be any
+            solution.read(str(file), key)
+    for damaged in (data[: len(data) // 2], b"", b"\x80\x04K\x01.", data.replace(b"compliance", b"complianse")):
+        file.write_bytes(damaged)
+        with pytest.raises(ValueError, match="is "):
+            solution.read(str(file), key)
+    packed = tmp_path / "packed.npz"
+    np.savez_compressed(packed, **{name: np.zeros(1, kind) for name, kind in solution.TYPES.items()})
+    with pytest.raises(ValueError, match="is no solution"):
+        solution.read(str(packed), key)
+
+
+def without(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the extra's packages unavailable."""
+    for name in ("gmsh", "skfem", "meshio"):
+        monkeypatch.setitem(sys.modules, name, None)
+
+
+def test_without_the_extra_one_line_names_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`check`, `simulate` and `replay` of a scene that has to be solved; a shipped scene needs no extra."""
+    without(monkeypatch)
+    monkeypatch.setattr(sys.modules["softfinger.proxy.elastic.prepared"], "_bodies", {})
+    assert main(["check", "press-a-pad"]) == 0
+    assert "N/m along the normal" in capsys.readouterr().out
+    text = (FOLDERS[Scene] / "press-a-pad.toml").read_text("utf-8").replace("poisson = 0.45 ", "poisson = 0.37 ")
+    text = text.replace('"press-a-pad.', f'"{FOLDERS[Scene]}/press-a-pad.')
+    file = tmp_path / "pad.toml"
+    for content in (text, text.replace("solution =", "# solution =")):
+        file.write_text(content, "utf-8")
+        simulate = ["simulate", "--scene", str(file), "--poses", "tap", "--out", str(tmp_path / "out.csv")]
+        replay = ["replay", "tap", "--scene", str(file), "--against", str(tmp_path / "out.csv")]
+        for command in (["check", str(file)], simulate, replay):
+            assert main(command) == 2
+            printed = capsys.readouterr()
+            lines = [line for line in printed.err.splitlines() if not line.endswith("not usable") and line.strip()]
+            assert len(lines) == 1 and "pip install 'softfinger[elastic]'" in lines[0], printed.err
+            assert ("solution of other values" in lines[0]) == (content is text)
+
+
+def test_a_cantilever_is_as_stiff_as_a_beam_in_series_with_the_finger() -> None:
+    engine, depth, length = Engine("bend-a-strip"), 0.004, 0.09
+    poses = np.tile([0.0, 0.0, 0.01 - depth, 1.0, 0.0, 0.0, 0.0], (40, 1))  # until the damping has decayed
+    force = engine.run(poses)["force"][-1, 2]
+    _, elastic = shipped("bend-a-strip")
+    beam = 3.0 * elastic.youngs_pa * 0.02 * 0.003**3 / 12.0 / length**3
+    # The patch beside the tip also dents the strip, and a plate of this width is 2 % stiffer than a beam.
+    assert force == pytest.approx(depth / (1.0 / 1000.0 + 1.0 / beam), rel=0.04)
+
+
+def test_the_thumb_feels_the_squeeze_of_the_index_finger() -> None:
+    """Both recordings at two instants: touched at 1.1 s, squeezed at 1.9 s; each for some ticks of 40 ms at rest."""
+    engine = Engine("squeeze-a-ball", rate_hz=25.0)
+    tracks: dict[str, Any] = {}
+    for finger in ("thumb", "index"):
+        poses = load_poses(f"squeeze-{finger}")
+        tracks[finger] = np.repeat(np.hstack([poses.position, poses.orientation])[[0, 110, 190]], (1, 8, 8), axis=0)
+    records = engine.run(tracks)
+    thumb, index = (records[finger]["force"][:, 0] for finger in ("thumb", "index"))
+    assert index[16] > 4.0 * index[8] > 0.0
+    assert thumb[16] < 1.5 * thumb[8] < 0.0
+
+
+def pressed(name: str, depth: float, **values: float) -> Any:
+    """Return the record after a scene's object was pressed at the origin until its damping has decayed."""
+    engine = Engine(name)
+    for key, value in values.items():
+        engine.set(f"object.0.elastic.{key}", value)
+    poses = np.tile([0.0, 0.0, 0.01, 1.0, 0.0, 0.0, 0.0], (45, 1))
+    poses[:, 2] -= np.minimum(np.linspace(0.0, 1.5 * depth, 45), depth)  # a jump would end below a thin strip
+    return engine.run(poses)
+
+
+def test_limits_of_linear_elasticity_are_reported_once_each() -> None:
+    """A cantilever under a load at its end turns there by F L^2 / 2 E I, and its root has the strain F L h / 2 E I."""
+    _, elastic = shipped("bend-a-strip")
+    length, height = 0.09, 0.003
+    rigidity = elastic.youngs_pa * 0.02 * height**3 / 12.0
+    events = RecordEvents()
+    named = []
+    for depth in (0.0, 0.008, 0.03, 0.03, 0.0, 0.03):
+        records = pressed("bend-a-strip", depth)
+        force, moved = records["force"][-1, 2], records["contact.displacement"][-1]
+        turned, strained = force * length**2 / 2.0 / rigidity, force * length * height / 2.0 / rigidity
+        assert strained < 0.1
+        # The bound adds the components of the load, and the patch; 10 degrees lie between the two depths.
+        expected = (np.linalg.norm(moved) > 0.1 * 0.11403 and 1) + (2 if turned > np.radians(10.0) else 0)
+        assert int(records["contact.nonlinear"][-1]) == expected
+        reported = events.observe(np.asarray(records)[-1:])
+        named += [(each["name"], each["nonlinear"]) for each in reported if each["kind"] == "elastic"]
+    assert named[-1] == ("nonlinear", 3) and len(named) == 1
+    soft = pressed("press-a-pad", 0.005, youngs_pa=1e4)
+    assert int(soft["contact.nonlinear"][-1]) & 4
+    assert int(pressed("press-a-pad", 0.0005)["contact.nonlinear"][-1]) == 0
+
+
+@pytest.mark.parametrize("name", ["press-a-pad", "squeeze-a-ball"])
+def test_the_picture_of_a_deformed_body_meets_the_contacts(name: str) -> None:
+    """The drawn surface, interpolated at each contact, is displaced there as the servo says."""
+    thing, _ = shipped(name)
+    engine = Engine(name)
+    engine.set("object.0.elastic.damping_s", 0.0)
+    tips = {"": (0.004, 0.003, 0.007)} if name == "press-a-pad" else {"thumb": (-0.0285, 0, 0), "index": (0.027, 0, 0)}
+    tracks = {finger: np.tile([*tip, 1.0, 0.0, 0.0, 0.0], (4, 1)) for finger, tip in tips.items()}
+    records = engine.run(tracks if len(tips) > 1 else tracks[""])
+    rows = [np.asarray(records[finger])[-1] for finger in tips] if len(tips) > 1 else [np.asarray(records)[-1]]
+    surface = body_of(thing).surface
+    deformed = Deformed(thing, body_of(thing), surface.vertices)
+    moved = deformed.at(rows) - surface.vertices
+    for row in rows:
+        displacement = row[AT.contact_displacement :][:3]
+        point = row[AT.contact_point :][:3] - displacement - thing.position_m
+        near = ((surface.vertices[surface.triangles] - point) ** 2).sum(axis=(1, 2)).argsort()[:8]
+        for facet in near:  # the one that contains the point
+            corners = surface.vertices[surface.triangles[facet]]
+            weights = np.linalg.lstsq(np.vstack([corners.T, np.ones(3)]), np.append(point, 1.0), rcond=None)[0]
+            if weights.min() > -1e-6 and np.linalg.norm(weights @ corners - point) < 1e-7:
+                break
+        # The displacement is solved to 1e-11 m; the contact may be at an edge of the facet, to 1e-7 m.
+        assert np.linalg.norm(displacement) > 2e-4
+        assert weights @ moved[surface.triangles[facet]] == pytest.approx(displacement, abs=1e-7)
+    free = np.zeros(RECORD_SIZE)
+    assert (deformed.at([free]) == surface.vertices).all()
