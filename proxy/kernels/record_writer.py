@@ -65,7 +65,7 @@ def write_contact(
 
 @by_type
 def write_surfaces(surfaces: Any, rows: Any) -> None:
-    """Fill the fields of an elastic surface in the records of all fingers, after `write_contact`; see World.surfaces."""
+    """Fill the fields of an elastic surface in the records of all fingers, after `write_contact`."""
 
 
 @write_surfaces.of(None)
