@@ -8,7 +8,6 @@ The three formats share one file because they share the checks and the location 
 
 from __future__ import annotations
 
-import difflib
 import logging
 from array import array
 from collections.abc import Callable, Iterator, Sequence
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
+from softfinger.config.words import near
 from softfinger.drivers.containers import mcap_messages
 
 Array = NDArray[np.float64]
@@ -130,10 +130,9 @@ def find_recording(recording: str | Path) -> Path:
     name = str(recording).removesuffix(".csv")
     if name in names:
         return SHIPPED / f"{name}.csv"
-    close = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean '{close[0]}'? " if close else ""
     raise RecordingError(
-        f"recording '{recording}' is neither a file nor a shipped recording: {hint}Shipped are {', '.join(names)}"
+        f"recording '{recording}' is neither a file nor a shipped recording{near(name, names)}; "
+        f"shipped are {', '.join(names)}"
     )
 
 

@@ -18,7 +18,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.schema import Body, Object, Scene
 from softfinger.proxy.records import Records
 from softfinger.server.recording import picture
-from softfinger.server.recording.reader import Event, Note, Ticks, World, read_contents
+from softfinger.server.recording.contents import read_recording
+from softfinger.server.recording.reader import Event, Note, Ticks, World
 from softfinger.server.recording.writer import apply_drive, event_time_ns, parse_scene, times_ns
 
 Array = NDArray[np.float64]
@@ -160,17 +161,17 @@ def _entity_path(obj: Object) -> str:
     return f"world/bodies/{motion.body}/{obj.name}" if isinstance(motion, Body) else f"world/objects/{obj.name}"
 
 
-def show_recording(recording: Path, stream: Any) -> int:
+def show_recording(recording: str | Path, stream: Any) -> int:
     """Log a complete recording; return the number of ticks. Raises RecordingError if the file has nothing to show."""
     about: dict[str, Any] = {}
     fingers: list[str] = []
-    for part in read_contents(recording):  # first pass: metadata and fingers
+    for part in read_recording(recording):  # first pass: metadata and fingers
         if isinstance(part, Note):
             about[part.name] = part.value
         elif isinstance(part, Ticks) and part.finger not in fingers:
             fingers.append(part.finger)
     sink, count = RerunSink(stream, fingers, parse_scene(about)), 0
-    for part in read_contents(recording):
+    for part in read_recording(recording):
         if isinstance(part, Ticks):
             sink.take(part.records(), fingers.index(part.finger))
             count += len(part.rows)

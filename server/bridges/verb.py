@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     stream = rerun.stream(args.save and Path(args.save), args.connect)
     try:
         if args.recording:
-            log.info("%d ticks shown", rerun.show_recording(Path(args.recording), stream))
+            log.info("%d ticks shown", rerun.show_recording(args.recording, stream))
             return 0
         return follow(args, lambda fingers, scene: rerun.RerunSink(stream, fingers, scene))
     finally:

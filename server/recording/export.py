@@ -12,7 +12,8 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import new_file
-from softfinger.server.recording.reader import Ticks, read_contents
+from softfinger.server.recording.contents import read_recording
+from softfinger.server.recording.reader import Ticks
 from softfinger.server.recording.results import RESULTS_MAX, csv_lines
 
 SUFFIXES: Final = (".csv", ".parquet", ".npz")
@@ -28,13 +29,16 @@ def check_output(path: Path) -> None:
         raise ConfigError(f"--out {path}: pyarrow is not installed: pip install 'softfinger[parquet]'")
 
 
-def export(recording: Path, out: Path, finger: str = "") -> int:
+def export(recording: str | Path, out: Path, finger: str = "") -> int:
     """Export every tick of a finger and return their number; the file appears only when it is complete.
 
-    Columns are those of the recording, named as in telemetry, with components as `force[0]`.
+    Columns are those of the recording, named as in telemetry, with components as `force[0]`. Poses have those of the
+    time, the tick, and the probe.
 
     Parameters
     ----------
+    recording
+        File, or name of a shipped recording.
     finger
         Name of the finger; empty for a single finger.
 
@@ -56,9 +60,9 @@ def export(recording: Path, out: Path, finger: str = "") -> int:
         raise RecordingError(f"{out}: cannot be written: {error.strerror or error}") from error
 
 
-def _read_finger(recording: Path, finger: str) -> Iterator[Ticks]:
+def _read_finger(recording: str | Path, finger: str) -> Iterator[Ticks]:
     other_fingers, has_ticks = set[str](), False
-    for part in read_contents(recording):
+    for part in read_recording(recording):
         if isinstance(part, Ticks) and part.finger == finger:
             has_ticks = True
             yield part
@@ -75,7 +79,7 @@ def _read_finger(recording: Path, finger: str) -> Iterator[Ticks]:
 
 def column_names(ticks: Ticks) -> list[str]:
     """Return the names of the columns."""
-    return [f"{p.name}[{i}]" if p.size > 1 else p.name for p in ticks.layout.parts for i in range(p.size)]
+    return [f"{p.name}[{i}]" if p.size > 1 else p.name for p in ticks.parts for i in range(p.size)]
 
 
 def _csv(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
@@ -101,7 +105,7 @@ def _parquet(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
             pending.clear()
 
     for part in ticks:
-        integer_flags = np.repeat([p.is_integer for p in part.layout.parts], [p.size for p in part.layout.parts])
+        integer_flags = np.repeat([p.is_integer for p in part.parts], [p.size for p in part.parts])
         arrays = [
             pyarrow.array(column.astype(np.int64) if is_integer else column)
             for column, is_integer in zip(part.rows.T, integer_flags, strict=True)
@@ -127,8 +131,8 @@ def _npz(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
         count += len(part.rows)
         if count > RESULTS_MAX:
             raise RecordingError(f"more than {RESULTS_MAX:,} ticks, the most that an npz is made of: use .parquet")
-    rows = Ticks(parts[0].finger, parts[0].layout, np.concatenate([part.rows for part in parts]))
-    arrays: dict[str, Any] = {part.name: rows.column(part.name) for part in rows.layout.parts}
+    rows = Ticks(parts[0].finger, parts[0].parts, np.concatenate([part.rows for part in parts]))
+    arrays: dict[str, Any] = {part.name: rows.column(part.name) for part in rows.parts}
     if not rows.missing():
         arrays["records"] = rows.records()
     np.savez(file, **arrays)

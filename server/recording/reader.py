@@ -20,7 +20,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
 from softfinger.drivers.containers import mcap_records
 from softfinger.proxy.record import FIELDS
-from softfinger.server.recording.layout import Layout
+from softfinger.server.recording.layout import Layout, Part
 from softfinger.server.recording.schemas import decode_event, decode_world, load_message_class
 from softfinger.server.recording.writer import EVENT_TOPIC, JSON, MARK_TOPIC, WORLD_TOPIC
 from softfinger.server.wire.protocol import finger_of
@@ -32,29 +32,31 @@ METADATA_MAX: Final = 256
 
 
 class Ticks(NamedTuple):
-    """Block of ticks of a finger: `rows` (n, width) with the columns of `layout`."""
+    """Block of ticks of a finger: `rows` (n, width) with the columns of `parts`."""
 
     finger: str
-    layout: Layout
+    parts: list[Part]
     rows: Array
 
     def column(self, name: str) -> Array | None:
         """Return a field by its telemetry name, (n,) or (n, size); None if the file does not have it."""
-        part = next((part for part in self.layout.parts if part.name == name), None)
+        part = next((part for part in self.parts if part.name == name), None)
         if part is None:
             return None
         return self.rows[:, part.at] if part.size == 1 else self.rows[:, part.at : part.at + part.size]
 
     def missing(self) -> list[str]:
         """Return the fields of this version that the file lacks or has with another number of components."""
-        present = {(part.name, part.size) for part in self.layout.parts}
+        present = {(part.name, part.size) for part in self.parts}
         return [field.name for field in FIELDS if (field.name, field.size) not in present]
 
     def records(self) -> Array:
         """Return the rows as records (n, RECORD_SIZE) of this version; raises RecordingError if a field is missing."""
+        if self.column("force") is None:
+            raise RecordingError("it has poses without forces: compute them with `softfinger simulate --poses`")
         if missing := self.missing():
             raise RecordingError(f"its ticks have no {', '.join(missing[:5])}: it is another version's")
-        if [(part.name, part.size) for part in self.layout.parts] == [(field.name, field.size) for field in FIELDS]:
+        if [(part.name, part.size) for part in self.parts] == [(field.name, field.size) for field in FIELDS]:
             return self.rows
         columns = [column for field in FIELDS if (column := self.column(field.name)) is not None]
         return np.column_stack(columns)
@@ -117,7 +119,7 @@ class _Channel:
             rows = layout.decode(np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1))
         if rows is None:  # another program may encode the same values differently
             rows = np.array([layout.row(self.message_type.FromString(message)) for message in messages])
-        return Ticks(self.finger or "", layout, rows)
+        return Ticks(self.finger or "", layout.parts, rows)
 
 
 def read_contents(path: str | Path) -> Iterator[Ticks | Event | World | Note | End]:

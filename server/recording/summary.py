@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import RecordingError
+from softfinger.drivers.poses import find_recording
 from softfinger.proxy.record import MODE_NAMES
-from softfinger.server.recording.reader import End, Event, Note, Ticks, read_contents
+from softfinger.server.recording.contents import read_recording
+from softfinger.server.recording.reader import End, Event, Note, Ticks
 from softfinger.server.recording.recorder import END
 
 _COPIED_TABLES = ("scene_name", "rate_hz", "every", "versions", "machine", "settings", "device", "scene", "rig", "lost")
@@ -28,6 +31,7 @@ class _Finger:
         self.longest = 0
         self.modes: Counter[int] = Counter()
         self.peaks: dict[str, float] = {}
+        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
     def add(self, ticks: Ticks) -> None:
         numbers, stamps = ticks.column("tick"), ticks.column("timestamp")
@@ -43,6 +47,10 @@ class _Finger:
         modes = ticks.column("contact.mode")
         if modes is not None:
             self.modes.update(modes.astype(int).tolist())
+        positions = ticks.column("probe.position")
+        if positions is not None:
+            self.low = np.fmin(self.low, np.fmin.reduce(positions))
+            self.high = np.fmax(self.high, np.fmax.reduce(positions))
         for name, unit in (("force", "n"), ("torque", "nm"), ("contact.penetration", "m")):
             values = ticks.column(name)
             if values is not None:
@@ -51,8 +59,9 @@ class _Finger:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the sums as plain values."""
-        modes = {name: self.modes[number] for number, name in enumerate(MODE_NAMES)}
-        return {"ticks": self.ticks, "modes": modes} | self.peaks
+        modes = {name: self.modes[number] for number, name in enumerate(MODE_NAMES)} if self.modes else {}
+        extent = {"position_min_m": self.low.tolist(), "position_max_m": self.high.tolist()}
+        return {"ticks": self.ticks, "modes": modes} | self.peaks | (extent if np.isfinite(self.low).all() else {})
 
 
 def _largest(values: NDArray[np.float64]) -> float:
@@ -60,8 +69,8 @@ def _largest(values: NDArray[np.float64]) -> float:
     return float(np.nanmax(size, initial=0.0))
 
 
-def summary(path: Path) -> dict[str, Any]:
-    """Return the summary that `softfinger info --json` prints.
+def summary(recording: str | Path) -> dict[str, Any]:
+    """Return the summary of a file or a shipped recording, which `softfinger info --json` prints.
 
     missing         ticks that the file lacks, in `gaps` gaps
     dropped         ticks not written because the disk was too slow, if the file has a regular end
@@ -73,12 +82,13 @@ def summary(path: Path) -> dict[str, Any]:
     RecordingError
         If the file is not a recording of this program.
     """
+    path = find_recording(recording)
     fingers: dict[str, _Finger] = {}
     notes: dict[str, Any] = {}
     events: Counter[str] = Counter()
     marks: list[dict[str, Any]] = []
     end = End([], "")
-    for part in read_contents(path):
+    for part in read_recording(path):
         match part:
             case Ticks():
                 fingers.setdefault(part.finger, _Finger()).add(part)
@@ -115,3 +125,9 @@ def summary(path: Path) -> dict[str, Any]:
         "marks": marks,
         "topics": [topic._asdict() for topic in end.topics],
     } | {key: notes.get(key) for key in _COPIED_TABLES}
+
+
+def extent_text(low_m: Iterable[float], high_m: Iterable[float]) -> str:
+    """Return the range of positions (3,), m, as text in mm."""
+    axes = (f"{axis} {1e3 * low:.4g} to {1e3 * high:.4g}" for axis, low, high in zip("xyz", low_m, high_m, strict=True))
+    return f"{', '.join(axes)} mm"

@@ -31,7 +31,11 @@ OPTIONS: Final = {
     "--inject": "faults",
 }
 """Verb that lists the shipped names for each option that takes a name or a file."""
-POSITIONALS: Final = {("experiment", "file"): "experiments", ("materials", "name"): "materials"}
+POSITIONALS: Final = {
+    ("experiment", "file"): "experiments",
+    ("materials", "name"): "materials",
+    ("warmup", "scenes"): "scenes",
+} | {(verb, "recording"): "recordings" for verb in ("info", "export", "replay", "view", "bridge")}
 """The same for positional arguments, by verb and argument."""
 
 _SENTENCE: Final = re.compile(r"(?s)(.*?\.)(?=\s|$)")

@@ -109,13 +109,14 @@ def test_completion_knows_every_verb(shell):
 
 
 def test_completion_offers_what_is_shipped(tmp_path):
-    """bash completes the names of scenes, and a file beside, of materials and of experiments."""
+    """bash completes the names of scenes, and a file beside, of materials, of experiments and of recordings."""
     (tmp_path / "spherical.toml").touch()
     script = called("--print-completion", "bash").stdout
     asked = {
         "run --scene sph": ["sphere", "spherical.toml"],
         "materials sili": ["silicone", "silicone-tip"],
         "experiment weight": ["weight-of-a-box"],
+        "info press-a": ["press-a-button"],
     }
     for words, wanted in asked.items():
         at = len(words.split())
@@ -234,6 +235,27 @@ def test_a_long_run_is_not_kept_in_memory(ending, tmp_path):
     code, peak = map(int, done.stdout.splitlines()[-1].split())
     assert code == 0 and "600001 ticks" in done.stdout
     assert peak <= 250
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
+def test_a_shipped_recording_is_named(ending, tmp_path):
+    """`info`, `export` and `replay` find it by its name; what `export` writes of its poses is replayed."""
+    done = called("info", "tap")
+    assert done.returncode == 0 and "229 poses, 0 to 228, 2.280 s" in done.stdout
+    assert "x 0 to 0, y 0 to 0, z " in done.stdout and "unknown" not in done.stdout
+    poses, out = tmp_path / f"poses{ending}", tmp_path / "out.csv"
+    assert called("export", "tap", "--out", str(poses)).returncode == 0
+    if ending != ".parquet":
+        assert called(*SIMULATE, "--out", str(out)).returncode == 0
+        words = ["tap", "--scene", "paper-plane", "--against", str(out)]
+        assert called("replay", *words).returncode == 0
+        before = out.read_bytes()
+        assert called("simulate", "--poses", str(poses), "--out", str(out)).returncode == 0
+        assert out.read_bytes() == before
+        assert "sliding" in called("info", str(out)).stdout
+    done = called("info", "tpa")
+    assert done.returncode == 3
+    assert "'tpa' is neither a file nor a shipped recording (did you mean 'tap'?)" in done.stderr
 
 
 def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):

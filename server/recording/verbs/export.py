@@ -5,20 +5,24 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from softfinger.drivers.poses import find_recording
 from softfinger.server.arguments import check_distinct
 from softfinger.server.recording.export import export
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING", help="an .mcap of run --record, record or ctl")
+    parser.add_argument(
+        "recording", metavar="RECORDING", help="an .mcap; results or poses (.csv, .npz); a shipped name"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help=".csv, .parquet or .npz")
     parser.add_argument("--finger", default="", metavar="NAME", help="which of several fingers")
 
 
 def run(args: argparse.Namespace) -> int:
     """Export the recording; return 0."""
-    check_distinct("--out", args.out, [args.recording])
-    count = export(args.recording, args.out, args.finger)
+    recording = find_recording(args.recording)
+    check_distinct("--out", args.out, [recording])
+    count = export(recording, args.out, args.finger)
     print(f"{args.out}: {count} ticks")
     return 0

@@ -5,15 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
-from softfinger.server.recording.summary import summary
+from softfinger.server.recording.summary import extent_text, summary
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING", help="an .mcap of run --record, record or ctl")
+    parser.add_argument(
+        "recording", metavar="RECORDING", help="an .mcap; results or poses (.csv, .npz); a shipped name"
+    )
     parser.add_argument("--json", action="store_true", help="print it as JSON, with rig and scene")
 
 
@@ -28,7 +29,8 @@ def _lines(info: dict[str, Any]) -> Iterator[str]:
     state = "whole" if info["whole"] else f"cut short: {info['cut']}"
     yield f"{info['file']}: {info['bytes'] / 1e6:.1f} MB, {state}"
     rate = f" at {info['rate_hz']:g} Hz" if isinstance(info["rate_hz"], int | float) else ""
-    yield f"  {info['ticks']} ticks, {info['first_tick']} to {info['last_tick']}{rate}, {info['duration_s']:.3f} s"
+    counted = "ticks" if any(finger["modes"] for finger in info["fingers"].values()) else "poses"
+    yield f"  {info['ticks']} {counted}, {info['first_tick']} to {info['last_tick']}{rate}, {info['duration_s']:.3f} s"
     if info["missing"]:
         yield f"  {info['missing']} ticks are missing in {info['gaps']} gaps, the longest of {info['longest_gap']}"
     if info["dropped"]:
@@ -38,11 +40,10 @@ def _lines(info: dict[str, Any]) -> Iterator[str]:
     if info["lost"]:
         yield f"  {info['lost']} did not arrive"
     device = info["device"]["name"] if isinstance(info["device"], dict) else "unknown"
-    yield f"  scene {info['scene_name'] or 'unknown'}; device {device}"
+    if info["topics"]:
+        yield f"  scene {info['scene_name'] or 'unknown'}; device {device}"
     for name, finger in info["fingers"].items():
-        modes = ", ".join(f"{mode} {count / finger['ticks']:.1%}" for mode, count in finger["modes"].items())
-        force, torque = finger.get("force_max_n", 0.0), finger.get("torque_max_nm", 0.0)
-        yield f"  {name or 'finger'}: {modes}; force up to {force:.3f} N, torque up to {torque:.4f} N m"
+        yield f"  {name or 'finger'}: {'; '.join(_finger_parts(finger))}"
     for kind, count in info["events"].items():
         yield f"  {count} x {kind}"
     for mark in info["marks"]:
@@ -50,4 +51,16 @@ def _lines(info: dict[str, Any]) -> Iterator[str]:
     for topic in info["topics"]:
         yield f"  topic {topic['name']}: {topic['messages']} of {topic['schema']}"
     versions = info["versions"] if isinstance(info["versions"], dict) else {}
-    yield "  " + (", ".join(f"{name} {version}" for name, version in versions.items()) or "of an unknown version")
+    if info["topics"]:
+        yield "  " + (", ".join(f"{name} {version}" for name, version in versions.items()) or "of an unknown version")
+
+
+def _finger_parts(finger: dict[str, Any]) -> Iterator[str]:
+    if finger["modes"]:
+        yield ", ".join(f"{mode} {count / finger['ticks']:.1%}" for mode, count in finger["modes"].items())
+        force, torque = finger.get("force_max_n", 0.0), finger.get("torque_max_nm", 0.0)
+        yield f"force up to {force:.3f} N, torque up to {torque:.4f} N m"
+    else:
+        yield "no forces"
+    if "position_min_m" in finger:
+        yield extent_text(finger["position_min_m"], finger["position_max_m"])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.server.arguments import check_distinct
+from softfinger.server.recording.summary import extent_text
 from softfinger.server.recording.tables import make_layout, read_table, write_poses
 
 
@@ -37,7 +38,6 @@ def run(args: argparse.Namespace) -> int:
         write_poses(args.out, poses)
     except OSError as error:
         raise RecordingError(f"{args.out}: cannot be written: {error.strerror or error}") from error
-    low, high = poses.position.min(axis=0), poses.position.max(axis=0)
-    box = ", ".join(f"{axis} {1e3 * a:.4g} to {1e3 * b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
-    print(f"{args.out}: {len(poses.t)} poses over {poses.t[-1]:.6g} s; {box} mm")
+    extent = extent_text(poses.position.min(axis=0), poses.position.max(axis=0))
+    print(f"{args.out}: {len(poses.t)} poses over {poses.t[-1]:.6g} s; {extent}")
     return 0

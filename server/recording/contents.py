@@ -1,0 +1,48 @@
+"""Contents of a recording of any kind: .mcap, a table of results or of poses, or a shipped one by its name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from softfinger.config.errors import RecordingError
+from softfinger.drivers.poses import find_recording, load_poses
+from softfinger.server.recording.layout import Part, tick_layout
+from softfinger.server.recording.reader import End, Event, Note, Ticks, World, read_contents
+from softfinger.server.recording.results import read_results
+
+POSE_PARTS: Final = [
+    Part("timestamp", 1, False, 0),
+    Part("tick", 1, True, 1),
+    Part("probe.position", 3, False, 2),
+    Part("probe.orientation", 4, False, 5),
+]
+"""Columns of poses, named as in results, which every verb reads as poses."""
+
+
+def read_recording(recording: str | Path) -> Iterator[Ticks | Event | World | Note | End]:
+    """Yield the contents of a recording as `read_contents` does; a table contains the ticks of one finger.
+
+    Raises
+    ------
+    RecordingError
+        If `recording` is neither a file nor a shipped recording, or if the file cannot be read.
+    """
+    path = find_recording(recording)
+    if path.suffix.lower() in (".csv", ".npz"):
+        yield _read_table(path)
+        yield End([], "")
+    else:
+        yield from read_contents(path)
+
+
+def _read_table(path: Path) -> Ticks:
+    try:
+        return Ticks("", tick_layout().parts, read_results(path))
+    except RecordingError:  # no results: poses, or an invalid file
+        poses = load_poses(path)
+        numbers = np.arange(len(poses.t))
+        return Ticks("", POSE_PARTS, np.column_stack((poses.t, numbers, poses.position, poses.orientation)))
