@@ -6,6 +6,7 @@ The line also shows that kernels are being compiled or loaded, which any long op
 from __future__ import annotations
 
 import gc
+import logging
 import os
 import sys
 import threading
@@ -18,6 +19,8 @@ from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
 if TYPE_CHECKING:  # importing rich takes 50 ms, and only terminals need it
     from rich.progress import Progress, Task
+
+log: Final = logging.getLogger(__name__)
 
 QUIET_S: Final = 0.5
 """Shorter operations show nothing."""
@@ -80,6 +83,18 @@ def report_compilation(kernels: str) -> Iterator[None]:
     finally:
         if collects:
             gc.enable()
+
+
+@contextmanager
+def name_warmup(scene: str) -> Iterator[None]:
+    """Log the command that compiles a scene ahead, as soon as a kernel is compiled during the block."""
+    COMPILE_PROGRESS.on_first = lambda: log.info(
+        "compiling the kernels of this scene, once; `softfinger warmup %s` compiles them ahead", scene
+    )
+    try:
+        yield
+    finally:
+        COMPILE_PROGRESS.on_first = None
 
 
 @contextmanager

@@ -10,7 +10,9 @@ import hashlib
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final, Generic, NamedTuple, TypeVar
@@ -101,6 +103,23 @@ def rendered(thing: schema.Mesh) -> About:
     return about(thing) if found is None else found
 
 
+STAGES: Final = 4
+"""Stages of a mesh that is not cached, of similar duration: read, repaired, its tree built, and its picture drawn."""
+
+OnStage = Callable[[str, int], None]
+_on_stage: ContextVar[OnStage] = ContextVar("on_stage", default=lambda name, stage: None)
+
+
+@contextmanager
+def report_stages(on_stage: OnStage) -> Iterator[None]:
+    """Call `on_stage` during the block with an object's name and the number of finished stages of its mesh."""
+    token = _on_stage.set(on_stage)
+    try:
+        yield
+    finally:
+        _on_stage.reset(token)
+
+
 def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KEPT) -> Tree:
     """Return the tree of an object's mesh, and store it on disk for later runs. Raises ConfigError as `about` does."""
     state = _state(thing)
@@ -112,8 +131,11 @@ def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KE
     tree, found = _from_disk(key, builder, folder) or (None, None)
     if tree is None or found is None:
         mended = _mended(thing, data)
-        tree, found = builder.build(*mended[0]), _about(mended)
+        tree = builder.build(*mended[0])
+        _on_stage.get()(thing.name, 3)
+        found = _about(mended)
         kept.save(key, _to_disk(tree, found), folder)
+    _on_stage.get()(thing.name, STAGES)
     _remember(thing, state, found)
     _trees.put((state, builder), tree)
     return tree
@@ -153,7 +175,9 @@ def _mended(thing: schema.Mesh, data: bytes) -> tuple[Arrays, Report]:
         loose = thing.file.lower().endswith(".stl")
         with np.errstate(over="ignore"):  # infinite coordinates are rejected later
             vertices = vertices * thing.scale
+        _on_stage.get()(thing.name, 1)
         mended = mend(Arrays(vertices, triangles), loose)
+        _on_stage.get()(thing.name, 2)
     except ConfigError as error:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
     except ValueError as error:

@@ -26,6 +26,7 @@ from softfinger.server.experiment.interfaces import NullApparatus
 from softfinger.server.experiment.journal import Entry, Journal, Memory
 from softfinger.server.experiment.masses import load_changed_scene
 from softfinger.server.experiment.session import Session, Stopped
+from softfinger.server.progress import progress, report_compilation
 from softfinger.server.viewer.door.process import PageProcess
 from softfinger.server.viewer.roles import Role
 
@@ -158,7 +159,8 @@ class Experiment:
                 session, stack, journal, participant_folder, {"about.json": {"daemon": False}}, True
             )
             session.welcome(journal, simulated)
-            session.run(journal, NullApparatus(), simulated, participant_folder)
+            with progress("rehearsing", len(session.trials)) as done:
+                session.run(journal, NullApparatus(done), simulated, participant_folder)
             return
         rig = files.resolve_source(self._folder, self.file.rig)
         # Before the device is opened: the doctor needs access to it.
@@ -204,6 +206,8 @@ class Experiment:
             parameters_by_location = ((where, parameters) for where, _, parameters in files.level_extremes(self.file))
             rigs.check_rated(parameters_by_location, [device.info for device in daemon.devices])
             stack.enter_context(signals.stop_on_signal(daemon.stop, daemon.pause))
+            with report_compilation("kernels of the scene"):
+                daemon.servo.compile()
             daemon.start()
             client = stack.enter_context(Client(daemon.publisher.endpoint, daemon.commands_endpoint))
             log.info("telemetry on %s, commands on %s", daemon.publisher.endpoint, daemon.commands_endpoint)
@@ -256,7 +260,8 @@ def run_doctor(rig: str) -> Any:
     """Run `softfinger doctor` in a separate process; return its report on this machine, or its failure."""
     command = [sys.executable, "-m", "softfinger.server.cli", "doctor", "--json", "--seconds", "1", "--rig", rig]
     try:
-        process = subprocess.run(command, capture_output=True, timeout=DOCTOR_TIMEOUT_S, check=False)
+        with progress("checking the machine"):
+            process = subprocess.run(command, capture_output=True, timeout=DOCTOR_TIMEOUT_S, check=False)
         return msgspec.json.decode(process.stdout)
     except (subprocess.TimeoutExpired, msgspec.DecodeError) as error:
         return {"failed": str(error)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 from softfinger.server.experiment.design import Condition, PlannedTrial
@@ -66,9 +67,16 @@ class Apparatus(Protocol):
 
 
 class NullApparatus:
-    """No apparatus: only design, answers, journal and tables, as fast as possible."""
+    """No apparatus: only design, answers, journal and tables, as fast as possible.
+
+    done  receives the number of the trial
+    """
+
+    def __init__(self, done: Callable[[int], None] = lambda trial: None) -> None:
+        self._done = done
 
     def touch(self, stimulus: Stimulus) -> TouchResult:
+        self._done(stimulus.trial)
         return TouchResult({}, [])
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from math import inf
-from pathlib import Path
 from typing import Any, Final
 
 import numba
@@ -13,9 +12,11 @@ import numba
 from softfinger.config import schema
 from softfinger.drivers.base import DeviceInfo
 from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics.tool import make_tool
+from softfinger.proxy.meshes.prepared import STAGES, report_stages
 from softfinger.proxy.scene import build_scene
 from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.limits import NO_WALL, SLOW_S, Limits, Workspace
@@ -27,6 +28,10 @@ log: Final = logging.getLogger(__name__)
 
 DAMPING_MAX_NS_PER_M: Final = 20.0
 """Default of the passivity controller's largest damping: at 1 kHz it is stable for devices down to 20 g."""
+
+KERNELS: Final = {"": 240, "surface": 120, "several": 100, "world": 100}
+"""Kernels that the loop of a scene compiles with an empty cache, and those that a scene adds: with a mesh or a
+heightmap, with several objects or fingers, with a [world]. Measured on the shipped scenes, and rounded up."""
 
 FORCE_DOF: Final = 3
 """Degrees of freedom of a device that displays only forces."""
@@ -57,15 +62,33 @@ def make_tuning(
 
 
 def _build_with_progress(scene: schema.Scene) -> model.Scene:
-    """Return the scene in rendered form, with a progress message while meshes are read.
+    """Return the scene in rendered form, with a progress message while its meshes are built.
 
-    The first time, a mesh may take seconds.
+    A mesh that is not cached may take seconds.
     """
-    files = [Path(obj.file).name for obj in scene.object if isinstance(obj, schema.Mesh)]
-    if not files:
+    COMPILE_PROGRESS.expect(kernels_at_most(scene))
+    finished = {obj.name: 0 for obj in scene.object if isinstance(obj, schema.Mesh)}
+    if not finished:
         return build_scene(scene)
-    with progress(f"reading {', '.join(files)}"):
-        return build_scene(scene)
+    with progress(f"building meshes of {', '.join(finished)}", STAGES * len(finished)) as done:
+
+        def on_stage(name: str, stage: int) -> None:
+            finished[name] = stage
+            done(sum(finished.values()))
+
+        with report_stages(on_stage):
+            return build_scene(scene)
+
+
+def kernels_at_most(scene: schema.Scene) -> int:
+    """Return the largest number of kernels that the loop of a scene may compile, for a progress message."""
+    has = {
+        "": True,
+        "surface": any(isinstance(obj, schema.Mesh | schema.Heightmap) for obj in scene.object),
+        "several": len(scene.object) + len(scene.fingers) > 2,
+        "world": scene.world is not None,
+    }
+    return sum(count for name, count in KERNELS.items() if has[name])
 
 
 def with_scene(tuning: Tuning, scene: schema.Scene) -> Tuning:

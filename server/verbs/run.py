@@ -20,7 +20,7 @@ from softfinger.server.app import Daemon
 from softfinger.server.arguments import default_rig
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.realtime import Setting
-from softfinger.server.progress import counter, report_compilation
+from softfinger.server.progress import counter, name_warmup, report_compilation
 from softfinger.server.verbs.run_options import OVERRIDES, RIG, VIEW_RIG
 from softfinger.server.viewer.door.process import PageProcess, check_viewer, monitor_command, program_name
 from softfinger.server.watcher import Watcher
@@ -70,12 +70,11 @@ def run(args: argparse.Namespace) -> int:
             log.warning("faults are injected, from %s: %s", args.inject, format_faults(faults, rate))
         announce(daemon, args.scene, page is not None)
         start_s = time.monotonic()
-        with report_compilation("kernels of the scene"):
+        with name_warmup(args.scene), report_compilation("kernels of the scene"):
             is_cached = daemon.servo.compile()
         if not is_cached:
             where = f"kept in {CACHE_DIR}" if KEPT.problem() is None else "not kept"
-            ahead = f"`softfinger warmup {args.scene}` compiles ahead"
-            log.info("compiled in %.0f s; %s; %s", time.monotonic() - start_s, where, ahead)
+            log.info("compiled in %.0f s; %s", time.monotonic() - start_s, where)
         with signals.stop_on_signal(daemon.stop, daemon.pause):
             daemon.start()
             show_progress(daemon, page)

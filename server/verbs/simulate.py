@@ -15,6 +15,7 @@ from softfinger.server.arguments import check_distinct, default_rig, files_by_fi
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.run_figure import DRAWN, draw_run
 from softfinger.server.offline.simulate import load_finger_poses, simulate_devices, simulate_poses
+from softfinger.server.progress import name_warmup
 from softfinger.server.recording.results import write_blocks
 
 Array = NDArray[np.float64]
@@ -44,7 +45,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         blocks = simulate_devices(scene, rig, DURATION_S if args.duration is None else args.duration)
     summaries = [Summary(args.plot is not None) for _ in fingers]
-    write_blocks(args.out, fingers, add_summaries(blocks, summaries))
+    with name_warmup(args.scene):
+        write_blocks(args.out, fingers, add_summaries(blocks, summaries))
     for name, each in zip(fingers, summaries, strict=True):
         single = len(fingers) == 1
         if args.plot is not None:

@@ -14,26 +14,32 @@ class CompileProgress:
     """Kernels that this process compiles and loads."""
 
     def __init__(self) -> None:
-        self._compiled = self._depth = 0
+        self._compiled = self._depth = self._at_most = 0
         self._loading = False
         self.on_first: Callable[[], None] | None = None
-        """Callback at the start of the first compilation in this process; loading does not call it."""
+        """Callback at the start of the next compilation; loading does not call it."""
+
+    def expect(self, at_most: int) -> None:
+        """Count from 1 again, towards the number of kernels that a scene compiles with an empty cache."""
+        self._compiled, self._at_most = 0, at_most
 
     def __str__(self) -> str:
-        """Return `compiling kernel 2` for the second of this process, `loading cached kernels`, or an empty string."""
+        """Return `compiling kernel 2 of at most 240`, `loading cached kernels`, or an empty string."""
         if self._depth:  # its callees may be loaded at the same time
-            return f"compiling kernel {self._compiled}"
+            number = self._compiled + 1
+            return f"compiling kernel {number}" + (f" of at most {self._at_most}" if number <= self._at_most else "")
         return "loading cached kernels" if self._loading else ""
 
     def begin(self) -> None:
-        """Record the start of a compilation; a nested one, of a callee, counts as part of it."""
-        if not self._compiled and self.on_first is not None:
-            self.on_first()
-        self._compiled += not self._depth
+        """Record the start of a compilation; callees are compiled within that of their caller."""
+        if self.on_first is not None:
+            notify, self.on_first = self.on_first, None
+            notify()
         self._depth += 1
 
     def end(self) -> None:
         self._depth -= 1
+        self._compiled += 1
 
     @contextmanager
     def loading(self) -> Iterator[None]:
