@@ -133,6 +133,7 @@ def real_messages():
     put(records[10:], "contact.mode", 1)
     put(records[10:11], "contact.cause", CAUSE_NAMES.index("touch"))
     put(records[20:], "servo.guard", 1)
+    put(records[25:], "contact.nonlinear", 4)
     put(records[30:], "servo.missed", 2)
     found = []
     context = zmq.Context.instance()
