@@ -17,7 +17,7 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.overrides import changed
 from softfinger.config.scalars import Fault
-from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene
+from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene, Textured
 from softfinger.config.schema.fields import known
 from softfinger.config.sources import FOLDERS, find, printable, read_toml
 from softfinger.config.validate import examine
@@ -184,10 +184,12 @@ def _beside(folder: Path, thing: Object) -> Object:
     if isinstance(thing, Heightmap | Mesh) and known(thing.file, thing.root):
         root = None if thing.root is None else str(folder / thing.root)
         return msgspec.structs.replace(thing, file=str(folder / thing.file), root=root)
-    texture = getattr(thing, "texture", None)
-    if not known(texture) or texture is None or not known(texture.file):
+    if not isinstance(thing, Textured) or not known(thing.texture) or thing.texture is None:
         return thing
-    return msgspec.structs.replace(thing, texture=msgspec.structs.replace(texture, file=str(folder / texture.file)))
+    if not known(thing.texture.file):
+        return thing
+    texture = msgspec.structs.replace(thing.texture, file=str(folder / thing.texture.file))
+    return msgspec.structs.replace(thing, texture=texture)
 
 
 def _built(struct_type: type[T], mapping: object, where: str, sources: Mapping[str, str]) -> T:
