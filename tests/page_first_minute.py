@@ -119,7 +119,7 @@ def surroundings(clone: Path, cold: bool) -> Iterator[dict[str, str]]:
 def first_minute(program: Program) -> dict[str, float]:
     """Seconds from the command to each step."""
     with browser() as page:
-        endpoint, address = program.says(r"telemetry on (\S+)"), program.says(r"the page is (\S+);")
+        endpoint, address = program.says(r"telemetry on (\S+)"), program.says(r"(?m)^(http\S+)$")
         found = {"page served": program.since()}
         felt = Felt(endpoint, program)
         screen = shown(page, address)

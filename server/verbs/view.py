@@ -74,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
     if not 0 <= args.port < 65536:
         raise ConfigError(f"--port {args.port} is no port: give 0 to 65535")
     from softfinger.server.viewer.door.opening import open_browser
+    from softfinger.server.viewer.door.process import log_address
     from softfinger.server.viewer.live import LivePage
     from softfinger.server.viewer.participant import ParticipantPage
     from softfinger.server.viewer.playback import RecordedPage, load
@@ -102,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
                 print(page.address, flush=True)
                 os.dup2(2, 1)  # the reader expects one line; a browser may write to standard output
             else:
-                log.info("the page is %s; to stop it: Ctrl-C", page.address)
+                log_address(page.address)
             if args.host != HOST:
                 log.warning(
                     "everyone with this address may command the daemon, and it crosses the network in plain text"

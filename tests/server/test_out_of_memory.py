@@ -98,7 +98,7 @@ def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--view", "--record", str(recording)) as (board, process), felt(board) as least:
         assert process.stderr is not None
-        address = next(line for line in process.stderr if "the page is " in line).split()[4].rstrip(";")
+        address = next(line for line in process.stderr if line.startswith("http://")).rstrip()
         page = process_of(process, "page")
         with ExitStack() as closing:
             take_memory(page)

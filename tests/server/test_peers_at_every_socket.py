@@ -82,11 +82,11 @@ def child_of(parent: int, word: bytes) -> int:
 
 
 def after(program: Program, words: str) -> str:
-    """Return the word behind `words` in the stderr of a program."""
+    """Return the word behind `words` in the stderr of a program, on the same line or the next."""
     assert program.stderr is not None
     for line in program.stderr:
         if words in line:
-            return str(line.split(words)[1].split()[0].rstrip(";,"))
+            return str((line.split(words)[1].split() or next(program.stderr).split())[0].rstrip(";,"))
     raise AssertionError(f"nothing was said of {words!r}")
 
 
@@ -100,7 +100,7 @@ def peers() -> Iterator[Peers]:
     )
     with daemon:
         try:
-            addresses = {"page": after(daemon, "the page is ")}
+            addresses = {"page": after(daemon, "the page; to stop it: Ctrl-C")}
             for name, words in (
                 ("telemetry", "telemetry on "),
                 ("commands", "commands on "),

@@ -21,6 +21,7 @@ from numba.core import event
 
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.compiler.numba_internals import KernelCache
+from softfinger.proxy.kernels.jit.compiler.progress import CompileProgress
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.server.progress import progress_text
 from softfinger.server.wire.commands import State
@@ -172,3 +173,23 @@ def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
                 daemon.send_multipart([sender, b"", msgpack.packb(answer)])
             assert "tick: 7" in asking.stdout.read()
     assert said.startswith("set_scene: waiting for the daemon, which may have to compile") and asking.returncode == 0
+
+
+def test_kernels_are_counted_towards_those_of_the_scene() -> None:
+    """A callee is compiled within its caller and counts by itself; beyond the expected number no share is shown."""
+    counted, started = CompileProgress(), []
+    counted.expect(2)
+    counted.on_first = lambda: started.append(str(counted))
+    texts = []
+    for act in (counted.begin, counted.begin, counted.end, counted.end, counted.begin, counted.end):
+        act()
+        texts.append(str(counted))
+    assert texts == [
+        "compiling kernel 1 of at most 2",
+        "compiling kernel 1 of at most 2",
+        "compiling kernel 2 of at most 2",
+        "",
+        "compiling kernel 3",
+        "",
+    ]
+    assert started == [""]  # once, before the first

@@ -159,7 +159,7 @@ def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
         assert process.stderr is not None
         try:
             said = ""
-            while (found := re.search(r"the page is (\S+);", said)) is None:
+            while (found := re.search(r"(?m)^(http\S+)\n", said)) is None:
                 line = process.stderr.readline()
                 if not line:
                     raise ConfigError(f"no page was served: {said.strip() or 'it ended without a word'}")

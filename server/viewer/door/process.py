@@ -52,6 +52,11 @@ def check_viewer() -> None:
         raise ConfigError("--view: the page needs viser: pip install 'softfinger[viewer]'")
 
 
+def log_address(address: str) -> None:
+    """Log the address of a page, alone on its line, for terminals and programs that look for addresses."""
+    log.info("the page; to stop it: Ctrl-C\n%s", address)
+
+
 class PageProcess:
     """Page process (`softfinger view`) of a daemon; its failures never stop the servo.
 
@@ -94,7 +99,7 @@ class PageProcess:
         try:
             self._address = self._read_address()
             if self._address:
-                log.info("the page is %s; to stop it: Ctrl-C", self._address)
+                log_address(self._address)
             else:
                 self._process.wait()
                 self.supervise()
@@ -177,7 +182,7 @@ class PageProcess:
         address = self._read_address()
         if address and address != self._address:  # its port was taken by another program
             self._address = address
-            log.info("the page is %s now", address)
+            log_address(address)
 
     def close(self) -> None:
         """Stop the page, by SIGKILL if it does not exit within EXIT_TIMEOUT_S."""

@@ -53,8 +53,10 @@ def run_with_page(*more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
         timer.start()
         try:
             first = next(line for line in process.stderr if "compiling kernel" not in line)
-            assert "the page is http://localhost:" in first
-            yield process, first.split()[4].rstrip(";")
+            assert first.endswith("the page; to stop it: Ctrl-C\n")
+            address = next(process.stderr)
+            assert address.startswith("http://localhost:")
+            yield process, address.rstrip()
         finally:
             timer.cancel()
             process.kill()
