@@ -119,7 +119,7 @@ class Control(Closeable):
         wait_s = timeout_for(method, self.timeout_s)
         if wait_s > TIMEOUT_S and self.timeout_s is None:
             self._check_answers(method)
-        until = time.monotonic() + wait_s
+        until = time.monotonic() + milliseconds(wait_s) / 1000.0
         command_id, frames = encode_request(method, params, wait_s)
         send_at = now = time.monotonic()
         while now < until:

@@ -36,7 +36,7 @@ def test_step_has_every_field_that_the_contact_fills():
     outcome = Contact(*((1.0, 1.0, 1.0) if part == tuple[float, float, float] else 1.0 for part in contact_types()))
     outcome = outcome._replace(contacts=(NO_OUTCOME,))
     force, orientation = (1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0)
-    write_contact.py_func(row, 7, 0.001, force, orientation, outcome, force, force)
+    write_contact(row, 7, 0.001, force, orientation, outcome, force, force)
     filled = {f.name for f in FIELDS if not np.isnan(row[f.at : f.at + f.size]).any()}
     patches = {name for name in filled if name.startswith("contacts")}
     assert len(patches) == 18

@@ -116,7 +116,7 @@ def test_completion_offers_what_is_shipped(tmp_path):
         "run --scene sph": ["sphere", "spherical.toml"],
         "materials sili": ["silicone", "silicone-tip"],
         "experiment weight": ["weight-of-a-box"],
-        "info press-a": ["press-a-button"],
+        "info press-a-b": ["press-a-button"],
     }
     for words, wanted in asked.items():
         at = len(words.split())
