@@ -232,7 +232,8 @@ def load(root: Path) -> tuple[ExperimentFile, list[Entry]]:
     try:
         values = msgspec.json.decode(path.read_bytes())
     except (OSError, msgspec.DecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(
-            f"{path}: cannot be read: {error}: is this a folder that `softfinger experiment` made?"
+            f"{path}: cannot be read: {reason}: is this a folder that `softfinger experiment` made?"
         ) from error
     return build(ExperimentFile, values, str(path)), read_trials(sorted(root.glob(JOURNAL)))
