@@ -18,7 +18,7 @@ from softfinger.proxy.kernels.contact.normal import normal_force_of
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type, chosen_by
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Pose, Scene, State, Vec3
+from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
 from softfinger.proxy.kernels.model.elastic import Elastic, Surface
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
@@ -256,6 +256,20 @@ def shifted(body: Any, pose: Pose, surface: Vec3) -> Pose:
 
 
 @jit
+def relative_to(body: Any, state: FingerState, surface: Vec3) -> FingerState:
+    """Return the state of a finger with its probe relative to the displaced surface, where its contact is solved."""
+    probe = state.probe
+    moved = shifted(body, Pose(probe.position, probe.orientation), surface)
+    return replace(state, "probe", Probe(moved.position, probe.orientation, probe.velocity))
+
+
+@jit
+def with_probe_at(state: FingerState, pose: Pose) -> FingerState:
+    """Return the state of a finger with its probe in the world, where guard, passivity and record need it."""
+    return replace(state, "probe", Probe(pose.position, pose.orientation, state.probe.velocity))
+
+
+@jit
 def memory_of(elastic: Elastic, dt: float) -> float:
     """Return the share of the new displacement that the surface reaches in a tick: 1 without damping."""
     if elastic.damping == 0.0:
@@ -371,8 +385,9 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     gain = memory_of(elastic, dt)
     rest, slope, bent = vec3.scale(1.0 - gain, last.displacement), ZERO, (0.0, 0.0)
     u = vec3.add_scaled(last.displacement, dt, last.rate)
+    before = relative_to(body, state.fingers[0], last.displacement)
     for left in range(ROUNDS - 1, -1, -1):
-        after, contact = step_finger(finger, state.fingers[0], shifted(body, poses[0], u), scene, objects, dt)
+        after, contact = step_finger(finger, before, shifted(body, poses[0], u), scene, objects, dt)
         goal, matrix, rise, bent = rest, IDENTITY, ZERO, (0.0, 0.0)
         if contact.mode != FREE:
             spot = contact_spot(elastic, body, finger, after, contact, dt)
@@ -386,7 +401,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
             break
         u = vec3.add(u, change)
     surface = surface_after(scene, finger, last, u, contact, bent, dt)
-    return (after,), (report_on(body, contact, surface, slope),), (surface,)
+    return (with_probe_at(after, poses[0]),), (report_on(body, contact, surface, slope),), (surface,)
 
 
 @jit
@@ -436,9 +451,11 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     u = vec3.add_scaled(last[0].displacement, dt, last[0].rate)
     v = vec3.add_scaled(last[1].displacement, dt, last[1].rate)
     slope_u, slope_v = ZERO, ZERO
+    before_one = relative_to(body, state.fingers[0], last[0].displacement)
+    before_two = relative_to(body, state.fingers[1], last[1].displacement)
     for left in range(ROUNDS - 1, -1, -1):
-        one, first = step_finger(fingers[0], state.fingers[0], shifted(body, poses[0], u), scene, objects, dt)
-        two, second = step_finger(fingers[1], state.fingers[1], shifted(body, poses[1], v), scene, objects, dt)
+        one, first = step_finger(fingers[0], before_one, shifted(body, poses[0], u), scene, objects, dt)
+        two, second = step_finger(fingers[1], before_two, shifted(body, poses[1], v), scene, objects, dt)
         x = spot_of(elastic, objects, fingers[0], one, first, dt)
         y = spot_of(elastic, objects, fingers[1], two, second, dt)
         short = (vec3.sub(rest_u, u), vec3.sub(rest_v, v))
@@ -451,4 +468,4 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     surface_u = surface_after(scene, fingers[0], last[0], u, first, bent, dt)
     surface_v = surface_after(scene, fingers[1], last[1], v, second, bent, dt)
     contacts = (report_on(body, first, surface_u, slope_u), report_on(body, second, surface_v, slope_v))
-    return (one, two), contacts, (surface_u, surface_v)
+    return (with_probe_at(one, poses[0]), with_probe_at(two, poses[1])), contacts, (surface_u, surface_v)

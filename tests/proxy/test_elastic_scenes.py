@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from softfinger.config.load import load_scene
+from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Elastic, Mesh, Scene
 from softfinger.config.sources import FOLDERS
 from softfinger.drivers.poses import load_poses
@@ -20,6 +20,8 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.meshes.reading import read_bytes
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.cli import main
+from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.simulate import simulate
 from softfinger.server.wire.events import RecordEvents
 from softfinger.tools import elastic_scenes
 
@@ -197,3 +199,15 @@ def test_the_picture_of_a_deformed_body_meets_the_contacts(name: str) -> None:
         assert weights @ moved[surface.triangles[facet]] == pytest.approx(displacement, abs=1e-7)
     free = np.zeros(RECORD_SIZE)
     assert (deformed.at([free]) == surface.vertices).all()
+
+
+@pytest.mark.parametrize("name", ["press-a-pad", "squeeze-a-ball"])
+def test_the_servo_tick_records_the_pose_of_the_device(name: str) -> None:
+    """Guard, passivity and replay need the pose in the world, not the one relative to the displaced surface."""
+    names = [finger.name for finger in load_scene(name).fingers]
+    tracks = [f"squeeze-{each}" for each in names] if len(names) > 1 else ["press-a-pad"]
+    loaded = [load_poses(track) for track in tracks]
+    poses = np.stack([np.hstack([each.position, each.orientation])[60:130:5] for each in loaded], axis=1)
+    records = simulate(make_tuning(load_scene(name), load_rig("replay").guard), poses, 1000.0)
+    assert (np.linalg.norm(records[..., AT.contact_displacement : AT.contact_displacement + 3], axis=-1) > 0.0).any()
+    assert (records[..., AT.probe_position : AT.probe_position + 3] == poses[..., :3]).all()
