@@ -216,6 +216,7 @@ def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
         with Control(endpoint, WAIT_S) as control:
             while not forced(device):
                 control.heartbeat()
+                time.sleep(0.005)  # more than 100 requests in 0.1 s are refused
             HOLD(1_000_000)
             assert ticks_without(device) > 350
             control.get_state()
