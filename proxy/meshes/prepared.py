@@ -104,7 +104,7 @@ def rendered(thing: schema.Mesh) -> About:
 
 
 STAGES: Final = 4
-"""Stages of a mesh that is not cached, of similar duration: read, repaired, its tree built, and its picture drawn."""
+"""Stages of a mesh that is not cached: read, repair, build the tree, compute its figures."""
 
 OnStage = Callable[[str, int], None]
 _on_stage: ContextVar[OnStage] = ContextVar("on_stage", default=lambda name, stage: None)

@@ -18,7 +18,7 @@ Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class Task(Table, frozen=True, kw_only=True):
-    """What a trial asks. The level is the number that changes from trial to trial."""
+    """Task of a trial. The procedure sets its level."""
 
     kind: Annotated[
         Literal["compare", "rate", "trace"],

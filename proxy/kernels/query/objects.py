@@ -104,7 +104,7 @@ def is_inside(objects: Any, index: float) -> bool:
 
 @jit
 def is_world_plane(objects: Any, index: float) -> bool:
-    """Return True if object `index` is a plane at rest, or none."""
+    """Return True if object `index` is a plane at rest, or if `index` names no object."""
     is_plane, _ = world_plane(objects, index)
     return is_plane or index < 0.0
 
