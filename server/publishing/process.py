@@ -1,4 +1,6 @@
-"""Main loop of the publisher: a single thread that handles ticks first, then the daemon's messages, then peers.
+"""Main loop of a process with ZeroMQ sockets.
+
+A single thread handles ticks first, then the daemon's messages, then peers.
 
 It ends with the daemon, on request, by an abort in libzmq if a peer exhausts its memory, or by SIGPROF if libzmq does
 not return. The daemon then starts it again.
@@ -42,13 +44,13 @@ MAX_BUSY_US: Final = 50_000
 KILL_US: Final = 1_000_000
 STUCK_S: Final = 0.5
 """CPU time of one step after which the process ends. libzmq walks its tree of all topics for each connection that
-closes: after a flood of topics for up to a minute, in which no request to stop the force would be read."""
+closes: after a flood of topics for up to a minute, in which no tick would be sent."""
 RETRY_S: Final = 0.005
 """Interval of retries while the daemon does not read."""
 
 
 class Publishing:
-    """State of the publisher process.
+    """State of the process; it sends ticks if it has an endpoint of telemetry.
 
     channel  to the daemon, from which `setup` has been received
     """
@@ -127,7 +129,8 @@ class Publishing:
 
     def _poll(self) -> select.poll:
         poll = select.poll()
-        poll.register(self._rows.bell, select.POLLIN)
+        if self._readers:  # another process would miss the signal that this one resets
+            poll.register(self._rows.bell, select.POLLIN)
         poll.register(self._channel.fileno(), select.POLLIN)
         for peers in self._peer_sockets:
             for socket in (peers.socket, peers.monitor):
@@ -139,6 +142,8 @@ class Publishing:
 
     def _send_ticks(self) -> None:
         messages, latest, readers = self._messages, self._latest, self._readers
+        if not readers:
+            return
         for row in self._rows.take():
             limit_step()
             for topic, body in messages.encode_row(row):
@@ -270,7 +275,7 @@ def drop_priority_when_busy() -> None:
 
 
 def publish(channel: Channel) -> None:
-    """Run the publisher for the daemon at the other end, until either ends."""
+    """Run the process for the daemon at the other end, until either ends."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the daemon sends a last message
         signal.signal(number, signal.SIG_IGN)
     logging.getLogger().addHandler(_DaemonLogHandler(channel))

@@ -349,7 +349,7 @@ def test_a_stop_that_fails_is_told_and_skips_nothing(faulty, caplog):
         running.wait(60.0)
     assert [act for act, *_ in faulty.device.acts] == ["arm", "stop", "close", "stop"]
     assert not faulty.device.wrenches[-1].any() and faulty.device.wrenches.any()
-    assert not Path(f"/proc/{running.publisher.pid}").exists()
+    assert not Path(f"/proc/{running.publisher.pids['telemetry']}").exists()
     assert not running.servo.running and running.servo.records.wake_fd == -1
     assert "could not be closed" in caplog.text
 

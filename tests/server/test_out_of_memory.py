@@ -47,7 +47,7 @@ def look_on(address: str, closing: ExitStack) -> None:
 
 
 def process_of(process: subprocess.Popen[str], kind: str, other: int = 0) -> int:
-    """The daemon's publisher or page, once it is there; `other`: in the place of that one."""
+    """Wait for the process of a daemon with this role, other than `other`, and return its id."""
     found: list[int] = []
 
     def there() -> bool:
@@ -70,7 +70,7 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
     board has a force all the while, and the recording every tick."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process), felt(board) as least:
-        publisher = process_of(process, "publisher")
+        publisher = process_of(process, "telemetry process")
         with zmq.Context() as context, ExitStack() as closing:
             for _ in range(STALLED):
                 stalled = closing.enter_context(context.socket(zmq.SUB))
@@ -79,14 +79,14 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
                 stalled.connect(f"ipc://{tmp_path}/t")
             take_memory(publisher)
             until(lambda: gone(publisher), START_S, "the end of the publisher")
-        process_of(process, "publisher", other=publisher)
+        process_of(process, "telemetry process", other=publisher)
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
             first = next(iter(telemetry)).tick
             assert next(sample for sample in telemetry if sample.tick > first + 1500)  # the event waits for a second
         assert least() > 0.0
         said = end(process)
         assert board.force == ZERO
-    assert "the publisher has ended with code" in said
+    assert "the telemetry process has ended with code" in said
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks))) and "publisher" in [name for name, _ in events]
 
@@ -114,8 +114,10 @@ def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
     assert ticks == list(range(len(ticks))) and "page" in [name for name, _ in events]
 
 
-@pytest.mark.parametrize("kind", ["publisher", "page"])
-def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("kind", "event"), [("telemetry process", "publisher"), ("page", "page")])
+def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(
+    kind: str, event: str, tmp_path: Path
+) -> None:
     """It is restarted when descriptors are available again. Until then the run continues with its force."""
     recording = tmp_path / "on.mcap"
     view = ["--view"] if kind == "page" else []
@@ -139,4 +141,4 @@ def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(kind: 
         assert board.force == ZERO
     assert said.count("cannot be started") == 0  # told once
     ticks, events = read(recording)
-    assert ticks == list(range(len(ticks))) and kind in [name for name, _ in events]
+    assert ticks == list(range(len(ticks))) and event in [name for name, _ in events]
