@@ -1,4 +1,4 @@
-"""`python -m softfinger.server.publishing NAME FD`: process of the daemon for the endpoints NAME; FD is the channel to it.
+"""`python -m softfinger.server.publishing NAME FD`: process for the endpoints NAME; FD is the channel to the daemon.
 
 NAME is telemetry or commands, and is shown by tools that list processes.
 """

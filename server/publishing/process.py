@@ -45,6 +45,8 @@ KILL_US: Final = 1_000_000
 STUCK_S: Final = 0.5
 """CPU time of one step after which the process ends. libzmq walks its tree of all topics for each connection that
 closes: after a flood of topics for up to a minute, in which no tick would be sent."""
+EVENTS_IN_TURN: Final = 32
+"""Connection events handled before ticks, messages and requests have their turn."""
 RETRY_S: Final = 0.005
 """Interval of retries while the daemon does not read."""
 
@@ -102,9 +104,10 @@ class Publishing:
         """Publish until the daemon requests the end or exits."""
         poll, bell = self._poll(), self._rows.bell
         renewals, report_s, keys_s = self._renewals(), 0.0, time.monotonic() + KEY_CHECK_S
+        has_events = False
         while not self._ended:
             limit_step()
-            timeout_s = RETRY_S if self._channel.has_queued else PERIOD_S
+            timeout_s = 0.0 if has_events else RETRY_S if self._channel.has_queued else PERIOD_S
             ready = {number for number, _ in poll.poll(timeout_s * 1000.0)}
             if bell in ready:
                 self._rows.reset_bell()
@@ -113,9 +116,9 @@ class Publishing:
                 self._receive()
             self._channel.flush()
             self._handle_peers()
-            if ready - {bell, self._channel.fileno()}:
-                for peers in self._peer_sockets:  # soon: libzmq's thread blocks once a thousand events are unread
-                    peers.process_events()
+            if has_events or ready - {bell, self._channel.fileno()}:
+                # Soon: libzmq's thread blocks once a thousand events are unread. Few: they must not delay requests.
+                has_events = sum(peers.process_events(EVENTS_IN_TURN) for peers in self._peer_sockets) > 0
             now = time.monotonic()
             if now >= report_s:
                 report_s = now + PERIOD_S
@@ -202,7 +205,7 @@ class Publishing:
 
     def _report_figures(self) -> None:
         for peers in self._peer_sockets:
-            peers.process_events()
+            peers.process_events(EVENTS_IN_TURN)
         figures = Figures(
             sum(each.subscribers for each in self._readers),
             sum(each.lost for each in self._readers),

@@ -120,8 +120,9 @@ def kill(process: subprocess.Popen[bytes], kind: str, told: Path) -> list[int]:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("kills", [len(VICTIMS), KILLS])
 def test_a_kill_at_any_moment_leaves_nothing_behind(kills: int, tmp_path: Path) -> None:
-    """All processes of a run by turns, at random moments: the end of one is reported. Then the daemon, too: no process of it is left, the recording has whole ticks in a row, and the next one gets the same port,
-    socket and folder, to the last, which runs to its end and leaves no socket."""
+    """All processes of a run by turns, at random moments: the end of one is reported. Then the daemon: no process of it
+    is left, the recording has whole ticks in a row, and the next one gets the same port, socket and folder, to the
+    last, which runs to its end and leaves no socket."""
     drawn = random.Random(7)
     board = Board(lambda _: (*PLACE[:2], 0.006))
     recorded = 0

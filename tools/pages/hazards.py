@@ -293,7 +293,8 @@ HAZARDS: Final = (
         ("tests/server/test_signals.py::test_watcher_takes_the_force_off_a_killed_daemon",),
     ),
     Hazard(
-        "a process of telemetry or commands that ends, also while no memory or file descriptor is left", "the daemon", "none",
+        "a process of telemetry or commands that ends, also while no memory or file descriptor is left", "the daemon",
+        "none",
         "as before; with `heartbeat_s`, zero until heartbeats come again", f"it is started again, {_TRIED}",
         ("fault publisher",),
         ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",
