@@ -50,7 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     rig = None if args.rig is None else single_device(load_rig(args.rig))
     devices: list[ListedDevice] = []
-    for device in discovery.attached():
+    for device in discovery.list_attached():
         claim = find_claim(device)
         diagnosis, identification = diagnose(device, claim, rig), None
         if args.ask and claim is not None and diagnosis.state in OPENABLE_STATES:

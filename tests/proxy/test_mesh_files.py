@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.meshes.prepared import about, rendered
+from softfinger.proxy.meshes.prepared import about, latest_picture
 from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes
 from softfinger.server.cli import main
 
@@ -296,10 +296,10 @@ def test_a_file_that_changes_is_read_again(tmp_path: Path) -> None:
     first = about(thing(path))
     assert about(thing(path)) is first
     path.write_bytes(ply_text(meshes.geodesic(4)))
-    assert rendered(thing(path)) is first  # what is rendered does not change with it
+    assert latest_picture(thing(path)) is first  # what is rendered does not change with it
     assert about(thing(path)).report.triangles == 320
     path.unlink()
-    assert rendered(thing(path)).report.triangles == 320
+    assert latest_picture(thing(path)).report.triangles == 320
 
 
 NUMBERS = itertools.count()

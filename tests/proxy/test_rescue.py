@@ -24,7 +24,7 @@ if sys.argv[1:]:  # keys of others, so that ours has another number
 import mujoco
 from softfinger.proxy.bodies import _library
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.proxy.kernels.jit.rescue import RESCUE_ALIGNMENT, RESCUE_BYTES, jump_on_error, rescued, words_in
+from softfinger.proxy.kernels.jit.rescue import RESCUE_ALIGNMENT, RESCUE_BYTES, jump_on_error, call_rescued, words_in
 library = _library(mujoco)
 library.mju_setLogHandler.argtypes = (ctypes.c_void_p,)
 library.mju_setLogHandler(jump_on_error.address)
@@ -36,7 +36,7 @@ def steps(address: int, model: int, data: int, memory: int, count: int) -> tuple
     failed, total = 0, 0.0
     for i in range(count):
         half = 0.5 * i
-        failed += rescued(address, model, data, memory)
+        failed += call_rescued(address, model, data, memory)
         total += half  # a value from before the jump
     return failed, total
 
@@ -114,7 +114,7 @@ def test_a_kept_handler_finds_the_key_of_its_process(tmp_path: Path) -> None:
 
 
 def test_an_error_with_no_way_back_does_not_end_the_process() -> None:
-    """Stepped by address outside of `rescued`: that thread sleeps, and the program goes on to its end."""
+    """Stepped by address outside of `call_rescued`: that thread sleeps, and the program goes on to its end."""
     code = """
 model, data = model_and_data(77)
 step = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(STEP)

@@ -133,7 +133,7 @@ def fold_each(typing_context, kernel, each, start):  # type: ignore[no-untyped-d
 
 
 @intrinsic(prefer_literal=True)
-def padded(typing_context, each, filler, length):  # type: ignore[no-untyped-def]
+def pad(typing_context, each, filler, length):  # type: ignore[no-untyped-def]
     """Return `each` extended with `filler` to `length` elements; `length` is a literal."""
     result = types.UniTuple(types.unliteral(filler), length.literal_value)
 
@@ -180,7 +180,7 @@ if PLAIN:
             start = kernel(element, start)
         return start
 
-    def padded(each: Any, filler: Any, length: int) -> Any:
+    def pad(each: Any, filler: Any, length: int) -> Any:
         return (*each, *(filler,) * (length - len(each)))
 
     def unzip(pairs: Any) -> Any:
