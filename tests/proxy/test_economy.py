@@ -170,7 +170,6 @@ CALLED: dict[str, tuple[set[str], set[str] | None]] = {
     "effect": ({"sin"}, None),
     "motion": ({"sin", "cos"}, None),
     "texture": (set(), {"sqrt", "floor"}),  # which is one instruction
-    "second object": (set(), {"sqrt", "uadd.with.overflow.i64"}),  # which LLVM counts the steps of a sweep with
 }
 """What each scene calls at the least and, where that is known, at the most."""
 
