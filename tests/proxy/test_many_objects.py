@@ -13,6 +13,7 @@ import numba
 import numpy as np
 import pytest
 import trimesh
+from helpers.key_world import key_world
 from numpy.typing import NDArray
 
 from softfinger.config import schema
@@ -142,15 +143,19 @@ def test_more_objects_than_have_an_index_are_refused() -> None:
         many_objects([body] * (ENTRIES + 1), (), (), None)
 
 
-def test_other_objects_compile_no_step_anew() -> None:
-    """A second scene with the same laws runs the kernels of the first; of its shapes only the unknown kind is new."""
-    poses = over_the_top(200)
-    first = Engine(scene(SHAPES["sphere"], FAR))
+def test_other_objects_compile_no_step_anew(tmp_path: Path) -> None:
+    """A second scene with the same laws runs the kernels of the first; of its shapes only the unknown kind is new.
+
+    The scenes have a body that nothing touches, so that their step is also that of tests/server/test_world.py.
+    """
+    poses, world = over_the_top(200), key_world(tmp_path)
+    first = Engine(scene(SHAPES["sphere"], FAR, world=world))
     felt = first.run(poses)
     if PLAIN:
         pytest.skip("nothing is compiled")
     signatures = list(step_many.signatures)
-    second = Engine(scene(FAR, SHAPES["cone"], SHAPES["sphere"] | {"position_m": [1.0, 0.0, 0.0]}))
+    third = SHAPES["sphere"] | {"position_m": [1.0, 0.0, 0.0]}
+    second = Engine(scene(FAR, SHAPES["cone"], third, world=world))
     records = second.run(poses)
     assert step_many.signatures == signatures
     assert records["contact.normal_force"].max() > 0.1
