@@ -308,7 +308,7 @@ def test_between_two_bodies_no_cycle_gives_energy(cases: Cases) -> None:
     nothing, up to the second order of the step."""
     tip = {"radii_m": list(AXES), "orientation_wxyz": list(TURN)}
     lowest = support(AXES, TURN, [0.0, 0.0, 1.0]) - 1.2e-3
-    ticks = cases(300, 1000)
+    ticks = cases(200, 1000)
     once = handled(ticks, lowest)
     rows = Engine(scene(tip, TABLES["plane"], TABLES["sphere"] | BESIDE)).run(np.vstack([once, *[once[1:]] * 3]))
     shared = column(rows, "contacts1.object") >= 0

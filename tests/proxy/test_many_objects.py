@@ -84,8 +84,8 @@ def over_the_top(ticks: int) -> NDArray[np.float64]:
 @pytest.mark.parametrize("kind", SHAPES)
 def test_among_many_a_shape_is_felt_as_alone(kind: str) -> None:
     """Every number of the records but the sign of a zero, over touch, roll, slip and release."""
-    alone = Engine(scene(SHAPES[kind])).run(over_the_top(200))
-    among = Engine(scene(SHAPES[kind], FAR)).run(over_the_top(200))
+    alone = Engine(scene(SHAPES[kind])).run(over_the_top(100))
+    among = Engine(scene(SHAPES[kind], FAR)).run(over_the_top(100))
     assert alone["contact.normal_force"].max() > 0.05 and set(alone["contact.mode"].ravel()) >= {0.0, 1.0}
     np.testing.assert_array_equal(np.asarray(among) + 0.0, np.asarray(alone) + 0.0)
 
@@ -98,8 +98,8 @@ def test_a_mesh_is_rolled_on_in_closed_form(company: tuple[dict[str, Any], ...],
     trimesh.creation.box((50.0, 40.0, 2000.0 * TOP)).export(tmp_path / "box.stl")
     mesh = {"shape": "mesh", "file": str(tmp_path / "box.stl"), "scale": 0.001}
     rolling = {"rolling": {"method": "rotation_vector"}}
-    on_box = Engine(scene(SHAPES["box"], *company, **rolling)).run(over_the_top(200))
-    on_mesh = Engine(scene(mesh, *company, **rolling)).run(over_the_top(200))
+    on_box = Engine(scene(SHAPES["box"], *company, **rolling)).run(over_the_top(100))
+    on_mesh = Engine(scene(mesh, *company, **rolling)).run(over_the_top(100))
     assert on_box["contact.rolled"].max() > 0.05
     # Vertices are float32 in the file: 2 cm to 1e-9 m, times 1000 N/m.
     np.testing.assert_allclose(on_mesh["force"], on_box["force"], atol=2e-6)
