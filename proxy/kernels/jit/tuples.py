@@ -3,7 +3,6 @@
 Kernels and the servo loop call them; in plain Python they are ordinary functions.
 """
 
-import functools
 import operator
 from typing import Any
 
@@ -38,16 +37,11 @@ def replace(typing_context, given, *changes):  # type: ignore[no-untyped-def]
     return result(given, types.Tuple(changes)), generate
 
 
-@functools.cache
-def _places(kind: type) -> dict[str, int]:
-    return {name: place for place, name in enumerate(kind._fields)}  # type: ignore[attr-defined]
-
-
 def _replaced(given: Any, *changes: Any) -> Any:
-    """Return `replace` in plain Python, in a third of the time that `_replace` takes."""
-    values, places = list(given), _places(type(given))
+    """Return `replace` in plain Python, in less than half of the time that `_replace` takes."""
+    values, fields = list(given), given._fields
     for i in range(0, len(changes), 2):
-        values[places[changes[i]]] = changes[i + 1]
+        values[fields.index(changes[i])] = changes[i + 1]
     return tuple.__new__(type(given), values)
 
 
