@@ -31,7 +31,7 @@ from softfinger.server.offline.simulate import simulate, simulate_devices
 from softfinger.server.offline.summary import rig_summary
 
 DT = 1e-3
-SLOW_HZ = 250.0
+SLOW_HZ = 100.0
 """Rate of a whole recording where the ticks between show nothing else."""
 FREE_HAND = Guard(40.0, 2.0, 1e6, 1e6, 0.0, 1.0)
 """Limits of force, torque and their changes that nothing here reaches, and no ramp."""
