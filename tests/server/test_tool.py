@@ -171,6 +171,7 @@ def test_servo_writes_the_carried_wrench(fault: Any) -> None:
     device.close()
 
 
+@pytest.mark.plain
 def test_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
     """From the file through `simulate --device`: the tip is where the tool has it, turned as it turns."""
     file = tmp_path / "rig.toml"
