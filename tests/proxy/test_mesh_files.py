@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 from helpers import meshes
+from helpers.examples import examples
 from helpers.meshes import Mesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -327,7 +328,7 @@ def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
     assert len(np.unique(vertices, axis=0)) == len(vertices)
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(examples(80, 200), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.sampled_from(sorted(FILES)), data=st.data())
 def test_damage_is_refused_or_mended(tmp_path: Path, name: str, data: st.DataObject) -> None:
     """A bit flipped, bytes changed, cut out or doubled, the end cut off: anywhere."""

@@ -910,7 +910,7 @@ def test_bad_messages_change_nothing(rig, cases):
     assert grown_mb < cases(9, 18), grown_mb
 
 
-RAW_S = 1.0
+RAW_S = 0.4
 
 
 def test_raw_peers_take_neither_memory_nor_ticks(rig):

@@ -30,8 +30,8 @@ from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import AsyncControl, Control
 
 WAIT_S = 120.0
-BEFORE = 12
-"""Requests that wait before the one in question; each takes some milliseconds to answer."""
+BEFORE = 48
+"""Requests that wait before the one in question; each takes a millisecond or two to answer."""
 
 
 class Driver:

