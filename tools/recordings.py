@@ -280,32 +280,18 @@ def plates() -> list[Move]:
 
 def press_a_pad() -> list[Move]:
     """Return a motion that presses a pad 5 mm deep, strokes 12 mm along y, which sticks and then slides, and back."""
-    down, stroke = (0.0, 0.0, RADIUS_M - 0.005 - ABOVE_M), (0.0, 0.012, 0.0)
-    return [
-        hold(0.3),
-        Move(0.8, down),
-        hold(0.3),
-        Move(0.8, stroke),
-        Move(0.8, _back(stroke)),
-        hold(0.2),
-        Move(0.6, _back(down)),
-        hold(0.3),
-    ]
+    return _press_and_stroke(Move(0.8, (0.0, 0.0, RADIUS_M - 0.005 - ABOVE_M)), Move(0.8, (0.0, 0.012, 0.0)), 0.6)
 
 
 def bend_a_strip() -> list[Move]:
     """Return a motion that bends a strip near its free end, moves 30 mm towards its clamp and back, and lets it go."""
-    down, inwards = (0.0, 0.0, RADIUS_M - 0.01 - ABOVE_M), (-0.03, 0.0, 0.0)
-    return [
-        hold(0.3),
-        Move(1.0, down),
-        hold(0.3),
-        Move(1.0, inwards),
-        Move(1.0, _back(inwards)),
-        hold(0.2),
-        Move(0.5, _back(down)),
-        hold(0.3),
-    ]
+    return _press_and_stroke(Move(1.0, (0.0, 0.0, RADIUS_M - 0.01 - ABOVE_M)), Move(1.0, (-0.03, 0.0, 0.0)), 0.5)
+
+
+def _press_and_stroke(down: Move, stroke: Move, up_s: float) -> list[Move]:
+    """Return a motion down, along a stroke and back, and up within `up_s`."""
+    back, up = Move(stroke.seconds, _back(stroke.travel)), Move(up_s, _back(down.travel))
+    return [hold(0.3), down, hold(0.3), stroke, back, hold(0.2), up, hold(0.3)]
 
 
 def squeeze(side: float, presses: bool) -> list[Move]:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softfinger.server.experiment.analysis import ALL, Group, PowerLaw, is_counted, power_law
+from softfinger.server.experiment.design import conditions
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import log_likelihoods
 from softfinger.server.experiment.schema import ExperimentFile
@@ -135,15 +136,64 @@ class Estimate(NamedTuple):
 def estimate_population(groups: Sequence[Group], excluded: Collection[str] = ()) -> list[Estimate]:
     """Return the geometric mean over participants of the threshold, or of the answer, in each condition."""
     values = dict[str, list[float]]()
-    for group in groups:
-        if group.participant != ALL and group.participant not in excluded:
-            value = group.fit.answer if isinstance(group.fit, PowerLaw) else group.fit.threshold
-            values.setdefault(group.condition, []).append(value)
+    for (_, condition), value in _values_by_condition(groups, excluded).items():
+        values.setdefault(condition, []).append(value)
     estimates = []
     for condition, each in values.items():
         found = power_law([1.0] * len(each), each)
         estimates.append(Estimate(condition, len(each), found.answer, found.answer_95))
     return estimates
+
+
+class Ratio(NamedTuple):
+    """Ratio of the thresholds or answers at two levels of a factor: geometric mean with Student's 95 % interval."""
+
+    factor: str
+    level: str
+    baseline: str
+    participants: int
+    ratio: float
+    interval_95: tuple[float, float]
+
+
+def compare_levels(experiment: ExperimentFile, groups: Sequence[Group], excluded: Collection[str] = ()) -> list[Ratio]:
+    """Return the ratio of the threshold, or of the answer, at each level of a factor to that at its first level.
+
+    Ratios are within participants: of conditions that differ only in the factor, averaged geometrically over these.
+    Participants without an answer in one of the conditions are left out.
+    """
+    values = _values_by_condition(groups, excluded)
+    participants = list(dict.fromkeys(participant for participant, _ in values))
+    made, ratios = conditions(experiment), list[Ratio]()
+    for factor in experiment.factor:
+        name, baseline = factor.name, factor.levels[0]
+        for level in factor.levels[1:]:
+            pairs = [
+                (each.name, base.name)
+                for each in made
+                for base in made
+                if each.levels[name] == level and base.levels == each.levels | {name: baseline}
+            ]
+            own = [
+                math.prod(values[who, condition] / values[who, base] for condition, base in pairs) ** (1.0 / len(pairs))
+                for who in participants
+                if all((who, condition) in values for pair in pairs for condition in pair)
+            ]
+            if own:
+                mean = power_law([1.0] * len(own), own)
+                ratios.append(Ratio(name, str(level), str(baseline), len(own), mean.answer, mean.answer_95))
+    return ratios
+
+
+def _values_by_condition(groups: Sequence[Group], excluded: Collection[str]) -> dict[tuple[str, str], float]:
+    """Return the threshold, or the answer, by participant and condition."""
+    return {
+        (group.participant, group.condition): (
+            group.fit.answer if isinstance(group.fit, PowerLaw) else group.fit.threshold
+        )
+        for group in groups
+        if group.participant != ALL and group.participant not in excluded
+    }
 
 
 def survey_table(experiment: ExperimentFile, answers: Sequence[Entry], excluded: Collection[str] = ()) -> list[Entry]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
@@ -13,7 +14,11 @@ from softfinger.server.experiment.schema import ExperimentFile
 
 
 def write_methods(
-    experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str], starts: Sequence[Mapping[str, Any]]
+    experiment: ExperimentFile,
+    rows: Sequence[Entry],
+    excluded: Mapping[str, str],
+    starts: Sequence[Mapping[str, Any]],
+    answers: Sequence[Entry] = (),
 ) -> list[str]:
     """Return the paragraphs of a methods section.
 
@@ -25,6 +30,8 @@ def write_methods(
         Reason by excluded participant.
     starts
         Contents of the files about each start of a session (`about.json`).
+    answers
+        Rows of `comparison.survey_table`.
     """
     paragraphs = [
         _participants(experiment, rows, excluded, starts),
@@ -32,7 +39,7 @@ def write_methods(
         _task(experiment),
         _procedure(experiment),
         _design(experiment),
-        _surveys(experiment),
+        _surveys(experiment, answers),
         _analysis(experiment),
     ]
     return [" ".join(each) for each in paragraphs if each]
@@ -147,7 +154,7 @@ def _design(experiment: ExperimentFile) -> list[str]:
     return text
 
 
-def _surveys(experiment: ExperimentFile) -> list[str]:
+def _surveys(experiment: ExperimentFile, answers: Sequence[Entry]) -> list[str]:
     text, when = [], {
         "before": "before the first trial", "between": "after each block but the last", "after": "after the last trial"
     }  # fmt: skip
@@ -157,6 +164,14 @@ def _surveys(experiment: ExperimentFile) -> list[str]:
         text.append(f"The survey “{survey.title or survey.name}”{source} was answered {times}.")
         if survey.score == "mean":
             text.append("Its score is the unweighted mean of its ratings.")
+        if survey.at == ("before",):  # describes the participants
+            names = {each.name for each in survey.question if each.kind != "text"}
+            given = [
+                row for row in answers if row["survey"] == (survey.title or survey.name) and row["question"] in names
+            ]
+            if given:
+                facts = [f"{row['question']} {summarise(row)}" for row in given]
+                text.append(f"Its answers were: {', '.join(facts)}.")
     return text
 
 
@@ -173,10 +188,18 @@ def _analysis(experiment: ExperimentFile) -> list[str]:
         )
     return [
         model,
-        "Means over participants are geometric, with Student's 95 % intervals.",
+        "Means over participants are geometric, with Student's 95 % intervals; ratios of conditions are within "
+        "participants.",
         "Each factor was tested by the likelihood ratio of models with and without it, with parameters for each "
         "participant (Wilks 1938).",
     ]
+
+
+def summarise(row: Entry) -> str:
+    """Return mean and standard deviation of the answers to a question, or its choices with their numbers."""
+    if math.isnan(row["mean"]):
+        return str(row["given"])
+    return f"{row['mean']:.1f}" + ("" if math.isnan(row["sd"]) else f" ± {row['sd']:.1f}")
 
 
 def count_trials(rows: Sequence[Entry]) -> tuple[int, int, int]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import html
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -17,11 +16,13 @@ from softfinger.server.experiment.analysis import (
     excluded_participants,
     format_fit,
     format_interval,
+    is_counted,
 )
-from softfinger.server.experiment.comparison import compare_models, estimate_population
+from softfinger.server.experiment.comparison import compare_levels, compare_models, estimate_population
 from softfinger.server.experiment.design import conditions, plan_trials
 from softfinger.server.experiment.journal import Entry, read
-from softfinger.server.experiment.methods import count_trials, write_methods
+from softfinger.server.experiment.methods import count_trials, summarise, write_methods
+from softfinger.server.experiment.psychometric import probability
 from softfinger.server.experiment.schema import ExperimentFile
 
 STYLE: Final = (
@@ -71,12 +72,12 @@ def write_report(
     excluded = excluded_participants(experiment, rows)
     sections = [
         ("Design", _design(experiment)),
-        ("Participants and exclusions", _exclusions(rows, excluded, root)),
-        ("Estimates", _estimates(groups, excluded)),
+        ("Participants and exclusions", _exclusions(experiment, rows, excluded, root)),
+        ("Estimates", _estimates(experiment, groups, excluded)),
         ("Models with and without a factor", _models(experiment, rows, excluded)),
         ("Surveys", _surveys(table)),
         ("Figures", "".join(map(_image, (path for path in figures if path.suffix == ".png")))),
-        ("Methods", "".join(map(_paragraph, write_methods(experiment, rows, excluded, _starts(root))))),
+        ("Methods", "".join(map(_paragraph, write_methods(experiment, rows, excluded, _starts(root), table)))),
     ]
     body = "\n".join(f"<h2>{heading}</h2>\n{content}" for heading, content in sections if content)
     return PAGE.format(title=html.escape(experiment.title), style=STYLE, body=body)
@@ -101,23 +102,40 @@ def _design(experiment: ExperimentFile) -> str:
     return _table((), [pair for pair in facts.items() if pair[1]])
 
 
-def _exclusions(rows: Sequence[Entry], excluded: Mapping[str, str], root: Path) -> str:
-    caught = catch_shares(rows)
+def _exclusions(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str], root: Path) -> str:
+    caught, is_comparison = catch_shares(rows), experiment.task.kind == "compare"
     journals = {path.parent.name: read(path) for path in sorted(root.glob("sub-*/sub-*_journal.jsonl"))}
     lines = []
     for participant, entries in journals.items():
         own = [row for row in rows if row["participant"] == participant]
         practice, catch, counted = count_trials(own)
         right = f"{caught[participant][0]} of {catch}" if participant in caught else "none"
+        first = [row["answer"] == "first" for row in own if is_counted(row)] if is_comparison else []
         kinds = {entry["kind"] for entry in entries}
         why = excluded.get(participant, "no")
         if "finished" not in kinds:
             why += "; the session is not finished"
-        lines.append((participant, str(counted), str(practice), right, why))
-    return _table(("participant", "analysed trials", "practice", "right catch trials", "excluded"), lines)
+        share = [f"{sum(first) / len(first):.0%}" if first else "none"] if is_comparison else []
+        lines.append((participant, str(counted), str(practice), right, *share, why))
+    bias = ["answered “first”"] if is_comparison else []
+    return _table(("participant", "analysed trials", "practice", "right catch trials", *bias, "excluded"), lines)
 
 
-def _estimates(groups: Sequence[Group], excluded: Mapping[str, str]) -> str:
+def _estimates(experiment: ExperimentFile, groups: Sequence[Group], excluded: Mapping[str, str]) -> str:
+    if experiment.task.kind == "compare":
+        share = probability(1.0, 1.0, 1.0, lapse=experiment.observer.lapse)
+        value = "value / reference - 1" if experiment.task.more == "up" else "reference / value - 1"
+        quantity = f"A threshold is the level, {value}, at which {share:.0%} of the answers are right."
+    else:
+        quantity = "An estimate is the answer at the geometric mean of the levels."
+    ratios = _table(
+        ("factor", "ratio of", "participants", "geometric mean (95 % interval)"),
+        [
+            (each.factor, f"{each.level} to {each.baseline}", str(each.participants),
+             format_interval(each.ratio, each.interval_95))
+            for each in compare_levels(experiment, groups, excluded)
+        ],
+    ) if experiment.factor else ""  # fmt: skip
     population = _table(
         ("condition", "participants", "geometric mean (95 % interval)"),
         [
@@ -126,7 +144,9 @@ def _estimates(groups: Sequence[Group], excluded: Mapping[str, str]) -> str:
         ],
     )
     own = [(group.participant, group.condition, str(group.trials), format_fit(group.fit)) for group in groups]
-    return population + _table(("participant", "condition", "trials", "estimate (95 % interval)"), own)
+    fits = _table(("participant", "condition", "trials", "estimate (95 % interval)"), own)
+    note = "Ratios are within participants." if ratios else ""
+    return _paragraph(quantity) + population + (_paragraph(note) + ratios if note else "") + fits
 
 
 def _models(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str]) -> str:
@@ -155,14 +175,7 @@ def format_p(value: float) -> str:
 def _surveys(table: Sequence[Entry]) -> str:
     if not table:
         return ""
-    lines = [
-        (
-            row["survey"], row["question"], row["condition"], str(row["answers"]),
-            row["given"] if math.isnan(row["mean"]) else f"{row['mean']:.1f}"
-            + ("" if math.isnan(row["sd"]) else f" ± {row['sd']:.1f}"),
-        )
-        for row in table
-    ]  # fmt: skip
+    lines = [(row["survey"], row["question"], row["condition"], str(row["answers"]), summarise(row)) for row in table]
     return _table(("survey", "question", "condition", "answers", "mean ± standard deviation, or answers"), lines)
 
 

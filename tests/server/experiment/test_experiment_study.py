@@ -20,8 +20,9 @@ from test_experiment_session import drawn
 from softfinger.config.errors import ConfigError
 from softfinger.server import cli
 from softfinger.server.experiment.analysis import fit_groups
+from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.design import plan_trials
-from softfinger.server.experiment.experiment import Experiment, RunOptions
+from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.folder import load
 from softfinger.server.experiment.session import Stopped
 
