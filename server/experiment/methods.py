@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
@@ -11,6 +10,7 @@ from softfinger.server.experiment.analysis import is_counted
 from softfinger.server.experiment.design import conditions, plan_trials
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.surveys import format_answers
 
 
 def write_methods(
@@ -31,7 +31,7 @@ def write_methods(
     starts
         Contents of the files about each start of a session (`about.json`).
     answers
-        Rows of `comparison.survey_table`.
+        Rows of `surveys.survey_table`.
     """
     paragraphs = [
         _participants(experiment, rows, excluded, starts),
@@ -170,7 +170,7 @@ def _surveys(experiment: ExperimentFile, answers: Sequence[Entry]) -> list[str]:
                 row for row in answers if row["survey"] == (survey.title or survey.name) and row["question"] in names
             ]
             if given:
-                facts = [f"{row['question']} {summarise(row)}" for row in given]
+                facts = [f"{row['question']} {format_answers(row)}" for row in given]
                 text.append(f"Its answers were: {', '.join(facts)}.")
     return text
 
@@ -193,13 +193,6 @@ def _analysis(experiment: ExperimentFile) -> list[str]:
         "Each factor was tested by the likelihood ratio of models with and without it, with parameters for each "
         "participant (Wilks 1938).",
     ]
-
-
-def summarise(row: Entry) -> str:
-    """Return mean and standard deviation of the answers to a question, or its choices with their numbers."""
-    if math.isnan(row["mean"]):
-        return str(row["given"])
-    return f"{row['mean']:.1f}" + ("" if math.isnan(row["sd"]) else f" ± {row['sd']:.1f}")
 
 
 def count_trials(rows: Sequence[Entry]) -> tuple[int, int, int]:

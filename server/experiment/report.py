@@ -18,18 +18,28 @@ from softfinger.server.experiment.analysis import (
     format_interval,
     is_counted,
 )
-from softfinger.server.experiment.comparison import compare_levels, compare_models, estimate_population
+from softfinger.server.experiment.comparison import Effect, compare_levels, compare_models, estimate_population
 from softfinger.server.experiment.design import conditions, plan_trials
+from softfinger.server.experiment.figures import name_factors
 from softfinger.server.experiment.journal import Entry, read
-from softfinger.server.experiment.methods import count_trials, summarise, write_methods
+from softfinger.server.experiment.methods import count_trials, write_methods
 from softfinger.server.experiment.psychometric import probability
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.surveys import format_answers
 
 STYLE: Final = (
     "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
     "table{border-collapse:collapse;margin:1em 0}td,th{border-bottom:1px solid #ccc;padding:.2em .8em;text-align:left;"
-    "vertical-align:top}img{max-width:100%;display:block;margin:1em 0}"
+    "vertical-align:top}figure{margin:1em 0}img{max-width:100%;display:block}figcaption{color:#555}"
 )
+CAPTIONS: Final = {
+    "fit": "Answers by level, with the fits of each condition and their 95 % bands; grey: fits of single participants.",
+    "felt": "Force, path and duration of the touches in each condition; dots: trials, lines: means.",
+    "staircases": "Level of each trial of the staircases, in the order of the session; crosses: wrong answers.",
+    "confidence": "Right answers by confidence; the areas of the dots grow with the number of trials.",
+    "surveys": "Mean and standard deviation of the answers to each question.",
+}
+"""Caption of each figure, by the name of its file."""
 PAGE: Final = """<!doctype html>
 <html lang="en">
 <head>
@@ -50,7 +60,7 @@ def write_report(
     experiment: ExperimentFile,
     rows: Sequence[Entry],
     groups: Sequence[Group],
-    table: Sequence[Entry],
+    surveys: tuple[Sequence[Entry], Sequence[tuple[str, Effect]]],
     root: Path,
     figures: Sequence[Path],
 ) -> str:
@@ -62,8 +72,8 @@ def write_report(
         Answered trials.
     groups
         Fits by condition.
-    table
-        Rows of `comparison.survey_table`.
+    surveys
+        Rows of `surveys.survey_table`, and effects of `surveys.compare_scores`.
     root
         Folder of the experiment.
     figures
@@ -75,9 +85,9 @@ def write_report(
         ("Participants and exclusions", _exclusions(experiment, rows, excluded, root)),
         ("Estimates", _estimates(experiment, groups, excluded)),
         ("Models with and without a factor", _models(experiment, rows, excluded)),
-        ("Surveys", _surveys(table)),
+        ("Surveys", _surveys(*surveys)),
         ("Figures", "".join(map(_image, (path for path in figures if path.suffix == ".png")))),
-        ("Methods", "".join(map(_paragraph, write_methods(experiment, rows, excluded, _starts(root), table)))),
+        ("Methods", "".join(map(_paragraph, write_methods(experiment, rows, excluded, _starts(root), surveys[0])))),
     ]
     body = "\n".join(f"<h2>{heading}</h2>\n{content}" for heading, content in sections if content)
     return PAGE.format(title=html.escape(experiment.title), style=STYLE, body=body)
@@ -123,30 +133,27 @@ def _exclusions(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Map
 
 def _estimates(experiment: ExperimentFile, groups: Sequence[Group], excluded: Mapping[str, str]) -> str:
     if experiment.task.kind == "compare":
-        share = probability(1.0, 1.0, 1.0, lapse=experiment.observer.lapse)
+        share = float(probability(1.0, 1.0, 1.0, lapse=experiment.observer.lapse))
         value = "value / reference - 1" if experiment.task.more == "up" else "reference / value - 1"
-        quantity = f"A threshold is the level, {value}, at which {share:.0%} of the answers are right."
+        quantity = f"A threshold is the level, {value}, at which {100.0 * share:.0f} % of the answers are right."
     else:
         quantity = "An estimate is the answer at the geometric mean of the levels."
-    ratios = _table(
-        ("factor", "ratio of", "participants", "geometric mean (95 % interval)"),
-        [
-            (each.factor, f"{each.level} to {each.baseline}", str(each.participants),
-             format_interval(each.ratio, each.interval_95))
-            for each in compare_levels(experiment, groups, excluded)
-        ],
-    ) if experiment.factor else ""  # fmt: skip
+    ratios = _effects([(each.factor, each) for each in compare_levels(experiment, groups, excluded)], "ratio")
     population = _table(
-        ("condition", "participants", "geometric mean (95 % interval)"),
+        (_condition_head(experiment), "participants", "geometric mean (95 % interval)"),
         [
             (each.condition, str(each.participants), format_interval(each.mean, each.interval_95))
             for each in estimate_population(groups, excluded)
         ],
     )
     own = [(group.participant, group.condition, str(group.trials), format_fit(group.fit)) for group in groups]
-    fits = _table(("participant", "condition", "trials", "estimate (95 % interval)"), own)
-    note = "Ratios are within participants." if ratios else ""
-    return _paragraph(quantity) + population + (_paragraph(note) + ratios if note else "") + fits
+    fits = _table(("participant", _condition_head(experiment), "trials", "estimate (95 % interval)"), own)
+    return _paragraph(quantity) + population + ratios + fits
+
+
+def _condition_head(experiment: ExperimentFile) -> str:
+    factors = name_factors(experiment)
+    return f"condition ({factors})" if factors else "condition"
 
 
 def _models(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str]) -> str:
@@ -172,11 +179,28 @@ def format_p(value: float) -> str:
     return "p < 0.001" if value < 0.001 else f"p = {value:.3f}"
 
 
-def _surveys(table: Sequence[Entry]) -> str:
+def _surveys(table: Sequence[Entry], effects: Sequence[tuple[str, Effect]]) -> str:
     if not table:
         return ""
-    lines = [(row["survey"], row["question"], row["condition"], str(row["answers"]), summarise(row)) for row in table]
-    return _table(("survey", "question", "condition", "answers", "mean ± standard deviation, or answers"), lines)
+    lines = [
+        (row["survey"], row["question"], row["condition"], str(row["answers"]), format_answers(row)) for row in table
+    ]
+    head = ("survey", "question", "condition", "answers", "mean ± standard deviation, or answers")
+    return _table(head, lines) + _effects(
+        [(f"{survey}: {each.factor}", each) for survey, each in effects], "difference"
+    )
+
+
+def _effects(effects: Sequence[tuple[str, Effect]], kind: str) -> str:
+    """Return a table of effects of factors, each with a name; `kind` is ratio or difference."""
+    joint = {"ratio": "to", "difference": "less"}[kind]
+    lines = [
+        (name, f"{each.level} {joint} {each.baseline}", str(each.participants),
+         format_interval(each.value, each.interval_95))
+        for name, each in effects
+    ]  # fmt: skip
+    head = ("factor", f"{kind} within participants", "participants", "mean (95 % interval)")
+    return _table(head, lines) if lines else ""
 
 
 def _starts(root: Path) -> list[dict[str, Any]]:
@@ -200,5 +224,8 @@ def _paragraph(text: str) -> str:
 
 
 def _image(path: Path) -> str:
-    data = base64.b64encode(path.read_bytes()).decode()
-    return f'<img alt="{html.escape(path.stem)}" src="data:image/png;base64,{data}">\n'
+    data, caption = base64.b64encode(path.read_bytes()).decode(), html.escape(CAPTIONS[path.stem])
+    return (
+        f'<figure><img alt="{path.stem}" src="data:image/png;base64,{data}">'
+        f"<figcaption>{caption}</figcaption></figure>\n"
+    )

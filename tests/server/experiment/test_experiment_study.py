@@ -162,7 +162,9 @@ def test_a_study_goes_from_consent_to_report(tmp_path: Path) -> None:
     assert page.count("data:image/png;base64,") == 4 and 'src="http' not in page and "<link" not in page
     for text in (
         "2 interleaved staircases of 60 trials together per condition, starting at 0.8 and 0.05",
-        "Hart, S. G. and Staveland", "2 simulated observers took part", "of 12", "damping", "χ²(2) =",
+        "Hart, S. G. and Staveland", "2 simulated observers took part", "of 12", "condition (damping)", "χ²(2) =",
+        "ratio within participants", "4.0 to 0.0", "NASA-TLX: damping", "4.0 less 0.0", "answered “first”",
+        "80 % of the answers are right", "Its answers were: age ", "crosses: wrong answers",
     ):  # fmt: skip
         assert text in page
 
