@@ -66,8 +66,8 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
 
 
 def wrap_title(experiment: ExperimentFile, participant: str) -> str:
-    """Return the title of a figure on lines that fit."""
-    return textwrap.fill(f"{experiment.title} ({participant})", 50)
+    """Return the title of a figure, on lines that fit, and the participant."""
+    return f"{textwrap.fill(experiment.title, 50)}\n{participant}"
 
 
 def name_factors(experiment: ExperimentFile) -> str | None:

@@ -68,11 +68,10 @@ def _apparatus(experiment: ExperimentFile, starts: Sequence[Mapping[str, Any]]) 
         devices = sorted({str(start["device"].get("name", "")) for start in rendered})
         rates = sorted({f"{start['rate_hz']:g}" for start in rendered})
         text.append(f"The device was {', '.join(devices)}, at {', '.join(rates)} Hz.")
+        if experiment.screen.masking_noise != "none":
+            text.append(f"{experiment.screen.masking_noise.capitalize()} noise masked the sound of the device.")
     else:
         text.append("No device was used: the answers are simulated without rendering.")
-    screen = experiment.screen
-    if screen.masking_noise != "none":
-        text.append(f"{screen.masking_noise.capitalize()} noise masked the sound of the device.")
     return text
 
 
