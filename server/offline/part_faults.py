@@ -27,9 +27,9 @@ def part_faults(config: Any, file: str) -> list[str]:
 
 def _scene_checks(scene: Scene) -> Iterator[Callable[[], object]]:
     for item in scene.object if known(scene.object) else ():
-        if is_complete(item) and known(item.shape):
+        if is_complete(item) and known(item.shape) and not _has_complaint(item, "file"):
             yield partial(_check_object, item)
-    if scene.world is not None and is_complete(scene.world):
+    if scene.world is not None and is_complete(scene.world) and not _has_complaint(scene.world, "model"):
         yield partial(_check_world, scene.world)
 
 
@@ -45,6 +45,11 @@ def _rig_checks(rig: Any, file: str) -> Iterator[Callable[[], object]]:
     for table, device in tables.items():
         if is_complete(device):
             yield partial(_check_device, device, rate_hz, table, file)
+
+
+def _has_complaint(table: Any, key: str) -> bool:
+    """Return True if the check of a table itself reports a key."""
+    return any(name == key for name, *_ in table.faults())
 
 
 def _check_object(item: Object) -> None:

@@ -37,7 +37,9 @@ def read(data: bytes) -> Faces:
     if text[:5].lower() != b"solid" or b"\0" in text:
         if not data.strip():
             raise ValueError("is empty")
-        there = f"states {count:,} triangles, but has {max(0, len(data) - HEAD):,} bytes of 50 each for them"
+        there = f"states {count:,} triangles, but has {len(data) - HEAD:,} bytes of 50 each for them"
+        if len(data) < HEAD:
+            there = f"has {len(data)} bytes, fewer than the head of an STL file"
         raise ValueError(f"{there}: it was cut off, or is no STL file")
     if b"endsolid" not in text[text.rfind(b"\n") + 1 :].lower() and b"endsolid" not in text[-4096:].lower():
         raise ValueError("has no endsolid at its end: it was cut off")
