@@ -123,7 +123,9 @@ def _exclusions(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Map
         first = [row["answer"] == "first" for row in own if is_counted(row)] if is_comparison else []
         kinds = {entry["kind"] for entry in entries}
         why = excluded.get(participant, "no")
-        if "finished" not in kinds:
+        if "consent" in kinds and not any(entry.get("agreed") for entry in entries):
+            why = "did not agree"
+        elif "finished" not in kinds:
             why += "; the session is not finished"
         share = [f"{sum(first) / len(first):.0%}" if first else "none"] if is_comparison else []
         lines.append((participant, str(counted), str(practice), right, *share, why))

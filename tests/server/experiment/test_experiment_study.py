@@ -152,6 +152,8 @@ def test_a_study_goes_from_consent_to_report(tmp_path: Path) -> None:
     }  # fmt: skip
     with (out / "trials.csv").open() as table:
         assert {"staircase", "catch", "confidence"} <= set(next(csv.DictReader(table)))
+    (out / "sub-03").mkdir()
+    (out / "sub-03" / "sub-03_journal.jsonl").write_text('{"kind": "consent", "agreed": false}\n')
     assert cli.main(["figure", str(out), "--report"]) == 0
     figures = {path.name for path in (out / "figures").iterdir()}
     for name in ("staircases", "confidence", "surveys"):
@@ -165,6 +167,7 @@ def test_a_study_goes_from_consent_to_report(tmp_path: Path) -> None:
         "Hart, S. G. and Staveland", "2 simulated observers took part", "of 12", "condition (damping)", "χ²(2) =",
         "ratio within participants", "4.0 to 0.0", "NASA-TLX: damping", "4.0 less 0.0", "answered “first”",
         "80 % of the answers are right", "Its answers were: age ", "crosses: wrong answers",
+        "<td>sub-03</td><td>0</td><td>0</td><td>none</td><td>none</td><td>did not agree</td>",
     ):  # fmt: skip
         assert text in page
 
