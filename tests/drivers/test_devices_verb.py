@@ -143,6 +143,7 @@ def test_tables_that_may_not_be_read_have_no_devices(root: Path) -> None:
         (0x1234, 0x0006, "hid", "woodenhaptics-2015"),
         (0x16C0, 0x0483, "serial", "woodenhaptics-v3"),
         (0x256F, 0xC63A, "spacemouse", "spacemouse"),
+        (0x256F, 0xC631, "spacemouse", "spacemouse"),
     ],
 )
 def test_devices_are_claimed_by_their_ids(vendor: int, product: int, driver: str, rig: str) -> None:
