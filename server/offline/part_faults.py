@@ -12,9 +12,9 @@ from typing import Any
 import msgspec
 
 from softfinger.config.errors import ConfigError, HapticError, RecordingError
+from softfinger.config.fields import known
 from softfinger.config.load import FaultyConfig
 from softfinger.config.schema import DeviceConfig, Object, Rig, Scene, Servo, World
-from softfinger.config.schema.fields import known
 from softfinger.server.offline.summary import object_rows
 
 
