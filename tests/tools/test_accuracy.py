@@ -22,7 +22,7 @@ from softfinger.server.cli import main, make_parser
 from softfinger.server.loop.clock import stopwatch
 from softfinger.tools.accuracy import cases, figures, front, montana, paper, verb
 from softfinger.tools.accuracy.classical import MAX_STEP_SHARE, Steps, roll_classical
-from softfinger.tools.accuracy.options import METHODS, SURFACES
+from softfinger.tools.accuracy.options import METHODS, MOTIONS, SURFACES
 from softfinger.tools.accuracy.reference import roll_path
 from softfinger.tools.accuracy.report import write_report
 
@@ -201,7 +201,7 @@ def test_nothing_drifts(result: dict[str, Any]) -> None:
     assert {row["steps"] for row in result["drift"]} == {verb.QUICK_DRIFT_STEPS}
 
 
-@pytest.mark.parametrize("motion", cases.MOTIONS)
+@pytest.mark.parametrize("motion", MOTIONS)
 def test_motion_turns_at_the_rates_it_says(motion: cases.Motion) -> None:
     """The orientations begin at none, and their difference quotient is the angular velocity given to the reference."""
     h, t, normal = 1e-5, np.linspace(0.0, 0.9, 7), (0.36, 0.48, 0.8)
