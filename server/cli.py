@@ -121,6 +121,7 @@ def run_verb(words: list[str]) -> int:
     """Parse the command line, run its verb and return the exit code."""
     import logging
 
+    from softfinger.proxy import progress as preparation
     from softfinger.server import progress
 
     check_descriptors()
@@ -131,6 +132,7 @@ def run_verb(words: list[str]) -> int:
         handlers=[to_stderr()],
     )
     progress.set_enabled(not args.quiet)
+    preparation.display = progress.progress
     run = importlib.import_module(VERBS[args.verb].module).run
     signals.mark_imported()
     if not gc.isenabled():  # imported objects are never garbage: exclude them from collections
