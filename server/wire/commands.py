@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any, Final, Literal, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple, TypedDict
 
 import msgspec
-import numpy as np
 from msgspec import Meta, Struct, inspect
-from numpy.typing import NDArray
 
-from softfinger.config.schema import Coordinate
+from softfinger.config.fields import Coordinate
 from softfinger.proxy.record import AT
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 ErrorName = Literal["malformed", "unknown_method", "bad_params", "refused", "busy", "superseded", "expired", "failed"]
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from softfinger.config import schema
+from softfinger.proxy import progress
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.meshes import kept, prepared
 from softfinger.proxy.meshes.prepared import Builder, about, tree_of
@@ -111,6 +114,24 @@ def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypa
     monkeypatch.setattr(prepared, "SOURCE_HASH", "another")
     tree_of(thing, BUILDER, folder)
     assert BUILT == [180]
+
+
+def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mesh that is built reports each of its stages once, in order; one from the cache reports nothing."""
+    forget(monkeypatch)
+    reported: list[Any] = []
+
+    @contextmanager
+    def display(what: str, total: int) -> Iterator[Callable[[int], None]]:
+        reported.append((what, total))
+        yield reported.append
+
+    monkeypatch.setattr(progress, "display", display)
+    tree_of(part(tmp_path), BUILDER, folder)
+    assert reported == [("building the mesh of ball", 4), 1, 2, 3, 4]
+    forget(monkeypatch)
+    tree_of(part(tmp_path), BUILDER, folder)
+    assert len(reported) == 5
 
 
 def one(folder: Folder) -> Path:

@@ -106,8 +106,8 @@ os._exit(0)
 def test_an_error_comes_back_and_the_caller_goes_on(tmp_path: Path) -> None:
     """A hundred errors in a row, with MuJoCo's words; values of the caller from before each jump are what they were.
     After a reset the same data steps on, and Python's own call of MuJoCo still raises. Of four threads at a time, every
-    other one with an error in each of its calls, each jumps to its own call. Stepped by address outside of `call_rescued`, a
-    thread sleeps, and the program continues to its end.
+    other one with an error in each of its calls, each jumps to its own call. Stepped by address outside of
+    `call_rescued`, a thread sleeps, and the program continues to its end.
 
     The handler is compiled by one process and loaded by another, in which the key of the jump has another number.
     """

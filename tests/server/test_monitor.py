@@ -23,7 +23,7 @@ from rich.console import Console
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import CAUSE_NAMES
-from softfinger.server.verbs import monitor
+from softfinger.server.verbs import monitor, options
 from softfinger.server.wire.client import NoTelemetry, subscribe
 from softfinger.server.wire.protocol import CONTACT, EVENT, HEALTH
 from softfinger.server.wire.publisher import Publisher
@@ -33,9 +33,9 @@ pytestmark = pytest.mark.real_time
 PROGRAM = """
 import argparse, sys
 from softfinger.config.errors import HapticError
-from softfinger.server.verbs import monitor
+from softfinger.server.verbs import monitor, options
 parser = argparse.ArgumentParser("monitor")
-monitor.configure(parser)
+options.configure_monitor(parser)
 try:
     sys.exit(monitor.run(parser.parse_args()))
 except HapticError as error:
@@ -329,6 +329,6 @@ def test_bars_fall_when_the_server_has_gone():
 def test_times_that_are_none_are_refused(option, value):
     """A duration or time-out that is not above zero is a ConfigError with the option's name."""
     parser = argparse.ArgumentParser()
-    monitor.configure(parser)
+    options.configure_monitor(parser)
     with pytest.raises(ConfigError, match=f"--{option} = "):
         monitor.run(parser.parse_args([f"--{option}", value]))

@@ -36,7 +36,8 @@ from softfinger.server.wire.client import subscribe
 from softfinger.tools.bench.loop import compile_reference, run_reference
 from softfinger.tools.bench.telemetry import await_messages, source
 from softfinger.tools.bench.view import viewer
-from softfinger.tools.measure import Array, add_output_options, show
+from softfinger.tools.measure import Array, show
+from softfinger.tools.options import add_output_options
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection

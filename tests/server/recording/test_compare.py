@@ -25,7 +25,8 @@ from softfinger.server.offline.simulate import load_finger_poses, simulate, tick
 from softfinger.server.recording.compare import FORGET_TIME_CONSTANTS, Outcome, compare, replay
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import load_run
-from softfinger.server.recording.verbs.replay import FIELDS, TOLERANCE, _recorded_values
+from softfinger.server.recording.verbs.options import TOLERANCE
+from softfinger.server.recording.verbs.replay import FIELDS, _recorded_values
 from softfinger.server.recording.writer import RecordingFile
 
 STIFFNESS = "object.0.material.stiffness_n_per_m"
