@@ -80,8 +80,8 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
 
 def _elastic(scene: schema.Scene, bodies: list[model.Object]) -> Any:
     """Return the compliance of the only object if it is elastic, otherwise None."""
-    thing = scene.object[0] if len(scene.object) == 1 else None
-    if not isinstance(thing, schema.Mesh) or thing.elastic is None:
+    thing = scene.elastic_object
+    if thing is None or thing.elastic is None:
         return None
     from softfinger.proxy.elastic.surface import kernel_elastic
 
