@@ -158,7 +158,7 @@ def _surfaces(scene: model.Scene) -> Any:
     """Return the displacement under each finger before the first pose, None without an elastic object."""
     if scene.elastic is None:
         return None
-    return tuple(model.Surface(model.ZERO, model.ZERO, model.ZERO, 0.0) for _ in scene.fingers)
+    return tuple(model.Surface(model.ZERO, model.ZERO, model.ZERO, model.ZERO, 0.0) for _ in scene.fingers)
 
 
 def patches_of(objects: model.Single | model.Many) -> int:

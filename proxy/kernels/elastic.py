@@ -4,8 +4,8 @@
 
 F is the step on the undeformed mesh, f_i the load of finger i at x_i, u_i the displacement there. So the finger's
 spring is in series with the surface, and friction, torsion and rolling act between the fingertip and the moving
-surface. Newton's method solves for u with the slopes of the spring, at most ROUNDS times; it ends after one correction
-while a contact sticks, or slides without friction on one facet. Each round steps from the state of the last tick.
+surface. Newton's method solves for u with the slopes of the load and of the contact point, at most ROUNDS times; it
+mostly ends after one correction. Each round steps from the state of the last tick.
 
 Source of the method: James and Pai (2001). This module is imported for scenes with an elastic object only.
 """
@@ -206,8 +206,14 @@ def tangential_part(law: Any, force: Vec3, normal: Vec3) -> Vec3:
 
 
 @jit
-def contact_spot(elastic: Elastic, body: Any, finger: Finger, state: FingerState, contact: Contact, dt: float) -> Spot:
-    """Return the spot of the most loaded contact, with the load of all contacts of the finger."""
+def contact_spot(
+    elastic: Elastic, body: Any, finger: Finger, last: FingerState, state: FingerState, contact: Contact, dt: float
+) -> Spot:
+    """Return the spot of the most loaded contact, with the load of all contacts of the finger.
+
+    last   before the tick, relative to the surface as `state` is
+    state  after it
+    """
     found = spot_on(elastic, body, state.contacts[0].body, contact.contacts[0].point, contact.normal)
     force = ZERO
     for k in range(3):
@@ -227,13 +233,19 @@ def contact_spot(elastic: Elastic, body: Any, finger: Finger, state: FingerState
         along = vec3.add_scaled(n, 1.0 / contact.normal_force, vec3.reject(force, n))
         drag = friction_on(body.material.friction, force, n)
         size = vec3.norm(drag)
-        if size > 0.0:  # the friction turns with the deflection, and the point follows the probe along it
+        if size > 0.0:
+            # The friction is the deflection before the slip, scaled to the cone. It turns with the deflection, and the
+            # point follows the probe along it.
             t = vec3.scale(1.0 / size, drag)
+            whole = vec3.sub(last.contacts[0].deflection, vec3.sub(state.probe.position, last.probe.position))
+            length = vec3.norm(vec3.reject(whole, contact.normal)) * finger.coupling.stiffness
+            share = size / length if length > size else 1.0
             across = plus_outer(plus_outer(IDENTITY, vec3.scale(-1.0, n), n), vec3.scale(-1.0, t), t)
-            spring = plus(ZEROS, finger.coupling.stiffness, across)
+            spring = plus(ZEROS, share * finger.coupling.stiffness, across)
+            grip = size * stiffness / (contact.normal_force * finger.coupling.stiffness)
             a, b, c = found.slopes
-            slopes = (vec3.scale(vec3.dot(a, t), t), vec3.scale(vec3.dot(b, t), t), vec3.scale(vec3.dot(c, t), t))
-            found = replace(found, "slopes", slopes)
+            moves = plus_outer(plus(plus_outer(ZEROS, t, t), 1.0 - share, across), vec3.scale(-grip, n), t)
+            found = replace(found, "slopes", (times(moves, a), times(moves, b), times(moves, c)))
     spring = plus_outer(spring, vec3.scale(stiffness, along), n)
     return replace(found, "load", vec3.scale(-1.0, force), "spring", spring)
 
@@ -286,9 +298,9 @@ def surface_after(
     bent  largest rotation, rad, and strain of the body
     """
     elastic, body, rate = scene.elastic, scene.objects.body, last.rate
+    moved = vec3.sub(displacement, last.displacement)
     if dt > 0.0:
         gain = 1.0 / (finger.velocity_time_constant + dt)
-        moved = vec3.sub(displacement, last.displacement)
         rate = vec3.add_scaled(vec3.faded(finger.velocity_time_constant * gain, last.rate), gain, moved)
     beyond = 0.0
     if vec3.dot(displacement, displacement) > elastic.large * elastic.large:
@@ -298,8 +310,8 @@ def surface_after(
     if bent[1] > STRAIN_MAX:
         beyond += LARGE_STRAIN
     if contact.mode == FREE:
-        return Surface(displacement, rate, ZERO, 0.0)
-    return Surface(displacement, rate, turn_out_of(body.pose, displacement), beyond)
+        return Surface(displacement, moved, rate, ZERO, 0.0)
+    return Surface(displacement, moved, rate, turn_out_of(body.pose, displacement), beyond)
 
 
 @jit
@@ -384,13 +396,13 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     elastic, body, last, finger = scene.elastic, objects.body, state.world.surfaces[0], fingers[0]
     gain = memory_of(elastic, dt)
     rest, slope, bent = vec3.scale(1.0 - gain, last.displacement), ZERO, (0.0, 0.0)
-    u = vec3.add_scaled(last.displacement, dt, last.rate)
+    u = vec3.add(last.displacement, last.change)
     before = relative_to(body, state.fingers[0], last.displacement)
     for left in range(ROUNDS - 1, -1, -1):
         after, contact = step_finger(finger, before, shifted(body, poses[0], u), scene, objects, dt)
         goal, matrix, rise, bent = rest, IDENTITY, ZERO, (0.0, 0.0)
         if contact.mode != FREE:
-            spot = contact_spot(elastic, body, finger, after, contact, dt)
+            spot = contact_spot(elastic, body, finger, before, after, contact, dt)
             given, bent = respond(elastic, spot, spot), bending_under(elastic, spot)
             goal = vec3.add_scaled(rest, gain, times(given.compliance, spot.load))
             moves = plus(plus(product(given.compliance, spot.spring), 1.0, given.at), 1.0, given.by)
@@ -405,11 +417,13 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
 
 
 @jit
-def spot_of(elastic: Elastic, objects: Any, finger: Finger, after: FingerState, contact: Contact, dt: float) -> Spot:
+def spot_of(
+    elastic: Elastic, objects: Any, finger: Finger, last: FingerState, after: FingerState, contact: Contact, dt: float
+) -> Spot:
     """Return the spot of a finger, with or without contact."""
     if contact.mode == FREE:
         return nearest_spot(elastic, objects, after.probe.position)
-    return contact_spot(elastic, objects.body, finger, after, contact, dt)
+    return contact_spot(elastic, objects.body, finger, last, after, contact, dt)
 
 
 @jit
@@ -448,16 +462,16 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     elastic, body, last = scene.elastic, objects.body, state.world.surfaces
     gain = memory_of(elastic, dt)
     rest_u, rest_v = vec3.scale(1.0 - gain, last[0].displacement), vec3.scale(1.0 - gain, last[1].displacement)
-    u = vec3.add_scaled(last[0].displacement, dt, last[0].rate)
-    v = vec3.add_scaled(last[1].displacement, dt, last[1].rate)
+    u = vec3.add(last[0].displacement, last[0].change)
+    v = vec3.add(last[1].displacement, last[1].change)
     slope_u, slope_v = ZERO, ZERO
     before_one = relative_to(body, state.fingers[0], last[0].displacement)
     before_two = relative_to(body, state.fingers[1], last[1].displacement)
     for left in range(ROUNDS - 1, -1, -1):
         one, first = step_finger(fingers[0], before_one, shifted(body, poses[0], u), scene, objects, dt)
         two, second = step_finger(fingers[1], before_two, shifted(body, poses[1], v), scene, objects, dt)
-        x = spot_of(elastic, objects, fingers[0], one, first, dt)
-        y = spot_of(elastic, objects, fingers[1], two, second, dt)
+        x = spot_of(elastic, objects, fingers[0], before_one, one, first, dt)
+        y = spot_of(elastic, objects, fingers[1], before_two, two, second, dt)
         short = (vec3.sub(rest_u, u), vec3.sub(rest_v, v))
         change_u, change_v, slope_u, slope_v = correct_both(elastic, x, y, gain, short)
         if left == 0 or vec3.dot(change_u, change_u) + vec3.dot(change_v, change_v) <= SOLVED**2:

@@ -154,7 +154,7 @@ def test_two_fingers_feel_each_other_through_the_body(folder: Path) -> None:
     records = engine.run({"a": np.tile(held, (10, 1)), "b": np.array([away] * 5 + [beside] * 5)})
     alone, together = records["a"]["force"][4], records["a"]["force"][9]
     single = Engine(scene(folder / "pad.obj")).run(np.tile(held, (5, 1)))["force"][4]
-    assert alone == pytest.approx(single, abs=1e-12)
+    assert alone == pytest.approx(single, abs=2e-8)  # each is solved to 1e-11 m, and the spring has 1000 N/m
     assert together[2] < alone[2] - 0.005
     elastic, body = engine.scene.elastic, engine.scene.objects.body
     one, two = (

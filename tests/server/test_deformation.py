@@ -57,7 +57,11 @@ def test_loads_are_sent_when_they_change_and_recorded_as_they_are_sent(tmp_path:
         while (frames := socket.recv_multipart())[0] != b"event":
             found.append(decode(*frames))
         sent: list[tuple[int, int]] = []
-        changing = Deformation(daemon.rendering, [""], lambda _, tick, content: sent.append((tick, len(content["loads"]))))
+
+        def publish(topic: str, tick: int, content: dict[str, Any]) -> None:
+            sent.append((tick, len(content["loads"])))
+
+        changing = Deformation(daemon.rendering, [""], publish)
         rows = pressed(1200)
         rows[:, AT.contacts0_force] = np.linspace(1.0, 2.0, len(rows))
         for row in rows:
