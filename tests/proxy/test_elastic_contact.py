@@ -180,6 +180,22 @@ def test_the_work_of_a_closed_cycle_without_friction_vanishes(folder: Path) -> N
     assert abs(work) < 1e-9
 
 
+@pytest.mark.exhaustive
+def test_the_work_of_a_cycle_across_facets_vanishes_with_the_step(folder: Path) -> None:
+    """The slope force jumps at the edges: a sum over ticks misses at most half of each jump times the step."""
+    bounds = []
+    for count in (800, 6400):
+        turn = np.linspace(0.0, 2.0 * np.pi, count + 1)
+        depth = 0.001 + 0.0005 * np.sin(turn)
+        poses = np.array([at(*each) for each in zip(0.006 * np.cos(turn), 0.006 * np.sin(turn), depth, strict=True)])
+        forces = Engine(scene(folder / "pad.obj")).run(np.concatenate([poses[:-1], poses]))["force"][count:]
+        steps = np.diff(poses[:, :3], axis=0)
+        work = (0.5 * (forces[1:] + forces[:-1]) * steps).sum()
+        bounds.append(0.5 * (np.linalg.norm(np.diff(forces, axis=0), axis=1) * np.linalg.norm(steps, axis=1)).sum())
+        assert abs(work) < bounds[-1]
+    assert bounds[1] < 0.2 * bounds[0]
+
+
 def test_a_damped_surface_yields_with_its_time_constant(folder: Path) -> None:
     quick, slow = (Engine(scene(folder / "pad.obj", damping_s=time)) for time in (0.0, 0.05))
     poses = np.tile(at(0.0, 0.0, 0.001), (400, 1))
