@@ -1,8 +1,8 @@
 """Cholesky factorisation of a stiffness matrix, for thousands of right-hand sides that touch few unknowns each.
 
 The unknowns are ordered by nested dissection of their positions (George, 1973), and eliminated in dense fronts (Duff
-and Reid, 1983). LAPACK does the arithmetic. SciPy's SuperLU took four times the memory and three times the time: it is
-made for unsymmetric matrices, and solves one right-hand side after the other.
+and Reid, 1983). LAPACK does the arithmetic. With SciPy's SuperLU, a body of 1000 nodes took 61 s and 2.2 GB instead of
+27 s and 1.3 GB: it does not use the symmetry. Of CHOLMOD there is no wheel, and that of Pardiso needs MKL.
 """
 
 from __future__ import annotations

@@ -37,6 +37,8 @@ ON_EDGE = 1e-9
 """Barycentric weight below which a contact is on the edge of its facet."""
 LEAN_RAD = 1e-6
 """Angle between the contact normal and that of the facet from which the contact is on an edge."""
+LIMITED = 1e-6
+"""Share by which the cone has to reduce the friction of a contact that sticks, beyond rounding."""
 DEPTH_STEP_M = 1e-7
 """Change of the depth by which the stiffness of the normal force is measured."""
 
@@ -219,35 +221,50 @@ def contact_spot(
     for k in range(3):
         force = vec3.add(force, contact.contacts[k].force)
     force, n = turn_into(body.pose, force), turn_into(body.pose, contact.normal)
+    found = replace(found, "load", vec3.scale(-1.0, force))
     law, depth, out = body.material.normal, contact.penetration, vec3.dot(contact.velocity, contact.normal)
     faster = out - DEPTH_STEP_M / dt if dt > 0.0 else out
     more = normal_force_of(law, depth + DEPTH_STEP_M, faster) - normal_force_of(law, depth, out)
-    stiffness, along = more / DEPTH_STEP_M, n
-    if contact.mode == ROLLING:
-        side = finger.coupling.stiffness + (finger.coupling.damping / dt if dt > 0.0 else 0.0)
-        spring = plus(ZEROS, side, plus_outer(IDENTITY, vec3.scale(-1.0, n), n))
-        spring = plus_outer(spring, vec3.scale(stiffness, n), n)
-        return replace(found, "load", vec3.scale(-1.0, force), "slopes", ZEROS, "spring", spring)
-    spring = ZEROS
+    stiffness, along, spring = more / DEPTH_STEP_M, n, ZEROS
+    beside = plus_outer(IDENTITY, vec3.scale(-1.0, n), n)
+    drag = friction_on(body.material.friction, force, n)
+    size = vec3.norm(drag)
+    side, length = unlimited_friction(finger, last, state, contact, dt)
+    if contact.mode == ROLLING and length <= (1.0 + LIMITED) * size:
+        spring = plus_outer(plus(ZEROS, side, beside), vec3.scale(stiffness, n), n)
+        return replace(found, "slopes", ZEROS if side > 0.0 else found.slopes, "spring", spring)
     if contact.normal_force > 0.0:
         along = vec3.add_scaled(n, 1.0 / contact.normal_force, vec3.reject(force, n))
-        drag = friction_on(body.material.friction, force, n)
-        size = vec3.norm(drag)
-        if size > 0.0:
-            # The friction is the deflection before the slip, scaled to the cone. It turns with the deflection, and the
-            # point follows the probe along it.
+        if size > 0.0:  # the cone limits the friction, which turns with the deflection
             t = vec3.scale(1.0 / size, drag)
-            whole = vec3.sub(last.contacts[0].deflection, vec3.sub(state.probe.position, last.probe.position))
-            length = vec3.norm(vec3.reject(whole, contact.normal)) * finger.coupling.stiffness
             share = size / length if length > size else 1.0
-            across = plus_outer(plus_outer(IDENTITY, vec3.scale(-1.0, n), n), vec3.scale(-1.0, t), t)
-            spring = plus(ZEROS, share * finger.coupling.stiffness, across)
-            grip = size * stiffness / (contact.normal_force * finger.coupling.stiffness)
+            across = plus_outer(beside, vec3.scale(-1.0, t), t)
+            spring = plus(ZEROS, share * side, across)
+            moves = ZEROS  # of the point, with the probe
+            if contact.mode != ROLLING:
+                grip = size * stiffness / (contact.normal_force * side)
+                moves = plus_outer(plus(plus_outer(ZEROS, t, t), 1.0 - share, across), vec3.scale(-grip, n), t)
             a, b, c = found.slopes
-            moves = plus_outer(plus(plus_outer(ZEROS, t, t), 1.0 - share, across), vec3.scale(-grip, n), t)
             found = replace(found, "slopes", (times(moves, a), times(moves, b), times(moves, c)))
-    spring = plus_outer(spring, vec3.scale(stiffness, along), n)
-    return replace(found, "load", vec3.scale(-1.0, force), "spring", spring)
+    return replace(found, "spring", plus_outer(spring, vec3.scale(stiffness, along), n))
+
+
+@jit
+def unlimited_friction(
+    finger: Finger, last: FingerState, state: FingerState, contact: Contact, dt: float
+) -> tuple[float, float]:
+    """Return the stiffness, N/m, of the spring along the surface, and its force, N, before the cone limits it.
+
+    A contact that starts to stick in this tick has no deflection, and follows the probe.
+    """
+    before, spring = last.contacts[0].deflection, finger.coupling.stiffness
+    if contact.mode != ROLLING:
+        moved = vec3.sub(state.probe.position, last.probe.position)
+        return spring, spring * vec3.norm(vec3.reject(vec3.sub(before, moved), contact.normal))
+    if last.contacts[0].body < 0.0:
+        return 0.0, 0.0
+    now, damper = state.contacts[0].deflection, finger.coupling.damping / dt if dt > 0.0 else 0.0
+    return spring + damper, vec3.norm(vec3.add_scaled(vec3.scale(spring, now), damper, vec3.sub(now, before)))
 
 
 @jit
@@ -279,6 +296,15 @@ def relative_to(body: Any, state: FingerState, surface: Vec3) -> FingerState:
 def with_probe_at(state: FingerState, pose: Pose) -> FingerState:
     """Return the state of a finger with its probe in the world, where guard, passivity and record need it."""
     return replace(state, "probe", Probe(pose.position, pose.orientation, state.probe.velocity))
+
+
+@jit
+def extrapolated(last: Surface, state: FingerState, pose: Pose) -> Vec3:
+    """Return the expected displacement (3,) m: it changes as in the last tick, but by no more than the probe moved."""
+    moved, change = vec3.norm(vec3.sub(pose.position, state.probe.position)), vec3.norm(last.change)
+    if change > moved:
+        return vec3.add_scaled(last.displacement, moved / change, last.change)
+    return vec3.add(last.displacement, last.change)
 
 
 @jit
@@ -396,7 +422,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     elastic, body, last, finger = scene.elastic, objects.body, state.world.surfaces[0], fingers[0]
     gain = memory_of(elastic, dt)
     rest, slope, bent = vec3.scale(1.0 - gain, last.displacement), ZERO, (0.0, 0.0)
-    u = vec3.add(last.displacement, last.change)
+    u = extrapolated(last, state.fingers[0], poses[0])
     before = relative_to(body, state.fingers[0], last.displacement)
     for left in range(ROUNDS - 1, -1, -1):
         after, contact = step_finger(finger, before, shifted(body, poses[0], u), scene, objects, dt)
@@ -462,8 +488,7 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     elastic, body, last = scene.elastic, objects.body, state.world.surfaces
     gain = memory_of(elastic, dt)
     rest_u, rest_v = vec3.scale(1.0 - gain, last[0].displacement), vec3.scale(1.0 - gain, last[1].displacement)
-    u = vec3.add(last[0].displacement, last[0].change)
-    v = vec3.add(last[1].displacement, last[1].change)
+    u, v = extrapolated(last[0], state.fingers[0], poses[0]), extrapolated(last[1], state.fingers[1], poses[1])
     slope_u, slope_v = ZERO, ZERO
     before_one = relative_to(body, state.fingers[0], last[0].displacement)
     before_two = relative_to(body, state.fingers[1], last[1].displacement)

@@ -14,7 +14,9 @@ from softfinger.proxy.elastic.compliance import patch_loads, vertex_normals
 from softfinger.proxy.elastic.prepared import body_of, solid_of, volume_of
 from softfinger.proxy.elastic.volume import boundary
 from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels import elastic
 from softfinger.proxy.kernels.elastic import respond, spot_on, times
+from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.scene import build_scene
 
 pytestmark = pytest.mark.plain
@@ -146,6 +148,19 @@ def test_friction_stays_in_its_cone_on_the_deformed_surface(folder: Path) -> Non
     normal, tangential = records["contact.normal_force"], records["contact.tangential_force"]
     assert (records["contact.mode"] == 2).any() and (records["contact.mode"] == 1).any()
     assert (tangential <= 0.6 * normal * (1.0 + 1e-9)).all()
+
+
+@pytest.mark.skipif(not PLAIN, reason="compiled kernels have the number of rounds as a constant")
+def test_a_sliding_contact_is_solved_in_three_rounds(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The slopes of Newton's method are exact, with friction too: more rounds change nothing."""
+    angle = 0.1 + 0.006 * np.arange(120)
+    poses = np.array([at(x, y, 0.001) for x, y in zip(0.008 * np.cos(angle), 0.008 * np.sin(angle), strict=True)])
+    found = []
+    for rounds in (3, 6):
+        monkeypatch.setattr(elastic, "ROUNDS", rounds)
+        found.append(Engine(scene(folder / "pad.obj", friction=True)).run(poses)[40:])
+    assert (found[1]["contact.mode"] == 2).all()
+    assert found[0]["force"] == pytest.approx(found[1]["force"], abs=2e-8)  # 1e-11 m of each, at 1000 N/m
 
 
 def test_two_fingers_feel_each_other_through_the_body(folder: Path) -> None:
