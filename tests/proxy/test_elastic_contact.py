@@ -14,9 +14,10 @@ from softfinger.proxy.elastic.compliance import patch_loads, vertex_normals
 from softfinger.proxy.elastic.prepared import body_of, solid_of, volume_of
 from softfinger.proxy.elastic.volume import boundary
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels import elastic
-from softfinger.proxy.kernels.elastic import respond, spot_on, times
+from softfinger.proxy.kernels.elastic import step
+from softfinger.proxy.kernels.elastic.spots import respond, spot_on
 from softfinger.proxy.kernels.jit.decorators import PLAIN
+from softfinger.proxy.kernels.numerics import mat3
 from softfinger.proxy.scene import build_scene
 
 pytestmark = pytest.mark.plain
@@ -112,7 +113,7 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(folde
     direct = np.zeros(nodal.shape)
     direct[solid.free] = spsolve(solid.matrix, nodal[solid.free])
     for load, spot, force, moved in zip(loads, spots, forces, direct.T, strict=True):
-        found = times(respond(kernel.elastic, spot, spot).compliance, tuple(force))
+        found = mat3.times(respond(kernel.elastic, spot, spot).compliance, tuple(force))
         assert found == pytest.approx(
             load.T @ moved / thing.elastic.youngs_pa, rel=1e-8, abs=1e-8 * max(map(abs, found))
         )
@@ -157,7 +158,7 @@ def test_a_sliding_contact_is_solved_in_three_rounds(folder: Path, monkeypatch: 
     poses = np.array([at(x, y, 0.001) for x, y in zip(0.008 * np.cos(angle), 0.008 * np.sin(angle), strict=True)])
     found = []
     for rounds in (3, 6):
-        monkeypatch.setattr(elastic, "ROUNDS", rounds)
+        monkeypatch.setattr(step, "ROUNDS", rounds)
         found.append(Engine(scene(folder / "pad.obj", friction=True)).run(poses)[40:])
     assert (found[1]["contact.mode"] == 2).all()
     assert found[0]["force"] == pytest.approx(found[1]["force"], abs=2e-8)  # 1e-11 m of each, at 1000 N/m
