@@ -78,8 +78,8 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
 
 def _elastic(scene: schema.Scene, bodies: list[model.Object]) -> Any:
     """Return the compliance of the only object if it is elastic, otherwise None."""
-    thing = scene.object[0] if len(scene.object) == 1 else None
-    if not isinstance(thing, schema.Mesh) or thing.elastic is None:
+    thing = scene.elastic_object
+    if thing is None or thing.elastic is None:
         return None
     from softfinger.proxy.elastic.surface import kernel_elastic
 
@@ -156,7 +156,7 @@ def _surfaces(scene: model.Scene) -> Any:
     """Return the displacement under each finger before the first pose, None without an elastic object."""
     if scene.elastic is None:
         return None
-    return tuple(model.Surface(model.ZERO, model.ZERO, model.ZERO, 0.0) for _ in scene.fingers)
+    return tuple(model.Surface(model.ZERO, model.ZERO, model.ZERO, model.ZERO, 0.0) for _ in scene.fingers)
 
 
 def patches_of(objects: model.Single | model.Many) -> int:

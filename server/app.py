@@ -22,6 +22,7 @@ from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.blackbox import BlackBoxes
 from softfinger.server.services.commands import Commands, DaemonInterface
+from softfinger.server.services.deformation import Deformation
 from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.device_warnings import DeviceWarnings
 from softfinger.server.services.hotplug import Hotplug, HotplugWatch
@@ -37,8 +38,10 @@ from softfinger.server.states import DaemonState, States, Trigger
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.events import event_map
 from softfinger.server.wire.native.switch import SharedSwitch
+from softfinger.server.wire.protocol import DEFORMATION, SCHEMA, WORLD
 from softfinger.server.wire.publisher import Publisher
 from softfinger.server.wire.rig_endpoints import Endpoints, bind_rig
+from softfinger.server.wire.stamps import now_s
 
 if TYPE_CHECKING:  # an HTTP server takes time to import, and is off by default
     from softfinger.server.metrics.service import Metrics
@@ -116,6 +119,7 @@ class Daemon:
         self.servo: Final = self.rendering.servo
         self._publish_scene_info(scene_name)
         self.recordings: Final = Recordings(self.rendering, fingers, self._event)
+        self.deformation: Final = Deformation(self.rendering, fingers, self._send_message)
         self.blackbox: Final = BlackBoxes(
             self.servo, fingers, lambda: describe_daemon(self.rendering, self._scene_name)
         )
@@ -274,10 +278,11 @@ class Daemon:
         """Publish and record a change of state."""
         self._send("state", now.value, {"before": before.value, "cause": cause})
 
-    def _world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
-        """Publish and record the poses of bodies."""
-        self.publisher.world(tick, bodies)
-        self.recordings.world(tick, bodies)
+    def _send_message(self, topic: str, tick: int, content: dict[str, Any]) -> None:
+        """Publish and record a message of one of SCENE_TOPICS, with the content of a tick."""
+        message = {"schema": SCHEMA, "timestamp": now_s(), "tick": tick, **content}
+        self.publisher.send_message(topic, message)
+        self.recordings.record_message(topic, message)
 
     def _open_publisher(self, endpoints: Endpoints, scene: schema.Scene, switch: SharedSwitch) -> Publisher:
         return Publisher(
@@ -286,7 +291,10 @@ class Daemon:
             guard_names=GUARD_NAMES,
             fingers=self._fingers,
             priority=0 if self._rig.servo.realtime == "off" else PUBLISHER_PRIORITY,
-            bodies=scene.world is not None,
+            extra=[
+                *([WORLD] if scene.world is not None else []),
+                *([DEFORMATION] if scene.elastic_object is not None else []),
+            ],
             switch=switch,
         )
 
@@ -323,6 +331,7 @@ class Daemon:
             self.recordings.sink,
             self.blackbox.sink,
             arming.sink,
+            self.deformation.sink,
             *sinks,
             *(service.sink for service in optional_services),
         ]
@@ -335,7 +344,7 @@ class Daemon:
             HotplugWatch(hotplug, self._event),
             DeviceWarnings(lambda: self.devices, self._event),
             Swapping(self._event),
-            WorldState(self.servo, self._world, self._event),
+            WorldState(self.servo, self._send_message, self._event),
             *optional_services,
             *([Notify(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
             self.rendering,

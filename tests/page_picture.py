@@ -1,26 +1,79 @@
-"""`make page-picture`: docs/figures/page.jpg, the page in the browser with the shipped recording, drawn anew."""
+"""`make page-picture`: docs/figures/page.jpg and elastic-*.jpg, the page in the browser with shipped recordings."""
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
-from helpers.browser import eventually, served
+import numpy as np
+from helpers.browser import Screen, eventually, served
+from helpers.recorded import EPOCH_S, about
+from PIL import Image
 
-PICTURE = Path(__file__).resolve().parents[1] / "docs" / "figures" / "page.jpg"
+from softfinger.config.load import describe, load_scene
+from softfinger.proxy.record import AT
+from softfinger.server.offline.simulate import run_recording
+from softfinger.server.recording.writer import RecordingFile
+
+FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
 RECORDING, TICK = "press-roll-spin-drag", 8900
 """It is dragged along, still wound up from the spin."""
 SIZE = {"width": 1100, "height": 760}
+ELASTIC = {
+    "press-a-pad": {"": "press-a-pad"},
+    "bend-a-strip": {"": "bend-a-strip"},
+    "squeeze-a-ball": {"thumb": "squeeze-thumb", "index": "squeeze-index"},
+}
+"""Recordings of the fingers of each scene with an elastic object."""
+CROP = slice(150, 610), slice(0, 706)
+"""Rows and columns of the picture with the object."""
+QUALITY = 82
+
+
+def settled(screen: Screen, tick: int) -> None:
+    """Wait until the page has drawn a tick."""
+    screen.page.set_viewport_size(SIZE)
+    eventually(lambda: screen.shows(f"tick {tick}"))
+    eventually(lambda: (screen.picture().std(axis=(0, 1)) > 5.0).all())
+
+
+def draw_page() -> Path:
+    """Draw the whole page, with panel and plots."""
+    file = FIGURES / "page.jpg"
+    with served(RECORDING, "--tick", str(TICK)) as screen:
+        settled(screen, TICK)
+        eventually(lambda: screen.page.locator(".uplot").count() >= 3)
+        screen.page.screenshot(path=file, type="jpeg", quality=QUALITY)
+    return file
+
+
+def draw_elastic(scene: str, recordings: dict[str, str], folder: Path) -> Path:
+    """Draw the object of a scene in the tick of its largest displacement."""
+    file, path = FIGURES / f"elastic-{scene.rpartition('-')[2]}.jpg", folder / f"{scene}.mcap"
+    several = len(recordings) > 1
+    found = run_recording(recordings if several else recordings[""], scene)
+    records = {name: np.asarray(found[name] if several else found) for name in recordings}
+    moved = [np.linalg.norm(each[:, AT.contact_displacement :][:, :3], axis=1) for each in records.values()]
+    tick = int(np.sum(moved, axis=0).argmax())
+    told = about(scene=describe(load_scene(scene)), scene_name=scene)
+    recording = RecordingFile(path.open("wb", buffering=0), tuple(records), told)
+    for name, each in records.items():
+        each[:, AT.timestamp] += EPOCH_S
+        recording.ticks(each, name)
+    recording.close()
+    with served(str(path), "--tick", str(tick)) as screen:
+        settled(screen, tick)
+        picture = Image.fromarray(screen.picture().astype(np.uint8)[CROP])
+    picture.save(file, quality=QUALITY)
+    return file
 
 
 def main() -> None:
-    """Serve the recording, look at it, and leave."""
-    with served(RECORDING, "--tick", str(TICK)) as screen:
-        screen.page.set_viewport_size(SIZE)
-        eventually(lambda: screen.shows(f"tick {TICK}"))
-        eventually(lambda: screen.page.locator(".uplot").count() >= 3)
-        eventually(lambda: (screen.picture().std(axis=(0, 1)) > 20.0).all())
-        screen.page.screenshot(path=PICTURE, type="jpeg", quality=82)
-    print(f"{PICTURE}: {PICTURE.stat().st_size // 1024} kB")
+    """Draw each page anew."""
+    with tempfile.TemporaryDirectory() as folder:
+        drawn = [draw_page(), *(draw_elastic(*each, Path(folder)) for each in ELASTIC.items())]
+    for file in drawn:
+        print(f"{file}: {file.stat().st_size // 1024} kB")
 
 
 if __name__ == "__main__":

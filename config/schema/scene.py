@@ -65,6 +65,12 @@ class Scene(Table, frozen=True, kw_only=True):
         return FingerParts(name, device, tip.reaches_m[0], tip.radii_m, turn, tip.patch, coupling, probe)
 
     @property
+    def elastic_object(self) -> Mesh | None:
+        """The elastic object, which is the only object of its scene; None: no elastic object."""
+        thing = self.object[0] if len(self.object) == 1 else None
+        return thing if isinstance(thing, Mesh) and thing.elastic is not None else None
+
+    @property
     def soft(self) -> bool:
         """True if the fingertips have a contact patch; either all have one, or none has."""
         return any(finger.patch is not None for finger in self.fingers)

@@ -10,12 +10,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.elastic.solid import BLOCK, Doubles, Solid
+from softfinger.proxy.elastic.solid import Doubles, Solid
+
+BLOCK: Final = 128
+"""Right-hand sides that are solved together."""
 
 
 def patch_loads(solid: Solid, centers: Doubles, normals: Doubles, radius_m: float) -> list[Any]:
@@ -103,8 +106,8 @@ def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = 
     together = hstack(loads).tocsc()  # component by component
     found, bending = np.empty((3 * count, 3 * count)), np.empty((2, 3 * count))
     back, gradient = together.T.tocsr(), _surface_gradient(solid)
-    # Loads that meet the same columns of the factor are solved together, so that the others are skipped.
-    first = np.minimum.reduceat(solid.eliminated[together.indices], together.indptr[:-1])
+    # Loads that begin in the same fronts are solved together, so that the others are skipped.
+    first = np.minimum.reduceat(solid.front[together.indices], together.indptr[:-1])
     parts = np.array_split(np.argsort(first, kind="stable"), -(-3 * count // BLOCK))
 
     def solve(part: NDArray[np.int64]) -> None:

@@ -1,61 +1,98 @@
-"""Picture of a deformed elastic body: its vertices under the loads in the records of a tick.
+"""Deformed elastic body: its vertices under the loads of a message of the topic `deformation`.
 
-The loads follow from `contact.point`, `contact.displacement` and `contacts[].force`. The compliance is the servo's.
+The compliance is the servo's, from the file `solution` or the cache.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
+from typing import Final, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import SceneSource, load_scene
 from softfinger.proxy.elastic.body import Body
+from softfinger.proxy.elastic.prepared import body_of
 from softfinger.proxy.elastic.solid import region_holds
-from softfinger.proxy.kernels.numerics.rotations import rotate
-from softfinger.proxy.record import AT, FREE, PATCHES
 
 Doubles = NDArray[np.float64]
 
 
+class Load(Protocol):
+    """Load on an elastic object, as `ContactLoad` or in a decoded message."""
+
+    @property
+    def force(self) -> tuple[float, float, float]:
+        """Force (3,) N on the object, object frame."""
+
+    @property
+    def point(self) -> tuple[float, float, float]:
+        """Centre (3,) m of the loaded patch on the undeformed surface, object frame."""
+
+
 class Deformed:
-    """Deformed vertices of a body.
+    """Vertices of an elastic body under loads.
 
     Parameters
     ----------
     thing
-        Object with a solved `body`.
+        Object of the scene.
+    body
+        Its solution.
     vertices
-        (n, 3) m, drawn vertices in the object frame, each at a vertex of the body.
+        (n, 3) m, vertices to displace, object frame; None: those of the body's surface.
+
+    Attributes
+    ----------
+    vertices
+        (n, 3) m, undeformed vertices, object frame.
+    triangles
+        (m, 3), indices of the vertices of the body's surface.
     """
 
-    def __init__(self, thing: schema.Mesh, body: Body, vertices: Doubles) -> None:
+    def __init__(self, thing: schema.Mesh, body: Body, vertices: Doubles | None = None) -> None:
         assert thing.elastic is not None
-        self._body, self._thing, self._vertices = body, thing, vertices
+        self._body, self._thing = body, thing
+        self.vertices: Final = body.surface.vertices if vertices is None else vertices
+        self.triangles: Final = body.surface.triangles
         self._softness: Final = 1.0 / thing.elastic.youngs_pa
         count = len(body.nodes)
         self._compliance: Final = body.compliance.array.reshape(count, count, 3, 3)
         self._numbers: Final = np.full(len(body.surface.vertices), -1)
         self._numbers[body.nodes] = np.arange(count)
-        self._drawn, self._shares = self._followed(vertices)
+        self._drawn, self._shares = self._followed(self.vertices)
 
-    def at(self, rows: Iterable[Doubles]) -> Doubles:
-        """Return the vertices (n, 3) m, object frame, under the contacts in a record (RECORD_SIZE,) of each finger."""
+    @classmethod
+    def of_scene(cls, scene: SceneSource) -> Self:
+        """Return the surface of the elastic object of a scene, which is solved if it was not before.
+
+        Parameters
+        ----------
+        scene
+            Name, file, or mapping, such as the `scene` that `describe` returns.
+
+        Raises
+        ------
+        ConfigError
+            If the scene has no elastic object, or it cannot be solved.
+        """
+        thing = load_scene(scene).elastic_object
+        if thing is None:
+            raise ConfigError("the scene has no object with [object.elastic]")
+        return cls(thing, body_of(thing))
+
+    def at(self, loads: Iterable[Load]) -> Doubles:
+        """Return the displaced vertices (n, 3) m, object frame."""
         moved = np.zeros((len(self._body.nodes), 3))
-        for row in rows:
-            if int(row[AT.contact_mode]) == FREE:
-                continue
-            point = row[AT.contact_point : AT.contact_point + 3] - row[AT.contact_displacement :][:3]
-            width = AT.contacts1_object - AT.contacts0_object
-            forces = [row[AT.contacts0_force + each * width :][:3] for each in range(PATCHES)]
-            load = self._into(-np.sum(forces, axis=0))
-            nodes, weights = self._spot(self._into(point - self._thing.position_m))
+        for load in loads:
+            nodes, weights = self._spot(np.asarray(load.point))
             for node, weight in zip(nodes, weights, strict=True):
                 if node >= 0:
-                    moved += self._softness * weight * (self._compliance[:, node] @ load)
-        found: Doubles = self._vertices + self._shares[:, None] * moved[self._drawn]
+                    moved += self._softness * weight * (self._compliance[:, node] @ np.asarray(load.force))
+        found: Doubles = self.vertices + self._shares[:, None] * moved[self._drawn]
         return found
 
     def _followed(self, vertices: Doubles) -> tuple[NDArray[np.int64], Doubles]:
@@ -73,12 +110,6 @@ class Deformed:
             far, near = np.linalg.norm(held - vertex, axis=1).min(initial=1e9), distances[nodes[index]]
             shares[index] = far / max(far + near, 1e-12)
         return nodes, shares
-
-    def _into(self, vector: Doubles) -> Doubles:
-        """Return a vector (3,) of the world frame in the object frame."""
-        w, x, y, z = self._thing.orientation_wxyz
-        a, b, c = vector.tolist()
-        return np.array(rotate((w, -x, -y, -z), (a, b, c)))
 
     def _spot(self, point: Doubles) -> tuple[Doubles, Doubles]:
         """Return nodes (3,), -1 where they do not give, and weights of a point on the surface."""

@@ -14,14 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
-from softfinger.proxy.elastic.triangular import substitute_down, substitute_up
+from softfinger.proxy.elastic.factors import Factors
 from softfinger.proxy.elastic.volume import Volume
-from softfinger.proxy.kernels.jit.decorators import PLAIN
 
 Doubles = NDArray[np.float64]
 
-BLOCK: Final = 96
-"""Right-hand sides of one substitution, so that a row of them stays in the first cache."""
 LEAST_FIXED: Final = 3
 
 
@@ -46,7 +43,6 @@ class Solid:
     def __init__(self, volume: Volume, poisson: float, held: Callable[[Doubles], NDArray[np.bool_]]) -> None:
         try:
             import skfem
-            from scipy.sparse.linalg import splu
             from skfem.models.elasticity import lame_parameters, linear_elasticity
         except ImportError as missing:
             raise ValueError(f"{missing.name} is not installed: pip install 'softfinger[elastic]'") from missing
@@ -66,32 +62,18 @@ class Solid:
                 f"fixed: the regions contain {int((fixed & (component == 0)).sum())} nodes, at least 3 are needed"
             )
         self.free: Final = np.flatnonzero(~fixed)
-        matrix = stiffness[self.free][:, self.free].tocsc()
-        self.matrix: Final = matrix
-        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        # K is symmetric and positive definite, so its pivots are on the diagonal: K = L D L^T.
-        self._factors: Final[Any] = factors if PLAIN else None
-        lower = factors.L.tocsc()
-        lower.sort_indices()
-        self._lower: Final = (lower.indptr, lower.indices, lower.data)
-        self._diagonal: Final = factors.U.diagonal()
-        self._order: Final = factors.perm_c
-        self._rows: Final = np.argsort(factors.perm_c)
-        self.eliminated: Final = np.full(self.basis.N, self.basis.N)
-        """Place of each unknown in the order of elimination."""
-        self.eliminated[self.free[self._rows]] = np.arange(len(self.free))
+        self.matrix: Final = stiffness[self.free][:, self.free].tocsc()
+        self._factors: Final = Factors(self.matrix, places[self.free])
+        self.front: Final = np.full(self.basis.N, self.basis.N)
+        """Number of the front that eliminates each unknown, in the order of elimination; N if it is fixed."""
+        self.front[self.free] = self._factors.number
 
     def solve(self, loads: Doubles) -> Doubles:
         """Return the displacements (N, k) times 1 Pa under nodal forces (N, k), N."""
         found = np.zeros(loads.shape)
-        if PLAIN:
-            found[self.free] = self._factors.solve(np.ascontiguousarray(loads[self.free]))
-            return found
-        for start in range(0, loads.shape[1], BLOCK):
-            block = np.ascontiguousarray(loads[self.free, start : start + BLOCK][self._rows])
-            substitute_down(*self._lower, block)
-            substitute_up(*self._lower, self._diagonal, block)
-            found[self.free, start : start + BLOCK] = block[self._order]
+        moved = loads[self.free]
+        self._factors.solve(moved)
+        found[self.free] = moved
         return found
 
     def gravity(self, direction: Sequence[float]) -> Doubles:

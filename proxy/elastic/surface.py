@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-import softfinger.proxy.kernels.elastic  # noqa: F401  registers its step
+import softfinger.proxy.kernels.elastic.step  # noqa: F401  registers its step
 from softfinger.config import schema
 from softfinger.proxy.elastic.prepared import body_of
 from softfinger.proxy.kernels import model

@@ -91,6 +91,6 @@ class FoxgloveSink:
         """Send an event, a map as on the wire."""
         self._topics.event(event)
 
-    def world(self, world: Mapping[str, Any]) -> None:
-        """Send a message of `world`, a map as on the wire."""
-        self._topics.world(world)
+    def message(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Send a message of a topic of the scene, a map as on the wire."""
+        self._topics.message(topic, message)

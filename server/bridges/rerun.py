@@ -21,6 +21,7 @@ from softfinger.server.recording import picture
 from softfinger.server.recording.contents import read_recording
 from softfinger.server.recording.reader import Event, Note, Ticks, World
 from softfinger.server.recording.writer import apply_drive, event_time_ns, parse_scene, times_ns
+from softfinger.server.wire.protocol import WORLD
 
 Array = NDArray[np.float64]
 
@@ -99,11 +100,13 @@ class RerunSink:
             self._scene = driven_scene
             self._draw_objects()
 
-    def world(self, world: Mapping[str, Any]) -> None:
-        """Log a message of `world`, a map as on the wire."""
-        self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(world), "ns"))
-        self._stream.set_time("tick", sequence=world["tick"])
-        for body in world["bodies"]:
+    def message(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Log the poses in a message of `world`, a map as on the wire; other topics are not drawn."""
+        if topic != WORLD:
+            return
+        self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(message), "ns"))
+        self._stream.set_time("tick", sequence=message["tick"])
+        for body in message["bodies"]:
             w, x, y, z = body["orientation"]
             transform = self._rr.Transform3D(translation=body["position"], quaternion=[x, y, z, w])
             self._stream.log(f"world/bodies/{body['name']}", transform)
@@ -178,5 +181,5 @@ def show_recording(recording: str | Path, stream: Any) -> int:
         elif isinstance(part, Event):
             sink.event(part.event)
         elif isinstance(part, World):
-            sink.world(part.world)
+            sink.message(WORLD, part.world)
     return count

@@ -22,8 +22,8 @@ from softfinger.drivers.containers import mcap_records
 from softfinger.proxy.record import FIELDS
 from softfinger.server.recording.layout import Layout, Part
 from softfinger.server.recording.schemas import decode_event, decode_world, load_message_class
-from softfinger.server.recording.writer import EVENT_TOPIC, JSON, MARK_TOPIC, WORLD_TOPIC
-from softfinger.server.wire.protocol import finger_of
+from softfinger.server.recording.writer import EVENT_TOPIC, JSON, MARK_TOPIC
+from softfinger.server.wire.protocol import WORLD, finger_of
 
 Array = NDArray[np.float64]
 
@@ -171,7 +171,7 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | World | N
                 elif channel.topic in (EVENT_TOPIC, MARK_TOPIC):
                     for message in messages:
                         yield Event(decode_event(channel.message_type.FromString(message)))
-                elif channel.topic == WORLD_TOPIC:
+                elif channel.topic == WORLD:
                     for message in messages:
                         yield World(decode_world(channel.message_type.FromString(message)))
     except (GeneratorExit, OSError, RecordingError):

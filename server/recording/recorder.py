@@ -57,8 +57,11 @@ class RecorderState(NamedTuple):
     worst_write_s: float
 
 
-class WorldMessage(dict[str, Any]):
-    """Message of `world` in the queue of events."""
+class TopicMessage(NamedTuple):
+    """Message of a topic of the scene, in the queue of events."""
+
+    topic: str
+    message: Mapping[str, Any]
 
 
 class Recorder:
@@ -88,7 +91,7 @@ class Recorder:
             for index, finger in enumerate(self._fingers)
         ]
         self._queue: deque[tuple[int, Array]] = deque()
-        self._events: deque[Mapping[str, Any] | tuple[str, Any]] = deque()
+        self._events: deque[Mapping[str, Any] | TopicMessage | tuple[str, Any]] = deque()
         self._events_lock = threading.Lock()
         self._events_dropped = self._reported_events_dropped = 0
         self._worst_write_s = 0.0
@@ -117,6 +120,13 @@ class Recorder:
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Queue an event, a map as on the wire; never waits. Thread-safe."""
+        self._append(event)
+
+    def message(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Queue a message of a topic of the scene, a map as on the wire; never waits. Thread-safe."""
+        self._append(TopicMessage(topic, message))
+
+    def _append(self, event: Mapping[str, Any] | TopicMessage) -> None:
         if self._error:
             return
         with self._events_lock:
@@ -124,10 +134,6 @@ class Recorder:
                 self._events.append(event)
             else:
                 self._events_dropped += 1
-
-    def world(self, world: Mapping[str, Any]) -> None:
-        """Queue a message of `world`, a map as on the wire; never waits. Thread-safe."""
-        self.event(WorldMessage(world))
 
     def note(self, name: str, value: Any) -> None:
         """Queue a table of metadata; never waits. Thread-safe."""
@@ -213,10 +219,10 @@ class Recorder:
                     recording.event(event)
         for _ in range(len(self._events)):
             event_or_note = self._events.popleft()
-            if isinstance(event_or_note, tuple):
+            if isinstance(event_or_note, TopicMessage):
+                recording.message(*event_or_note)
+            elif isinstance(event_or_note, tuple):
                 recording.note(*event_or_note)
-            elif isinstance(event_or_note, WorldMessage):
-                recording.world(event_or_note)
             else:
                 recording.event(event_or_note)
         recording.flush()

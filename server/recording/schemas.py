@@ -8,25 +8,25 @@ https://github.com/foxglove/foxglove-sdk, schemas/proto/foxglove.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, Final
 
 import msgspec
 
 from softfinger.proxy.record import FIELDS
-from softfinger.server.wire.protocol import EVENT_EXTRA_KEYS, EVENT_KEYS, WORLD_KEYS, Key
+from softfinger.server.wire import protocol
+from softfinger.server.wire.protocol import EVENT_EXTRA_KEYS, EVENT_KEYS, Key
 
 TICK: Final = "softfinger.Tick"
 EVENT: Final = "softfinger.Event"
-WORLD: Final = "softfinger.World"
+TOPIC_TYPES: Final = {protocol.WORLD: "softfinger.World", protocol.DEFORMATION: "softfinger.Deformation"}
+"""Message types of the topics of a scene."""
 POSE: Final = "foxglove.PoseInFrame"
 FRAME: Final = "foxglove.FrameTransform"
 SCENE: Final = "foxglove.SceneUpdate"
 LOG: Final = "foxglove.Log"
 
-BODIES: Final = "bodies[]."
-"""Prefix of the keys of a body."""
 MORE: Final = "more"
 """Field of an event with all values that have no other field, as JSON: maps, and keys that are in no table."""
 
@@ -128,6 +128,11 @@ _FOXGLOVE: Final[dict[str, dict[str, str]]] = {
     "SceneUpdate": {"deletions": "[SceneEntityDeletion]", "entities": "[SceneEntity]"},
 }
 
+_LISTS: Final = {
+    TOPIC_TYPES[protocol.WORLD]: (protocol.WORLD_KEYS, "Body"),
+    TOPIC_TYPES[protocol.DEFORMATION]: (protocol.DEFORMATION_KEYS, "Load"),
+}
+"""Keys of each of these types, and the type of the elements of its list."""
 _BODY_PARTS: Final = (("position", 3), ("orientation", 4), ("velocity", 3), ("rate", 3))
 _EVENT_FIELDS: Final = {
     key.name: key.type
@@ -156,8 +161,8 @@ def descriptor_set(name: str) -> bytes:
         message = file.message_type.add(name=root)
         if name == TICK:
             _add_ticks(message)
-        elif name == WORLD:
-            _add_bodies(message)
+        elif name in _LISTS:
+            _add_list(message, *_LISTS[name])
         else:
             for key, kind in _EVENT_FIELDS.items():
                 plain, _, size = kind.partition("[")
@@ -193,9 +198,9 @@ def event_message(event: Mapping[str, Any]) -> bytes:
     return bytes(message.SerializeToString())
 
 
-def world_message(world: Mapping[str, Any]) -> bytes:
-    """Encode a message of `world`, a map as on the wire."""
-    return bytes(message_class(WORLD)(**world).SerializeToString())
+def topic_message(topic: str, message: Mapping[str, Any]) -> bytes:
+    """Encode a message of a topic of the scene, a map as on the wire."""
+    return bytes(message_class(TOPIC_TYPES[topic])(**message).SerializeToString())
 
 
 def log_message(time_ns: int, level: int, name: str, text: str) -> bytes:
@@ -247,14 +252,15 @@ def _add_ticks(top: Any) -> None:
         _add_field(message, leaf, f"[{plain}]" if field.size > 1 else plain)
 
 
-def _add_bodies(message: Any) -> None:
-    """Add the keys of the wire's `world`; the keys of a body form a nested message."""
-    body = message.nested_type.add(name="Body")
-    for key in WORLD_KEYS:
+def _add_list(message: Any, keys: Sequence[Key], nested: str) -> None:
+    """Add the keys of a topic with one list of maps; the keys of an element form a message of the type `nested`."""
+    element, listed = message.nested_type.add(name=nested), ""
+    for key in keys:
         plain, _, size = key.type.partition("[")
-        owner, name = (body, key.name.removeprefix(BODIES)) if key.name.startswith(BODIES) else (message, key.name)
-        _add_field(owner, name, f"[{_PLAIN[plain]}]" if size else _PLAIN[plain])
-    _add_field(message, "bodies", f"[.{WORLD}.Body]")
+        parent, _, name = key.name.rpartition(".")
+        listed = parent or listed
+        _add_field(element if parent else message, name, f"[{_PLAIN[plain]}]" if size else _PLAIN[plain])
+    _add_field(message, listed.removesuffix("[]"), f"[.softfinger.{message.name}.{nested}]")
 
 
 def _add_foxglove(files: Any, name: str, done: set[str]) -> None:

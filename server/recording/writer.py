@@ -28,13 +28,13 @@ from softfinger.server.recording.schemas import (
     POSE,
     SCENE,
     TICK,
-    WORLD,
+    TOPIC_TYPES,
     descriptor_set,
     event_message,
     log_message,
-    world_message,
+    topic_message,
 )
-from softfinger.server.wire.protocol import contact_topic
+from softfinger.server.wire.protocol import WORLD, contact_topic
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -42,7 +42,6 @@ Times = NDArray[np.int64]
 
 EVENT_TOPIC: Final = "event"
 MARK_TOPIC: Final = "mark"
-WORLD_TOPIC: Final = "world"
 POSE_TOPIC: Final = "pose"
 FRAME_TOPIC: Final = "tf"
 SCENE_TOPIC: Final = "scene"
@@ -118,13 +117,13 @@ class Topics:
         if self._scene is not None and (driven_scene := apply_drive(self._scene, event)) is not None:
             self.set_scene(driven_scene)
 
-    def world(self, world: Mapping[str, Any]) -> None:
-        """Write the poses of the bodies of a [world], a map as on the wire."""
-        time_ns = event_time_ns(world)
-        self._add(WORLD_TOPIC, WORLD, time_ns, world_message(world))
-        if self._with_pictures:
-            for message in picture.body_messages(world["bodies"], time_ns):
-                self._add(FRAME_TOPIC, FRAME, time_ns, message)
+    def message(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Write a message of a topic of the scene, a map as on the wire."""
+        time_ns = event_time_ns(message)
+        self._add(topic, TOPIC_TYPES[topic], time_ns, topic_message(topic, message))
+        if self._with_pictures and topic == WORLD:
+            for frame in picture.body_messages(message["bodies"], time_ns):
+                self._add(FRAME_TOPIC, FRAME, time_ns, frame)
 
     def log(self, time_s: float, level: int, name: str, text: str) -> None:
         """Write a line of the log: time (s) since the epoch, level of `logging`, name of the logger, text."""
@@ -219,7 +218,7 @@ def times_ns(records: Array) -> NDArray[np.int64]:
 
 
 def event_time_ns(event: Mapping[str, Any]) -> int:
-    """Return the time of an event or of bodies in nanoseconds since the epoch, clamped to the range of MCAP."""
+    """Return the time of an event or message in nanoseconds since the epoch, clamped to the range of MCAP."""
     return round(min(max(float(event["timestamp"]), 0.0), _TIME_MAX_S) * _NS)
 
 

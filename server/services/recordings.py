@@ -20,8 +20,6 @@ from softfinger.server.recording.recorder import Recorder, RecorderState
 from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering
-from softfinger.server.wire.protocol import SCHEMA
-from softfinger.server.wire.stamps import now_s
 
 log: Final = logging.getLogger(__name__)
 
@@ -143,11 +141,11 @@ class Recordings:
         if recorder is not None:
             recorder.event(event)
 
-    def world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
-        """Record the poses of the bodies of a [world]; callable from any thread."""
+    def record_message(self, topic: str, message: dict[str, Any]) -> None:
+        """Record a published message of one of SCENE_TOPICS; callable from any thread."""
         recorder = self._recorder
         if recorder is not None:
-            recorder.world({"schema": SCHEMA, "timestamp": now_s(), "tick": tick, "bodies": bodies})
+            recorder.message(topic, message)
 
     def note_settings(self, settings: Any) -> None:
         """Record the real-time settings granted by the machine, plain values; called after the servo has started."""

@@ -16,7 +16,7 @@ from softfinger.proxy.kernels.model import Scene
 from softfinger.proxy.kernels.query.bodies import MOTION_SIZE
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.services.base import Worker
-from softfinger.server.wire.protocol import WORLD_HZ
+from softfinger.server.wire.protocol import PICTURE_HZ, WORLD
 
 log: Final = logging.getLogger(__name__)
 
@@ -27,12 +27,12 @@ IDLE_S: Final = 0.2
 class WorldState(Worker):
     """Service that reads the motion of the bodies from the servo.
 
-    publish  publishes their poses in a tick (`Publisher.world`)
+    publish  publishes a message of a topic with the content of a tick
     event    publishes an event
     """
 
     def __init__(
-        self, servo: Servo, publish: Callable[[int, list[dict[str, Any]]], None], event: Callable[..., Any]
+        self, servo: Servo, publish: Callable[[str, int, dict[str, Any]], None], event: Callable[..., Any]
     ) -> None:
         super().__init__("world")
         self._servo, self._publish, self._event = servo, publish, event
@@ -63,8 +63,9 @@ class WorldState(Worker):
         newest = read(self._motion, self._sequence, self._values)
         if newest != self._sequence:
             self._sequence = newest
-            self._publish(int(self._values[0]), body_maps(scene.bodies.block.owner.names, self._values))
-        return 1.0 / WORLD_HZ
+            bodies = body_maps(scene.bodies.block.owner.names, self._values)
+            self._publish(WORLD, int(self._values[0]), {"bodies": bodies})
+        return 1.0 / PICTURE_HZ
 
     def _report_fault(self, scene: Scene) -> None:
         """Report a fault once; after a reset, the bodies are new objects."""

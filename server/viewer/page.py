@@ -225,7 +225,7 @@ class Page:
             with self.server.atomic():
                 if self.bodies is not None:
                     self.bodies.show(next(iter(new_rows.values()))[-1])
-                    self.bodies.deform(self._newest.values())
+                    self.bodies.deform(self._newest)
                 for name, rows in new_rows.items():
                     self.fingers[name].show(rows, self.looks, self._newtons_per_cm)
         first = next(iter(self.fingers), "")

@@ -32,8 +32,8 @@ from softfinger.server.wire import DEFAULT_ENDPOINT
 from softfinger.server.wire.protocol import (
     CONTACT,
     FINGERS,
+    SCENE_TOPICS,
     TOPICS,
-    WORLD,
     ProtocolError,
     contact_topic,
     decode,
@@ -111,10 +111,10 @@ class Subscription(Closeable):
         self, endpoint: str, topics: Sequence[str], timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
         topics = [topics] if isinstance(topics, str) else topics
-        unknown = [topic for topic in topics if topic not in (*TOPICS, WORLD) and not topic.startswith(FINGERS)]
+        unknown = [topic for topic in topics if topic not in (*TOPICS, *SCENE_TOPICS) and not topic.startswith(FINGERS)]
         if unknown or not topics:
             raise ConfigError(
-                f"topics = {list(topics)}: choose from {', '.join((*TOPICS, WORLD))}, {FINGERS}NAME for one of "
+                f"topics = {list(topics)}: choose from {', '.join((*TOPICS, *SCENE_TOPICS))}, {FINGERS}NAME for one of "
                 f"several fingers, or {FINGERS} for all of them"
             )
         self.endpoint = endpoint

@@ -27,14 +27,16 @@ HEALTH: Final = "health"
 STATE: Final = "state"
 SCHEMA_TOPIC: Final = "schema"
 WORLD: Final = "world"
-"""Topic of a scene with moving bodies."""
+DEFORMATION: Final = "deformation"
+SCENE_TOPICS: Final = (WORLD, DEFORMATION)
+"""Topics of scenes with moving bodies, and with an elastic object."""
 TOPICS: Final = (CONTACT, EVENT, HEALTH, STATE, SCHEMA_TOPIC)
 """Topics of a server with a single finger."""
 FINGERS: Final = poses.FINGER_TOPIC_PREFIX
 """Prefix of the topics of several fingers, which replace `contact`: this and the finger's name."""
 
-WORLD_HZ: Final = 60.0
-"""Rate of `world`: the rate at which pictures are drawn."""
+PICTURE_HZ: Final = 60.0
+"""Rate of `world`, and largest rate of `deformation`: the rate at which pictures are drawn."""
 
 STATE_HZ: Final = 200.0
 """Rate of `state`; the nearest rate is used that divides the tick rate."""
@@ -212,6 +214,17 @@ WORLD_KEYS: Final = (
     Key("bodies[].rate", "float[3]", "rad/s", "world", "angular velocity"),
 )
 
+DEFORMATION_KEYS: Final = (
+    SCHEMA_KEY,
+    Key("timestamp", "float", "s", "", "when it was sent, since the epoch"),
+    _TICK_KEY,
+    Key("loads[].finger", "str", "", "", "name of the finger, empty for a single one"),
+    Key("loads[].object", "int", "1", "", "index of the elastic object in the scene"),
+    Key("loads[].force", "float[3]", "N", "object", "load on the object"),
+    Key("loads[].point", "float[3]", "m", "object", "centre of the loaded patch on the undeformed surface"),
+    Key("loads[].patch_radius", "float", "m", "", "radius of the loaded patch"),
+)
+
 SCHEMA_KEYS: Final = (
     SCHEMA_KEY,
     Key("timestamp", "float", "s", "", "when the server was started, since the epoch"),
@@ -249,6 +262,7 @@ ContactMessage: Final = _struct("ContactMessage", CONTACT_KEYS)
 HealthMessage: Final = _struct("HealthMessage", HEALTH_KEYS)
 StateMessage: Final = _struct("StateMessage", STATE_KEYS)
 WorldMessage: Final = _struct("WorldMessage", WORLD_KEYS)
+DeformationMessage: Final = _struct("DeformationMessage", DEFORMATION_KEYS)
 _EventHead: Final = _struct("EventHead", EVENT_KEYS)
 _SchemaHead: Final = _struct("SchemaHead", SCHEMA_KEYS[:2])
 
@@ -259,6 +273,7 @@ _DECODERS: Final[dict[str, msgspec.msgpack.Decoder[Any]]] = {
     EVENT: msgspec.msgpack.Decoder(_EventHead),
     STATE: msgspec.msgpack.Decoder(StateMessage),
     WORLD: msgspec.msgpack.Decoder(WorldMessage),
+    DEFORMATION: msgspec.msgpack.Decoder(DeformationMessage),
     SCHEMA_TOPIC: msgspec.msgpack.Decoder(_SchemaHead),
 }
 _OPEN: Final = (EVENT, SCHEMA_TOPIC)
@@ -297,8 +312,8 @@ def decode(topic: bytes, body: bytes) -> Any:
     Returns
     -------
     Any
-        A struct for `contact`, `finger/...`, `health`, `state` and `world`; a dict for `schema` and for `event`, which
-        has further keys by kind.
+        A struct for `contact`, `finger/...`, `health`, `state`, `world` and `deformation`; a dict for `schema` and for
+        `event`, which has further keys by kind.
 
     Raises
     ------
@@ -309,8 +324,8 @@ def decode(topic: bytes, body: bytes) -> Any:
     decoder = _DECODERS.get(CONTACT if name.startswith(FINGERS) else name)
     if decoder is None:
         raise ProtocolError(
-            f"unknown topic {name[:40]!r}: expected one of {', '.join((*TOPICS, WORLD))} or {FINGERS}NAME; is another "
-            "program publishing here?"
+            f"unknown topic {name[:40]!r}: expected one of {', '.join((*TOPICS, *SCENE_TOPICS))} or {FINGERS}NAME; is "
+            "another program publishing here?"
         )
     if len(body) > MAX_BYTES:
         raise ProtocolError(f"{name} message of {len(body)} bytes is longer than the limit {MAX_BYTES}")
@@ -343,7 +358,7 @@ def _schema_of(body: bytes) -> int | None:
 def wire_schema() -> dict[str, Any]:
     """Return all messages and their keys as plain data, for `softfinger schema`."""
     tables: dict[str, Sequence[Key]] = {CONTACT: CONTACT_KEYS, EVENT: EVENT_KEYS, HEALTH: HEALTH_KEYS}
-    tables |= {STATE: STATE_KEYS, WORLD: WORLD_KEYS, SCHEMA_TOPIC: SCHEMA_KEYS}
+    tables |= {STATE: STATE_KEYS, WORLD: WORLD_KEYS, DEFORMATION: DEFORMATION_KEYS, SCHEMA_TOPIC: SCHEMA_KEYS}
     tables |= {f"{EVENT} of kind {kind}": keys for kind, keys in EVENT_EXTRA_KEYS.items()}
     return {
         "schema": SCHEMA,

@@ -30,11 +30,11 @@ from softfinger.server.wire.protocol import (
     EVENT,
     HEALTH,
     MAX_BYTES,
+    SCENE_TOPICS,
     SCHEMA,
     SCHEMA_TOPIC,
     STATE,
     STATE_HZ,
-    WORLD,
     contact_topic,
     encode,
     wire_schema,
@@ -64,7 +64,7 @@ class Publisher(Closeable):
 
     backlog   messages queued for a subscriber that stalls
     priority  SCHED_FIFO priority that the processes request; 0 for none
-    bodies    whether `world` may be called
+    extra     topics of the scene, whose messages `send_message` sends
     switch    force switch shared with the process of commands; it is closed with this object
     """
 
@@ -77,7 +77,7 @@ class Publisher(Closeable):
         fingers: Sequence[str] = ("",),
         backlog: int = BACKLOG,
         priority: int = 0,
-        bodies: bool = False,
+        extra: Sequence[str] = (),
         switch: SharedSwitch | None = None,
     ) -> None:
         if every < 1:
@@ -85,7 +85,7 @@ class Publisher(Closeable):
         self._lock = threading.Lock()
         self.report_event: Callable[..., None] = self.event
         """Called like `event` for events of the process; replaced by a function that also records them."""
-        self._topics = [*map(contact_topic, fingers), STATE, EVENT, HEALTH, *([WORLD] if bodies else []), SCHEMA_TOPIC]
+        self._topics = [*map(contact_topic, fingers), STATE, EVENT, HEALTH, *extra, SCHEMA_TOPIC]
         self._ticks = Ticks(SCHEMA, every, self._topics[: len(fingers)], STATE, STATE_HZ)
         self._backlog, self._priority, self._state_info, self._health_body = backlog, priority, StateInfo(), b""
         self._events = [RecordEvents(guard_names, finger, index == 0) for index, finger in enumerate(fingers)]
@@ -261,12 +261,11 @@ class Publisher(Closeable):
             if not self._closed:
                 self._send(EVENT, event)
 
-    def world(self, tick: int, bodies: list[dict[str, Any]]) -> None:
-        """Send the poses of a scene's bodies in a tick: maps with the keys of WORLD_KEYS; from any thread."""
+    def send_message(self, topic: str, message: dict[str, Any]) -> None:
+        """Send a message of one of SCENE_TOPICS, of which a new subscriber gets the newest; from any thread."""
         with self._lock:
             if not self._closed:
-                content = {"schema": SCHEMA, "timestamp": now_s(), "tick": tick, "bodies": bodies}
-                self._send(WORLD, content)
+                self._send(topic, message)
 
     def close(self) -> None:
         """Send queued messages, for at most LINGER_S, and free the endpoint; may be called repeatedly."""
@@ -287,7 +286,7 @@ class Publisher(Closeable):
             return
         if topic == HEALTH:
             self._health_body = body
-        self._link.send(Kind.RETAINED if topic in (HEALTH, WORLD) else Kind.MESSAGE, topic.encode(), body)
+        self._link.send(Kind.RETAINED if topic in (HEALTH, *SCENE_TOPICS) else Kind.MESSAGE, topic.encode(), body)
 
 
 def _tick_of(event: dict[str, Any]) -> int:

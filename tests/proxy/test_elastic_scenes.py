@@ -9,12 +9,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.config.schema import Elastic, Mesh, Scene
 from softfinger.config.sources import FOLDERS
 from softfinger.drivers.poses import load_poses
 from softfinger.proxy.elastic import solution
 from softfinger.proxy.elastic.deformed import Deformed
+from softfinger.proxy.elastic.loads import contact_loads
 from softfinger.proxy.elastic.prepared import body_of, solve
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.meshes.reading import read_bytes
@@ -172,33 +173,47 @@ def test_limits_of_linear_elasticity_are_reported_once_each() -> None:
     assert int(pressed("press-a-pad", 0.0005)["contact.nonlinear"][-1]) == 0
 
 
-@pytest.mark.parametrize("name", ["press-a-pad", "squeeze-a-ball"])
-def test_the_picture_of_a_deformed_body_meets_the_contacts(name: str) -> None:
-    """The drawn surface, interpolated at each contact, is displaced there as the servo says."""
-    thing, _ = shipped(name)
-    engine = Engine(name)
-    engine.set("object.0.elastic.damping_s", 0.0)
-    tips = {"": (0.004, 0.003, 0.007)} if name == "press-a-pad" else {"thumb": (-0.0285, 0, 0), "index": (0.027, 0, 0)}
-    tracks = {finger: np.tile([*tip, 1.0, 0.0, 0.0, 0.0], (4, 1)) for finger, tip in tips.items()}
-    records = engine.run(tracks if len(tips) > 1 else tracks[""])
-    rows = [np.asarray(records[finger])[-1] for finger in tips] if len(tips) > 1 else [np.asarray(records)[-1]]
-    surface = body_of(thing).surface
-    deformed = Deformed(thing, body_of(thing), surface.vertices)
-    moved = deformed.at(rows) - surface.vertices
-    for row in rows:
+TIPS = {
+    "press-a-pad": {"": (0.004, 0.003, 0.007)},
+    "squeeze-a-ball": {"thumb": (-0.0285, 0.0, 0.0), "index": (0.027, 0.0, 0.0)},
+}
+
+
+@pytest.mark.parametrize("friction", [True, False])
+@pytest.mark.parametrize("name", TIPS)
+def test_the_loads_displace_the_body_at_the_contacts_as_the_servo_does(name: str, friction: bool) -> None:
+    """Without friction, the slope of the surface adds a force that does not load the body."""
+    scene = describe(load_scene(name))
+    scene["object"][0]["elastic"]["damping_s"] = 0.0
+    if not friction:
+        del scene["rolling"]
+        for law in ("friction", "torsion"):
+            scene["object"][0]["material"].pop(law, None)
+    deformed = Deformed.of_scene(scene)
+    records = Engine(scene).run(
+        {finger: np.tile([*tip, 1.0, 0.0, 0.0, 0.0], (4, 1)) for finger, tip in TIPS[name].items()}
+    )
+    rows = {finger: np.asarray(records[finger])[-1] for finger in TIPS[name]}
+    thing = load_scene(scene).object[0]
+    assert isinstance(thing, Mesh) and thing.elastic is not None
+    loads = contact_loads(thing, rows)
+    assert [(load.finger, load.object, load.patch_radius) for load in loads] == [
+        (finger, 0, thing.elastic.radius_m) for finger in rows
+    ]
+    moved = deformed.at(loads) - deformed.vertices
+    for load, row in zip(loads, rows.values(), strict=True):
         displacement = row[AT.contact_displacement :][:3]
-        point = row[AT.contact_point :][:3] - displacement - thing.position_m
-        near = ((surface.vertices[surface.triangles] - point) ** 2).sum(axis=(1, 2)).argsort()[:8]
+        near = ((deformed.vertices[deformed.triangles] - load.point) ** 2).sum(axis=(1, 2)).argsort()[:8]
         for facet in near:  # the one that contains the point
-            corners = surface.vertices[surface.triangles[facet]]
-            weights = np.linalg.lstsq(np.vstack([corners.T, np.ones(3)]), np.append(point, 1.0), rcond=None)[0]
-            if weights.min() > -1e-6 and np.linalg.norm(weights @ corners - point) < 1e-7:
+            corners = deformed.vertices[deformed.triangles[facet]]
+            weights = np.linalg.lstsq(np.vstack([corners.T, np.ones(3)]), np.append(load.point, 1.0), rcond=None)[0]
+            if weights.min() > -1e-6 and np.linalg.norm(weights @ corners - load.point) < 1e-7:
                 break
         # The displacement is solved to 1e-11 m; the contact may be at an edge of the facet, to 1e-7 m.
         assert np.linalg.norm(displacement) > 2e-4
-        assert weights @ moved[surface.triangles[facet]] == pytest.approx(displacement, abs=1e-7)
-    free = np.zeros(RECORD_SIZE)
-    assert (deformed.at([free]) == surface.vertices).all()
+        assert weights @ moved[deformed.triangles[facet]] == pytest.approx(displacement, abs=1e-7)
+    free = {finger: np.zeros(RECORD_SIZE) for finger in rows}
+    assert contact_loads(thing, free) == [] and (deformed.at([]) == deformed.vertices).all()
 
 
 @pytest.mark.parametrize("name", ["press-a-pad", "squeeze-a-ball"])

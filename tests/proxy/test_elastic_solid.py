@@ -135,6 +135,26 @@ def test_reciprocity_of_two_patches_before_it_is_imposed() -> None:
     assert solve_patches(solid, loads).compliance[1, 0] == pytest.approx(there, rel=1e-9, abs=1e-9 * abs(there).max())
 
 
+def test_every_part_of_a_body_is_solved_for_itself() -> None:
+    """Two blocks that do not touch, as a file of tetrahedra may have; one of them not fixed is refused."""
+    one = fill(*box(0.03, 0.02, 0.03), 0.008)
+    count = len(one.vertices)
+    far = Volume(
+        np.concatenate([one.vertices, one.vertices + np.array([0.05, 0.0, 0.0])]),
+        np.concatenate([one.tetrahedra, one.tetrahedra + count]),
+    )
+    solid, both = (Solid(each, NU, lambda x: np.repeat(x[:, 2:] < 1e-9, 3, axis=1)) for each in (one, far))
+    load = solid.traction(on_face(0.03, 2), (0.0, 0.0, -1.0))
+    alone, found = solid.solve(load[:, None]), both.solve(both.traction(on_face(0.03, 2), (0.0, 0.0, -1.0))[:, None])
+    for part in (0, count):
+        nodes = slice(part, part + count)
+        assert found[both.basis.nodal_dofs[:, nodes], 0] == pytest.approx(
+            alone[solid.basis.nodal_dofs, 0], rel=1e-9, abs=1e-9 * abs(alone).max()
+        )
+    with pytest.raises(ValueError, match="fixed: the body can still move"):
+        Solid(far, NU, lambda x: np.repeat((x[:, 2:] < 1e-9) & (x[:, :1] < 0.04), 3, axis=1))
+
+
 def test_the_load_of_a_patch_is_one_newton_at_its_centre() -> None:
     volume = fill(*box(0.03, 0.03, 0.012), 0.006)
     solid = Solid(volume, 0.45, lambda x: np.repeat(x[:, 2:] < 1e-9, 3, axis=1))

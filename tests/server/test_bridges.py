@@ -225,7 +225,7 @@ def lifted(path: Path) -> tuple[Path, dict[str, Any]]:
     recording = RecordingFile(path.open("wb", buffering=0), ("thumb", "index"), about)
     for finger in ("thumb", "index"):
         recording.ticks(row, finger)
-    recording.world(world)
+    recording.message("world", world)
     recording.close()
     return path, world
 

@@ -16,6 +16,7 @@ from helpers.telemetry_records import join, put, synthetic
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
 from softfinger.drivers.system.discovery import Attached
+from softfinger.proxy.elastic.loads import ContactLoad
 from softfinger.proxy.record import CAUSE_NAMES
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import GUARD_NAMES
@@ -34,16 +35,17 @@ from softfinger.server.wire.native import memory
 from softfinger.server.wire.native.relay import CAPACITY_TICKS, WAKE_INTERVAL_MS
 from softfinger.server.wire.protocol import (
     CONTACT_KEYS,
+    DEFORMATION_KEYS,
     EVENT_EXTRA_KEYS,
     EVENT_KEYS,
     HEALTH_KEYS,
+    SCENE_TOPICS,
     SCHEMA,
     SCHEMA_KEYS,
     SCHEMA_TOPIC,
     STATE_HZ,
     STATE_KEYS,
     TOPICS,
-    WORLD,
     WORLD_KEYS,
     wire_schema,
 )
@@ -61,6 +63,7 @@ CODE_TABLES = {
     "health": HEALTH_KEYS,
     "state": STATE_KEYS,
     "world": WORLD_KEYS,
+    "deformation": DEFORMATION_KEYS,
     "schema": SCHEMA_KEYS,
     **{f"event {kind}": keys for kind, keys in EVENT_EXTRA_KEYS.items()},
 }
@@ -138,11 +141,11 @@ def real_messages():
     found = []
     context = zmq.Context.instance()
     with (
-        Publisher("tcp://127.0.0.1:*", guard_names=GUARD_NAMES, bodies=True) as publisher,
+        Publisher("tcp://127.0.0.1:*", guard_names=GUARD_NAMES, extra=SCENE_TOPICS) as publisher,
         context.socket(zmq.SUB) as socket,
     ):
         socket.rcvhwm = 10_000
-        for topic in (*TOPICS[:-1], WORLD):
+        for topic in (*TOPICS[:-1], *SCENE_TOPICS):
             socket.subscribe(topic)
         socket.connect(publisher.endpoint)
         join(publisher, socket)
@@ -150,7 +153,10 @@ def real_messages():
         publisher.publish(records)
         puck = Attached("hid", 0x046D, 0xC626, "SpaceNavigator", "", "/dev/hidraw0")
         publisher.event("device", "attached", **event_fields(puck))
-        publisher.world(5, body_maps(["box"], np.arange(14.0)))
+        head = {"schema": SCHEMA, "timestamp": 1.7e9, "tick": 5}
+        publisher.send_message("world", head | {"bodies": body_maps(["box"], np.arange(14.0))})
+        load = ContactLoad("", 0, (0.0, 0.0, -1.0), (0.0, 0.0, 0.02), 0.004)
+        publisher.send_message("deformation", head | {"loads": [load._asdict()]})
         publisher.event("command", "arm", command_id="a1", what={"armed": True})
         publisher.event("mark", "mark", command_id="a2", label="x", data={"a": {"b": 1}})
         publisher.event("state", "armed", before="ready", cause="the force may be switched on")
@@ -276,4 +282,6 @@ def test_program_on_the_page_runs():
 
 def test_no_topic_begins_another():
     """ZeroMQ filters by prefix, so a topic that begins another would bring both."""
-    assert not [(a, b) for a in TOPICS for b in TOPICS if a != b and b.startswith(a)]
+    assert not [
+        (a, b) for a in (*TOPICS, *SCENE_TOPICS) for b in (*TOPICS, *SCENE_TOPICS) if a != b and b.startswith(a)
+    ]

@@ -141,6 +141,7 @@ Keys that events of single kinds add. Other kinds add what the event needs."""
         "`event`": protocol.EVENT_KEYS,
         "`health`": protocol.HEALTH_KEYS,
         "`world`": protocol.WORLD_KEYS,
+        "`deformation`": protocol.DEFORMATION_KEYS,
         "`schema`": protocol.SCHEMA_KEYS,
     }
     parts = ["## `contact`", " ".join(contact.split()), keys_table(_beside_the_record(protocol.CONTACT_KEYS))]

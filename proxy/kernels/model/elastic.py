@@ -33,12 +33,14 @@ class Surface(NamedTuple):
     """Surface under a fingertip.
 
     displacement  (3,) m    in the object frame
+    change        (3,) m    of it since the tick before: the start of the next tick
     rate          (3,) m/s  filtered rate of it
     moved         (3,) m    the displacement in the world frame, 0 without contact
     beyond        bits of `contact.nonlinear`
     """
 
     displacement: Vec3
+    change: Vec3
     rate: Vec3
     moved: Vec3
     beyond: float

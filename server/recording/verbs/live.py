@@ -20,7 +20,7 @@ from softfinger.server.progress import counter
 from softfinger.server.recording.recorder import Recorder, RecorderState
 from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, no_telemetry_text, record_of, subscribe
 from softfinger.server.wire.control import Control
-from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, WORLD, finger_of
+from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, SCENE_TOPICS, finger_of
 
 log: Final = logging.getLogger(__name__)
 
@@ -98,8 +98,8 @@ class TickReceiver(Protocol):
     def event(self, event: Mapping[str, Any]) -> None:
         """Receive an event, a map as on the wire."""
 
-    def world(self, world: Mapping[str, Any]) -> None:
-        """Receive a message of the topic `world`, a map as on the wire."""
+    def message(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Receive a message of one of SCENE_TOPICS, a map as on the wire."""
 
     @property
     def failed(self) -> bool:
@@ -125,8 +125,8 @@ class TickBatcher:
             self._receiver.event(sample.data)
             if (sample["kind"], sample["name"]) == ("lifecycle", "stopped"):
                 self.end_reason = "the server stopped"
-        elif sample.topic == WORLD:
-            self._receiver.world(msgspec.to_builtins(sample.data))
+        elif sample.topic in SCENE_TOPICS:
+            self._receiver.message(sample.topic, msgspec.to_builtins(sample.data))
         elif finger in self._indices:
             if sample.tick < self.last:
                 self.end_reason = "the server started again"
@@ -200,7 +200,7 @@ def _is_over(sample: Sample, job: RecordingJob, batcher: TickBatcher) -> bool:
 
 def subscribe_all(job: RecordingJob) -> Subscription:
     """Subscribe to all recorded topics."""
-    return subscribe(job.addresses.telemetry, (CONTACT, FINGERS, EVENT, WORLD), keys=job.keys)
+    return subscribe(job.addresses.telemetry, (CONTACT, FINGERS, EVENT, *SCENE_TOPICS), keys=job.keys)
 
 
 def receive_first(wire: Subscription, job: RecordingJob) -> tuple[list[Sample], list[str], dict[str, Any]]:

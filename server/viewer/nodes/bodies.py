@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -63,7 +63,7 @@ class Bodies:
         """Objects on a body of [world]: name of the body, and pose in its frame."""
         self._surfaces: Final[dict[int, PlaneSurface | TriangleSurface]] = {}
         """Surfaces for `below`, if known."""
-        self._deform: Callable[[Collection[NDArray[np.float64]]], None] | None = None
+        self._deform: Callable[[Mapping[str, NDArray[np.float64]]], None] | None = None
         """Function that draws the elastic object, if its body is known."""
         self._objects = (*scene.object, *visual_geoms(scene))
         for object_index, obj in enumerate(self._objects):
@@ -100,8 +100,8 @@ class Bodies:
             self.poses[object_index] = (pose.position, pose.orientation)
             self._update_frame(object_index)
 
-    def deform(self, rows: Collection[NDArray[np.float64]]) -> None:
-        """Draw an elastic object under its contacts in a tick: a record (RECORD_SIZE,) of each finger."""
+    def deform(self, rows: Mapping[str, NDArray[np.float64]]) -> None:
+        """Draw an elastic object under its contacts in a tick: the record (RECORD_SIZE,) of each finger by name."""
         if self._deform is not None:
             self._deform(rows)
 
@@ -162,9 +162,10 @@ def visual_geoms(scene: schema.Scene) -> list[schema.Object]:
 
 def _deformation(
     obj: schema.Mesh, vertices: NDArray[np.float64], drawn: Any
-) -> Callable[[Collection[NDArray[np.float64]]], None] | None:
+) -> Callable[[Mapping[str, NDArray[np.float64]]], None] | None:
     """Return the function that moves the vertices of the drawn surface; None if the body was not solved here."""
     from softfinger.proxy.elastic.deformed import Deformed  # only for scenes with an elastic object
+    from softfinger.proxy.elastic.loads import contact_loads
     from softfinger.proxy.elastic.prepared import stored_body
 
     body = stored_body(obj)
@@ -172,8 +173,8 @@ def _deformation(
         return None
     deformed = Deformed(obj, body, vertices)
 
-    def draw(rows: Collection[NDArray[np.float64]]) -> None:
-        drawn.vertices = (CM * deformed.at(rows)).astype(np.float32)
+    def draw(rows: Mapping[str, NDArray[np.float64]]) -> None:
+        drawn.vertices = (CM * deformed.at(contact_loads(obj, rows))).astype(np.float32)
 
     return draw
 

@@ -57,7 +57,8 @@ def test_a_recording_has_its_bodies_where_they_were(tmp_path: Path) -> None:
         for tick, turn in ((100, (1.0, 0.0, 0.0, 0.0)), (500, HALF)):
             body = {"name": "knob", "position": (0.0, 0.0, 0.0075), "orientation": turn}
             body |= {"velocity": (0.0, 0.0, 0.0), "rate": (0.0, 0.0, 0.0)}
-            recording.world({"schema": 1, "timestamp": EPOCH_S + tick / 1000.0, "tick": tick, "bodies": [body]})
+            world = {"schema": 1, "timestamp": EPOCH_S + tick / 1000.0, "tick": tick, "bodies": [body]}
+            recording.message("world", world)
         recording.close()
     loaded = load(str(file), None)
     assert RecordedBodies(loaded.worlds).at(99) == {}

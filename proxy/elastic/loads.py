@@ -1,0 +1,79 @@
+"""Loads of the fingers on an elastic object, from the records of a tick: what the topic `deformation` publishes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.proxy.kernels.model import Vec3
+from softfinger.proxy.kernels.numerics.rotations import rotate
+from softfinger.proxy.record import AT, FREE, PATCHES
+
+Doubles = NDArray[np.float64]
+
+_WIDTH: Final = AT.contacts1_object - AT.contacts0_object
+"""Columns of a contact in a record."""
+
+
+class ContactLoad(NamedTuple):
+    """Load of a finger on an elastic object.
+
+    finger        name, empty for a single one
+    object        index of the object in the scene
+    force         (3,) N  on the object, object frame
+    point         (3,) m  centre of the loaded patch on the undeformed surface, object frame
+    patch_radius  m       radius of the patch
+    """
+
+    finger: str
+    object: int
+    force: Vec3
+    point: Vec3
+    patch_radius: float
+
+
+def contact_loads(thing: schema.Mesh, rows: Mapping[str, Doubles]) -> list[ContactLoad]:
+    """Return the loads on an elastic object, from the record (RECORD_SIZE,) of each finger in a tick."""
+    assert thing.elastic is not None
+    loads = []
+    for finger, row in rows.items():
+        if int(row[AT.contact_mode]) == FREE:
+            continue
+        point = _vector(row, AT.contacts0_point) - _vector(row, AT.contact_displacement) - thing.position_m
+        force = -_force(row, thing.material.friction is not None)
+        turned = _into(thing, force), _into(thing, point)
+        loads.append(ContactLoad(finger, int(row[AT.contact_object]), *turned, thing.elastic.radius_m))
+    return loads
+
+
+def _force(row: Doubles, has_friction: bool) -> Doubles:
+    """Return the force (3,) N of all contacts, world frame.
+
+    Without friction, the recorded force of the first contact includes that of the slope of the deformed surface, which
+    does not load the body. It is replaced by the force along the normal that gives the recorded normal force.
+    """
+    forces = np.array([_vector(row, AT.contacts0_force + each * _WIDTH) for each in range(PATCHES)])
+    if has_friction:
+        total: Doubles = forces.sum(axis=0)
+        return total
+    normal, beside = _vector(row, AT.contacts0_normal), forces[1:].sum(axis=0)
+    beside = beside - (beside @ normal) * normal
+    along = sqrt(max(float(row[AT.contact_normal_force]) ** 2 - float(beside @ beside), 0.0))
+    found: Doubles = beside + along * normal
+    return found
+
+
+def _vector(row: Doubles, at: int) -> Doubles:
+    return row[at : at + 3]
+
+
+def _into(thing: schema.Mesh, vector: Doubles) -> Vec3:
+    """Return a vector (3,) of the world frame in the object frame."""
+    w, x, y, z = thing.orientation_wxyz
+    a, b, c = vector.tolist()
+    return rotate((w, -x, -y, -z), (a, b, c))

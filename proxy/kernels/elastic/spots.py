@@ -1,0 +1,283 @@
+"""Spots of an elastic surface: contact points with their load, its slopes, and the compliance between them."""
+
+from math import pi, sqrt
+from typing import Any, NamedTuple
+
+from softfinger.proxy.kernels.contact.normal import normal_force_of
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Vec3
+from softfinger.proxy.kernels.model.elastic import Elastic
+from softfinger.proxy.kernels.numerics import mat3, vec3
+from softfinger.proxy.kernels.numerics.frames import into, turn_into
+from softfinger.proxy.kernels.numerics.mat3 import Mat3
+from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest
+from softfinger.proxy.kernels.query.world import all_bare
+from softfinger.proxy.kernels.shapes.budget import ROOM
+from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
+from softfinger.proxy.record import FREE, ROLLING
+
+ON_EDGE = 1e-9
+"""Barycentric weight below which a contact is on the edge of its facet."""
+LEAN_RAD = 1e-6
+"""Angle between the contact normal and that of the facet from which the contact is on an edge."""
+LIMITED = 1e-6
+"""Share by which the cone has to reduce the friction of a contact that sticks, beyond rounding."""
+DEPTH_STEP_M = 1e-7
+"""Change of the depth by which the stiffness of the normal force is measured."""
+
+ROTATION_MAX_RAD = 10.0 * pi / 180.0
+STRAIN_MAX = 0.1
+"""Rotation and strain above which the body is no longer linear."""
+
+LEAN_RAD = 1e-6
+"""Angle between the contact normal and that of the facet from which the contact is on an edge."""
+LIMITED = 1e-6
+"""Share by which the cone has to reduce the friction of a contact that sticks, beyond rounding."""
+DEPTH_STEP_M = 1e-7
+"""Change of the depth by which the stiffness of the normal force is measured."""
+
+ROTATION_MAX_RAD = 10.0 * pi / 180.0
+STRAIN_MAX = 0.1
+"""Rotation and strain above which the body is no longer linear."""
+
+LIMITED = 1e-6
+"""Share by which the cone has to reduce the friction of a contact that sticks, beyond rounding."""
+DEPTH_STEP_M = 1e-7
+"""Change of the depth by which the stiffness of the normal force is measured."""
+
+ROTATION_MAX_RAD = 10.0 * pi / 180.0
+STRAIN_MAX = 0.1
+"""Rotation and strain above which the body is no longer linear."""
+
+DEPTH_STEP_M = 1e-7
+"""Change of the depth by which the stiffness of the normal force is measured."""
+
+ROTATION_MAX_RAD = 10.0 * pi / 180.0
+STRAIN_MAX = 0.1
+"""Rotation and strain above which the body is no longer linear."""
+
+
+ZERO: Vec3 = (0.0, 0.0, 0.0)
+
+
+class Spot(NamedTuple):
+    """Contact point on a facet, in the object frame.
+
+    nodes    of its corners, -1 where they do not give
+    weights  barycentric
+    slopes   gradients (3,) 1/m of the weights with the position of the probe; 0 while the contact sticks
+    load     (3,) N    on the object
+    spring   N/m       rows (3,) of the slope of the load with the position of the probe
+    """
+
+    nodes: tuple[int, int, int]
+    weights: Vec3
+    slopes: Mat3
+    load: Vec3
+    spring: Mat3
+
+
+class Response(NamedTuple):
+    """Compliance m/N between two spots, and the slopes of the displacement with the position of each.
+
+    compliance  displacement at the first under unit loads at the second
+    at          slope with the first position, under the load of the second
+    by          slope with the second position
+    """
+
+    compliance: Mat3
+    at: Mat3
+    by: Mat3
+
+
+@jit
+def block_times(elastic: Elastic, a: int, b: int, v: Vec3) -> Vec3:
+    """Return the displacement (3,) of node a under the load `v` (3,) on node b, times 1 Pa."""
+    at = 9 * (a * int(elastic.number) + b)
+    c = elastic.compliance
+    return (
+        c[at] * v[0] + c[at + 1] * v[1] + c[at + 2] * v[2],
+        c[at + 3] * v[0] + c[at + 4] * v[1] + c[at + 5] * v[2],
+        c[at + 6] * v[0] + c[at + 7] * v[1] + c[at + 8] * v[2],
+    )
+
+
+@jit
+def add_block(m: Mat3, elastic: Elastic, a: int, b: int, weight: float) -> Mat3:
+    """Return m plus the block of two nodes times `weight`."""
+    at = 9 * (a * int(elastic.number) + b)
+    c = elastic.compliance
+    return (
+        (m[0][0] + weight * c[at], m[0][1] + weight * c[at + 1], m[0][2] + weight * c[at + 2]),
+        (m[1][0] + weight * c[at + 3], m[1][1] + weight * c[at + 4], m[1][2] + weight * c[at + 5]),
+        (m[2][0] + weight * c[at + 6], m[2][1] + weight * c[at + 7], m[2][2] + weight * c[at + 8]),
+    )
+
+
+@jit
+def respond(elastic: Elastic, one: Spot, two: Spot) -> Response:
+    """Compute the response at `one` to loads at `two`."""
+    compliance, at, by = mat3.ZEROS, mat3.ZEROS, mat3.ZEROS
+    for i in range(3):
+        if one.nodes[i] < 0:
+            continue
+        for j in range(3):
+            if two.nodes[j] < 0:
+                continue
+            moved = block_times(elastic, one.nodes[i], two.nodes[j], two.load)
+            compliance = add_block(
+                compliance, elastic, one.nodes[i], two.nodes[j], elastic.softness * one.weights[i] * two.weights[j]
+            )
+            at = mat3.plus_outer(at, vec3.scale(elastic.softness * two.weights[j], moved), one.slopes[i])
+            by = mat3.plus_outer(by, vec3.scale(elastic.softness * one.weights[i], moved), two.slopes[j])
+    return Response(compliance, at, by)
+
+
+@jit
+def spot_on(elastic: Elastic, body: Any, facet: float, point: Vec3, normal: Vec3) -> Spot:
+    """Return the spot of a `point` (3,) m on a facet, without load; `normal` is that of the contact, world frame."""
+    mesh, x, n = body.shape.row[0], into(body.pose, point), turn_into(body.pose, normal)
+    first = 3 * int(facet)
+    i, j, k = mesh.corners[first], mesh.corners[first + 1], mesh.corners[first + 2]
+    a = (mesh.vertices[3 * i], mesh.vertices[3 * i + 1], mesh.vertices[3 * i + 2])
+    b = (mesh.vertices[3 * j], mesh.vertices[3 * j + 1], mesh.vertices[3 * j + 2])
+    c = (mesh.vertices[3 * k], mesh.vertices[3 * k + 1], mesh.vertices[3 * k + 2])
+    ab, ac = vec3.sub(b, a), vec3.sub(c, a)
+    up = vec3.cross(ab, ac)
+    square = 1.0 / vec3.dot(up, up)
+    to_b, to_c = vec3.scale(square, vec3.cross(ac, up)), vec3.scale(square, vec3.cross(up, ab))
+    of_b = min(max(vec3.dot(vec3.sub(x, a), to_b), 0.0), 1.0)
+    of_c = min(max(vec3.dot(vec3.sub(x, a), to_c), 0.0), 1.0 - of_b)
+    of_a = 1.0 - of_b - of_c
+    to_a = vec3.scale(-1.0, vec3.add(to_b, to_c))
+    lean = vec3.cross(n, vec3.scale(sqrt(square), up))
+    if vec3.dot(lean, lean) > LEAN_RAD**2:  # the point stays on the edge, or at the corner
+        along, edges = ZERO, 0
+        for weight, edge in ((of_a, vec3.sub(c, b)), (of_b, ac), (of_c, ab)):
+            if weight < ON_EDGE:
+                along, edges = edge, edges + 1
+        length = vec3.dot(along, along)
+        scale = 1.0 / length if edges == 1 else 0.0
+        to_a = vec3.scale(scale * vec3.dot(to_a, along), along)
+        to_b = vec3.scale(scale * vec3.dot(to_b, along), along)
+        to_c = vec3.scale(scale * vec3.dot(to_c, along), along)
+    nodes = (int(elastic.nodes[i]), int(elastic.nodes[j]), int(elastic.nodes[k]))
+    return Spot(nodes, (of_a, of_b, of_c), (to_a, to_b, to_c), ZERO, mat3.ZEROS)
+
+
+@by_type
+def friction_on(law: Any, force: Vec3, normal: Vec3) -> Any:
+    """Return the friction (3,) N in a force."""
+
+
+@friction_on.of(None)
+def no_friction(law: None, force: Vec3, normal: Vec3) -> Vec3:
+    return ZERO
+
+
+@friction_on.otherwise
+def tangential_part(law: Any, force: Vec3, normal: Vec3) -> Vec3:
+    return vec3.reject(force, normal)
+
+
+@jit
+def contact_spot(
+    elastic: Elastic, body: Any, finger: Finger, last: FingerState, state: FingerState, contact: Contact, dt: float
+) -> Spot:
+    """Return the spot of the most loaded contact, with the load of all contacts of the finger.
+
+    last   before the tick, relative to the surface as `state` is
+    state  after it
+    """
+    found = spot_on(elastic, body, state.contacts[0].body, contact.contacts[0].point, contact.normal)
+    force = ZERO
+    for k in range(3):
+        force = vec3.add(force, contact.contacts[k].force)
+    force, n = turn_into(body.pose, force), turn_into(body.pose, contact.normal)
+    found = replace(found, "load", vec3.scale(-1.0, force))
+    law, depth, out = body.material.normal, contact.penetration, vec3.dot(contact.velocity, contact.normal)
+    faster = out - DEPTH_STEP_M / dt if dt > 0.0 else out
+    more = normal_force_of(law, depth + DEPTH_STEP_M, faster) - normal_force_of(law, depth, out)
+    stiffness, along, spring = more / DEPTH_STEP_M, n, mat3.ZEROS
+    beside = mat3.plus_outer(mat3.IDENTITY, vec3.scale(-1.0, n), n)
+    drag = friction_on(body.material.friction, force, n)
+    size = vec3.norm(drag)
+    side, length = unlimited_friction(finger, last, state, contact, dt)
+    if contact.mode == ROLLING and length <= (1.0 + LIMITED) * size:
+        spring = mat3.plus_outer(mat3.plus(mat3.ZEROS, side, beside), vec3.scale(stiffness, n), n)
+        return replace(found, "slopes", mat3.ZEROS if side > 0.0 else found.slopes, "spring", spring)
+    if contact.normal_force > 0.0:
+        along = vec3.add_scaled(n, 1.0 / contact.normal_force, vec3.reject(force, n))
+        if size > 0.0:  # the cone limits the friction, which turns with the deflection
+            t = vec3.scale(1.0 / size, drag)
+            share = size / length if length > size else 1.0
+            across = mat3.plus_outer(beside, vec3.scale(-1.0, t), t)
+            spring = mat3.plus(mat3.ZEROS, share * side, across)
+            moves = mat3.ZEROS  # of the point, with the probe
+            if contact.mode != ROLLING:
+                grip = size * stiffness / (contact.normal_force * side)
+                moves = mat3.plus_outer(
+                    mat3.plus(mat3.plus_outer(mat3.ZEROS, t, t), 1.0 - share, across), vec3.scale(-grip, n), t
+                )
+            a, b, c = found.slopes
+            found = replace(found, "slopes", (mat3.times(moves, a), mat3.times(moves, b), mat3.times(moves, c)))
+    return replace(found, "spring", mat3.plus_outer(spring, vec3.scale(stiffness, along), n))
+
+
+@jit
+def unlimited_friction(
+    finger: Finger, last: FingerState, state: FingerState, contact: Contact, dt: float
+) -> tuple[float, float]:
+    """Return the stiffness, N/m, of the spring along the surface, and its force, N, before the cone limits it.
+
+    A contact that starts to stick in this tick has no deflection, and follows the probe.
+    """
+    before, spring = last.contacts[0].deflection, finger.coupling.stiffness
+    if contact.mode != ROLLING:
+        moved = vec3.sub(state.probe.position, last.probe.position)
+        return spring, spring * vec3.norm(vec3.reject(vec3.sub(before, moved), contact.normal))
+    if last.contacts[0].body < 0.0:
+        return 0.0, 0.0
+    now, damper = state.contacts[0].deflection, finger.coupling.damping / dt if dt > 0.0 else 0.0
+    return spring + damper, vec3.norm(vec3.add_scaled(vec3.scale(spring, now), damper, vec3.sub(now, before)))
+
+
+@jit
+def nearest_spot(elastic: Elastic, objects: Any, position: Vec3) -> Spot:
+    """Return the spot of the surface point nearest to a finger without contact."""
+    shapes = all_bare(objects)
+    _, facet, left = deepest(shapes, position, EVERYWHERE, NOBODY, ROOM)
+    if facet < 0.0 or left < 0:
+        return Spot((-1, -1, -1), ZERO, mat3.ZEROS, ZERO, mat3.ZEROS)
+    _, point, normal, _ = closest_to_within(shapes, facet, position, left)
+    return replace(spot_on(elastic, objects.body, facet, point, normal), "slopes", mat3.ZEROS)
+
+
+@jit
+def spot_of(
+    elastic: Elastic, objects: Any, finger: Finger, last: FingerState, after: FingerState, contact: Contact, dt: float
+) -> Spot:
+    """Return the spot of a finger, with or without contact."""
+    if contact.mode == FREE:
+        return nearest_spot(elastic, objects, after.probe.position)
+    return contact_spot(elastic, objects.body, finger, last, after, contact, dt)
+
+
+@jit
+def bending_under(elastic: Elastic, spot: Spot) -> tuple[float, float]:
+    """Return the largest rotation, rad, and strain of the body under the load of a spot: an upper bound.
+
+    Those of the components of the load on each node are added, wherever in the body they are.
+    """
+    rotation, strain = 0.0, 0.0
+    for i in range(3):
+        if spot.nodes[i] < 0:
+            continue
+        for j in range(3):
+            share = elastic.softness * spot.weights[i] * abs(spot.load[j])
+            at = 6 * spot.nodes[i] + 2 * j
+            rotation += share * elastic.bending[at]
+            strain += share * elastic.bending[at + 1]
+    return rotation, strain

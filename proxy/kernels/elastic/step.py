@@ -1,0 +1,275 @@
+"""Contact step on an elastic surface: the rigid step with the probe shifted by the displacement of the surface.
+
+    f_i = F(p_i - u_i),    u_i = sum_j C(x_i, x_j) f_j
+
+F is the step on the undeformed mesh, f_i the load of finger i at x_i, u_i the displacement there. So the finger's
+spring is in series with the surface, and friction, torsion and rolling act between the fingertip and the moving
+surface. Newton's method solves for u with the slopes of the load and of the contact point, at most ROUNDS times; it
+mostly ends after one correction. Each round steps from the state of the last tick.
+
+Source of the method: James and Pai (2001). This module is imported for scenes with an elastic object only.
+"""
+
+from collections.abc import Callable
+from math import pi
+from typing import Any
+
+from softfinger.proxy.kernels.elastic.spots import ZERO, Spot, bending_under, contact_spot, respond, spot_of
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.dispatch import by_type, chosen_by
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
+from softfinger.proxy.kernels.model.elastic import Elastic, Surface
+from softfinger.proxy.kernels.numerics import mat3, vec3
+from softfinger.proxy.kernels.numerics.frames import turn_out_of
+from softfinger.proxy.kernels.query.world import place_all
+from softfinger.proxy.kernels.step import step_finger, step_once
+from softfinger.proxy.record import FREE, LARGE_DISPLACEMENT, LARGE_ROTATION, LARGE_STRAIN
+
+ROUNDS = 6
+"""Largest number of rigid steps of a finger in a tick."""
+SOLVED = 1e-11
+"""Change of the displacement, m, below which it is not corrected: 0.01 uN for a finger of 1000 N/m."""
+ON_EDGE = 1e-9
+"""Barycentric weight below which a contact is on the edge of its facet."""
+LEAN_RAD = 1e-6
+"""Angle between the contact normal and that of the facet from which the contact is on an edge."""
+LIMITED = 1e-6
+"""Share by which the cone has to reduce the friction of a contact that sticks, beyond rounding."""
+DEPTH_STEP_M = 1e-7
+"""Change of the depth by which the stiffness of the normal force is measured."""
+
+ROTATION_MAX_RAD = 10.0 * pi / 180.0
+STRAIN_MAX = 0.1
+"""Rotation and strain above which the body is no longer linear."""
+
+SOLVED = 1e-11
+"""Change of the displacement, m, below which it is not corrected: 0.01 uN for a finger of 1000 N/m."""
+ON_EDGE = 1e-9
+"""Barycentric weight below which a contact is on the edge of its facet."""
+LEAN_RAD = 1e-6
+"""Angle between the contact normal and that of the facet from which the contact is on an edge."""
+LIMITED = 1e-6
+"""Share by which the cone has to reduce the friction of a contact that sticks, beyond rounding."""
+DEPTH_STEP_M = 1e-7
+"""Change of the depth by which the stiffness of the normal force is measured."""
+
+ROTATION_MAX_RAD = 10.0 * pi / 180.0
+STRAIN_MAX = 0.1
+"""Rotation and strain above which the body is no longer linear."""
+
+
+ROTATION_MAX_RAD = 10.0 * pi / 180.0
+STRAIN_MAX = 0.1
+"""Rotation and strain above which the body is no longer linear."""
+
+
+@jit
+def shifted(body: Any, pose: Pose, surface: Vec3) -> Pose:
+    """Return the pose relative to the displaced surface."""
+    return Pose(vec3.sub(pose.position, turn_out_of(body.pose, surface)), pose.orientation)
+
+
+@jit
+def relative_to(body: Any, state: FingerState, surface: Vec3) -> FingerState:
+    """Return the state of a finger with its probe relative to the displaced surface, where its contact is solved."""
+    probe = state.probe
+    moved = shifted(body, Pose(probe.position, probe.orientation), surface)
+    return replace(state, "probe", Probe(moved.position, probe.orientation, probe.velocity))
+
+
+@jit
+def with_probe_at(state: FingerState, pose: Pose) -> FingerState:
+    """Return the state of a finger with its probe in the world, where guard, passivity and record need it."""
+    return replace(state, "probe", Probe(pose.position, pose.orientation, state.probe.velocity))
+
+
+@jit
+def extrapolated(last: Surface, state: FingerState, pose: Pose) -> Vec3:
+    """Return the expected displacement (3,) m: it changes as in the last tick, but by no more than the probe moved."""
+    moved, change = vec3.norm(vec3.sub(pose.position, state.probe.position)), vec3.norm(last.change)
+    if change > moved:
+        return vec3.add_scaled(last.displacement, moved / change, last.change)
+    return vec3.add(last.displacement, last.change)
+
+
+@jit
+def memory_of(elastic: Elastic, dt: float) -> float:
+    """Return the share of the new displacement that the surface reaches in a tick: 1 without damping."""
+    if elastic.damping == 0.0:
+        return 1.0
+    return dt / (dt + elastic.damping)
+
+
+@jit
+def surface_after(
+    scene: Scene, finger: Finger, last: Surface, displacement: Vec3, contact: Contact, bent: Any, dt: float
+) -> Surface:
+    """Return the displacement with its rate, filtered as the probe's velocity is, and the limits that are exceeded.
+
+    bent  largest rotation, rad, and strain of the body
+    """
+    elastic, body, rate = scene.elastic, scene.objects.body, last.rate
+    moved = vec3.sub(displacement, last.displacement)
+    if dt > 0.0:
+        gain = 1.0 / (finger.velocity_time_constant + dt)
+        rate = vec3.add_scaled(vec3.scale_and_flush(finger.velocity_time_constant * gain, last.rate), gain, moved)
+    beyond = 0.0
+    if vec3.dot(displacement, displacement) > elastic.large * elastic.large:
+        beyond += LARGE_DISPLACEMENT
+    if bent[0] > ROTATION_MAX_RAD:
+        beyond += LARGE_ROTATION
+    if bent[1] > STRAIN_MAX:
+        beyond += LARGE_STRAIN
+    if contact.mode == FREE:
+        return Surface(displacement, moved, rate, ZERO, 0.0)
+    return Surface(displacement, moved, rate, turn_out_of(body.pose, displacement), beyond)
+
+
+@by_type
+def tilt(law: Any, contact: Contact, force: Vec3) -> Any:
+    """Return the part (3,) N of the force that comes from the slope of the deformed surface: none with friction.
+
+    A contact without friction conserves energy only with it. With friction the contact dissipates more than a slope
+    below the coefficient of friction returns.
+    """
+
+
+@tilt.of(None)
+def tilt_without_friction(law: None, contact: Contact, force: Vec3) -> Vec3:
+    return force if contact.mode != FREE else ZERO
+
+
+@tilt.otherwise
+def no_tilt(law: Any, contact: Contact, force: Vec3) -> Vec3:
+    return ZERO
+
+
+@jit
+def report_on(body: Any, contact: Contact, surface: Surface, slope: Vec3) -> Contact:
+    """Return the contact at its place on the deformed surface, with the force `slope` (3,) N, object frame, added."""
+    moved, rate = turn_out_of(body.pose, surface.displacement), turn_out_of(body.pose, surface.rate)
+    if contact.mode == FREE:
+        return replace(contact, "velocity", vec3.add(contact.velocity, rate), "center", vec3.add(contact.center, moved))
+    force = tilt(body.material.friction, contact, turn_out_of(body.pose, slope))
+    one, two, three = contact.contacts
+    one = replace(one, "point", vec3.add(one.point, moved), "force", vec3.add(one.force, force))
+    two = replace(two, "point", vec3.add(two.point, moved))
+    three = replace(three, "point", vec3.add(three.point, moved))
+    return replace(
+        contact,
+        "velocity", vec3.add(contact.velocity, rate),
+        "center", vec3.add(contact.center, moved),
+        "point", vec3.add(contact.point, moved),
+        "force", vec3.add(contact.force, force),
+        "contacts", (one, two, three),
+    )  # fmt: skip
+
+
+@step_once.of(Elastic)
+def step_on_elastic(scene: Scene, state: State, poses: Any, dt: float) -> Any:
+    """Compute one contact step of one or two fingers on the elastic object."""
+    world = replace(state.world, "started", 1.0, "time", state.world.time + dt)
+    objects = place_all(scene.objects, world)
+    fingers, contacts, surfaces = press(scene.fingers, scene, objects, state, poses, dt)
+    return State(world=replace(world, "surfaces", surfaces), fingers=fingers), contacts
+
+
+def by_number(declaration: Callable[..., Any]) -> Any:
+    """Declare a kernel chosen by the number of fingers: `.of(1)`, `.of(2)`."""
+    return chosen_by(declaration, len, lambda count: count, len)
+
+
+@by_number
+def press(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
+    """Return FingerState, Contact and Surface of each finger."""
+
+
+@press.of(1)
+def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
+    elastic, body, last, finger = scene.elastic, objects.body, state.world.surfaces[0], fingers[0]
+    gain = memory_of(elastic, dt)
+    rest, slope, bent = vec3.scale(1.0 - gain, last.displacement), ZERO, (0.0, 0.0)
+    u = extrapolated(last, state.fingers[0], poses[0])
+    before = relative_to(body, state.fingers[0], last.displacement)
+    for left in range(ROUNDS - 1, -1, -1):
+        after, contact = step_finger(finger, before, shifted(body, poses[0], u), scene, objects, dt)
+        goal, matrix, rise, bent = rest, mat3.IDENTITY, ZERO, (0.0, 0.0)
+        if contact.mode != FREE:
+            spot = contact_spot(elastic, body, finger, before, after, contact, dt)
+            given, bent = respond(elastic, spot, spot), bending_under(elastic, spot)
+            goal = vec3.add_scaled(rest, gain, mat3.times(given.compliance, spot.load))
+            moves = mat3.plus(mat3.plus(mat3.product(given.compliance, spot.spring), 1.0, given.at), 1.0, given.by)
+            matrix, rise = (
+                mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves)),
+                mat3.times(mat3.transposed(given.at), spot.load),
+            )
+        slope = mat3.times(mat3.transposed(matrix), vec3.scale(gain, rise))
+        change = mat3.times(matrix, vec3.sub(goal, u))
+        if left == 0 or vec3.dot(change, change) <= SOLVED**2:
+            break
+        u = vec3.add(u, change)
+    surface = surface_after(scene, finger, last, u, contact, bent, dt)
+    return (with_probe_at(after, poses[0]),), (report_on(body, contact, surface, slope),), (surface,)
+
+
+@jit
+def correct_both(elastic: Elastic, one: Spot, two: Spot, gain: float, short: Any) -> Any:
+    """Solve Newton's equations of two fingers.
+
+    short    displacements (3,) m that are wanted less those without the loads, as functions of the loads, of each
+    returns  corrections (3,) m, and forces (3,) N of the slope of the surface
+    """
+    r11, r12 = respond(elastic, one, one), respond(elastic, one, two)
+    r21, r22 = respond(elastic, two, one), respond(elastic, two, two)
+    goal_one = vec3.add(mat3.times(r11.compliance, one.load), mat3.times(r12.compliance, two.load))
+    goal_two = vec3.add(mat3.times(r21.compliance, one.load), mat3.times(r22.compliance, two.load))
+    lack_one, lack_two = vec3.add_scaled(short[0], gain, goal_one), vec3.add_scaled(short[1], gain, goal_two)
+    at_one, at_two = mat3.plus(r11.at, 1.0, r12.at), mat3.plus(r21.at, 1.0, r22.at)
+    a = mat3.plus(
+        mat3.IDENTITY, gain, mat3.plus(mat3.plus(mat3.product(r11.compliance, one.spring), 1.0, at_one), 1.0, r11.by)
+    )
+    d = mat3.plus(
+        mat3.IDENTITY, gain, mat3.plus(mat3.plus(mat3.product(r22.compliance, two.spring), 1.0, at_two), 1.0, r22.by)
+    )
+    b = mat3.plus(mat3.ZEROS, gain, mat3.plus(mat3.product(r12.compliance, two.spring), 1.0, r12.by))
+    c = mat3.plus(mat3.ZEROS, gain, mat3.plus(mat3.product(r21.compliance, one.spring), 1.0, r21.by))
+    a_inverse = mat3.inverse(a)
+    left = mat3.product(c, a_inverse)
+    rest = mat3.inverse(mat3.plus(d, -1.0, mat3.product(left, b)))
+    second = mat3.times(rest, vec3.sub(lack_two, mat3.times(left, lack_one)))
+    first = mat3.times(a_inverse, vec3.sub(lack_one, mat3.times(b, second)))
+    # The same with the transposed matrix.
+    rise_one = vec3.scale(gain, mat3.times(mat3.transposed(at_one), one.load))
+    rise_two = vec3.scale(gain, mat3.times(mat3.transposed(at_two), two.load))
+    right = mat3.transposed(mat3.product(a_inverse, b))
+    slope_two = mat3.times(mat3.transposed(rest), vec3.sub(rise_two, mat3.times(right, rise_one)))
+    slope_one = mat3.times(mat3.transposed(a_inverse), vec3.sub(rise_one, mat3.times(mat3.transposed(c), slope_two)))
+    return first, second, slope_one, slope_two
+
+
+@press.of(2)
+def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
+    elastic, body, last = scene.elastic, objects.body, state.world.surfaces
+    gain = memory_of(elastic, dt)
+    rest_u, rest_v = vec3.scale(1.0 - gain, last[0].displacement), vec3.scale(1.0 - gain, last[1].displacement)
+    u, v = extrapolated(last[0], state.fingers[0], poses[0]), extrapolated(last[1], state.fingers[1], poses[1])
+    slope_u, slope_v = ZERO, ZERO
+    before_one = relative_to(body, state.fingers[0], last[0].displacement)
+    before_two = relative_to(body, state.fingers[1], last[1].displacement)
+    for left in range(ROUNDS - 1, -1, -1):
+        one, first = step_finger(fingers[0], before_one, shifted(body, poses[0], u), scene, objects, dt)
+        two, second = step_finger(fingers[1], before_two, shifted(body, poses[1], v), scene, objects, dt)
+        x = spot_of(elastic, objects, fingers[0], before_one, one, first, dt)
+        y = spot_of(elastic, objects, fingers[1], before_two, two, second, dt)
+        short = (vec3.sub(rest_u, u), vec3.sub(rest_v, v))
+        change_u, change_v, slope_u, slope_v = correct_both(elastic, x, y, gain, short)
+        if left == 0 or vec3.dot(change_u, change_u) + vec3.dot(change_v, change_v) <= SOLVED**2:
+            break
+        u, v = vec3.add(u, change_u), vec3.add(v, change_v)
+    bent_x, bent_y = bending_under(elastic, x), bending_under(elastic, y)
+    bent = (bent_x[0] + bent_y[0], bent_x[1] + bent_y[1])
+    surface_u = surface_after(scene, fingers[0], last[0], u, first, bent, dt)
+    surface_v = surface_after(scene, fingers[1], last[1], v, second, bent, dt)
+    contacts = (report_on(body, first, surface_u, slope_u), report_on(body, second, surface_v, slope_v))
+    return (with_probe_at(one, poses[0]), with_probe_at(two, poses[1])), contacts, (surface_u, surface_v)

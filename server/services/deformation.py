@@ -1,0 +1,71 @@
+"""Publication of the loads on an elastic object, when they change; nothing for a scene without one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.services.records import Sink
+from softfinger.server.services.rendering import Rendering
+from softfinger.server.wire.protocol import DEFORMATION, PICTURE_HZ
+
+if TYPE_CHECKING:  # only for scenes with an elastic object
+    from softfinger.proxy.elastic.loads import ContactLoad
+
+CHANGE_N: Final = 1e-4
+"""Smallest change of a force that is published: below 1 um on the softest shipped object."""
+CHANGE_M: Final = 1e-6
+"""Smallest change of a point that is published."""
+
+
+class Deformation:
+    """Derives the loads from the records of the servo.
+
+    fingers  names of several fingers, an empty name for a single one
+    publish  publishes a message of a topic with the content of a tick
+    """
+
+    def __init__(
+        self, rendering: Rendering, fingers: Sequence[str], publish: Callable[[str, int, dict[str, Any]], None]
+    ) -> None:
+        self._rendering, self._fingers, self._publish = rendering, list(fingers), publish
+        self._loads: list[ContactLoad] = []
+        self._due_s = -np.inf
+        self.sink: Final = Sink("deformation", self._take)
+
+    def _take(self, records: NDArray[np.float64], drops: int) -> None:
+        """Publish the loads in the last of `records` (n, fingers x RECORD_SIZE) if they have changed."""
+        rows = records[-1].reshape(-1, RECORD_SIZE)
+        thing, now = self._rendering.scene.elastic_object, float(rows[0, AT.timestamp])
+        if (thing is None and not self._loads) or self._due_s - 1.0 / PICTURE_HZ <= now < self._due_s:
+            return
+        loads = self._loads_on(thing, rows)
+        if has_changed(self._loads, loads):
+            self._loads, self._due_s = loads, now + 1.0 / PICTURE_HZ
+            self._publish(DEFORMATION, int(rows[0, AT.tick]), {"loads": [load._asdict() for load in loads]})
+
+    def _loads_on(self, thing: schema.Mesh | None, rows: NDArray[np.float64]) -> list[ContactLoad]:
+        """Return the loads; none in ticks of the scene before."""
+        if thing is None or rows[0, AT.tick] < self._rendering.since:
+            return []
+        from softfinger.proxy.elastic.loads import contact_loads
+
+        return contact_loads(thing, dict(zip(self._fingers, rows, strict=True)))
+
+
+def has_changed(before: Sequence[ContactLoad], now: Sequence[ContactLoad]) -> bool:
+    """Return whether the loads differ by more than CHANGE_N or CHANGE_M, or are of other fingers or patches."""
+    if [(load.finger, load.object, load.patch_radius) for load in before] != [
+        (load.finger, load.object, load.patch_radius) for load in now
+    ]:
+        return True
+    return any(
+        np.abs(np.subtract(one.force, two.force)).max() > CHANGE_N
+        or np.abs(np.subtract(one.point, two.point)).max() > CHANGE_M
+        for one, two in zip(before, now, strict=True)
+    )

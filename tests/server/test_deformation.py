@@ -1,0 +1,95 @@
+"""The topic `deformation`: sent when a load changes, recorded as sent, and multiplied by the client."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zmq
+from helpers.telemetry_records import join, put, synthetic
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from softfinger.config.load import load_rig, load_scene
+from softfinger.proxy.elastic.deformed import Deformed
+from softfinger.proxy.record import AT, ROLLING
+from softfinger.server.app import Daemon
+from softfinger.server.services.deformation import Deformation
+from softfinger.server.wire.protocol import DEFORMATION, decode
+
+pytestmark = pytest.mark.real_time
+
+FORCE = (0.1, -0.2, 1.5)
+
+
+def pressed(count: int) -> Any:
+    """Return ticks on the top of the pad: free for 100, pressed at rest until `count` - 100, then free."""
+    rows = synthetic(count)
+    for name in ("contacts0.force", "contacts1.force", "contacts2.force", "contact.displacement"):
+        put(rows, name, 0.0)
+    held = rows[100 : count - 100]
+    put(held, "contact.mode", ROLLING)
+    put(held, "contact.object", 0)
+    put(held, "contacts0.force", FORCE)
+    put(held, "contacts0.point", (0.003, 0.002, -0.0005))
+    put(held, "contact.displacement", (0.0, 0.0, -0.0005))
+    put(held[200:], "contacts0.force", (0.1, -0.2, 1.5 + 1e-5))  # below what is published
+    return rows
+
+
+def test_loads_are_sent_when_they_change_and_recorded_as_they_are_sent(tmp_path: Path) -> None:
+    """A load at rest is sent once; one that changes in every tick 60 times a second."""
+    keys = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off", "servo.realtime": "off"}
+    path, found = tmp_path / "a.mcap", []
+    with (
+        Daemon(load_rig("replay", keys | {"device.recording": "tap"}), load_scene("press-a-pad")) as daemon,
+        zmq.Context.instance().socket(zmq.SUB) as socket,
+    ):
+        daemon.recordings.record(path, "press-a-pad")
+        for topic in (DEFORMATION, "event"):
+            socket.subscribe(topic)
+        socket.connect(daemon.publisher.endpoint)
+        join(daemon.publisher, socket)
+        # Not started: the ticks of a hand are these, in batches as they come.
+        for batch in np.array_split(pressed(600), 60):
+            daemon.deformation.sink.take(batch, 0)
+        daemon.publisher.event("test", "end")
+        while (frames := socket.recv_multipart())[0] != b"event":
+            found.append(decode(*frames))
+        sent: list[tuple[int, int]] = []
+
+        def publish(topic: str, tick: int, content: dict[str, Any]) -> None:
+            sent.append((tick, len(content["loads"])))
+
+        changing = Deformation(daemon.rendering, [""], publish)
+        rows = pressed(1200)
+        rows[:, AT.contacts0_force] = np.linspace(1.0, 2.0, len(rows))
+        for row in rows:
+            changing.sink.take(row[None], 0)
+        with zmq.Context.instance().socket(zmq.SUB) as late:  # one that comes later gets the newest
+            late.subscribe(DEFORMATION)
+            late.connect(daemon.publisher.endpoint)
+            assert late.poll(60_000)
+            assert decode(*late.recv_multipart()).loads == ()
+    ticks = [tick for tick, count in sent if count]
+    assert (ticks[0], sent[-1][1]) == (100, 0) and set(np.diff(ticks)) == {17}
+    assert [len(message.loads) for message in found] == [1, 0]
+    assert found[0].tick < 120 and 500 <= found[1].tick < 520
+    (load,) = found[0].loads
+    assert (load.finger, load.object, load.patch_radius) == ("", 0, 0.0075)
+    # The object is at z = -0.02 m and not turned.
+    assert load.force == pytest.approx([-x for x in FORCE], rel=1e-12)
+    assert load.point == pytest.approx((0.003, 0.002, 0.02), abs=1e-12)
+
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        recorded = [(schema, message) for schema, _, _, message in reader.iter_decoded_messages(topics=[DEFORMATION])]
+    assert {schema.name for schema, _ in recorded if schema is not None} == {"softfinger.Deformation"}
+    assert [message.tick for _, message in recorded] == [message.tick for message in found]
+    assert tuple(recorded[0][1].loads[0].force) == load.force and not recorded[1][1].loads
+
+    surface = Deformed.of_scene("press-a-pad")
+    moved = surface.at(found[0].loads) - surface.vertices
+    deepest = int(moved[:, 2].argmin())
+    assert np.linalg.norm(surface.vertices[deepest] - load.point) < load.patch_radius
+    assert moved[deepest, 2] < -1e-4 and (surface.at(found[1].loads) == surface.vertices).all()
