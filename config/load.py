@@ -15,10 +15,10 @@ from typing import Any, Final, TypeVar
 import msgspec
 
 from softfinger.config.errors import ConfigError, HapticError
+from softfinger.config.fields import known
 from softfinger.config.overrides import changed
 from softfinger.config.scalars import Fault
 from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene, Textured
-from softfinger.config.schema.fields import known
 from softfinger.config.sources import FOLDERS, find, printable, read_toml
 from softfinger.config.validate import examine
 

@@ -122,9 +122,16 @@ def __getattr__(name: str) -> Any:
 
         hint = near(name, __all__)
         raise AttributeError(f"module 'softfinger' has no attribute {name!r}{hint}: it offers {', '.join(__all__)}")
+    import gc
     from importlib import import_module
 
-    return getattr(import_module(_HOMES[name]), name)
+    collects = gc.isenabled()
+    gc.disable()  # an import creates no garbage, and each collection would scan the objects of numba
+    try:
+        return getattr(import_module(_HOMES[name]), name)
+    finally:
+        if collects:
+            gc.enable()
 
 
 def __dir__() -> list[str]:

@@ -10,7 +10,7 @@ from typing import Final
 
 from msgspec import inspect
 
-from softfinger.config.schema import unit
+from softfinger.config.fields import unit
 from softfinger.config.typeinfo import options, unwrapped
 
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")

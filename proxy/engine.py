@@ -1,23 +1,21 @@
-"""Contact model for Python: load a scene, step single poses or an array of poses, and get typed results."""
+"""Contact model for Python: load a scene, step single poses or an array of poses, and get typed results.
+
+What reads and builds a scene is imported with the first scene: it takes as long as the kernels.
+"""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from html import escape
-from typing import Any, Final, Generic, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeVar, overload
 
 import numba
 import numpy as np
 from numba import types
 from numpy.typing import ArrayLike, NDArray
 
-from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError
-from softfinger.config.load import SceneSource, describe, load_scene, overridden
-from softfinger.config.overrides import numbered, value_at
-from softfinger.proxy.bodies import RigidBodies, begin_bodies, check_bodies
 from softfinger.proxy.kernels.fingers import poses_in, write_contacts
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
@@ -28,7 +26,11 @@ from softfinger.proxy.kernels.record_writer import write_surfaces
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import CAUSE_NAMES, NAMED, POSITION_MAX_M, RECORD_SIZE, ContactMode
 from softfinger.proxy.records import Records
-from softfinger.proxy.scene import build_scene, other_model, same_model, start_state
+
+if TYPE_CHECKING:
+    from softfinger.config import schema
+    from softfinger.config.load import SceneSource
+    from softfinger.proxy.bodies import RigidBodies
 
 T = TypeVar("T")
 
@@ -191,6 +193,9 @@ class Engine:
     """
 
     def __init__(self, scene: SceneSource, rate_hz: float = 1000.0) -> None:
+        from softfinger.config.load import load_scene
+        from softfinger.proxy.scene import build_scene, start_state
+
         self.config = load_scene(scene)
         """Validated scene, including the changes by `set`."""
         self.scene: Scene = build_scene(self.config)
@@ -199,11 +204,10 @@ class Engine:
         if not 1.0 / DT_MAX_S <= rate_hz <= 1.0 / DT_MIN_S:
             raise ConfigError(f"rate_hz = {rate_hz}: must be a number from {1 / DT_MAX_S:g} to {1 / DT_MIN_S:g} Hz")
         self.dt = 1.0 / rate_hz
-        begin_bodies(self.scene, self.dt)
         self._begin = start_state(self.scene)
-        self._start = flatten(self._begin)
-        self._state = self._start.copy()
-        self._tick = 0
+        self._start: Array = flatten(self._begin)
+        self._state: Array
+        self.reset()
         self._make_buffers()
 
     def _make_buffers(self) -> None:
@@ -234,6 +238,8 @@ class Engine:
 
     def _repr_html_(self) -> str:
         """Return a table of the objects, for notebooks."""
+        from html import escape
+
         rows = "".join(
             f"<tr><th>{escape(thing.name)}</th><td>{escape(type(thing).__name__.lower())}</td></tr>"
             for thing in self.config.object
@@ -244,7 +250,8 @@ class Engine:
         """Clear the contact and reset the bodies of a [world]: the next step is the first."""
         self._state = self._start.copy()
         self._tick = 0
-        begin_bodies(self.scene, self.dt)
+        if self.scene.bodies is not None:
+            self._world.begin(self.dt)
 
     @property
     def model(self) -> Any:
@@ -286,12 +293,12 @@ class Engine:
         ConfigError
             If a value is out of range, a path does not exist, or a change requires another compiled model.
         """
+        from softfinger.config.load import overridden
+        from softfinger.proxy.scene import other_model
+
         wanted = {changes: value} if isinstance(changes, str) else changes
-        config = overridden(self.config, wanted, "set")
-        tree = build_scene(config, self.scene)
-        if not same_model(tree, self.scene):
+        if not self._take(overridden(self.config, wanted, "set")):
             raise ConfigError(f"set: {other_model(self.config, wanted)}: make another Engine")
-        self._take(config, tree)
 
     def get(self, path: str) -> Any:
         """Return the present value of a parameter.
@@ -306,6 +313,9 @@ class Engine:
         ConfigError
             If the scene has no value there.
         """
+        from softfinger.config.load import describe
+        from softfinger.config.overrides import numbered, value_at
+
         mapping = describe(self.config)
         key = numbered(mapping, path)
         try:
@@ -325,15 +335,20 @@ class Engine:
         ValueError
             If the scene has other parts than the compiled one.
         """
-        tree = build_scene(scene, self.scene)
-        if not same_model(tree, self.scene):
+        if not self._take(scene):
             raise ValueError("the new scene has other parts than the one compiled: make another engine")
-        self._take(scene, tree)
 
-    def _take(self, config: schema.Scene, tree: Scene) -> None:
+    def _take(self, config: schema.Scene) -> bool:
+        """Take the parameters of a scene; return False if it has other parts than the compiled one."""
+        from softfinger.proxy.scene import build_scene, same_model
+
+        tree = build_scene(config, self.scene)
+        if not same_model(tree, self.scene):
+            return False
         self.config, self.scene, self._values = config, tree, flatten(tree)
         if PLAIN:  # it refers to the arrays of its scene; compiled code reads their addresses from the values
             self._advance = None
+        return True
 
     def step(self, position: ArrayLike, orientation: ArrayLike, dt: float | None = None) -> Step:
         """Advance by one pose, in a scene with one finger.
@@ -376,7 +391,7 @@ class Engine:
         advance(None, self._values, None, self._state, self._poses, dt, self._tick, self._records)
         self._tick += 1
         if self.scene.bodies is not None:
-            check_bodies(self.scene)
+            self._check_bodies()
         return Step(self._record.copy())
 
     @overload
@@ -424,7 +439,12 @@ class Engine:
         advance = self._advance or self._compile()
         advance(None, self._values, None, self._state, poses, dt, self._tick, records)
         self._tick += len(poses)
-        check_bodies(self.scene)
+        if self.scene.bodies is not None:
+            self._check_bodies()
+
+    def _check_bodies(self) -> None:
+        if (failure := self._world.failure) is not None:
+            raise failure
 
     def _compile(self) -> Callable[..., None]:
         self._advance = compiled(self.scene, self._begin)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from html import escape
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import HapticError
-from softfinger.config.words import near
 from softfinger.proxy.record import FIELDS, NAMED, RECORD_SIZE, columns
 
 if TYPE_CHECKING:
@@ -58,6 +56,8 @@ class Records(np.ndarray[Any, np.dtype[np.float64]]):
     def _field(self, name: str) -> NDArray[Any]:
         field = NAMED.get(name)
         if field is None:
+            from softfinger.config.words import near
+
             raise NoField(f"no field of a record is called {name!r}{near(name, NAMED)}: choose from {', '.join(NAMED)}")
         rows = self.view(np.ndarray)
         if field.size > 1:
@@ -70,6 +70,8 @@ class Records(np.ndarray[Any, np.dtype[np.float64]]):
 
     def _repr_html_(self) -> str:
         """Return a table of the last tick, a row for each field, for notebooks."""
+        from html import escape
+
         row = self.view(np.ndarray).reshape(-1, RECORD_SIZE)[-1:]
         cells = "".join(
             f"<tr><th>{field.name}</th><td>{', '.join(f'{each:.6g}' for each in row[0, field.at :][: field.size])}</td>"

@@ -14,7 +14,6 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import overridden
 from softfinger.proxy.actions import kernel_effects, kernel_motion
 from softfinger.proxy.bodies import bodies_of
-from softfinger.proxy.heightmaps import kernel_heightmap, read_heights
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.effects.forces import start_states
 from softfinger.proxy.kernels.jit.arrays import Mutable, ReadOnly
@@ -22,7 +21,6 @@ from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.query.container import MEMORY
 from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
 from softfinger.proxy.many import many_objects
-from softfinger.proxy.meshes.prepared import Builder, tree_of
 from softfinger.proxy.record import FREE
 from softfinger.proxy.textures import kernel_texture
 
@@ -267,11 +265,14 @@ def _torus(thing: schema.Torus) -> list[Body]:
 
 @shape_bodies.register
 def _heightmap(thing: schema.Heightmap) -> list[Body]:
+    from softfinger.proxy.heightmaps import kernel_heightmap, read_heights
+
     return [Body(kernel_heightmap(read_heights(thing), thing.pitch_m))]
 
 
 @shape_bodies.register
 def _mesh(thing: schema.Mesh) -> list[Body]:
+    from softfinger.proxy.meshes.prepared import Builder, tree_of
     from softfinger.proxy.meshes.tree import Tree, build_tree  # its kernels are only for scenes with a mesh
 
     tree = tree_of(thing, Builder(build_tree, Tree))

@@ -2,10 +2,10 @@
 
 import argparse
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final, NoReturn, Self
 
 from softfinger.config.errors import ConfigError
 
@@ -15,11 +15,13 @@ _NAMED_FILE: Final = re.compile(r"([A-Za-z0-9_-]+)=(.+)", re.DOTALL)
 class Parser(argparse.ArgumentParser):
     """ArgumentParser that accepts -v and -q before and after the verb and suggests names similar to a misspelt one.
 
-    argparse creates the parsers of verbs and of their sub-commands from the same class.
+    argparse creates the parsers of verbs and of their sub-commands from the same class. `configure` adds the options
+    when the parser is first used, so that only the modules of one verb are imported.
     """
 
-    def __init__(self, *args: Any, **options: Any) -> None:
+    def __init__(self, *args: Any, configure: Callable[[Any], None] | None = None, **options: Any) -> None:
         super().__init__(*args, **options)
+        self._configure = configure
         # SUPPRESS: a default of the verb's parser would overwrite the value parsed before the verb.
         verbosity = self.add_mutually_exclusive_group()
         for flags, help in ((("-v", "--verbose"), "log more"), (("-q", "--quiet"), "log only warnings and errors")):
@@ -27,10 +29,25 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Refuse unknown arguments here, where similar option names are known, and not in the parent parser."""
+        self._add_options()
         namespace, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self._refuse(unknown)
         return namespace, unknown
+
+    def complete(self) -> Self:
+        """Add the options of all verbs, for texts that list them; return the parser."""
+        self._add_options()
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                for parser in action.choices.values():
+                    parser.complete()
+        return self
+
+    def _add_options(self) -> None:
+        configure, self._configure = self._configure, None
+        if configure is not None:
+            configure(self)
 
     def _parse_optional(self, arg_string: str) -> Any:
         """Accept the columns `-,t,x` as a value: no option has a comma."""
@@ -51,6 +68,12 @@ class Parser(argparse.ArgumentParser):
 
             error.message += near(value, action.choices or ())
             raise
+
+
+def add_key_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options for the keys of a client and of its server."""
+    parser.add_argument("--keys", metavar="FILE", help="your secret key, if the server requires one")
+    parser.add_argument("--server-key", metavar="FILE", help="the server's public key")
 
 
 def files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:

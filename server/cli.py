@@ -1,4 +1,4 @@
-"""Command line: one program with verbs; the module of a verb is imported when it is used.
+"""Command line: one program with verbs; the options and the module of a verb are imported when it is used.
 
 Exit codes: 0 done or stopped in order, 1 a defect in this program, 2 a bad command line or configuration,
 3 a recording that cannot be used, 4 a device, 5 real-time settings refused, 6 a safety stop, 7 an address
@@ -16,6 +16,7 @@ import io
 import os
 import signal
 import sys
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from softfinger.config.errors import Exhausted, HapticError
@@ -25,30 +26,25 @@ if TYPE_CHECKING:  # before `main` installs its handlers, Ctrl-C during an impor
     import argparse
     import logging
 
+    from softfinger.server.arguments import Parser
+
 DESCRIPTORS_MIN: Final = 64
 """File descriptors needed to load a compiler, open a device and publish; ZeroMQ aborts if it gets none."""
 
 
 class Verb(NamedTuple):
-    """Module with `configure(parser)` and `run(args) -> exit code`, and the help text of the verb.
+    """Module with `run(args) -> exit code`, and the help text of the verb.
 
-    `options` names the module with `configure` if the other one takes long to import.
+    `options.py` in the folder of the module defines `configure_<verb>(parser)`; it imports neither numpy nor numba.
     """
 
     module: str
     help: str
-    options: str = ""
 
 
 VERBS: Final = {
-    "run": Verb(
-        "softfinger.server.verbs.run", "the daemon: device, contact, telemetry", "softfinger.server.verbs.run_options"
-    ),
-    "simulate": Verb(
-        "softfinger.server.verbs.simulate",
-        "the same step offline, over recorded poses",
-        "softfinger.server.verbs.simulate_options",
-    ),
+    "run": Verb("softfinger.server.verbs.run", "the daemon: device, contact, telemetry"),
+    "simulate": Verb("softfinger.server.verbs.simulate", "the same step offline, over recorded poses"),
     "monitor": Verb("softfinger.server.verbs.monitor", "live dashboard of a running daemon"),
     "view": Verb("softfinger.server.verbs.view", "a page in the browser: the picture, and a mouse for a hand"),
     "record": Verb("softfinger.server.verbs.record", "a running daemon into a file: everything, or the poses"),
@@ -82,7 +78,7 @@ VERBS: Final = {
     "accuracy": Verb("softfinger.tools.accuracy.verb", "measure: rolling methods, speed against accuracy"),
     "stability": Verb("softfinger.tools.stability.verb", "measure: the stiffest stable wall, in closed loop"),
     "calibrate": Verb("softfinger.tools.calibrate", "measure: a Falcon's motor counts per N m, with a known weight"),
-    "bench": Verb("softfinger.tools.bench.verb", "measure: cost per step, wake-up lateness, telemetry latency"),
+    "bench": Verb("softfinger.tools.bench.options", "measure: cost per step, wake-up lateness, telemetry latency"),
 }
 """All verbs. Verbs of `tools` are named, not imported: the server does not depend on the tools."""
 
@@ -125,18 +121,18 @@ def run_verb(words: list[str]) -> int:
     """Parse the command line, run its verb and return the exit code."""
     import logging
 
+    from softfinger.proxy import progress as preparation
     from softfinger.server import progress
 
     check_descriptors()
-    # Import only the requested verb: the plotting library of another verb must not delay the first tick.
-    parser = make_parser([word for word in words if word in VERBS][:1])
-    args = parser.parse_args(words)
+    args = make_parser().parse_args(words)
     logging.basicConfig(
         level=logging.DEBUG if args.verbose else logging.WARNING if args.quiet else logging.INFO,
         format="%(message)s" if sys.stderr.isatty() else "%(levelname)s %(message)s",
         handlers=[to_stderr()],
     )
     progress.set_enabled(not args.quiet)
+    preparation.display = progress.progress
     run = importlib.import_module(VERBS[args.verb].module).run
     signals.mark_imported()
     if not gc.isenabled():  # imported objects are never garbage: exclude them from collections
@@ -225,8 +221,8 @@ def check_descriptors() -> None:
         raise Exhausted(f"this process may open {soft} files, and needs {DESCRIPTORS_MIN}: raise `ulimit -n`")
 
 
-def make_parser(verbs: list[str] | None = None) -> argparse.ArgumentParser:
-    """Return the parser with the options of the named verbs, or of all."""
+def make_parser() -> Parser:
+    """Return the parser; its `complete` adds the options of all verbs, which are otherwise added when one is used."""
     from importlib.metadata import version
 
     from softfinger.server.arguments import Parser
@@ -241,10 +237,15 @@ def make_parser(verbs: list[str] | None = None) -> argparse.ArgumentParser:
     add_completion(parser)
     commands = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for name, verb in VERBS.items():
-        command = commands.add_parser(name, help=verb.help, description=f"softfinger {name}: {verb.help}.")
-        if verbs is None or name in verbs:
-            importlib.import_module(verb.options or verb.module).configure(command)
+        description = f"softfinger {name}: {verb.help}."
+        commands.add_parser(name, help=verb.help, description=description, configure=partial(add_options, name))
     return parser
+
+
+def add_options(verb: str, parser: Parser) -> None:
+    """Add the options of a verb to its parser."""
+    folder = VERBS[verb].module.rpartition(".")[0]
+    getattr(importlib.import_module(f"{folder}.options"), f"configure_{verb}")(parser)
 
 
 def add_completion(parser: argparse.ArgumentParser) -> None:
@@ -267,7 +268,7 @@ def completion(shell: str) -> str:
 
     from softfinger.server.verbs.shipped import offer_names
 
-    script: str = shtab.complete(offer_names(make_parser()), shell)
+    script: str = shtab.complete(offer_names(make_parser().complete()), shell)
     return script
 
 

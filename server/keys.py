@@ -109,12 +109,6 @@ def client_keys(client: str | Path, server: str | Path) -> ClientKeys:
     return ClientKeys(read_pair(client), read_public(server))
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for the keys of a client and of its server."""
-    parser.add_argument("--keys", metavar="FILE", help="your secret key, if the server requires one")
-    parser.add_argument("--server-key", metavar="FILE", help="the server's public key")
-
-
 def keys_from_options(args: argparse.Namespace) -> ClientKeys | None:
     """Return the keys named by these options; None without options. Raises ConfigError if only one is given."""
     if args.server_key is None and args.keys is None:

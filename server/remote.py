@@ -8,7 +8,8 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import commands_beside, telemetry_of
 from softfinger.server.gateway.addresses import Addresses, find_addresses
-from softfinger.server.wire.client import DEFAULT_ENDPOINT, Subscription, Window, subscribe
+from softfinger.server.wire import DEFAULT_ENDPOINT
+from softfinger.server.wire.client import Subscription, Window, subscribe
 from softfinger.server.wire.client_requests import R
 from softfinger.server.wire.commands import Empty
 from softfinger.server.wire.control import Control

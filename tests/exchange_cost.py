@@ -61,6 +61,7 @@ from softfinger.server.driver_contract import RATE_HZ, Servo
 from softfinger.server.loop.clock import now_ns, sleep_until
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools import measure
+from softfinger.tools.options import add_output_options
 
 PARTS: Final = 20
 BUFFER: Final = 128
@@ -381,7 +382,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--driver", choices=CASES, action="append", help="measure this one; any number of times")
     parser.add_argument("--ticks", type=int, default=100_000, metavar="N", help="of each kind (default: %(default)s)")
-    measure.add_output_options(parser)
+    add_output_options(parser)
     args = parser.parse_args()
     if args.ticks < 1:
         parser.error(f"--ticks {args.ticks}: must be 1 or more")

@@ -39,6 +39,7 @@ from softfinger.server.loop.clock import stopwatch
 from softfinger.server.offline.cost import time_steps
 from softfinger.server.progress import progress
 from softfinger.tools import measure
+from softfinger.tools.options import add_output_options
 
 Array = NDArray[np.float64]
 
@@ -236,7 +237,7 @@ def main() -> int:
     parser.add_argument("--scale", type=float, default=1.0, help="of the files, to metres (default: %(default)s)")
     parser.add_argument("--hostile", action="store_true", help="the meshes that nobody should have made")
     parser.add_argument("--seed", type=int, default=0)
-    measure.add_output_options(parser)
+    add_output_options(parser)
     args = parser.parse_args()
     try:
         made, result = dict(MADE), {}

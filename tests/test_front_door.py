@@ -120,6 +120,23 @@ def test_the_door_is_light() -> None:
     assert done.stdout.strip() == "[]"
 
 
+IMPORTS = """
+import gc, sys
+from softfinger import Engine
+def loaded(*names): return [name for name in names if name in sys.modules]
+print(loaded("msgspec", "softfinger.config.schema", "softfinger.proxy.scene"), gc.isenabled())
+Engine("paper-plane")
+parts = ("meshes.prepared", "meshes.tree", "heightmaps", "elastic.prepared", "kernels.elastic")
+print(loaded(*(f"softfinger.proxy.{part}" for part in parts)))
+"""
+
+
+def test_an_engine_imports_what_its_scene_needs():
+    """The class comes without what reads a scene, and a plane without what reads meshes, height maps and solids."""
+    done = subprocess.run([sys.executable, "-c", IMPORTS], capture_output=True, text=True, timeout=300, check=True)
+    assert done.stdout.splitlines() == ["[] True", "[]"]
+
+
 @pytest.mark.exhaustive  # `make lint` reads every caller of ours with the same checker
 def test_a_type_checker_sees_the_names(tmp_path: Path) -> None:
     """mypy --strict knows the classes behind the names, and refuses a wrong argument."""

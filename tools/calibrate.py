@@ -113,13 +113,6 @@ class Hold:
             raise DeviceLost(f"the Falcon was lost during calibration (status {status} on {what}): start again")
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rig", default="falcon", metavar="FILE", help="rig of a Falcon, or the name of a shipped one")
-    parser.add_argument("--mass", type=float, required=True, metavar="KG", help="of the weight, 0.02 to 0.4")
-    parser.add_argument("--hang", type=float, default=60.0, metavar="S", help="time to hang the weight (60)")
-    measure.add_output_options(parser)
-
-
 def run(args: argparse.Namespace) -> int:
     """Measure and print; returns the exit code."""
     if not MASS_KG[0] <= args.mass <= MASS_KG[1]:

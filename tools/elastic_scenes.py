@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
 from softfinger.config.schema import Mesh
+from softfinger.proxy import progress as preparation
 from softfinger.proxy.elastic import prepared, solution
 from softfinger.proxy.meshes.reading import read_bytes
 from softfinger.server.progress import progress
@@ -94,7 +95,7 @@ def write_solution(scene: Any) -> str:
     elastic = thing.elastic if isinstance(thing, Mesh) else None
     if not isinstance(thing, Mesh) or elastic is None or elastic.solution is None:
         raise ConfigError(f"{scene}: has no object.elastic.solution, the file to be written")
-    prepared.progress = progress
+    preparation.display = progress
     try:
         body = prepared.solve(thing, elastic)
     except ValueError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -10,19 +9,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.server.offline.figures import plot_file
-
 Array = NDArray[np.float64]
 
 QUANTILES: Final = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
-
-
-def add_output_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--json` and `--plot`, which every measurement has."""
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument(
-        "--plot", type=plot_file, metavar="FILE.png", help="draw the result, as .png or .svg (needs the [plots] extra)"
-    )
 
 
 def quantiles(values: Array, block: int) -> dict[str, Any]:

@@ -35,29 +35,8 @@ from softfinger.tools.exchange import check_seconds
 
 log: Final = logging.getLogger(__name__)
 
-BOXES: Final = 3
-OUT: Final = "softfinger-report.tar.gz"
 LEVEL_STEP: Final = 10
 """Difference between levels of `logging`; Foxglove numbers them from 1."""
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "Write an archive for an issue: versions, doctor, rig and scene, and the newest files of the black box with "
-        "their log. Names of the user and the machine, folders and serial numbers are taken out. Look at it before you "
-        "send it."
-    )
-    parser.add_argument("--rig", default="replay", help="rig file or name (default: %(default)s)")
-    parser.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
-    parser.add_argument("--out", type=Path, default=Path(OUT), metavar="FILE", help="archive (default: %(default)s)")
-    parser.add_argument(
-        "--boxes",
-        type=int,
-        default=BOXES,
-        metavar="N",
-        help="number of black boxes, latest first (default: %(default)s)",
-    )
-    parser.add_argument("--seconds", type=float, default=1.0, help="of each loop of doctor (default: %(default)s)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -71,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         log.warning("no black boxes: this user has no home folder; set HOME or SOFTFINGER_BLACKBOX_DIR")
     found = [] if place is None else blackbox.files(place)
     boxes = found[len(found) - min(args.boxes, len(found)) :]
-    cleaner = privacy.Privacy(device.serial for device in discovery.attached())
+    cleaner = privacy.Privacy(device.serial for device in discovery.list_attached())
     told = {
         "softfinger": version("softfinger"),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",

@@ -14,7 +14,6 @@ A dask scheduler runs any code that it receives, and its traffic is not encrypte
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import importlib
 import logging
@@ -41,15 +40,6 @@ CONNECT_S: Final = 10.0
 
 Compute = Callable[[Sequence[Any]], Sequence[Any]]
 """Function of a module, so that workers can import it; returns the results of some cases, one each, in their order."""
-
-
-def add_sweep_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--scheduler` and `--results`, which every command of many cases has."""
-    group = parser.add_argument_group("computation and storage")
-    group.add_argument("--scheduler", metavar="ADDRESS", help="dask scheduler, or 'local' for processes here")
-    group.add_argument(
-        "--results", type=Path, metavar="FILE.mcap", help="stores finished cases; a second run continues"
-    )
 
 
 def run_cases(

@@ -8,6 +8,19 @@ A struct may have `faults()` for conditions between several of its fields. `load
 unusable; these are `UNSET`, which `known` detects.
 """
 
+from softfinger.config.fields import (
+    Complaint,
+    Component,
+    Coordinate,
+    Length,
+    Table,
+    TopicPart,
+    known,
+    said,
+    sized,
+    unit,
+    within,
+)
 from softfinger.config.schema.addresses import (
     BESIDE,
     commands_beside,
@@ -45,19 +58,6 @@ from softfinger.config.schema.effects import (
 )
 from softfinger.config.schema.elastic import Below, Elastic, FixedRegion, HalfSpace, InBox
 from softfinger.config.schema.faults import Faults, Injection
-from softfinger.config.schema.fields import (
-    Complaint,
-    Component,
-    Coordinate,
-    Length,
-    Table,
-    TopicPart,
-    known,
-    said,
-    sized,
-    unit,
-    within,
-)
 from softfinger.config.schema.guard import Guard, Workspace
 from softfinger.config.schema.materials import Friction, Material, Normal, Torsion, TorsionModel
 from softfinger.config.schema.motions import Body, Driven, Motion, Sinusoid, Turntable

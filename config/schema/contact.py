@@ -8,8 +8,7 @@ from typing import Annotated, ClassVar, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.materials import FINGERTIPS, Library
-from softfinger.config.schema.fields import (
+from softfinger.config.fields import (
     Complaint,
     Component,
     Length,
@@ -22,6 +21,7 @@ from softfinger.config.schema.fields import (
     sized,
     within,
 )
+from softfinger.config.materials import FINGERTIPS, Library
 from softfinger.config.schema.patch import Patch
 
 RollingMethod = Literal["euler_zxz", "euler_zyx", "rotation_vector", "midpoint", "montana_rk4", "montana_rk45"]

@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from softfinger.config import limits
-from softfinger.config.schema.fields import (
+from softfinger.config.fields import (
     Complaint,
     Component,
     Coordinate,

@@ -8,7 +8,7 @@ from typing import Annotated
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.schema.fields import (
+from softfinger.config.fields import (
     Complaint,
     Component,
     Coordinate,

@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Final, Literal
 from msgspec import UNSET
 
 from softfinger.config import limits
-from softfinger.config.schema.fields import Complaint, Coordinate, Table, known, said, sized, within
+from softfinger.config.fields import Complaint, Coordinate, Table, known, said, sized, within
 
 Number = Literal["x", "y", "z", "qw", "qx", "qy", "qz"]
 Side = Literal["read", "write"]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.schema.fields import Complaint, Table, known, said, within
+from softfinger.config.fields import Complaint, Table, known, said, within
 
 Arm = Annotated[float, msgspec.Meta(ge=limits.TOOL_M.low, le=limits.TOOL_M.high)]
 Size = Annotated[float, msgspec.Meta(ge=limits.WORKSPACE_SIZE_M.low, le=limits.WORKSPACE_SIZE_M.high)]

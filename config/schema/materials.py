@@ -8,8 +8,8 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from softfinger.config import limits
+from softfinger.config.fields import Complaint, Component, Resolved, Table, known, said, sized, within
 from softfinger.config.materials import MATERIALS, Library
-from softfinger.config.schema.fields import Complaint, Component, Resolved, Table, known, said, sized, within
 
 TorsionModel = Literal["independent", "limit_surface", "soft_finger_proxy"]
 Scale = Annotated[float, Meta(ge=limits.FRICTION_SCALE.low, le=limits.FRICTION_SCALE.high)]

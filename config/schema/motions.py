@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Annotated, ClassVar
 
 from softfinger.config import limits
-from softfinger.config.schema.fields import (
+from softfinger.config.fields import (
     Complaint,
     Component,
     Coordinate,

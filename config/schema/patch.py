@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Annotated
 
 from softfinger.config import limits
-from softfinger.config.schema.fields import Complaint, Table, known, within
+from softfinger.config.fields import Complaint, Table, known, within
 
 
 class Patch(Table, frozen=True, kw_only=True):

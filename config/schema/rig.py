@@ -8,8 +8,8 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import msgspec
 
 from softfinger.config import limits
+from softfinger.config.fields import Complaint, Component, Table, TopicPart, known, said, sized, within
 from softfinger.config.schema.addresses import IPC_PATH_MAX, commands_beside, endpoint_complaint, is_public
-from softfinger.config.schema.fields import Complaint, Component, Table, TopicPart, known, said, sized, within
 from softfinger.config.schema.guard import Arm, Guard
 
 RealtimeMode = Literal["auto", "require", "off"]

@@ -8,9 +8,9 @@ from typing import Annotated, NamedTuple
 import msgspec
 
 from softfinger.config import limits
+from softfinger.config.fields import Complaint, Table, known, sized
 from softfinger.config.schema.contact import Coupling, Finger, Fingertip, Form, Passivity, Probe, Rolling
 from softfinger.config.schema.effects import Effect
-from softfinger.config.schema.fields import Complaint, Table, known, sized
 from softfinger.config.schema.motions import Body
 from softfinger.config.schema.patch import Patch
 from softfinger.config.schema.shapes import Mesh, Object

@@ -10,9 +10,7 @@ import msgspec
 from msgspec import Struct
 
 from softfinger.config import limits
-from softfinger.config.schema.effects import ObjectEffect
-from softfinger.config.schema.elastic import Elastic
-from softfinger.config.schema.fields import (
+from softfinger.config.fields import (
     Complaint,
     Component,
     Coordinate,
@@ -24,6 +22,8 @@ from softfinger.config.schema.fields import (
     sized,
     within,
 )
+from softfinger.config.schema.effects import ObjectEffect
+from softfinger.config.schema.elastic import Elastic
 from softfinger.config.schema.materials import Material
 from softfinger.config.schema.motions import Motion
 from softfinger.config.schema.textures import Texture

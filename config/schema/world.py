@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.schema.fields import Complaint, Table, known, said, sized, within
+from softfinger.config.fields import Complaint, Table, known, said, sized, within
 from softfinger.config.schema.materials import Material
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
+from softfinger.proxy import progress
 from softfinger.proxy.elastic import solution
 from softfinger.proxy.elastic.body import Body, Report
 from softfinger.proxy.elastic.compliance import patch_loads, solve_patches, vertex_normals
@@ -38,14 +37,6 @@ ORDER: Final = 3.0
 """Order of convergence of a patch's displacement with quadratic tetrahedra, see docs/operate/elastic.md."""
 BODIES: Final = 4
 """Number of bodies in memory, at most 450 MB each."""
-
-
-def _silent(what: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
-    return nullcontext(lambda number: None)
-
-
-progress: Callable[[str, int], AbstractContextManager[Callable[[int], None]]] = _silent
-"""Display of progress, which the command line replaces."""
 
 
 _bodies: Final[dict[str, Body]] = {}
@@ -148,7 +139,7 @@ def solve(thing: schema.Mesh, elastic: schema.Elastic) -> Body:
     solid = solid_of(volume, elastic)
     normals = vertex_normals(volume.vertices, triangles)
     loads = patch_loads(solid, volume.vertices[nodes], normals[nodes], elastic.radius_m)
-    with progress(f"compliance of {thing.name}", 3 * len(nodes)) as done:
+    with progress.display(f"compliance of {thing.name}", 3 * len(nodes)) as done:
         found, bending = solve_patches(solid, loads, done)
     placed = volume.vertices
     if elastic.density_kg_per_m3 is not None:

@@ -10,12 +10,10 @@ import hashlib
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -23,13 +21,17 @@ import numpy as np
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.mjcf import read_mesh
+from softfinger.proxy import progress
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.decorators import SOURCE_HASH
 from softfinger.proxy.meshes import kept
 from softfinger.proxy.meshes.mending import mend
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices, arrays_of, read_bytes
 from softfinger.proxy.meshes.report import Report, report_of
-from softfinger.proxy.meshes.thinning import thinned
+from softfinger.proxy.meshes.thinning import thin_mesh
+
+if TYPE_CHECKING:
+    from softfinger.proxy.elastic.body import Body
 
 Tree = TypeVar("Tree", bound=tuple[Any, ...])
 
@@ -94,7 +96,7 @@ def about(thing: schema.Mesh) -> About:
     return found
 
 
-def rendered(thing: schema.Mesh) -> About:
+def latest_picture(thing: schema.Mesh) -> About:
     """Return report and picture as of the last build of an object's mesh, even if its file has changed since.
 
     Without a previous build, return the result of `about`.
@@ -105,19 +107,6 @@ def rendered(thing: schema.Mesh) -> About:
 
 STAGES: Final = 4
 """Stages of a mesh that is not cached: read, repair, build the tree, compute its figures."""
-
-OnStage = Callable[[str, int], None]
-_on_stage: ContextVar[OnStage] = ContextVar("on_stage", default=lambda name, stage: None)
-
-
-@contextmanager
-def report_stages(on_stage: OnStage) -> Iterator[None]:
-    """Call `on_stage` during the block with an object's name and the number of finished stages of its mesh."""
-    token = _on_stage.set(on_stage)
-    try:
-        yield
-    finally:
-        _on_stage.reset(token)
 
 
 def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KEPT) -> Tree:
@@ -130,12 +119,15 @@ def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KE
     key = _key(data, thing, builder)
     tree, found = _from_disk(key, builder, folder) or (None, None)
     if tree is None or found is None:
-        mended = _mended(thing, data)
-        tree = builder.build(*mended[0])
-        _on_stage.get()(thing.name, 3)
-        found = _about(mended)
+        if thing.elastic is not None:
+            _body(thing)  # shows its own progress
+        with progress.display(f"building the mesh of {thing.name}", STAGES) as done:
+            mended = _mended(thing, data, done)
+            tree = builder.build(*mended[0])
+            done(3)
+            found = _about(mended)
+            done(STAGES)
         kept.save(key, _to_disk(tree, found), folder)
-    _on_stage.get()(thing.name, STAGES)
     _remember(thing, state, found)
     _trees.put((state, builder), tree)
     return tree
@@ -161,11 +153,15 @@ def _bytes(thing: schema.Mesh) -> bytes:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
 
 
-def _mended(thing: schema.Mesh, data: bytes) -> tuple[Arrays, Report]:
-    if thing.elastic is not None:
-        from softfinger.proxy.elastic.prepared import body_of
+def _body(thing: schema.Mesh) -> Body:
+    from softfinger.proxy.elastic.prepared import body_of  # SciPy, only for elastic objects
 
-        mended = mend(body_of(thing).surface, loose=False)
+    return body_of(thing)
+
+
+def _mended(thing: schema.Mesh, data: bytes, done: Callable[[int], None] = lambda stage: None) -> tuple[Arrays, Report]:
+    if thing.elastic is not None:
+        mended = mend(_body(thing).surface, loose=False)
         return mended.arrays, report_of(mended, loose=False, scale=None)
     try:
         if thing.mesh is None:
@@ -175,9 +171,9 @@ def _mended(thing: schema.Mesh, data: bytes) -> tuple[Arrays, Report]:
         loose = thing.file.lower().endswith(".stl")
         with np.errstate(over="ignore"):  # infinite coordinates are rejected later
             vertices = vertices * thing.scale
-        _on_stage.get()(thing.name, 1)
+        done(1)
         mended = mend(Arrays(vertices, triangles), loose)
-        _on_stage.get()(thing.name, 2)
+        done(2)
     except ConfigError as error:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
     except ValueError as error:
@@ -186,7 +182,7 @@ def _mended(thing: schema.Mesh, data: bytes) -> tuple[Arrays, Report]:
 
 
 def _about(mended: tuple[Arrays, Report]) -> About:
-    return About(mended[1], thinned(mended[0]))
+    return About(mended[1], thin_mesh(mended[0]))
 
 
 def _state(thing: schema.Mesh) -> Any:

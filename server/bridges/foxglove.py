@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.schema import Scene
+from softfinger.server.bridges.options import FOXGLOVE_PORT
 from softfinger.server.recording.writer import Bytes, Times, Topics
 
-PORT: Final = 8765
-"""Default port of Foxglove."""
 BACKLOG: Final = 8192
 """Queued messages of a slow viewer, seconds at 1 kHz; beyond it, the oldest are dropped."""
 
@@ -26,7 +25,7 @@ class Server:
     Raises ConfigError if foxglove-sdk is not installed, and AddressInUse if the port is not available.
     """
 
-    def __init__(self, port: int = PORT) -> None:
+    def __init__(self, port: int = FOXGLOVE_PORT) -> None:
         try:
             import foxglove
         except ImportError as error:

@@ -23,36 +23,8 @@ from softfinger.server.recording.verbs.live import (
     subscribe_all,
 )
 from softfinger.server.recording.writer import parse_scene
-from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "Show a running daemon in Foxglove or Rerun (extras foxglove and rerun), or a recording in Rerun; "
-        "ends with the server, or with Ctrl-C."
-    )
-    parser.add_argument("viewer", choices=["foxglove", "rerun"], help="which")
-    parser.add_argument("recording", nargs="?", metavar="FILE", help="a recording for Rerun, in place of a daemon")
-    parser.add_argument(
-        "--endpoint",
-        default=DEFAULT_ENDPOINT,
-        help="of the daemon: its telemetry or its commands (%(default)s)",
-    )
-    parser.add_argument(
-        "--commands", metavar="URL", help="endpoint of the daemon's description (default: next to that of telemetry)"
-    )
-    keys.add_options(parser)
-    parser.add_argument(
-        "--port", type=int, default=foxglove.PORT, help="of the server for Foxglove, on this machine only (%(default)s)"
-    )
-    parser.add_argument("--save", metavar="RRD", help="Rerun: into a file, without a viewer")
-    parser.add_argument(
-        "--connect", metavar="URL", help="Rerun: to a viewer that runs, as rerun+http://HOST:9876/proxy"
-    )
-    parser.add_argument("--duration", type=float, metavar="S", help="leave after S seconds of ticks (default: stay)")
-    parser.add_argument("--timeout", type=float, metavar="S", default=3.0, help="end after S seconds of silence")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -11,9 +11,9 @@ from typing import Any, Final, TypeVar
 from msgspec.structs import replace
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.fields import is_complete, known
 from softfinger.config.load import FaultyConfig, attempt, build_changed, load_rig, load_scene, overridden
 from softfinger.config.schema import Rig, Scene
-from softfinger.config.schema.fields import is_complete, known
 from softfinger.config.words import near, shown
 from softfinger.server.experiment import rigs
 from softfinger.server.experiment.design import conditions

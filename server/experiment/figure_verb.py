@@ -17,17 +17,6 @@ from softfinger.server.experiment.session_figures import draw_session
 from softfinger.server.experiment.surveys import compare_scores, survey_table
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "Fit the answers of an experiment's folder and draw them as PNG and SVG, with the numbers as CSV and JSON. "
-        "Earlier figures are replaced."
-    )
-    parser.add_argument("folder", metavar="FOLDER", help="folder written by `softfinger experiment`")
-    parser.add_argument("--out", metavar="FOLDER", help="where figures go (default: FOLDER/figures)")
-    parser.add_argument("--report", action="store_true", help="also write report.html, a page with all results")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
-
-
 def run(args: argparse.Namespace) -> int:
     """Draw, print and return 0. Raises ConfigError if the folder has no answers."""
     root = Path(args.folder)

@@ -10,8 +10,8 @@ import msgspec
 from msgspec import Meta
 
 from softfinger.config import limits
+from softfinger.config.fields import Complaint, Coordinate, Table, known, said, sized, within
 from softfinger.config.limits import Range
-from softfinger.config.schema.fields import Complaint, Coordinate, Table, known, said, sized, within
 from softfinger.server.experiment.schema_parts import TEXT, CatchTrials, Confidence, Positive, Screen, Survey
 from softfinger.server.experiment.schema_trials import LEVELS, Design, Factor, Point, Procedure, Task
 

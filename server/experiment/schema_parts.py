@@ -8,8 +8,8 @@ from typing import Annotated, Final, Literal
 import msgspec
 from msgspec import Meta
 
+from softfinger.config.fields import Complaint, Table, known, said, sized, within
 from softfinger.config.limits import NAME_LENGTH, Range
-from softfinger.config.schema.fields import Complaint, Table, known, said, sized, within
 from softfinger.server.wire.commands import CHOICE_LENGTH, CHOICES_MAX
 
 TEXT: Final = Range(0, 4000, "a screen")

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
+from softfinger.config.fields import Complaint, Coordinate, Table, known, said, sized, within
 from softfinger.config.limits import Range
-from softfinger.config.schema.fields import Complaint, Coordinate, Table, known, said, sized, within
 from softfinger.server.experiment.schema_parts import MARKS_MAX, TEXT, Label, Positive
 
 LEVELS: Final = Range(1, 200, "more levels cannot be told apart")

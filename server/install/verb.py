@@ -31,20 +31,6 @@ Rules for devices and limits for real time are the machine's: {command}
 """
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "Write the systemd unit, the man page and shell completion for this user, or with --system for the "
-        "machine, with udev rules for every supported device and limits for real time. The files are recorded, "
-        "and --remove removes them; files of other origin are not overwritten, and edited files not removed."
-    )
-    parser.add_argument("--system", action="store_true", help="for all users, as root; with rules and limits")
-    parser.add_argument("--remove", action="store_true", help="remove the written files")
-    parser.add_argument("--dry-run", action="store_true", help="print the planned changes, each file with its content")
-    parser.add_argument("--rig", default="replay", help="rig of the service, and its devices (default: %(default)s)")
-    parser.add_argument("--scene", default="paper-plane", help="scene of the service (default: %(default)s)")
-    parser.add_argument("--root", type=Path, metavar="DIR", help="write below DIR, and run no command: for packagers")
-
-
 def run(args: argparse.Namespace) -> int:
     ledger = Ledger((args.root or ROOT).resolve(), install_paths(args.system).record)
     if args.remove:
@@ -57,7 +43,8 @@ def run(args: argparse.Namespace) -> int:
 def install(args: argparse.Namespace, ledger: Ledger) -> None:
     from softfinger.server.cli import make_parser
 
-    files_to_write, commands = files(args.system, args.rig, args.scene, make_parser()), after_writing(args.system)
+    files_to_write = files(args.system, args.rig, args.scene, make_parser().complete())
+    commands = after_writing(args.system)
     if args.dry_run:
         for file in files_to_write:
             print(f"##### {file.path}: {ledger.state(file)}\n{file.text}")

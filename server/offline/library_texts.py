@@ -8,11 +8,11 @@ from typing import Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.fields import unit
 from softfinger.config.load import build, describe
 from softfinger.config.materials import FINGERTIPS, MATERIALS, Entry, Measured, flat, papers
 from softfinger.config.schema import Fingertip, Material
 from softfinger.config.schema.contact import Form
-from softfinger.config.schema.fields import unit
 from softfinger.config.words import near, shown
 
 LIBRARIES: Final = {"material": MATERIALS, "fingertip": FINGERTIPS}

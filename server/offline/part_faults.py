@@ -10,9 +10,9 @@ from functools import partial
 from typing import Any
 
 from softfinger.config.errors import ConfigError, HapticError, RecordingError
+from softfinger.config.fields import is_complete, known
 from softfinger.config.load import attempt
 from softfinger.config.schema import DeviceConfig, Object, Rig, Scene, Servo, World
-from softfinger.config.schema.fields import is_complete, known
 from softfinger.server.offline.summary import object_rows
 
 

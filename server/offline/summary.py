@@ -118,10 +118,9 @@ def mesh_report(item: Mesh) -> Report:
     from softfinger.server.progress import progress
 
     if item.elastic is not None:
-        from softfinger.proxy.elastic import prepared
+        from softfinger.proxy.elastic.prepared import body_of
 
-        prepared.progress = progress
-        prepared.body_of(item)
+        body_of(item)  # shows its own progress
     with progress(f"reading {item.file}"):
         return about(item).report
 

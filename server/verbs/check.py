@@ -22,7 +22,6 @@ from softfinger.config.schema import (
 )
 from softfinger.config.sources import EXPERIMENTS, find, find_in, names_in, read_toml, shipped
 from softfinger.config.words import near, shown
-from softfinger.server.offline.figures import plot_file
 from softfinger.server.offline.part_faults import part_faults
 from softfinger.server.offline.summary import mesh_report, rig_summary, scene_summary
 from softfinger.server.offline.worlds import check_start
@@ -41,23 +40,6 @@ class Finding(NamedTuple):
     errors: list[str]
     content: dict[str, Any]
     meshes: dict[str, Any]
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Check scenes, rigs and experiments. Exit code 0: all are usable; 2: at least one is not."
-    parser.add_argument("files", nargs="+", metavar="FILE", help="one of these, as a file or a shipped name")
-    parser.add_argument(
-        "--explain",
-        action="store_true",
-        help="compile each scene and measure the cost of a tick and of each part of it",
-    )
-    parser.add_argument(
-        "--plot",
-        type=plot_file,
-        metavar="FILE.png",
-        help="draw the soft wall of a rig about the objects of a scene, and the arc or plane of its device",
-    )
-    parser.add_argument("--json", action="store_true", help="print the findings as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,41 +12,12 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.sources import read_toml
 from softfinger.config.words import near, shown
 from softfinger.server import keys
-from softfinger.server.arguments import duration, parse_parameter
+from softfinger.server.arguments import parse_parameter
 from softfinger.server.gateway.addresses import BUSY_S, find_addresses
 from softfinger.server.progress import progress
-from softfinger.server.wire.client import DEFAULT_ENDPOINT
-from softfinger.server.wire.commands import METHODS, table
+from softfinger.server.wire import DEFAULT_ENDPOINT
+from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import Control
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    width = max(map(len, METHODS))
-    methods = "\n".join(
-        f"  {name:{width}}  {meaning}{f' ({params})' if params else ''}"
-        for name, (params, _, meaning) in table().items()
-    )
-    parser.epilog = (
-        f"methods:\n{methods}\n\n"
-        "examples:\n"
-        "  softfinger ctl get_state\n"
-        "  softfinger ctl set_params object.table.material.stiffness_n_per_m=800\n"
-        "  softfinger ctl set_scene scene=sphere          # or a file: scene=mine.toml\n"
-        "  softfinger ctl drive object=lid 'position_m=[0, 0, 0.01]'"
-    )
-    parser.add_argument("method", metavar="METHOD", help="method: one of the list below")
-    parser.add_argument(
-        "params", nargs="*", metavar="key=value", help="its parameters: values of TOML or JSON, else texts"
-    )
-    parser.add_argument(
-        "--endpoint", default=DEFAULT_ENDPOINT, help="of the daemon: its telemetry or its commands (%(default)s)"
-    )
-    keys.add_options(parser)
-    parser.add_argument(
-        "--timeout", type=duration, metavar="S", help="longest wait for the answer (default: by method)"
-    )
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -33,24 +33,10 @@ ListedDevice = tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None
 """Device, claim of its driver, diagnosis, and identification that the device reported."""
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "List attached devices, the driver of each, why one cannot be opened, and the command that corrects it. "
-        "Nothing is opened, so a device in use is not disturbed, unless --ask is given."
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--ask", action="store_true", help="open each free device, and read its data")
-    parser.add_argument(
-        "--rig",
-        help="rig with the library or firmware file for the devices of its driver; with --ask its maker's library "
-        "or service is queried also if USB lists none of them",
-    )
-
-
 def run(args: argparse.Namespace) -> int:
     rig = None if args.rig is None else single_device(load_rig(args.rig))
     devices: list[ListedDevice] = []
-    for device in discovery.attached():
+    for device in discovery.list_attached():
         claim = find_claim(device)
         diagnosis, identification = diagnose(device, claim, rig), None
         if args.ask and claim is not None and diagnosis.state in OPENABLE_STATES:

@@ -11,7 +11,6 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.materials import Entry
 from softfinger.server.offline.feel_figure import draw
-from softfinger.server.offline.figures import plot_file
 from softfinger.server.offline.library_texts import (
     cited_papers,
     entries,
@@ -20,17 +19,6 @@ from softfinger.server.offline.library_texts import (
     paper_rows,
     value_rows,
 )
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        'The materials that a scene may name (material = "rubber") and the fingertips (fingertip = "human-index").'
-    )
-    parser.add_argument("name", nargs="?", metavar="NAME", help="one of them, with its values, its range and sources")
-    parser.add_argument(
-        "--plot", type=plot_file, metavar="FILE", help="draw it with published measurements (.png, .svg)"
-    )
-    parser.add_argument("--json", action="store_true", help="print as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

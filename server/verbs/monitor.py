@@ -22,7 +22,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import MODE_NAMES
 from softfinger.server import keys
 from softfinger.server.gateway.addresses import find_addresses
-from softfinger.server.wire.client import DEFAULT_ENDPOINT, NoTelemetry, Sample, no_telemetry_text, subscribe
+from softfinger.server.wire.client import NoTelemetry, Sample, no_telemetry_text, subscribe
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, finger_of
 
 if TYPE_CHECKING:  # rich takes 50 ms to import and only the dashboard needs it
@@ -38,22 +38,6 @@ _ROUNDING: Final = 1e-9
 _BAR_CELLS: Final = 32
 _EVENT_INDENT: Final = 12
 _MODE_STYLES: Final = {0: "green", 1: "bold blue", 2: "bold red"}
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Show contact mode, forces, lateness and events of a running server."
-    parser.add_argument(
-        "--endpoint",
-        default=DEFAULT_ENDPOINT,
-        help="of the daemon: its telemetry or its commands (%(default)s)",
-    )
-    keys.add_options(parser)
-    parser.add_argument("--once", action="store_true", help="show one summary and leave")
-    parser.add_argument("--json", action="store_true", help="write JSON objects, one a line")
-    parser.add_argument("--duration", type=float, metavar="S", help="leave after S seconds (default: stay)")
-    parser.add_argument(
-        "--timeout", type=float, metavar="S", default=3.0, help="fail if nothing arrives for S seconds at the start"
-    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -27,7 +27,6 @@ from softfinger.server.progress import counter
 from softfinger.server.recording.poses_file import PosesFile, poses_file
 from softfinger.server.recording.verbs.live import RecordingJob, record_live
 from softfinger.server.wire.client import (
-    DEFAULT_ENDPOINT,
     NoTelemetry,
     Sample,
     Subscription,
@@ -42,34 +41,6 @@ BUFFERED_POSES: Final = 200
 """Poses buffered at the start to determine the loop's period: `dt` of a late tick covers more than one period."""
 POLL_S: Final = 0.1
 SHOW_PERIOD_S: Final = 0.5
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "Record a running server: all values as .mcap, or only the poses as .csv, by the file's suffix."
-    )
-    parser.add_argument("file", nargs="?", metavar="FILE", help="a new .mcap with ticks, events and scene; .csv: poses")
-    parser.add_argument(
-        "--poses",
-        action="append",
-        metavar="FILE",
-        help=".csv: only poses; .mcap: every value of every tick; NAME=FILE for each of several fingers",
-    )
-    parser.add_argument(
-        "--endpoint",
-        default=DEFAULT_ENDPOINT,
-        help="of the daemon: its telemetry or its commands (%(default)s)",
-    )
-    parser.add_argument(
-        "--commands", metavar="URL", help="endpoint of the server's description (default: next to that of telemetry)"
-    )
-    keys.add_options(parser)
-    parser.add_argument(
-        "--duration", type=float, metavar="S", help="stop after S seconds (default: at the server's end)"
-    )
-    parser.add_argument(
-        "--timeout", type=float, metavar="S", default=3.0, help="end when nothing arrives for S seconds (default: 3)"
-    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -21,7 +21,7 @@ from softfinger.server.arguments import default_rig
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.realtime import Setting
 from softfinger.server.progress import counter, name_warmup, report_compilation
-from softfinger.server.verbs.run_options import OVERRIDES, RIG, VIEW_RIG
+from softfinger.server.verbs.options import OVERRIDES, RIG, VIEW_RIG
 from softfinger.server.viewer.door.process import PageProcess, check_viewer, monitor_command, program_name
 from softfinger.server.watcher import Watcher
 

@@ -19,9 +19,9 @@ from softfinger.config.typeinfo import described, options, unwrapped
 from softfinger.config.words import expected, toml
 from softfinger.proxy.record import FIELDS
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.verbs.options import SCHEMAS
 from softfinger.server.wire import commands
 
-KINDS: Final = ("scene", "rig", "experiment", "telemetry", "commands")
 _STRUCTS: Final[dict[str, type[msgspec.Struct]]] = {"scene": Scene, "rig": Rig, "experiment": ExperimentFile}
 _EXACTLY_ONE: Final = {"Scene": ("fingertip", "finger"), "Rig": ("device", "devices")}
 """Keys of which a file has exactly one."""
@@ -52,20 +52,12 @@ class TableRows(NamedTuple):
     rows: list[Row]
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "Print the JSON Schema of scenes, rigs, experiments and commands, and the fields of a telemetry record."
-    )
-    parser.add_argument("kind", nargs="?", choices=KINDS, help="which schema (default: all, in one object)")
-    parser.add_argument("--markdown", action="store_true", help="print tables of the keys instead, for people")
-
-
 def run(args: argparse.Namespace) -> int:
     """Print the schema; return 0."""
     if args.markdown:
-        print("\n\n".join(markdown(kind) for kind in ([args.kind] if args.kind else KINDS)))
+        print("\n\n".join(markdown(kind) for kind in ([args.kind] if args.kind else SCHEMAS)))
         return 0
-    schema = json_schema(args.kind) if args.kind else {kind: json_schema(kind) for kind in KINDS}
+    schema = json_schema(args.kind) if args.kind else {kind: json_schema(kind) for kind in SCHEMAS}
     print(json.dumps(schema, indent=2))
     return 0
 

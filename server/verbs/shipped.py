@@ -41,10 +41,6 @@ POSITIONALS: Final = {
 _SENTENCE: Final = re.compile(r"(?s)(.*?\.)(?=\s|$)")
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print name, file and description as JSON")
-
-
 def run(args: argparse.Namespace) -> int:
     listed = list_shipped(args.verb)
     if args.json:

@@ -12,55 +12,13 @@ from typing import Final
 
 from softfinger.config.errors import ConfigError
 from softfinger.server import keys, signals
-from softfinger.server.arguments import duration
 from softfinger.server.gateway.addresses import find_addresses
+from softfinger.server.verbs.options import PAGE_HOST
 from softfinger.server.viewer.roles import Role
-from softfinger.server.wire.client import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
 
-PORT: Final = 8080
-HOST: Final = "127.0.0.1"
 NICE: Final = 5
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Open a page in the browser that shows a running daemon, with a mouse as hand; or a recording."
-    parser.add_argument(
-        "recording", nargs="?", metavar="RECORDING", help="an .mcap, results, poses, or the name of a shipped recording"
-    )
-    parser.add_argument("--scene", help="scene of a recording without one, or instead of it")
-    parser.add_argument("--tick", type=int, default=0, metavar="N", help="where in a recording to begin")
-    parser.add_argument(
-        "--endpoint",
-        default=DEFAULT_ENDPOINT,
-        help="of the daemon: its telemetry or its commands (%(default)s)",
-    )
-    parser.add_argument("--commands", help="commands endpoint (default: next to that of telemetry)")
-    keys.add_options(parser)
-    parser.add_argument(
-        "--role",
-        choices=[each.value for each in Role],
-        default=Role.OPERATOR.value,
-        help="role of the user: a watcher changes nothing, a participant sees only prompts (%(default)s)",
-    )
-    parser.add_argument("--host", default=HOST, help="address that the page is served on (%(default)s)")
-    parser.add_argument(
-        "--allow-host",
-        action="append",
-        default=[],
-        metavar="NAME[:PORT]",
-        help="another name that a browser may call the page by, behind a tunnel or proxy; may be repeated",
-    )
-    parser.add_argument("--port", type=int, default=PORT, help="of the page, or the next free one (%(default)s)")
-    parser.add_argument(
-        "--print-address", action="store_true", help="only the address on standard output, for programs"
-    )
-    # For `run --view`. The first line of standard input is the token, or empty for a new one; end of input ends the
-    # page.
-    parser.add_argument("--until-eof", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--no-open", action="store_true", help="do not open a browser")
-    parser.add_argument("--duration", type=duration, metavar="S", help="leave after S seconds (default: stay)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -80,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     from softfinger.server.viewer.playback import RecordedPage, load
 
     recording = None if args.recording is None else load(args.recording, args.scene)
-    if args.host == HOST:  # probably on the machine of a servo, which may run without real-time priority
+    if args.host == PAGE_HOST:  # probably on the machine of a servo, which may run without real-time priority
         os.nice(NICE)
     lock = keys.keys_from_options(args)
     stop_requests = list[bool]()
@@ -104,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
                 os.dup2(2, 1)  # the reader expects one line; a browser may write to standard output
             else:
                 log_address(page.address)
-            if args.host != HOST:
+            if args.host != PAGE_HOST:
                 log.warning(
                     "everyone with this address may command the daemon, and it crosses the network in plain text"
                 )

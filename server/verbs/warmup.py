@@ -26,11 +26,6 @@ RATE_HZ: Final = 1000.0
 """Arbitrary: kernels do not depend on the rate."""
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help="scenes to compile for (default: all shipped ones)")
-    parser.add_argument("--prune", action="store_true", help="remove the kernels of other versions first")
-
-
 def run(args: argparse.Namespace) -> int:
     if args.prune:
         prune()

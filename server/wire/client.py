@@ -28,6 +28,7 @@ from softfinger.proxy.record import FIELDS, PATCHES, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.closing import Closeable
 from softfinger.server.keys import ClientKeys
+from softfinger.server.wire import DEFAULT_ENDPOINT
 from softfinger.server.wire.protocol import (
     CONTACT,
     FINGERS,
@@ -39,8 +40,6 @@ from softfinger.server.wire.protocol import (
     finger_of,
 )
 from softfinger.server.wire.waits import milliseconds
-
-DEFAULT_ENDPOINT: Final = "tcp://127.0.0.1:5555"
 
 _RECEIVE_BACKLOG: Final = 40960  # same as the publisher's: a short pause of the client loses nothing
 _LARGEST_FRAME: Final = 1 << 20  # ZeroMQ disconnects a peer that sends more, before it allocates

@@ -117,7 +117,9 @@ def write_stl(path: Path) -> str:
 def test_masses_of_overrides_pass_the_check_and_stay_in_the_scene() -> None:
     """What an experiment overrides is in the scene that its daemon gets, with nothing in a folder that is gone."""
     changes = {"overrides": {"mass.box": 0.2}, "scene": "lift-a-box"}
-    with pytest.raises(FaultyConfig, match=r"there is no object\.table") as caught:  # the mass itself is valid
+    with pytest.raises(
+        FaultyConfig, match=r"there is no object\.table"
+    ) as caught:  # of the parameter: the mass is good
         load("stiffness-discrimination", changes)
     assert not any("mass" in str(fault) for fault in caught.value.faults)
     scene = load_changed_scene("lift-a-box", {"mass.box": 0.2}, "overrides")

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from helpers import meshes
+from helpers.examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from softfinger.config import schema
+from softfinger.proxy import progress
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.meshes import kept, prepared
 from softfinger.proxy.meshes.prepared import Builder, about, tree_of
@@ -112,6 +116,24 @@ def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypa
     assert BUILT == [180]
 
 
+def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mesh that is built reports each of its stages once, in order; one from the cache reports nothing."""
+    forget(monkeypatch)
+    reported: list[Any] = []
+
+    @contextmanager
+    def display(what: str, total: int) -> Iterator[Callable[[int], None]]:
+        reported.append((what, total))
+        yield reported.append
+
+    monkeypatch.setattr(progress, "display", display)
+    tree_of(part(tmp_path), BUILDER, folder)
+    assert reported == [("building the mesh of ball", 4), 1, 2, 3, 4]
+    forget(monkeypatch)
+    tree_of(part(tmp_path), BUILDER, folder)
+    assert len(reported) == 5
+
+
 def one(folder: Folder) -> Path:
     """The one file that is kept."""
     assert folder.path is not None
@@ -136,7 +158,7 @@ def test_arrays_come_back_as_they_were(folder: Folder) -> None:
     assert one(folder).stat().st_mode & 0o777 == 0o600
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(examples(100, 300), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
     """A bit flipped anywhere, the file cut off anywhere, bytes behind it: nothing is loaded, or it is as it was."""

@@ -11,21 +11,22 @@ import msgspec
 import softfinger
 from softfinger.drivers import registry
 from softfinger.server.cli import make_parser
-from softfinger.server.verbs.schema import KINDS, json_schema
+from softfinger.server.verbs.options import SCHEMAS
+from softfinger.server.verbs.schema import json_schema
 
 _FIELD = ("name", "size", "kind", "unit")
 
 
 def names() -> dict[str, list[str]]:
     """Return all names by kind, sorted."""
-    schemas = {kind: json_schema(kind) for kind in KINDS}
+    schemas = {kind: json_schema(kind) for kind in SCHEMAS}
     telemetry, commands = schemas.pop("telemetry"), schemas.pop("commands")
     schemas |= {f"driver {name}": msgspec.json.schema(registry.load(name).Options) for name in registry.BUILT_IN}
     methods = commands["methods"]
     schemas |= {f"{name} {part}": methods[name][part] for name in methods for part in ("params", "result")}
     return {
         "exports": sorted(softfinger.__all__),
-        "command line": sorted(set(_options(make_parser(), "softfinger"))),
+        "command line": sorted(set(_options(make_parser().complete(), "softfinger"))),
         "keys": sorted({path for name, schema in schemas.items() for path in _paths(schema, schema, name, ())}),
         "telemetry": sorted(" ".join(f"{each[key]}" for key in _FIELD) for each in telemetry["record"]),
         "messages": sorted({*methods, *commands["errors"], *commands["request"], *commands["answer"]}),

@@ -21,9 +21,9 @@ from numba.core import event
 
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.compiler.numba_internals import KernelCache
-from softfinger.proxy.kernels.jit.compiler.progress import CompileProgress
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS, CompileProgress
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
-from softfinger.server.progress import progress_text
+from softfinger.server.progress import name_warmup, progress_text
 from softfinger.server.wire.commands import State
 
 RUN = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off"]
@@ -195,3 +195,19 @@ def test_kernels_are_counted_towards_those_of_the_scene() -> None:
         "",
     ]
     assert started == [""]  # once, before the first
+
+
+def test_the_first_compilation_names_the_command_that_compiles_ahead(caplog: pytest.LogCaptureFixture) -> None:
+    """It is logged once, when a kernel is compiled: not for a cached scene, and not after the scene is compiled."""
+    with caplog.at_level("INFO"):
+        with name_warmup("mine.toml"), COMPILE_PROGRESS.loading():
+            pass
+        assert not caplog.messages
+        with name_warmup("mine.toml"):
+            for _ in range(2):
+                COMPILE_PROGRESS.begin()
+                COMPILE_PROGRESS.end()
+        COMPILE_PROGRESS.begin()
+        COMPILE_PROGRESS.end()
+    (message,) = caplog.messages
+    assert "`softfinger warmup mine.toml`" in message

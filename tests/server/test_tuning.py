@@ -4,13 +4,17 @@ import dataclasses
 import math
 from pathlib import Path
 
+import numba
 import pytest
 
 from softfinger.config import schema
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import DeviceInfo
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels.model import State
 from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.limits import UNLIMITED, Limits, Workspace
+from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import guard_limits, make_tuning
 
 FAR = (1.0, 1.0, 1.0)
@@ -94,3 +98,12 @@ def test_a_geom_that_fingers_pass_through_is_said(tmp_path: Path, caplog: pytest
     hills, cloth = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert hills.startswith("fingers pass through geom 'hills': it is a height field with pixels of 2 m along x and")
     assert cloth == "fingers pass through geom 'cloth': it is a flexible body, which fingers do not touch"
+
+
+@pytest.mark.parametrize("name", ["paper-plane", "ball-in-a-bowl"])
+def test_loop_and_engine_share_the_kernels_of_the_contact(name):
+    """Their scenes and states have equal types: after an `Engine`, the loop compiles no kernel of the contact."""
+    engine, tuning = Engine(name), make_tuning(load_scene(name), RIG)
+    memory = begin(tuning.scene)
+    start = State(memory.world, tuple(finger.contact for finger in memory.fingers))
+    assert numba.typeof((tuning.scene, start)) == numba.typeof((engine.scene, engine._begin))

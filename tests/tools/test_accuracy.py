@@ -18,10 +18,11 @@ from references.rotation import matrix
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model
-from softfinger.server.cli import main
+from softfinger.server.cli import main, make_parser
 from softfinger.server.loop.clock import stopwatch
 from softfinger.tools.accuracy import cases, figures, front, montana, paper, verb
 from softfinger.tools.accuracy.classical import MAX_STEP_SHARE, Steps, roll_classical
+from softfinger.tools.accuracy.options import METHODS, MOTIONS, SURFACES
 from softfinger.tools.accuracy.reference import roll_path
 from softfinger.tools.accuracy.report import write_report
 
@@ -34,9 +35,13 @@ TORUS = model.Torus(0.05, 0.02, 1.0)
 
 def options(*words: str) -> argparse.Namespace:
     """The parsed command line."""
-    parser = argparse.ArgumentParser()
-    verb.configure(parser)
-    return parser.parse_args(words)
+    return make_parser().parse_args(["accuracy", *words])
+
+
+@pytest.mark.plain
+def test_the_options_name_every_surface_and_method() -> None:
+    """The names are written apart from the kernels, so that `--help` imports none."""
+    assert (tuple(cases.SURFACES), tuple(cases.METHODS)) == (SURFACES, METHODS)
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +201,7 @@ def test_nothing_drifts(result: dict[str, Any]) -> None:
     assert {row["steps"] for row in result["drift"]} == {verb.QUICK_DRIFT_STEPS}
 
 
-@pytest.mark.parametrize("motion", cases.MOTIONS)
+@pytest.mark.parametrize("motion", MOTIONS)
 def test_motion_turns_at_the_rates_it_says(motion: cases.Motion) -> None:
     """The orientations begin at none, and their difference quotient is the angular velocity given to the reference."""
     h, t, normal = 1e-5, np.linspace(0.0, 0.9, 7), (0.36, 0.48, 0.8)

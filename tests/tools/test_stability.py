@@ -315,7 +315,7 @@ def test_the_page_shows_what_its_commands_draw() -> None:
     """The page's commands are commands, and every figure has the one that made it; small and undated."""
     page = (ROOT / "docs" / "measured" / "stability.md").read_text()
     commands = re.findall(r"^    softfinger (stability[^#\n]*)", page, re.MULTILINE)
-    plots = {str(make_parser(["stability"]).parse_args(command.split()).plot) for command in commands}
+    plots = {str(make_parser().parse_args(command.split()).plot) for command in commands}
     figures = re.findall(r"\]\(\.\./(figures/stability-[a-z]+\.svg)\)", page)
     assert len(figures) == 4 and {f"docs/{name}" for name in figures} <= plots
     for name in figures:

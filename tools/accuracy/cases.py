@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import atan, cos, pi, sin
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.shapes import closest
+from softfinger.tools.accuracy.options import Motion
 
 Array = NDArray[np.float64]
-Motion = Literal["constant", "changing"]
 
 RADIUS_M: Final = 0.01
 """Radius of the fingertip in every case; curvature ratios are set by the size of the surface."""
@@ -29,8 +29,6 @@ CHANGING_STEP_RAD: Final = 1.0
 """Longest step of a changing motion that is measured; longer steps would skip its changes."""
 TRAVEL: Final = (0.5, 0.3, 0.8)
 """Initial direction of the finger, projected onto the tangent plane. It is not an axis of any surface."""
-
-MOTIONS: Final[tuple[Motion, ...]] = ("constant", "changing")
 
 
 class Surface(NamedTuple):

@@ -20,25 +20,19 @@ from softfinger.config.errors import ConfigError
 from softfinger.server.offline.figures import reason_unsavable
 from softfinger.server.progress import progress
 from softfinger.tools.accuracy import meshes, pixels
-from softfinger.tools.accuracy.cases import METHODS, MOTIONS, RADIUS_M, SURFACES, Sweep, cases, has_method, longest_step
+from softfinger.tools.accuracy.cases import RADIUS_M, Sweep, cases, has_method, longest_step
 from softfinger.tools.accuracy.figures import FIGURES, draw_fronts
 from softfinger.tools.accuracy.front import fronts, orders, recommendations
 from softfinger.tools.accuracy.measure import DRIFT_BLOCK, DriftCase, run_block, run_drift_block
+from softfinger.tools.accuracy.options import DRIFT_STEPS, METHODS, MOTIONS, REPORT, SURFACES
 from softfinger.tools.accuracy.paper import experiment, speed
 from softfinger.tools.accuracy.report import print_report, write_report
-from softfinger.tools.measure import add_output_options, show
-from softfinger.tools.sweep import add_sweep_options, run_cases
+from softfinger.tools.measure import show
+from softfinger.tools.sweep import run_cases
 
 RATES_HZ: Final = (4.0, 8.0, 16.0, 32.0, 64.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
-TURN_RATES: Final = (2.0, 0.2, 20.0, 200.0, 3000.0)
-"""rad/s. A hand turns at 2, quickly at 20; 3000 at 1 kHz is nearly half a turn per step."""
-CURVATURE_RATIOS: Final = (0.01, 0.1, 0.9, 10.0, 100.0)
-SPIN_RATIOS: Final = (0.5, 0.0, 0.1, 10.0)
 SWEEP_RATE_HZ: Final = 1000.0
-REPORT: Final = "accuracy.txt"
-TARGETS_M: Final = (1e-4, 1e-5, 1e-6, 1e-7, 1e-9, 1e-12)
 PASSES: Final = 20
-DRIFT_STEPS: Final = 1_000_000
 QUICK_RATES_HZ: Final = (8.0, 64.0, 250.0, 1000.0)
 QUICK_PASSES: Final = 5
 QUICK_DRIFT_STEPS: Final = 20_000
@@ -52,42 +46,6 @@ LIMITS: Final = {
     "drift_steps": (DRIFT_BLOCK, 10**10, ""),
 }
 """Smallest and largest value of the numeric options, and their unit."""
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--surface", nargs="+", choices=SURFACES, metavar="S", help=f"of {', '.join(SURFACES)} (all)")
-    parser.add_argument("--method", nargs="+", choices=METHODS, metavar="M", help=f"of {', '.join(METHODS)} (all)")
-    parser.add_argument("--motion", nargs="+", choices=MOTIONS, metavar="K", help=f"of {', '.join(MOTIONS)} (both)")
-    parser.add_argument("--rate", nargs="+", type=float, metavar="HZ", help="servo rates (4 to 8000)")
-    parser.add_argument(
-        "--turn-rate", nargs="+", type=float, metavar="RAD_S", default=TURN_RATES,
-        help="rotation rates; the first with every servo rate, the rest at 1 kHz (%(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--curvature-ratio", nargs="*", type=float, metavar="R", default=CURVATURE_RATIOS,
-        help="radius of the fingertip over that of the surface, in addition to those of the surfaces, at 1 kHz "
-        "(%(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--spin-ratio", nargs="+", type=float, metavar="R", default=SPIN_RATIOS,
-        help="spin over roll; the first with every servo rate, the rest at 1 kHz (%(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--error-below", nargs="+", type=float, metavar="M", default=TARGETS_M, help="errors to recommend for, m"
-    )
-    parser.add_argument("--tolerance", type=float, default=1e-9, help="of montana_rk45 (default: %(default)s)")
-    parser.add_argument("--drift-steps", type=int, metavar="N", help=f"steps of the drift test ({DRIFT_STEPS})")
-    instead = parser.add_mutually_exclusive_group()
-    instead.add_argument(
-        "--meshes", action="store_true", help="instead: how meshes of a ball, a cylinder and a torus come near to them"
-    )
-    instead.add_argument(
-        "--heightmap", action="store_true", help="instead: hills as a height map and as a mesh of the same pixels"
-    )
-    parser.add_argument("--quick", action="store_true", help="four servo rates, nothing else swept, short drift test")
-    add_sweep_options(parser)
-    add_output_options(parser)
-    parser.add_argument("--figures", type=Path, metavar="DIR", help=f"write {', '.join((*FIGURES, REPORT))} there")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -31,7 +31,8 @@ from softfinger.server.offline.closed_loop import Run, close_loop
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.bench.step import ROUNDS, quiet, reference_ns
-from softfinger.tools.measure import add_output_options, show
+from softfinger.tools.measure import show
+from softfinger.tools.options import add_output_options
 
 TICKS: Final = 10_000
 """Ticks in a block."""

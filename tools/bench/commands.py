@@ -28,7 +28,8 @@ from softfinger.server.progress import progress
 from softfinger.server.wire.client import Subscription, subscribe
 from softfinger.server.wire.control import Control
 from softfinger.tools.bench.telemetry import await_messages
-from softfinger.tools.measure import Array, add_output_options, show
+from softfinger.tools.measure import Array, show
+from softfinger.tools.options import add_output_options
 
 DEPTH_M: Final = 0.001
 FORCE_N: Final = 2.0

@@ -25,7 +25,8 @@ from softfinger.tools.exchange import (
     disarmed,
 )
 from softfinger.tools.exchange_figures import burst_figures, burst_line, figures, table
-from softfinger.tools.measure import Array, add_output_options, show
+from softfinger.tools.measure import Array, show
+from softfinger.tools.options import add_output_options
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

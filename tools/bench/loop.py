@@ -32,7 +32,8 @@ from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.bench.geoms import GEOMS_MAX, scene_of_geoms
-from softfinger.tools.measure import Array, add_output_options, microseconds, quantiles, show
+from softfinger.tools.measure import Array, microseconds, quantiles, show
+from softfinger.tools.options import add_output_options
 
 TURN_S: Final = 5.0
 SOURCE: Final = Path(__file__).with_name("reference_loop.c")

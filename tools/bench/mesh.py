@@ -25,7 +25,8 @@ from softfinger.server.loop.clock import stopwatch
 from softfinger.server.offline.cost import time_steps
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
-from softfinger.tools.measure import Array, add_output_options, quantiles, show
+from softfinger.tools.measure import Array, quantiles, show
+from softfinger.tools.options import add_output_options
 
 RADIUS_M: Final = 0.05
 """Radius of the ball."""

@@ -19,7 +19,8 @@ from softfinger.drivers.resample import close_loop, resample
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.recording.results import SUFFIXES, csv_lines
-from softfinger.tools.measure import Array, add_output_options, show
+from softfinger.tools.measure import Array, show
+from softfinger.tools.options import add_output_options
 
 RATE_HZ: Final = 1000.0
 TICKS_MIN: Final = 1000

@@ -19,7 +19,8 @@ from softfinger.server.offline.cost import BLOCK, Cost, bare_contact, measure, t
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.bench.features import Feature, all_features, corner_poses
-from softfinger.tools.measure import add_output_options, show
+from softfinger.tools.measure import show
+from softfinger.tools.options import add_output_options
 
 REFERENCE_OPERATIONS: Final = 100
 CORNER: Final = "corner"

@@ -34,7 +34,8 @@ from softfinger.server.publishing.messages import Messages
 from softfinger.server.publishing.setup import StateInfo, Ticks
 from softfinger.server.wire.client import NoTelemetry
 from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
-from softfinger.tools.measure import Array, add_output_options, microseconds, quantiles, show
+from softfinger.tools.measure import Array, microseconds, quantiles, show
+from softfinger.tools.options import add_output_options
 
 START_S: Final = 180.0
 """Longest time for a cold daemon to compile."""

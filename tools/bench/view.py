@@ -27,7 +27,8 @@ from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.wire.client import subscribe
 from softfinger.tools.bench.telemetry import await_messages, processor_s, source
-from softfinger.tools.measure import Array, add_output_options, microseconds, quantiles, show
+from softfinger.tools.measure import Array, microseconds, quantiles, show
+from softfinger.tools.options import add_output_options
 
 TURN_S: Final = 10.0
 SETTLE_S: Final = 8.0

@@ -21,7 +21,6 @@ from softfinger.drivers.kinematics.subspace import read_subspace
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import find_claim
 from softfinger.server.loop.guard import Guard
-from softfinger.tools.devices import PUSH_N
 from softfinger.tools.doctor import motions
 from softfinger.tools.doctor.axes_picture import picture
 from softfinger.tools.doctor.report import begun, pushing, record, report_file, written
@@ -29,6 +28,7 @@ from softfinger.tools.doctor.session import TRANSLATIONS, Session
 from softfinger.tools.exchange import START, Exchange, disarmed
 from softfinger.tools.exchange_figures import figures
 from softfinger.tools.measure import Array
+from softfinger.tools.options import PUSH_N
 
 PART_S: Final = 2.0
 """Duration of each of five parts: at rest, to the right, away, up, buttons. Ten seconds in all."""
@@ -67,7 +67,7 @@ def check_push(rig: Rig) -> None:
 
 def attached_rig() -> str:
     """Return the shipped rig of the first attached device that has one. Raises DeviceNotFound if there is none."""
-    for device in discovery.attached():
+    for device in discovery.list_attached():
         claim = find_claim(device)
         if claim is not None and claim.rigs:
             return claim.rigs[0]

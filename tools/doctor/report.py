@@ -36,25 +36,6 @@ FORMAT: Final = 1
 LIBRARIES: Final = ("libdrd", "libHD")
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--device-report",
-        nargs="?",
-        const="",
-        metavar="FILE",
-        help="open the rig's device and write a report on it to a JSON file (softfinger-DRIVER-report.json). "
-        "Only zero force is sent. In a terminal, prompts ask for movements of the handle",
-    )
-    parser.add_argument(
-        "--with-force",
-        type=float,
-        metavar="N",
-        help="also push: a slow sine of at most N newtons along x, y, z in turn, faded in and out, never above what "
-        "rig and device allow. THE HANDLE MOVES: hold it lightly, and take 1 first",
-    )
-    parser.add_argument("--no-prompts", action="store_true", help="ask for nothing, also on a terminal")
-
-
 def run(args: argparse.Namespace) -> int:
     """Record, write and print the report; returns the exit code.
 
@@ -136,7 +117,7 @@ def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
 
 def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
     """Return a report with all data that is known before opening the device, and the serial numbers to shorten."""
-    found = [one for one in discovery.attached() if attached.is_of(rig, one)]
+    found = [one for one in discovery.list_attached() if attached.is_of(rig, one)]
     freedom = read_subspace(single_device(rig))
     report: dict[str, Any] = {
         "report": FORMAT,

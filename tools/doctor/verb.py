@@ -13,21 +13,7 @@ from softfinger.config.schema import Rig, Scene
 from softfinger.tools.doctor import attached, loop, machine, report
 from softfinger.tools.doctor.check import STATES, Check, lines
 from softfinger.tools.exchange import check_seconds
-from softfinger.tools.measure import add_output_options, show
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "Check whether this machine is good enough: hardware, permissions, timing of the servo loop. Exit code 0 if "
-        "nothing is bad. With --device-report: a file on the device of a rig, to be attached to an issue."
-    )
-    parser.add_argument("--rig", default="replay", help="rig file or the name of a shipped one (default: %(default)s)")
-    parser.add_argument("--scene", default="paper-plane", help="scene whose step is timed (default: %(default)s)")
-    parser.add_argument(
-        "--seconds", type=float, default=3.0, help="of each loop, or of each part of a report (default: %(default)s)"
-    )
-    add_output_options(parser)
-    report.configure(parser)
+from softfinger.tools.measure import show
 
 
 def run(args: argparse.Namespace) -> int:

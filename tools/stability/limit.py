@@ -9,14 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf, isfinite, pi, sqrt
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec import Meta
 from numpy.typing import NDArray
 
-from softfinger.config import limits
 from softfinger.drivers.simulated.plant import (
     DELAY_LINE_SIZE,
     Handle,
@@ -47,6 +45,7 @@ from softfinger.server.loop.passivity import Passivity
 from softfinger.server.loop.tick import Memory, Tuning, begin, tick
 from softfinger.server.offline.closed_loop import NULL_RECORD
 from softfinger.server.progress import progress
+from softfinger.tools.stability.options import CaseOptions
 from softfinger.tools.stability.predicted import LinearLoop, linear_limit, passive_limit
 
 Array = NDArray[np.float64]
@@ -81,34 +80,8 @@ STIFFEST: Final = 1e12
 """A wall of this stiffness in N/m that is stable ends the search: a million times the limit of a scene."""
 
 
-class Case(msgspec.Struct, frozen=True, kw_only=True):
+class Case(CaseOptions, frozen=True, kw_only=True):
     """Wall, device and hand along one axis."""
-
-    mass_kg: Annotated[float, Meta(ge=1e-3, le=100.0, description="apparent mass of the device")] = 0.2
-    damping_ns_per_m: Annotated[float, Meta(ge=0.0, le=1e3, description="physical damping of the device")] = 2.0
-    wall_damping_ns_per_m: Annotated[
-        float, Meta(ge=0.0, le=limits.DAMPING_NS_PER_M.high, description="damping of the wall")
-    ] = 0.0
-    rate_hz: Annotated[float, Meta(ge=50.0, le=50e3, description="ticks per second")] = 1000.0
-    delay_ticks: Annotated[int, Meta(ge=0, le=16, description="ticks from sensing to the force that answers")] = 0
-    hand_mass_kg: Annotated[float, Meta(ge=0.0, le=100.0, description="mass of the hand, gripping the handle")] = 0.0
-    hand_damping_ns_per_m: Annotated[float, Meta(ge=0.0, le=1e3, description="damping of the hand")] = 0.0
-    hand_stiffness_n_per_m: Annotated[float, Meta(ge=0.0, le=1e5, description="stiffness of the hand")] = 0.0
-    friction_n: Annotated[float, Meta(ge=0.0, le=10.0, description="Coulomb friction of the mechanism")] = 0.0
-    resolution_m: Annotated[
-        float, Meta(ge=0.0, le=limits.RESOLUTION_M.high, description="step of the encoders, 0 for none")
-    ] = 0.0
-    velocity_time_constant_s: Annotated[
-        float, Meta(ge=0.0, le=limits.TIME_CONSTANT_S.high, description="of the velocity filter, 0 for none")
-    ] = 0.0
-    passivity_damping_ns_per_m: Annotated[
-        float,
-        Meta(
-            ge=0.0,
-            le=limits.DAMPING_NS_PER_M.high,
-            description="largest damping of the passivity controller, 0 for none",
-        ),
-    ] = 0.0
 
     @property
     def period_s(self) -> float:

@@ -15,9 +15,9 @@ import numpy as np
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools.measure import Array
 from softfinger.tools.stability.limit import Case
+from softfinger.tools.stability.options import POINTS
 from softfinger.tools.stability.predicted import linear_limit, passive_limit
 
-POINTS: Final = 24
 LINE_POINTS: Final = 80
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, get_args, get_type_hints
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -21,60 +21,13 @@ from softfinger.config.load import FaultyConfig
 from softfinger.config.schema import unit
 from softfinger.config.validate import examine
 from softfinger.server.offline.figures import figure, save
-from softfinger.tools.measure import add_output_options, show
+from softfinger.tools.measure import show
 from softfinger.tools.stability import bodies, bodies_table, extremes, hostile, runs
 from softfinger.tools.stability.limit import Case, compile_search, find_limits
-from softfinger.tools.stability.maps import MAPS, POINTS, VARIANTS, cases_of, draw_maps
+from softfinger.tools.stability.maps import MAPS, VARIANTS, cases_of, draw_maps
+from softfinger.tools.stability.options import FLAGS
 from softfinger.tools.stability.predicted import spectral_radius
-from softfinger.tools.sweep import add_sweep_options, run_cases
-
-FLAGS: Final = {
-    "mass": "mass_kg",
-    "damping": "damping_ns_per_m",
-    "wall-damping": "wall_damping_ns_per_m",
-    "rate": "rate_hz",
-    "delay": "delay_ticks",
-    "hand-mass": "hand_mass_kg",
-    "hand-damping": "hand_damping_ns_per_m",
-    "hand-stiffness": "hand_stiffness_n_per_m",
-    "friction": "friction_n",
-    "resolution": "resolution_m",
-    "velocity-filter": "velocity_time_constant_s",
-    "passivity-damping": "passivity_damping_ns_per_m",
-}
-"""Command-line flag of each field of a case."""
-GARBAGE_TICKS: Final = 250_000
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("the device and its wall")
-    hints = get_type_hints(Case, include_extras=True)
-    for flag, key in FLAGS.items():
-        kind, meta = get_args(hints[key])
-        default = getattr(Case(), key)
-        text = f"{meta.description} (default: {default:g})"
-        group.add_argument(f"--{flag}", type=kind, default=default, metavar=unit(key).upper() or "N", help=text)
-    group = parser.add_argument_group("what is asked")
-    kinds = group.add_mutually_exclusive_group()
-    kinds.add_argument("--map", choices=[*MAPS, "all"], help="limit against wall damping, rate or delay")
-    kinds.add_argument("--extremes", action="store_true", help="the tick at the ends of all its inputs, and garbage")
-    kinds.add_argument(
-        "--bodies", action="store_true", help="bodies of a [world] that fingers drag, balance and hold: 1 g to 1 kg"
-    )
-    kinds.add_argument("--cases", type=int, metavar="N", help="random closed-loop runs instead, and how fast they go")
-    group.add_argument("--compare", action="store_true", help="maps: also with hand, friction, encoder, filter")
-    group.add_argument("--points", type=int, default=POINTS, metavar="N", help="points of a map (default: %(default)s)")
-    group.add_argument("--ticks", type=int, default=1000, metavar="M", help="of each random run (default: %(default)s)")
-    group.add_argument("--seed", type=int, default=0, help="of the random runs and garbage (default: %(default)s)")
-    group.add_argument(
-        "--garbage",
-        type=int,
-        default=GARBAGE_TICKS,
-        metavar="M",
-        help="ticks of garbage a scene (default: %(default)s)",
-    )
-    add_sweep_options(parser)
-    add_output_options(parser)
+from softfinger.tools.sweep import run_cases
 
 
 def run(args: argparse.Namespace) -> int:

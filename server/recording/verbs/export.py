@@ -3,20 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from softfinger.drivers.poses import find_recording
 from softfinger.server.arguments import check_distinct
 from softfinger.server.recording.export import export
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
-    parser.add_argument(
-        "recording", metavar="RECORDING", help="an .mcap; results or poses (.csv, .npz); a shipped name"
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help=".csv, .parquet or .npz")
-    parser.add_argument("--finger", default="", metavar="NAME", help="which of several fingers")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -10,14 +10,6 @@ from typing import Any
 from softfinger.server.recording.summary import extent_text, summary
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
-    parser.add_argument(
-        "recording", metavar="RECORDING", help="an .mcap; results or poses (.csv, .npz); a shipped name"
-    )
-    parser.add_argument("--json", action="store_true", help="print it as JSON, with rig and scene")
-
-
 def run(args: argparse.Namespace) -> int:
     """Print the summary; return 0."""
     info = summary(args.recording)

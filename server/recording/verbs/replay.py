@@ -21,7 +21,7 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.drivers.wrench_log import FORCE_COLUMNS
 from softfinger.proxy.record import NAMED
-from softfinger.server.offline.figures import figure, plot_file, save
+from softfinger.server.offline.figures import figure, save
 from softfinger.server.recording.compare import COMPARED, FIELDS, Outcome, Replayed, compare, replay
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import Run, load_run
@@ -29,31 +29,9 @@ from softfinger.server.recording.run import Run, load_run
 Array = NDArray[np.float64]
 Against = dict[str, dict[str, Array]]
 
-TOLERANCE: Final = 1e-9
-"""N, N m, m: possible difference between processors after many ticks; results on one machine are identical."""
 FORCES_BYTES_MAX: Final = 1 << 30
 SPANS_SHOWN: Final = 10
 POINTS_MAX: Final = 4000
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
-    parser.add_argument(
-        "recording",
-        metavar="RECORDING",
-        help="an .mcap; or poses (.csv, .npz, a shipped name), with --scene and --against",
-    )
-    parser.add_argument(
-        "--against", type=Path, metavar="FORCES", help="reference: results, or the forces written by a replay"
-    )
-    parser.add_argument(
-        "--tolerance", type=float, default=TOLERANCE, metavar="N", help="largest difference, N, N m, m (%(default)s)"
-    )
-    parser.add_argument("--scene", help="scene in place of the recording's")
-    parser.add_argument("--rig", help="rig with the guard that limits the force, instead of the recording's")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="of poses that are no recording (1000)")
-    parser.add_argument("--plot", type=plot_file, metavar="FILE.png", help="draw both forces and their difference")
-    parser.add_argument("--json", action="store_true", help="print the outcome as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.viewer.roles import Role
-from softfinger.server.wire.client import DEFAULT_ENDPOINT
+from softfinger.server.wire import DEFAULT_ENDPOINT
 
 log: Final = logging.getLogger(__name__)
 

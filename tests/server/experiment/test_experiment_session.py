@@ -25,11 +25,13 @@ from softfinger.config.schema import Scene
 from softfinger.config.sources import EXPERIMENTS, FOLDERS
 from softfinger.server import cli
 from softfinger.server.experiment.analysis import fit_groups
+from softfinger.server.experiment.answers import DryRun
 from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment, results
 from softfinger.server.experiment.files import shipped
 from softfinger.server.experiment.folder import Folder, load
-from softfinger.server.experiment.journal import Journal, read
+from softfinger.server.experiment.interfaces import NullApparatus
+from softfinger.server.experiment.journal import Journal, Memory, read
 from softfinger.server.experiment.session import Session
 
 pytestmark = pytest.mark.plain
@@ -43,6 +45,15 @@ def drawn(figure: Path) -> None:
         assert len(picture.convert("RGB").getcolors(1 << 20) or ()) > 50
     paths = [each for each in ET.parse(figure.with_suffix(".svg")).iter() if each.tag.endswith("}path")]
     assert len(paths) > 20
+
+
+def test_a_rehearsal_reports_each_trial() -> None:
+    """The display of `--dry-run --no-daemon` gets the number of every finished trial, the last one included."""
+    file, numbers = Experiment("friction-magnitude").file, list[int]()
+    session, journal, observer = Session(file, 1), Memory(), DryRun(file, 1)
+    session.welcome(journal, observer)
+    session.run(journal, NullApparatus(numbers.append), observer)
+    assert numbers == list(range(1, len(session.trials) + 1))
 
 
 @pytest.mark.sampled(1)

@@ -158,7 +158,7 @@ def test_sysusers_takes_the_account(root: Path, tmp_path: Path) -> None:
 
 def test_the_man_page_has_every_verb_and_option() -> None:
     """Of the same source as --help."""
-    parser = make_parser()
+    parser = make_parser().complete()
     text = manual(parser).replace(r"\-", "-")
     for name in VERBS:
         assert f".SS softfinger {name}\n" in text

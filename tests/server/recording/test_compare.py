@@ -25,7 +25,8 @@ from softfinger.server.offline.simulate import load_finger_poses, simulate, tick
 from softfinger.server.recording.compare import FORGET_TIME_CONSTANTS, Outcome, compare, replay
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import load_run
-from softfinger.server.recording.verbs.replay import FIELDS, TOLERANCE, _recorded_values
+from softfinger.server.recording.verbs.options import TOLERANCE
+from softfinger.server.recording.verbs.replay import FIELDS, _recorded_values
 from softfinger.server.recording.writer import RecordingFile
 
 STIFFNESS = "object.0.material.stiffness_n_per_m"
@@ -137,9 +138,11 @@ def changed_at(tick: int, stiffness: float) -> np.ndarray:
     poses = resample(load_poses("tap"), 1000.0)
     scene = load_scene("paper-plane")
     softer = overridden(scene, {STIFFNESS: stiffness}, "test")
-    parts = [simulate(make_tuning(each, load_rig("replay").guard), poses, 1000.0) for each in (scene, softer)]
-    assert parts[0][tick, AT.contact_mode] == FREE
-    return np.vstack([parts[0][:tick], parts[1][tick:]])
+    after = simulate(make_tuning(softer, load_rig("replay").guard), poses, 1000.0)
+    assert run()[tick, AT.contact_mode] == FREE
+    records = np.vstack([run()[:tick], after[tick:]])
+    records[:, AT.timestamp] = after[:, AT.timestamp]
+    return records
 
 
 @pytest.mark.plain

@@ -1,9 +1,10 @@
-"""`bench`: cost of a step, lateness of the servo, and duration of device exchange and telemetry."""
+"""`softfinger bench`: its measurements; the module of the chosen one is imported and adds its options."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
+from functools import partial
 from typing import Final
 
 KINDS: Final = {
@@ -26,13 +27,18 @@ KINDS: Final = {
 }
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
+def configure_bench(parser: argparse.ArgumentParser) -> None:
     kinds = parser.add_subparsers(dest="kind", metavar="KIND", required=True)
-    for name, (module_name, text) in KINDS.items():
-        kind = kinds.add_parser(name, help=text, description=f"softfinger bench {name}: {text}.")
-        module = importlib.import_module(module_name)
-        module.configure(kind)
-        kind.set_defaults(measure=module.run)
+    for name, (module, text) in KINDS.items():
+        description = f"softfinger bench {name}: {text}."
+        kinds.add_parser(name, help=text, description=description, configure=partial(configure_kind, module))
+
+
+def configure_kind(module_name: str, parser: argparse.ArgumentParser) -> None:
+    """Add the options of one measurement."""
+    module = importlib.import_module(module_name)
+    module.configure(parser)
+    parser.set_defaults(measure=module.run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,6 +1,6 @@
 """Building blocks of fields: numbers with range, unit, meaning and example.
 
-The structs of this package and the options of drivers use them.
+The structs of `schema`, the commands of the wire and the options of drivers use them.
 """
 
 from __future__ import annotations

@@ -1,0 +1,15 @@
+"""Display of the progress of meshes and elastic bodies, whose preparation takes seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+
+
+def silent(what: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
+    """Show nothing. During the block of a display, calls of its result report the number done, out of `total`."""
+    return nullcontext(lambda number: None)
+
+
+display: Callable[[str, int], AbstractContextManager[Callable[[int], None]]] = silent
+"""Present display, called as a module attribute; the command line replaces it."""

@@ -1,0 +1,76 @@
+"""Options of `softfinger accuracy`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Final, Literal
+
+from softfinger.tools.options import add_output_options, add_sweep_options
+
+SURFACES: Final = (
+    "plane",
+    "sphere",
+    "sphere-inside",
+    "cylinder",
+    "cylinder-inside",
+    "capped-cylinder",
+    "capsule",
+    "capsule-inside",
+    "box",
+    "ellipsoid",
+    "ellipsoid-inside",
+    "torus",
+    "torus-inside",
+)
+METHODS: Final = ("euler_zxz", "euler_zyx", "rotation_vector", "midpoint", "montana_rk4", "montana_rk45")
+Motion = Literal["constant", "changing"]
+MOTIONS: Final[tuple[Motion, ...]] = ("constant", "changing")
+TURN_RATES: Final = (2.0, 0.2, 20.0, 200.0, 3000.0)
+"""rad/s. A hand turns at 2, quickly at 20; 3000 at 1 kHz is nearly half a turn per step."""
+CURVATURE_RATIOS: Final = (0.01, 0.1, 0.9, 10.0, 100.0)
+SPIN_RATIOS: Final = (0.5, 0.0, 0.1, 10.0)
+TARGETS_M: Final = (1e-4, 1e-5, 1e-6, 1e-7, 1e-9, 1e-12)
+DRIFT_STEPS: Final = 1_000_000
+REPORT: Final = "accuracy.txt"
+
+
+def configure_accuracy(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--surface", nargs="+", choices=SURFACES, metavar="S", help=f"of {', '.join(SURFACES)} (all)")
+    parser.add_argument("--method", nargs="+", choices=METHODS, metavar="M", help=f"of {', '.join(METHODS)} (all)")
+    parser.add_argument("--motion", nargs="+", choices=MOTIONS, metavar="K", help=f"of {', '.join(MOTIONS)} (both)")
+    parser.add_argument("--rate", nargs="+", type=float, metavar="HZ", help="servo rates (4 to 8000)")
+    parser.add_argument(
+        "--turn-rate", nargs="+", type=float, metavar="RAD_S", default=TURN_RATES,
+        help="rotation rates; the first with every servo rate, the rest at 1 kHz (%(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--curvature-ratio", nargs="*", type=float, metavar="R", default=CURVATURE_RATIOS,
+        help="radius of the fingertip over that of the surface, in addition to those of the surfaces, at 1 kHz "
+        "(%(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--spin-ratio", nargs="+", type=float, metavar="R", default=SPIN_RATIOS,
+        help="spin over roll; the first with every servo rate, the rest at 1 kHz (%(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--error-below", nargs="+", type=float, metavar="M", default=TARGETS_M, help="errors to recommend for, m"
+    )
+    parser.add_argument("--tolerance", type=float, default=1e-9, help="of montana_rk45 (default: %(default)s)")
+    parser.add_argument("--drift-steps", type=int, metavar="N", help=f"steps of the drift test ({DRIFT_STEPS})")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument(
+        "--meshes", action="store_true", help="instead: how meshes of a ball, a cylinder and a torus come near to them"
+    )
+    instead.add_argument(
+        "--heightmap", action="store_true", help="instead: hills as a height map and as a mesh of the same pixels"
+    )
+    parser.add_argument("--quick", action="store_true", help="four servo rates, nothing else swept, short drift test")
+    add_sweep_options(parser)
+    add_output_options(parser)
+    parser.add_argument(
+        "--figures",
+        type=Path,
+        metavar="DIR",
+        help=f"write accuracy-*.svg and {REPORT} there",
+    )

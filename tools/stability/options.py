@@ -1,0 +1,93 @@
+"""Options of `softfinger stability`."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Annotated, Final, get_args, get_type_hints
+
+import msgspec
+from msgspec import Meta
+
+from softfinger.config import limits
+from softfinger.config.fields import unit
+from softfinger.tools.options import add_output_options, add_sweep_options
+
+MAPS: Final = ("zwidth", "rate", "delay")
+POINTS: Final = 24
+FLAGS: Final = {
+    "mass": "mass_kg",
+    "damping": "damping_ns_per_m",
+    "wall-damping": "wall_damping_ns_per_m",
+    "rate": "rate_hz",
+    "delay": "delay_ticks",
+    "hand-mass": "hand_mass_kg",
+    "hand-damping": "hand_damping_ns_per_m",
+    "hand-stiffness": "hand_stiffness_n_per_m",
+    "friction": "friction_n",
+    "resolution": "resolution_m",
+    "velocity-filter": "velocity_time_constant_s",
+    "passivity-damping": "passivity_damping_ns_per_m",
+}
+"""Command-line flag of each field of a case."""
+GARBAGE_TICKS: Final = 250_000
+
+
+class CaseOptions(msgspec.Struct, frozen=True, kw_only=True):
+    """Wall, device and hand along one axis."""
+
+    mass_kg: Annotated[float, Meta(ge=1e-3, le=100.0, description="apparent mass of the device")] = 0.2
+    damping_ns_per_m: Annotated[float, Meta(ge=0.0, le=1e3, description="physical damping of the device")] = 2.0
+    wall_damping_ns_per_m: Annotated[
+        float, Meta(ge=0.0, le=limits.DAMPING_NS_PER_M.high, description="damping of the wall")
+    ] = 0.0
+    rate_hz: Annotated[float, Meta(ge=50.0, le=50e3, description="ticks per second")] = 1000.0
+    delay_ticks: Annotated[int, Meta(ge=0, le=16, description="ticks from sensing to the force that answers")] = 0
+    hand_mass_kg: Annotated[float, Meta(ge=0.0, le=100.0, description="mass of the hand, gripping the handle")] = 0.0
+    hand_damping_ns_per_m: Annotated[float, Meta(ge=0.0, le=1e3, description="damping of the hand")] = 0.0
+    hand_stiffness_n_per_m: Annotated[float, Meta(ge=0.0, le=1e5, description="stiffness of the hand")] = 0.0
+    friction_n: Annotated[float, Meta(ge=0.0, le=10.0, description="Coulomb friction of the mechanism")] = 0.0
+    resolution_m: Annotated[
+        float, Meta(ge=0.0, le=limits.RESOLUTION_M.high, description="step of the encoders, 0 for none")
+    ] = 0.0
+    velocity_time_constant_s: Annotated[
+        float, Meta(ge=0.0, le=limits.TIME_CONSTANT_S.high, description="of the velocity filter, 0 for none")
+    ] = 0.0
+    passivity_damping_ns_per_m: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=limits.DAMPING_NS_PER_M.high,
+            description="largest damping of the passivity controller, 0 for none",
+        ),
+    ] = 0.0
+
+
+def configure_stability(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("the device and its wall")
+    hints = get_type_hints(CaseOptions, include_extras=True)
+    for flag, key in FLAGS.items():
+        kind, meta = get_args(hints[key])
+        default = getattr(CaseOptions(), key)
+        text = f"{meta.description} (default: {default:g})"
+        group.add_argument(f"--{flag}", type=kind, default=default, metavar=unit(key).upper() or "N", help=text)
+    group = parser.add_argument_group("what is asked")
+    kinds = group.add_mutually_exclusive_group()
+    kinds.add_argument("--map", choices=[*MAPS, "all"], help="limit against wall damping, rate or delay")
+    kinds.add_argument("--extremes", action="store_true", help="the tick at the ends of all its inputs, and garbage")
+    kinds.add_argument(
+        "--bodies", action="store_true", help="bodies of a [world] that fingers drag, balance and hold: 1 g to 1 kg"
+    )
+    kinds.add_argument("--cases", type=int, metavar="N", help="random closed-loop runs instead, and how fast they go")
+    group.add_argument("--compare", action="store_true", help="maps: also with hand, friction, encoder, filter")
+    group.add_argument("--points", type=int, default=POINTS, metavar="N", help="points of a map (default: %(default)s)")
+    group.add_argument("--ticks", type=int, default=1000, metavar="M", help="of each random run (default: %(default)s)")
+    group.add_argument("--seed", type=int, default=0, help="of the random runs and garbage (default: %(default)s)")
+    group.add_argument(
+        "--garbage",
+        type=int,
+        default=GARBAGE_TICKS,
+        metavar="M",
+        help="ticks of garbage a scene (default: %(default)s)",
+    )
+    add_sweep_options(parser)
+    add_output_options(parser)
