@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -12,7 +13,8 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import build
+from softfinger.config.load import build, load_scene
+from softfinger.config.schema import Scene
 from softfinger.config.sources import EXPERIMENTS, find_in, names_in, read_toml
 from softfinger.config.words import shown
 from softfinger.server.experiment.design import Condition, conditions
@@ -23,6 +25,8 @@ from softfinger.server.wire.commands import IMAGE_BYTES_MAX
 
 IMAGES: Final = {"png": rb"\x89PNG\r\n\x1a\n", "jpeg": rb"\xff\xd8\xff", "webp": rb"RIFF....WEBP"}
 """First bytes of image files, by the name of their type."""
+FILE_KEYS: Final = ("file", "solution")
+"""Keys of an object and its tables whose values are files."""
 
 
 def shipped() -> list[str]:
@@ -62,16 +66,23 @@ def resolve_source(folder: Path, name: str) -> str | Path:
 
 
 def hashes(experiment: ExperimentFile, folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of each scene and of the rig that are files next to the experiment."""
+    """Return the SHA-256 of the files of an experiment: scenes, rig and images next to it, and files of the scenes."""
     images = image_names(experiment)
-    names = {
-        experiment.scene,
-        experiment.rig,
-        *images,
-        *(name for factor in experiment.factor for name in factor.scenes.values()),
-    }
-    paths = {name: folder / name for name in sorted(names) if name.endswith(".toml") or name in images}
-    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in paths.items()}
+    scenes = {experiment.scene, *(name for factor in experiment.factor for name in factor.scenes.values())}
+    own = {name for name in scenes if name.endswith(".toml")}
+    names = {*own, *images, *({experiment.rig} if experiment.rig.endswith(".toml") else ())}
+    for name in own:
+        names |= {os.path.relpath(file, folder) for file in _named_files(load_scene(folder / name))}
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in sorted(names)}
+
+
+def _named_files(scene: Scene) -> Iterator[str]:
+    """Yield the paths of the model, meshes, maps, textures and solutions of a scene."""
+    if scene.world is not None:
+        yield scene.world.model
+    for item in scene.object:
+        tables = item, getattr(item, "texture", None), getattr(item, "elastic", None)
+        yield from (path for table in tables for key in FILE_KEYS if (path := getattr(table, key, None)) is not None)
 
 
 def image_names(experiment: ExperimentFile) -> list[str]:

@@ -2,7 +2,7 @@
 
 FOLDER/
     dataset_description.json, experiment.json     description, the same for all participants
-    files.json                                    hashes of scenes and rig next to the experiment, if there are any
+    files.json                                    hashes of its scenes and their files, rig and images, if any
     participants.tsv, trials.csv                  tables of all participants, made from the journals
     surveys.csv                                   one row per answer to a survey, if there are any
     sub-01/

@@ -87,7 +87,8 @@ An experiment file (TOML) describes trials and answers: [run an experiment](../r
 
 _KEPT: Final = {
     "experiment.json": "the experiment; the folder refuses another one",
-    "files.json": "hashes of the scene files and the rig file of the experiment; the folder refuses changed files",
+    "files.json": "hashes of the experiment's scenes, rig and images, and of meshes, maps, textures and models of its "
+    "scenes; the folder refuses changed files",
     "dataset_description.json": "title and version of BIDS, which defines the file names",
     "trials.csv, participants.tsv": "a row per trial of all participants, made from the journals",
     "surveys.csv": "a row per answer to a question of a survey; `sub-01/sub-01_surveys.csv` for one participant",

@@ -10,6 +10,7 @@ import pytest
 
 from softfinger.config.errors import ConfigError
 from softfinger.server import cli
+from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment
 
 pytestmark = pytest.mark.plain
@@ -69,6 +70,15 @@ file = "SURVEY"
 """
 
 
+PLAIN: Final = """
+title = "t"
+scene = "scene.toml"
+task = { kind = "compare", parameter = "coupling.damping_ns_per_m", reference = 1.0, question = "?" }
+procedure = { kind = "constant", levels = [0.1] }
+design = { seed = 1 }
+"""
+
+
 def check(folder: Path, capsys: pytest.CaptureFixture[str], **values: str) -> list[str]:
     """Return the errors that `check --json` lists of an experiment whose words are replaced by `values`."""
     sound = {"SEED": "1", "OVERRIDE": "object.table.material.damping_ns_per_m", "FINGER": "fingertip", "RADIUS": "0.01",
@@ -106,3 +116,36 @@ def test_mistakes_behind_mistakes_of_the_file(tmp_path: Path, capsys: pytest.Cap
     assert_lists(found, "design.seed", "servo.rate_hz", "fingertip.radius_m", "damping_ns_per_m = -2.0", *NAMES)
     with pytest.raises(ConfigError, match=r"8 faults:\n(.*\n){7}.*"):
         Experiment(tmp_path / "study.toml")
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "more", "table"),
+    [
+        ("blob.obj", b"v 0 0 0\nv .04 0 0\nv 0 .04 0\nv 0 0 .04\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n", b"# more\n",
+         '[[object]]\nname = "blob"\nshape = "mesh"\nfile = "blob.obj"\nposition_m = [0.0, 0.0, -1.0]\n'
+         'material = "wood"\n'),
+        ("ribs.csv", b"0,1\n1,0\n", b"0,1\n",
+         '[object.texture]\nfile = "ribs.csv"\nsize_m = [0.02, 0.02]\nheight_m = 1e-5\n'),
+        ("box.xml", b'<mujoco><worldbody><geom size=".01" pos="0 0 -1"/></worldbody></mujoco>', b"<!-- more -->",
+         '[world]\nmodel = "box.xml"\nmaterial = "wood"\n'),
+    ],
+    ids=["mesh", "texture", "model"],
+)  # fmt: skip
+def test_a_file_that_a_scene_names_belongs_to_the_study(
+    name: str, data: bytes, more: bytes, table: str, tmp_path: Path
+) -> None:
+    """The folder of one participant refuses another with a changed mesh, texture or model."""
+    folder, offline = tmp_path / "study", RunOptions(dry_run=True, no_daemon=True)
+    folder.mkdir()
+    (folder / name).write_bytes(data)
+    sound = {"RADIUS": "0.01", "DAMPING": "0.0"}
+    scene = SCENE
+    for word, value in sound.items():
+        scene = scene.replace(word, value)
+    (folder / "scene.toml").write_text(scene + table)
+    (folder / "study.toml").write_text(PLAIN)
+    Experiment(folder / "study.toml").run(tmp_path / "out", 1, offline)
+    Experiment(folder / "study.toml").run(tmp_path / "out", 2, offline)
+    (folder / name).write_bytes(data + more)
+    with pytest.raises(ConfigError, match=rf"files\.json: .* other values \({name}\)"):
+        Experiment(folder / "study.toml").run(tmp_path / "out", 3, offline)
