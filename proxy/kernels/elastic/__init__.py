@@ -1,1 +1,4 @@
-"""Contact with an elastic surface: `spots.py`, the compliance at the contacts; `step.py`, the contact step."""
+"""Contact with an elastic surface: compliance at the contacts (`spots.py`), contact step (`step.py`).
+
+Contains no mesh and no solution of the solid (`proxy/elastic`).
+"""
