@@ -6,7 +6,7 @@ The structs of `schema`, the commands of the wire and the options of drivers use
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Final
 
 import msgspec
@@ -25,6 +25,15 @@ class Table(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 def known(*values: object) -> bool:
     """Return whether all these fields were usable in the file."""
     return not any(value is msgspec.UNSET for value in values)
+
+
+def is_complete(value: object) -> bool:
+    """Return whether a value has no unusable part."""
+    if isinstance(value, msgspec.Struct):
+        return all(is_complete(getattr(value, name)) for name in value.__struct_fields__)
+    if isinstance(value, Mapping):
+        return all(map(is_complete, value.values()))
+    return all(map(is_complete, value)) if isinstance(value, list | tuple) else known(value)
 
 
 def within(span: limits.Range, meaning: str, example: Any = None) -> Meta:

@@ -8,13 +8,13 @@ Options of a driver are not interpreted here: the driver's struct goes through `
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import msgspec
 
-from softfinger.config.errors import ConfigError
+from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.fields import known
 from softfinger.config.overrides import changed
 from softfinger.config.scalars import Fault
@@ -23,6 +23,7 @@ from softfinger.config.sources import FOLDERS, find, printable, read_toml
 from softfinger.config.validate import examine
 
 T = TypeVar("T", bound=msgspec.Struct)
+R = TypeVar("R")
 SceneSource = str | Path | Mapping[str, Any] | Scene
 """Accepted forms of a scene: file, name of a shipped scene, mapping, or `Scene`."""
 
@@ -33,16 +34,27 @@ _LISTED: Final = 12
 class FaultyConfig(ConfigError):
     """ConfigError for callers that list the faults.
 
-    faults  all of them
-    config  the scene or rig with UNSET in the place of what is unusable, for further checks
+    faults  all of them, with their source
+    config  the scene, rig or experiment with UNSET in the place of what is unusable, for further checks
     """
 
-    def __init__(self, faults: Sequence[Fault], config: Any = None) -> None:
+    def __init__(self, faults: Sequence[Fault | str], config: Any = None) -> None:
         self.faults, self.config = tuple(faults), config
         lines = [str(fault) for fault in faults[:_LISTED]]
         if more := len(faults) - len(lines):
             lines.append(f"and {more} more: mend these first")
         super().__init__(lines[0] if len(faults) == 1 else "\n  ".join([f"{len(faults)} faults:", *lines]))
+
+
+def attempt(load: Callable[[], R], faults: list[str]) -> R | None:
+    """Return the result of a function; if it raises an error, append its faults to `faults`, and return None."""
+    try:
+        return load()
+    except FaultyConfig as error:
+        faults += map(str, error.faults)
+    except HapticError as error:
+        faults.append(str(error))
+    return None
 
 
 def load_scene(
@@ -86,7 +98,7 @@ def load_scene(
     if isinstance(scene, Scene):
         return overridden(scene, overrides, "override") if overrides else scene
     if isinstance(scene, Mapping):
-        return completed(_with_overrides(Scene, scene, "scene", overrides or {}, sources or {}))
+        return completed(build_changed(Scene, scene, "scene", overrides or {}, sources or {}))
     folder = find(scene, Scene).parent
     try:
         loaded = _load(Scene, scene, overrides or {}, sources or {})
@@ -119,7 +131,17 @@ def load_faults(path_or_name: str | Path) -> Faults:
 
 def build(struct_type: type[T], mapping: object, where: str) -> T:
     """Convert `mapping` to a `struct_type`; raises ConfigError with every fault, each naming `where` and its key."""
-    return _built(struct_type, mapping, where, {})
+    value, faults = examine(struct_type, mapping, where)
+    return _checked(struct_type, value, faults)
+
+
+def build_changed(
+    struct_type: type[T], given: Mapping[str, Any], where: str, overrides: Mapping[str, Any], sources: Mapping[str, str]
+) -> T:
+    """Convert a mapping with overrides by dotted key, which have the origins `sources`; raises as `build`."""
+    mapping, origins, homeless = changed(given, overrides, sources)
+    value, faults = examine(struct_type, mapping, where, origins)
+    return _checked(struct_type, value, faults or homeless)  # a fault of the file may be why a place does not exist
 
 
 def overridden(config: T, changes: Mapping[str, Any], where: str) -> T:
@@ -127,7 +149,7 @@ def overridden(config: T, changes: Mapping[str, Any], where: str) -> T:
 
     Raises ConfigError with every fault, each naming `where`.
     """
-    return _with_overrides(type(config), describe(config), where, changes, dict.fromkeys(changes, where))
+    return build_changed(type(config), describe(config), where, changes, dict.fromkeys(changes, where))
 
 
 def describe(config: msgspec.Struct) -> dict[str, Any]:
@@ -140,17 +162,7 @@ def _load(
 ) -> T:
     path = find(path_or_name, struct_type)
     name = path.name if path.parent == FOLDERS[struct_type] else printable(path)
-    return _with_overrides(struct_type, read_toml(path, name), name, overrides, sources)
-
-
-def _with_overrides(
-    struct_type: type[T], given: Mapping[str, Any], where: str, overrides: Mapping[str, Any], sources: Mapping[str, str]
-) -> T:
-    mapping, origins, homeless = changed(given, overrides, sources)
-    config = _built(struct_type, mapping, where, origins)
-    if homeless:  # only if the file itself has no fault
-        raise ConfigError("; ".join(homeless))
-    return config
+    return build_changed(struct_type, read_toml(path, name), name, overrides, sources)
 
 
 def completed(scene: Scene) -> Scene:
@@ -192,8 +204,7 @@ def _beside(folder: Path, thing: Object) -> Object:
     return msgspec.structs.replace(thing, texture=texture)
 
 
-def _built(struct_type: type[T], mapping: object, where: str, sources: Mapping[str, str]) -> T:
-    value, faults = examine(struct_type, mapping, where, sources)
+def _checked(struct_type: type[T], value: Any, faults: Sequence[Fault]) -> T:
     if faults:
         raise FaultyConfig(faults, value)
     assert isinstance(value, struct_type)

@@ -90,7 +90,7 @@ class _Model:
 
     def read(self, text: str, path: Path, name: str, times: int, depth: int) -> None:
         """Count a file `times` times, including the files that it includes and attaches."""
-        models, attached = dict[str, Path](), Counter[str]()
+        models, attached, included = dict[str, Path](), Counter[str](), {path}
         folder, waiting = path.parent, [(self._root(text, name), times, name, path.parent)]
         while waiting:
             element, times, name, own = waiting.pop()
@@ -100,6 +100,9 @@ class _Model:
             match element.tag:
                 case "include":
                     part = self._found(element, (folder, own), name)
+                    if part in included:
+                        raise ConfigError(f"world.model {name}: includes {given} again: MuJoCo reads each file once")
+                    included.add(part)
                     if (inner := self._text(part)) is not None:
                         within = f"{self._name}, {given}"
                         waiting.append((self._root(inner, within), times, within, part.parent))

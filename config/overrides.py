@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.materials import FINGERTIPS, MATERIALS
+from softfinger.config.scalars import Fault
 from softfinger.config.words import shown
 
 _BY_NAME: Final = {"material": MATERIALS.key, "fingertip": FINGERTIPS.key}
@@ -22,12 +23,12 @@ class Changed(NamedTuple):
 
     mapping   a copy of the given one, with the new values
     origins   source of each key that has a new value
-    homeless  messages for overrides of places that do not exist
+    homeless  faults of overrides of places that do not exist
     """
 
     mapping: dict[str, Any]
     origins: dict[str, str]
-    homeless: list[str]
+    homeless: list[Fault]
 
 
 def changed(given: Mapping[str, Any], overrides: Mapping[str, Any], sources: Mapping[str, str]) -> Changed:
@@ -35,7 +36,7 @@ def changed(given: Mapping[str, Any], overrides: Mapping[str, Any], sources: Map
 
     Raises ConfigError for a value that is given twice.
     """
-    mapping, origins, homeless = copy.deepcopy(dict(given)), dict[str, str](), list[str]()
+    mapping, origins, homeless = copy.deepcopy(dict(given)), dict[str, str](), list[Fault]()
     ways = {dotted: numbered(mapping, dotted) for dotted in overrides}
     if len(set(ways.values())) < len(ways):
         source = sources.get(next(iter(ways)), "override")
@@ -46,7 +47,7 @@ def changed(given: Mapping[str, Any], overrides: Mapping[str, Any], sources: Map
             for key in _for_each_device(mapping, ways[dotted]):
                 _override(mapping, key, overrides[dotted], source, origins)
         except LookupError as error:
-            homeless.append(f"{source}: {dotted}: {error.args[0]}")
+            homeless.append(Fault(source, dotted, f"{dotted}: {error.args[0]}"))
     return Changed(mapping, origins, homeless)
 
 

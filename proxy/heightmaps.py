@@ -112,7 +112,7 @@ def overshoot(heights: Grid) -> float:
     return most
 
 
-def thinned(heights: Grid, pitch: float, most: int) -> tuple[Grid, Grid, Grid]:
+def thin_map(heights: Grid, pitch: float, most: int) -> tuple[Grid, Grid, Grid]:
     """Reduce a map to at most `most` pixels a side.
 
     Returns x (columns,) and y (rows,), m, and heights (rows, columns).

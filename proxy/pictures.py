@@ -8,8 +8,8 @@ import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.arrays.grids import Grid
-from softfinger.proxy.heightmaps import read_heights, thinned
-from softfinger.proxy.meshes.prepared import rendered
+from softfinger.proxy.heightmaps import read_heights, thin_map
+from softfinger.proxy.meshes.prepared import latest_picture
 from softfinger.proxy.meshes.reading import Arrays
 
 MAP_PIXELS: Final = 158
@@ -29,11 +29,11 @@ class Picture(NamedTuple):
 def picture_of(thing: Filed) -> Picture:
     """Return the picture of an object. Raises ConfigError, with its name, if its file cannot be used any more."""
     if isinstance(thing, schema.Mesh):
-        report, arrays = rendered(thing)
+        report, arrays = latest_picture(thing)
         return Picture(arrays, report.triangles)
     heights = read_heights(thing)
     rows, columns = (max(count - 1, 1) for count in heights.shape)
-    return Picture(relief(*thinned(heights, thing.pitch_m, MAP_PIXELS)), 2 * rows * columns)
+    return Picture(relief(*thin_map(heights, thing.pitch_m, MAP_PIXELS)), 2 * rows * columns)
 
 
 def relief(x: Grid, y: Grid, z: Grid) -> Arrays:

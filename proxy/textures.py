@@ -63,7 +63,7 @@ def make(thing: schema.Textured) -> Made:
     repeats = texture.border == "period"
     rows, columns = grid.shape
     pitch = width / columns, depth / rows
-    return Made(filtered((grid - low) / (high - low), pitch, cutoff_m(texture), (around or repeats, repeats)),
+    return Made(filter_texture((grid - low) / (high - low), pitch, cutoff_m(texture), (around or repeats, repeats)),
                 (width, depth), around)  # fmt: skip
 
 
@@ -91,7 +91,7 @@ def bounds(thing: schema.Textured) -> tuple[float, float, float]:
     return float(np.ptp(heights)), math.hypot(most(0), most(1)), max(most(0, 0), most(1, 1)) + most(0, 1)
 
 
-def filtered(grid: Grid, pitch: tuple[float, float], cutoff: float, repeats: tuple[bool, bool]) -> Grid:
+def filter_texture(grid: Grid, pitch: tuple[float, float], cutoff: float, repeats: tuple[bool, bool]) -> Grid:
     """Return the numbers (rows, columns) without wavelengths below `cutoff` (m).
 
     pitch    m  between columns and between rows

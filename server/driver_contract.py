@@ -93,10 +93,18 @@ class Bench(ABC):
 
 PULL: Final = {
     "fingertip": {"radius_m": 0.01},
-    "object": [{"name": "floor", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}],
+    "object": [
+        {
+            "name": "floor",
+            "shape": "plane",
+            "motion": {"kind": "driven"},
+            "material": {"stiffness_n_per_m": 1000.0},
+        }
+    ],
     "effect": [{"kind": "constant_force", "force_n": [0.6, 0.0, 0.8]}],
 }
-"""Scene that pulls with 1 N at every position and pushes upwards below z = 0."""
+"""Scene that pulls with 1 N at every position and pushes upwards below z = 0. Nothing drives its floor: the tests of
+this package share the compiled loop with those of commands."""
 
 
 def pulling() -> Tuning:

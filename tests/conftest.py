@@ -22,6 +22,9 @@ from softfinger.config.schema import Scene
 from softfinger.config.schema.addresses import IPC_PATH_MAX
 from softfinger.drivers import open_devices
 
+gc.disable()
+"""Until the tests are imported, which then takes two thirds of the CPU time: see `pytest_collection`."""
+
 pytest_plugins = ["helpers.pages"]
 collect_ignore = ["outside_driver"]
 """A package of its own, whose tests need it installed: tests/test_packaging.py runs them."""
@@ -77,12 +80,21 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--exhaustive", action="store_true", help="all cases of tests marked `scaled`")
     group.addoption("--faults-seen", metavar="FILE", help="write what tests of injected faults saw here")
     group.addoption("--put-off", metavar="FILE", help="name tests of real time here that failed")
+    group.addoption("--files", choices=["server", "others"], help="tests in tests/server itself, or all others")
+
+
+def is_in_part(path: Path, config: pytest.Config) -> bool:
+    """Return whether a test file is one of `--files`."""
+    files = config.getoption("--files")
+    return files is None or (files == "server") == (path.parent.name == "server")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Skip the import of files in which the marks of the command line select no test: importing all takes 20 CPU s."""
     if not collection_path.match("test_*.py"):
         return None
+    if not is_in_part(collection_path, config):
+        return True
     text = collection_path.read_text(encoding="utf-8")
     for term in str(config.option.markexpr).split(" and "):
         mark = term.removeprefix("not ")
@@ -105,16 +117,21 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(FaultsSeen(file))
 
 
-def pytest_collection_finish() -> None:
-    """Collect garbage less often: visiting every test and module took a fifth of the CPU time of plain tests."""
-    gc.collect()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[object]:
+    """Enable the garbage collector again, less often and without what was imported: visiting every test and module took
+    a fifth of the CPU time of plain tests."""
+    result = yield
     gc.freeze()
     gc.set_threshold(50_000, 20, 20)
+    gc.enable()
+    return result
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by mark
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave all but some cases of tests marked `sampled` to `make test-all`; skip servo loops in plain Python."""
+    items[:] = [item for item in items if is_in_part(item.path, config)]  # of files that the command line names
     sample_cases(items)
     skip_servo_loops(items)
 

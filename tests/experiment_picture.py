@@ -11,7 +11,8 @@ from helpers.experiment_page import EXPERIMENT, Session, session
 from PIL import Image
 
 from softfinger.server import cli
-from softfinger.server.experiment.experiment import Experiment, RunOptions
+from softfinger.server.experiment.daemon import RunOptions
+from softfinger.server.experiment.experiment import Experiment
 
 FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
 PICTURE, REPORT = FIGURES / "experiment-page.png", FIGURES / "experiment-report.png"

@@ -9,11 +9,12 @@ Parts:
     logic       marked `plain`: kernels as plain Python, which takes a scene in a millisecond where a compiler takes
                 seconds; `make test-all` runs the same tests compiled, and they have to agree
     compiled    all others
-    real time   marked `real_time`, in two processes: they wait for the clock more than they compute, so they share the
-                processors with the other parts, which give way to them
+    rt server   marked `real_time`, in tests/server itself
+    rt others   marked `real_time`, in other folders; these two wait for the clock more than they compute, so they share
+                the processors with the other parts, which give way to them
+    put off     of the last two, the ones that failed; last, with nothing beside them, where a failure is one
 
-Each process imports the tests that it runs, 6 to 10 CPU s, so the first two parts have one process each.
-    put off     of those, the ones that failed; last, with nothing beside them, where a failure is one
+Each process imports the tests that it runs, 4 to 8 CPU s, so each part is one process with files of its own.
 """
 
 from __future__ import annotations
@@ -54,6 +55,15 @@ HANG_S: Final = 300.0
 SAMPLE_S: Final = 0.3
 """CPU seconds of the measurement of `hang_limit`; three periods of a quota of Linux, 0.1 s each."""
 
+LOOPS: Final = """
+from softfinger.config.load import load_scene
+from softfinger.server.cli import main
+from softfinger.server.driver_contract import PULL
+from softfinger.server.services.compilation import compile_loop
+main(["warmup", "--quiet", "paper-plane"])
+compile_loop(load_scene(PULL))
+"""
+"""Program that compiles the loops of the default scene and of the driver tests."""
 DRIVERS: Final = (("serial",), ("falcon", "forcedimension", "haply", "hid", "openhaptics", "simulated", "spacemouse"))
 """Drivers whose exchanges two processes compile, in about the same time."""
 
@@ -81,10 +91,12 @@ QUICK: Final = (
     Part("logic", f"plain and {QUICKLY}", environment=(("NUMBA_DISABLE_JIT", "1"), (PLAIN_VARIABLE, "1"))),
     Part("compiled", f"not plain and not real_time and {QUICKLY}", nice=LESS_NICE),
 )
-REAL_TIME: Final = Part("real time", f"real_time and {QUICKLY}", (*BY_FILE, "2"), nice=0)
+REAL_TIME: Final = tuple(
+    Part(f"rt {files}", f"real_time and {QUICKLY}", (f"--files={files}",), nice=0) for files in ("server", "others")
+)
 """Beside those and each other. What keeps time waits two thirds of its time, so two processes do it in half of that."""
 PUT_OFF: Final = Part("put off", "real_time", nice=0)
-"""Behind those: each test that the one before has named."""
+"""Behind those: each test that they have named."""
 
 SYSTEM: Final = (Part("system", "system and not exhaustive", nice=0),)
 """Alone: a browser that draws without a graphics card needs both processors."""
@@ -176,23 +188,24 @@ def hang_limit() -> str:
 
 
 def compile_kernels() -> None:
-    """Compile what several processes would otherwise compile at once: drivers, and the loop of the default scene."""
+    """Compile what several processes would otherwise compile at once: drivers, and the loops that most tests run."""
     programs = ["; ".join(f"import softfinger.drivers.{name}.device" for name in names) for names in DRIVERS]
     compiling = [subprocess.Popen([sys.executable, "-c", program], env=ENVIRONMENT) for program in programs]
     for process in compiling:
         process.wait()  # an error of an import is reported by the tests
-    warmup = [sys.executable, "-m", "softfinger.server.cli", "warmup", "--quiet", "paper-plane"]
-    subprocess.run(warmup, env=ENVIRONMENT, stdout=subprocess.DEVNULL, check=False)
+    subprocess.run([sys.executable, "-c", LOOPS], env=ENVIRONMENT, stdout=subprocess.DEVNULL, check=False)
 
 
 def quick(words: Sequence[str], covered: bool) -> list[Running]:
     """All of `make test`; last, with nothing beside them, the tests of real time that failed beside others."""
     compile_kernels()
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "put-off"
-        ended = run([*QUICK, REAL_TIME._replace(words=(*REAL_TIME.words, f"--put-off={file}"))], words, covered)
-        if file.exists() and file.stat().st_size:
-            ended += run([PUT_OFF._replace(words=(f"@{file}",))], (), covered)
+        files = [Path(folder) / part.name for part in REAL_TIME]
+        parts = zip(REAL_TIME, files, strict=True)
+        real_time = [part._replace(words=(*part.words, f"--put-off={file}")) for part, file in parts]
+        ended = run([*QUICK, *real_time], words, covered)
+        if named := tuple(f"@{file}" for file in files if file.exists() and file.stat().st_size):
+            ended += run([PUT_OFF._replace(words=named)], (), covered)
     return ended
 
 

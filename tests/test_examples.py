@@ -19,7 +19,8 @@ from nbclient import NotebookClient
 from softfinger.drivers.base import PROTOCOL
 from softfinger.server.driver_contract import Servo
 from softfinger.server.experiment.analysis import PowerLaw, fit_groups
-from softfinger.server.experiment.experiment import Experiment, RunOptions
+from softfinger.server.experiment.daemon import RunOptions
+from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.folder import load, write_csv
 from softfinger.server.experiment.psychometric import Fit
 

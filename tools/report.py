@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         log.warning("no black boxes: this user has no home folder; set HOME or SOFTFINGER_BLACKBOX_DIR")
     found = [] if place is None else blackbox.files(place)
     boxes = found[len(found) - min(args.boxes, len(found)) :]
-    cleaner = privacy.Privacy(device.serial for device in discovery.attached())
+    cleaner = privacy.Privacy(device.serial for device in discovery.list_attached())
     told = {
         "softfinger": version("softfinger"),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",

@@ -57,7 +57,7 @@ def load(named: str | None) -> ctypes.CDLL:
     try:
         loaded = library.load(named)
     except DeviceNotFound as error:
-        devices = [str(device) if device.permitted else usb.how_to_permit(device) for device in usb.attached()]
+        devices = [str(device) if device.permitted else usb.how_to_permit(device) for device in usb.list_attached()]
         attached = f". Attached over USB: {'; '.join(devices)}" if devices else ""
         raise DeviceNotFound(f"{error}{attached}") from None
     parts = [ctypes.c_int() for _ in range(4)]
@@ -74,7 +74,7 @@ def read_serial(call: ctypes.CDLL, device: int) -> int:
 
 
 def _raise_not_found(call: ctypes.CDLL, count: int) -> NoReturn:
-    devices = usb.attached()
+    devices = usb.list_attached()
     for device in devices:
         if not device.permitted:
             raise DevicePermission(usb.how_to_permit(device))
@@ -88,12 +88,12 @@ def _raise_not_found(call: ctypes.CDLL, count: int) -> NoReturn:
 def _open_error(call: ctypes.CDLL, number: int) -> DeviceError:
     code, text = call.dhdErrorGetLast(), library.error_text(call)
     if code in (library.ERROR_BUSY, library.ERROR_IN_USE):
-        by = ", ".join(name for device in usb.attached() for name in usb.holders(device)) or "another process"
+        by = ", ".join(name for device in usb.list_attached() for name in usb.holders(device)) or "another process"
         return DeviceBusy(f"device {number} is used by {by} ({text}): end that process, then start again")
     if code == library.ERROR_NO_DEVICE:
         return DeviceNotFound(f"device {number} is not there any more ({text}): check cable and power")
     if code in (library.ERROR_COM, library.ERROR_NO_DRIVER):
-        for device in usb.attached():
+        for device in usb.list_attached():
             if not device.permitted:
                 return DevicePermission(usb.how_to_permit(device))
     if code == library.ERROR_TIMEOUT:

@@ -26,7 +26,7 @@ class Attached(NamedTuple):
         return f"{self.name} at {self.node}"
 
 
-def attached() -> list[Attached]:
+def list_attached() -> list[Attached]:
     """Return every device of the vendor; none without USB, or without libusb."""
     found: list[Attached] = []
     for device in discovery.find_usb(idVendor=VENDOR):

@@ -68,7 +68,7 @@ def find_device(options: Options) -> str:
     nodes = {one.node: one for one in nodes_found if (one.vendor, one.product) == wanted}
     # In a container, the system's table may list nodes that the container cannot access.
     if options.through != "node" and not any(map(os.path.exists, nodes)):
-        interfaces = usb.attached(*wanted)
+        interfaces = usb.list_attached(*wanted)
         if interfaces:
             return _choose_on_bus(options, interfaces)
     if nodes:

@@ -27,7 +27,7 @@ class OpenInterface(NamedTuple):
     lock_fd: int
 
 
-def attached(vendor: int, product: int) -> dict[str, str]:
+def list_attached(vendor: int, product: int) -> dict[str, str]:
     """Return the serial numbers of HID interfaces with these ids, by hidapi's path.
 
     A path such as 1-2.3:1.0 contains bus, ports and interface.

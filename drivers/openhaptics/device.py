@@ -356,7 +356,7 @@ def _open_library_device(call: ctypes.CDLL, name: str | None) -> int:
 def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
     messages = "; ".join(map(str, found)) or "the library gives no reason"
     which = "the default device" if name is None else f"the device '{name}'"
-    seen = usb.attached()
+    seen = usb.list_attached()
     if any(error.code == library.ALREADY_INITIATED for error in found):
         raise DeviceBusy(
             f"{which} is in use by another program, or twice in this rig: {messages}: end the other, then start again"
@@ -364,7 +364,7 @@ def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
     if any(error.code == library.INVALID_LICENSE for error in found):
         raise DeviceError(f"{which} cannot be opened: {messages}: install the developer edition's licence")
     for device in seen:
-        if device.node and not discovery.permitted(device.node):
+        if device.node and not discovery.is_permitted(device.node):
             raise DevicePermission(usb.how_to_permit(device))
         if device.node and (holder := discovery.holder(device.node)) is not None:
             raise DeviceBusy(f"{device} is used by {holder}: end that process, then start again ({messages})")

@@ -7,11 +7,11 @@ from softfinger.drivers.system.claims import TOUCHES
 from softfinger.drivers.system.discovery import Attached
 
 
-def attached() -> list[Attached]:
+def list_attached() -> list[Attached]:
     """Return every port, HID node or USB device of 3D Systems; devices with Ethernet or FireWire are not listed."""
     return [
         device
-        for device in discovery.attached()
+        for device in discovery.list_attached()
         if any(device.vendor == vendor and product in (None, device.product) for _, vendor, product in TOUCHES)
     ]
 

@@ -19,8 +19,11 @@ from softfinger.drivers.system.descriptor import ReportLengths, parse_descriptor
 from softfinger.drivers.system.discovery import NO_PRODUCT, Attached, Bus
 
 PUCKS: Final = (
-    *((0x046D, product) for product in (0xC625, 0xC626, 0xC627, 0xC629, 0xC62B)),
-    *((0x256F, product) for product in (0xC62E, 0xC632, 0xC633, 0xC635, 0xC638, 0xC63A, 0xC652)),
+    *((0x046D, product) for product in (0xC625, 0xC626, 0xC627, 0xC628, 0xC629, 0xC62B)),
+    *(
+        (0x256F, product)
+        for product in (0xC62E, 0xC62F, 0xC631, 0xC632, 0xC633, 0xC635, 0xC636, 0xC638, 0xC63A, 0xC652)
+    ),
 )
 """Ids of 3Dconnexion pucks and their receivers."""
 

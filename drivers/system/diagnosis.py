@@ -72,7 +72,7 @@ def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = N
             f"{device.node or 'its node'} is not there, as in a container that was not given it",
             f"docker run --device {device.node or '/dev/bus/usb'} ..., or run outside of the container",
         )
-    if not discovery.permitted(device.node):
+    if not discovery.is_permitted(device.node):
         return Diagnosis("permission", f"this user may not write to {device.node}", how_to_permit(device))
     if (holder := discovery.holder(device.node)) is not None:
         return Diagnosis("busy", f"{device.node} is used by {holder}", f"kill {holder.pid}")

@@ -66,7 +66,7 @@ class Holder(NamedTuple):
         return f"process {self.pid} ({self.name})"
 
 
-def attached(root: Path = ROOT) -> list[Attached]:
+def list_attached(root: Path = ROOT) -> list[Attached]:
     """Return every hidraw node and serial port on USB, and every USB device that has neither, except hubs.
 
     root  folder that contains sys and dev
@@ -131,7 +131,7 @@ def usb_devices(root: Path = ROOT) -> Iterator[Attached]:
             yield found
 
 
-def permitted(node: str) -> bool:
+def is_permitted(node: str) -> bool:
     """Return True if this user may read and write a node."""
     acting_for_another = os.geteuid() != os.getuid()
     return os.access(node, os.R_OK | os.W_OK, effective_ids=acting_for_another)

@@ -54,7 +54,7 @@ def fill(vertices: Doubles, triangles: Whole, resolution_m: float) -> Volume:
         raise ValueError(f"gmsh cannot fill the surface: {error}: repair the mesh, or give a .msh file") from error
     finally:
         gmsh.finalize()
-    return checked(points, corners)
+    return check_volume(points, corners)
 
 
 def _filled(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float) -> tuple[Doubles, Whole]:
@@ -100,10 +100,10 @@ def read_volume(file: str, scale: float) -> Volume:
     tetrahedra = found.cells_dict.get("tetra")
     if tetrahedra is None:
         raise ValueError(f"has no tetrahedra, only {', '.join(found.cells_dict) or 'nothing'}: export the volume mesh")
-    return checked(scale * np.asarray(found.points, np.float64), np.asarray(tetrahedra, np.int64))
+    return check_volume(scale * np.asarray(found.points, np.float64), np.asarray(tetrahedra, np.int64))
 
 
-def checked(vertices: Doubles, tetrahedra: Whole) -> Volume:
+def check_volume(vertices: Doubles, tetrahedra: Whole) -> Volume:
     """Return the volume without unused vertices. Raises ValueError for inverted, flat or too many tetrahedra."""
     most = int(limits.ELASTIC_TETRAHEDRA.high)
     if not 0 < len(tetrahedra) <= most:

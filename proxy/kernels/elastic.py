@@ -289,7 +289,7 @@ def surface_after(
     if dt > 0.0:
         gain = 1.0 / (finger.velocity_time_constant + dt)
         moved = vec3.sub(displacement, last.displacement)
-        rate = vec3.add_scaled(vec3.faded(finger.velocity_time_constant * gain, last.rate), gain, moved)
+        rate = vec3.add_scaled(vec3.scale_and_flush(finger.velocity_time_constant * gain, last.rate), gain, moved)
     beyond = 0.0
     if vec3.dot(displacement, displacement) > elastic.large * elastic.large:
         beyond += LARGE_DISPLACEMENT

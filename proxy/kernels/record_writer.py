@@ -4,7 +4,7 @@ from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.jit.tuples import map_each, padded
+from softfinger.proxy.kernels.jit.tuples import map_each, pad
 from softfinger.proxy.kernels.model import NO_OUTCOME, ZERO, Contact, ContactOutcome, Quaternion, Surface, Vec3
 from softfinger.proxy.record import AT
 
@@ -57,7 +57,7 @@ def write_contact(
     row[AT.contact_budget] = contact.budget
     put3(row, AT.contact_displacement, ZERO)
     row[AT.contact_nonlinear] = 0.0
-    one, two, three = padded(contact.contacts, NO_OUTCOME, 3)
+    one, two, three = pad(contact.contacts, NO_OUTCOME, 3)
     write_outcome(row, AT.contacts0_object, one)
     write_outcome(row, AT.contacts1_object, two)
     write_outcome(row, AT.contacts2_object, three)

@@ -151,7 +151,7 @@ def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant
         return state.probe.velocity
     gain = 1.0 / (time_constant + dt)
     moved = vec3.sub(position, state.probe.position)
-    return vec3.add_scaled(vec3.faded(time_constant * gain, state.probe.velocity), gain, moved)
+    return vec3.add_scaled(vec3.scale_and_flush(time_constant * gain, state.probe.velocity), gain, moved)
 
 
 @by_patches

@@ -28,7 +28,7 @@ from softfinger.proxy.meshes import kept
 from softfinger.proxy.meshes.mending import mend
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices, arrays_of, read_bytes
 from softfinger.proxy.meshes.report import Report, report_of
-from softfinger.proxy.meshes.thinning import thinned
+from softfinger.proxy.meshes.thinning import thin_mesh
 
 if TYPE_CHECKING:
     from softfinger.proxy.elastic.body import Body
@@ -96,7 +96,7 @@ def about(thing: schema.Mesh) -> About:
     return found
 
 
-def rendered(thing: schema.Mesh) -> About:
+def latest_picture(thing: schema.Mesh) -> About:
     """Return report and picture as of the last build of an object's mesh, even if its file has changed since.
 
     Without a previous build, return the result of `about`.
@@ -182,7 +182,7 @@ def _mended(thing: schema.Mesh, data: bytes, done: Callable[[int], None] = lambd
 
 
 def _about(mended: tuple[Arrays, Report]) -> About:
-    return About(mended[1], thinned(mended[0]))
+    return About(mended[1], thin_mesh(mended[0]))
 
 
 def _state(thing: schema.Mesh) -> Any:

@@ -16,7 +16,7 @@ FINEST: Final = 1e-6
 _COARSER: Final = 1.1
 
 
-def thinned(mesh: Arrays, most: int = PICTURE_TRIANGLES) -> Arrays:
+def thin_mesh(mesh: Arrays, most: int = PICTURE_TRIANGLES) -> Arrays:
     """Return the mesh with at most `most` triangles; the same mesh if it has no more.
 
     The cell size is as small as that allows. Details smaller than a cell vanish: the result is only for pictures.

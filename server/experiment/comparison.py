@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from softfinger.server.experiment.analysis import ALL, Group, PowerLaw, is_counted, power_law
+from softfinger.server.experiment.analysis import ALL, Group, PowerLaw, is_counted, student_975
+from softfinger.server.experiment.design import conditions
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import log_likelihoods
 from softfinger.server.experiment.schema import ExperimentFile
@@ -135,56 +136,83 @@ class Estimate(NamedTuple):
 def estimate_population(groups: Sequence[Group], excluded: Collection[str] = ()) -> list[Estimate]:
     """Return the geometric mean over participants of the threshold, or of the answer, in each condition."""
     values = dict[str, list[float]]()
-    for group in groups:
-        if group.participant != ALL and group.participant not in excluded:
-            value = group.fit.answer if isinstance(group.fit, PowerLaw) else group.fit.threshold
-            values.setdefault(group.condition, []).append(value)
+    for (_, condition), value in _values_by_condition(groups, excluded).items():
+        values.setdefault(condition, []).append(value)
     estimates = []
     for condition, each in values.items():
-        found = power_law([1.0] * len(each), each)
-        estimates.append(Estimate(condition, len(each), found.answer, found.answer_95))
+        mean, (low, high) = mean_interval(list(map(math.log, each)))
+        estimates.append(Estimate(condition, len(each), math.exp(mean), (math.exp(low), math.exp(high))))
     return estimates
 
 
-def survey_table(experiment: ExperimentFile, answers: Sequence[Entry], excluded: Collection[str] = ()) -> list[Entry]:
-    """Return a row for each question by condition: number of answers, mean and standard deviation, or the choices.
+class Effect(NamedTuple):
+    """Effect of a level of a factor against its first level, within participants: mean with Student's 95 % interval.
 
-    A survey with the score `mean` has one more row, the mean of its likert questions of each participant and time.
+    value  ratio of thresholds or answers (geometric mean), or difference of scores
     """
-    table = []
-    for survey in experiment.survey:
-        own = [row for row in answers if row["survey"] == survey.name and row["participant"] not in excluded]
-        scores = dict[tuple[Any, ...], list[float]]()
-        likert = [question.name for question in survey.question if question.kind == "likert"]
-        for row in own if survey.score == "mean" else ():
-            if row["question"] in likert:
-                scores.setdefault((row["participant"], row["block"], row["condition"]), []).append(row["answer"])
-        own = own + [
-            {"question": "mean", "condition": key[2], "answer": float(np.mean(each))}
-            for key, each in scores.items()
-            if len(each) == len(likert)  # a mean of fewer ratings is another quantity
-        ]
-        for question in [*(question.name for question in survey.question), *(["mean"] if scores else [])]:
-            for condition in dict.fromkeys(row["condition"] for row in own):
-                given = [row["answer"] for row in own if (row["question"], row["condition"]) == (question, condition)]
-                if given:
-                    table.append(
-                        {
-                            "survey": survey.title or survey.name,
-                            "question": question,
-                            "condition": condition or "",
-                            "answers": len(given),
-                        }
-                        | _summarise(given)
-                    )
-    return table
+
+    factor: str
+    level: str
+    baseline: str
+    participants: int
+    value: float
+    interval_95: tuple[float, float]
 
 
-def _summarise(answers: Sequence[Any]) -> dict[str, Any]:
-    if all(isinstance(answer, int | float) for answer in answers):
-        deviation = float(np.std(answers, ddof=1)) if len(answers) > 1 else math.nan
-        return {"mean": float(np.mean(answers)), "sd": deviation, "given": ""}
-    counts = dict[str, int]()
-    for answer in answers:
-        counts[str(answer)] = counts.get(str(answer), 0) + 1
-    return {"mean": math.nan, "sd": math.nan, "given": "; ".join(f"{text}: {count}" for text, count in counts.items())}
+def compare_levels(experiment: ExperimentFile, groups: Sequence[Group], excluded: Collection[str] = ()) -> list[Effect]:
+    """Return the ratio of the threshold, or of the answer, at each level of a factor to that at its first level."""
+    values = {key: math.log(value) for key, value in _values_by_condition(groups, excluded).items()}
+    return [
+        effect._replace(
+            value=math.exp(effect.value), interval_95=(math.exp(effect.interval_95[0]), math.exp(effect.interval_95[1]))
+        )
+        for effect in difference_of_levels(experiment, values)
+    ]
+
+
+def difference_of_levels(experiment: ExperimentFile, values: Mapping[tuple[str, str], float]) -> list[Effect]:
+    """Return the mean difference between each level of a factor and its first level.
+
+    values  by participant and condition
+
+    Differences are of conditions that differ only in the factor, averaged over these for each participant. Participants
+    without a value in one of the conditions are left out.
+    """
+    participants = list(dict.fromkeys(participant for participant, _ in values))
+    designed, effects = conditions(experiment), list[Effect]()
+    for factor in experiment.factor:
+        name, baseline = factor.name, factor.levels[0]
+        for level in factor.levels[1:]:
+            pairs = [
+                (each.name, base.name)
+                for each in designed
+                for base in designed
+                if each.levels[name] == level and base.levels == each.levels | {name: baseline}
+            ]
+            differences = [
+                float(np.mean([values[who, condition] - values[who, base] for condition, base in pairs]))
+                for who in participants
+                if all((who, condition) in values for pair in pairs for condition in pair)
+            ]
+            if differences:
+                mean, interval = mean_interval(differences)
+                effects.append(Effect(name, str(level), str(baseline), len(differences), mean, interval))
+    return effects
+
+
+def mean_interval(values: Sequence[float]) -> tuple[float, tuple[float, float]]:
+    """Return the mean with Student's 95 % interval, which is nan for a single value."""
+    mean, count = float(np.mean(values)), len(values)
+    margin = student_975(count - 1) * float(np.std(values, ddof=1)) / math.sqrt(count) if count > 1 else math.nan
+    return mean, (mean - margin, mean + margin)
+
+
+def _values_by_condition(groups: Sequence[Group], excluded: Collection[str]) -> dict[tuple[str, str], float]:
+    """Return the threshold, or the answer, by participant and condition."""
+    return {
+        (group.participant, group.condition): (
+            group.fit.answer if isinstance(group.fit, PowerLaw) else group.fit.threshold
+        )
+        for group in groups
+        if group.participant != ALL and group.participant not in excluded
+    }

@@ -10,11 +10,11 @@ from typing import Any
 
 from softfinger.config.files import new_file
 from softfinger.server.experiment.analysis import excluded_participants, fit_groups, format_fit, table
-from softfinger.server.experiment.comparison import survey_table
 from softfinger.server.experiment.figures import draw
 from softfinger.server.experiment.folder import JOURNAL, load, read_surveys, write_csv
 from softfinger.server.experiment.report import write_report
 from softfinger.server.experiment.session_figures import draw_session
+from softfinger.server.experiment.surveys import compare_scores, survey_table
 
 
 def run(args: argparse.Namespace) -> int:
@@ -26,7 +26,8 @@ def run(args: argparse.Namespace) -> int:
     out = Path(args.out) if args.out else root / "figures"
     out.mkdir(parents=True, exist_ok=True)
     journals = sorted(root.glob(JOURNAL))
-    surveys = survey_table(experiment, read_surveys(journals), excluded_participants(experiment, rows))
+    answers, excluded = read_surveys(journals), excluded_participants(experiment, rows)
+    surveys = survey_table(experiment, answers, excluded)
     paths = draw(experiment, groups, out)
     paths += draw_session(experiment, rows, surveys, groups, out)
     write_csv(out / "numbers.csv", numbers)
@@ -36,9 +37,9 @@ def run(args: argparse.Namespace) -> int:
     if surveys:
         write_csv(out / "surveys.csv", surveys)
     if args.report:
-        report = out / "report.html"
+        report, compared = out / "report.html", compare_scores(experiment, answers, excluded)
         with new_file(report) as file:
-            file.write(write_report(experiment, rows, groups, surveys, root, paths).encode())
+            file.write(write_report(experiment, rows, groups, (surveys, compared), root, paths).encode())
         paths.append(report)
     if args.json:
         print(text)

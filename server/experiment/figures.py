@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -46,13 +47,13 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
         (_draw_power_law if isinstance(group.fit, PowerLaw) else _draw_psychometric)(
             axes, group, is_faint=group.participant != main_participant
         )
-    axes.set(xscale="log", title=f"{experiment.title} ({main_participant})", xlabel=_level(experiment))
+    axes.set(xscale="log", title=wrap_title(experiment, main_participant), xlabel=_level(experiment))
     if experiment.task.kind == "compare":
         axes.set(ylabel="share of right answers", ylim=(0.0, 1.02))
     else:
         axes.set(yscale="log", ylabel="duration (s)" if experiment.task.kind == "trace" else "answer")
     plain_ticks(axes)
-    axes.legend(fontsize="small")
+    axes.legend(fontsize="small", title=name_factors(experiment))
     paths += save(figure, out / "fit")
     shown_groups = [group for group in groups if group.participant == main_participant]
     if any(group.means for group in shown_groups):
@@ -62,6 +63,16 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
         paths += save(figure, out / "felt")
     plt.close("all")
     return paths
+
+
+def wrap_title(experiment: ExperimentFile, participant: str) -> str:
+    """Return the title of a figure, on lines that fit, and the participant."""
+    return f"{textwrap.fill(experiment.title, 50)}\n{participant}"
+
+
+def name_factors(experiment: ExperimentFile) -> str | None:
+    """Return the names of the factors, whose levels name the conditions."""
+    return ", ".join(factor.name for factor in experiment.factor) or None
 
 
 def plain_ticks(axes: Axes) -> None:

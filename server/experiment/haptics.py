@@ -8,16 +8,16 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from softfinger.config.errors import RecordingError, SafetyStop
 from softfinger.config.load import describe, load_scene
 from softfinger.config.overrides import numbered, value_at
 from softfinger.config.schema import Scene
 from softfinger.server.experiment import rigs
+from softfinger.server.experiment.hands import Hands
 from softfinger.server.experiment.interfaces import Stimulus, TouchResult
 from softfinger.server.experiment.masses import load_changed_scene, split
-from softfinger.server.experiment.schema import ONE, ExperimentFile
+from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.ticks import row, summary
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import Sample, Subscription
 from softfinger.server.wire.protocol import CONTACT, FINGERS, finger_of
@@ -69,7 +69,7 @@ class Haptics:
         self._touch_ticks: list[dict[str, Any]] | None = None
         self.samples: Final[Subscription] = client.subscribe((CONTACT, FINGERS))
         self._wait_until(lambda: bool(self.latest), "there is no tick")
-        self._led = self._hands()
+        self._hands: Final = Hands(client, experiment)
 
     # --- a touch ----------------------------------------------------------------------------------------
 
@@ -148,7 +148,7 @@ class Haptics:
         if stimulus.scene != self._scene or needs_scene or split(changed)[0]:
             scene = load_changed_scene(self._scene_of(name), new_values, f"trial {stimulus.trial}")
             self.client.set_scene(to_file_mapping(scene), name=Path(name).stem[:64])
-            self._led = self._hands()
+            self._hands.update()
         elif changed:
             ramp_s = self.client.set_params(changed).ramp_s
         self._scene, self._set_values = stimulus.scene, new_values
@@ -159,25 +159,9 @@ class Haptics:
         scene = describe(load_scene(self._scene_of(name)))
         return {path: value_at(scene, numbered(scene, path)) for path in paths}
 
-    def _hands(self) -> dict[str, bool]:
-        """Return for each finger, by name, whether a program may lead its hand."""
-        return {finger["name"]: finger["led"] for finger in self.client.describe()["fingers"]}
-
-    # --- hands that can be led --------------------------------------------------------------------------
-
     def _lead_to_start(self, seconds: float) -> None:
-        """Lead hands to the start of their path, or of the trial; takes at least `seconds`."""
-        starts = dict[str, tuple[float, float, float]]()
-        for name, led in self._led.items():
-            path = self._experiment.motion.get(name or ONE)
-            start = path[0][1:] if path else self._experiment.trial.start_m
-            if not led or start is None:
-                continue
-            starts[name] = start
-            if path:
-                self._lead(name, 0.0)
-            else:
-                self.client.hand(start, finger=name or None)
+        """Lead hands to their start; takes at least `seconds`."""
+        starts = self._hands.lead_to_start()
         until = time.monotonic() + START_TIMEOUT_S
         self.wait(seconds)
         while time.monotonic() < until and any(
@@ -186,21 +170,11 @@ class Haptics:
         ):
             self.wait(POLL_S)
 
-    def _lead(self, name: str, elapsed_s: float) -> None:
-        """Set the goal of a hand, position and orientation, to the point of its path at a time of the touch, s."""
-        if not self._led[name]:
-            return
-        path, rotations = self._experiment.motion[name or ONE], self._experiment.turn.get(name or ONE)
-        orientation = quaternion(interpolate_path(rotations, elapsed_s)) if rotations else None
-        self.client.hand(interpolate_path(path, elapsed_s), orientation, finger=name or None)
-
     def _run_touch(self, start_s: float) -> float | None:
         """Run a touch and lead hands along their paths; return when a target was reached, s from `start_s`, or None."""
         experiment = self._experiment
-        moving_hands = [name for name in self._led if experiment.motion.get(name or ONE)]
         while (elapsed_s := time.monotonic() - start_s) < experiment.trial.touch_s:
-            for name in moving_hands:
-                self._lead(name, elapsed_s)
+            self._hands.lead(elapsed_s)
             self._read_recorded_tick()  # end a long touch early if its recording failed
             self.wait(POLL_S)
             target = experiment.task.target_m
@@ -252,56 +226,3 @@ def to_file_mapping(scene: Scene) -> dict[str, Any]:
     if scene.world is not None:
         mapping["object"] = [each for each in mapping["object"] if (each.get("motion") or {}).get("kind") != "body"]
     return mapping
-
-
-def interpolate_path(path: tuple[tuple[float, float, float, float], ...], t: float) -> tuple[float, float, float]:
-    """Return the point x, y, z at time t, s, on a path of waypoints t, x, y, z; it rests before and after them."""
-    times = [point[0] for point in path]
-    x, y, z = (float(np.interp(t, times, [point[axis] for point in path])) for axis in (1, 2, 3))
-    return x, y, z
-
-
-def quaternion(rotation: tuple[float, float, float]) -> tuple[float, float, float, float]:
-    """Return the unit quaternion w, x, y, z of a rotation vector, rad.
-
-    The function of the kernels is not used, since it would compile during a touch.
-    """
-    angle = math.hypot(*rotation)
-    share = 0.5 if angle == 0.0 else math.sin(0.5 * angle) / angle
-    x, y, z = (share * part for part in rotation)
-    return math.cos(0.5 * angle), x, y, z
-
-
-def row(finger: str, sample: Sample) -> dict[str, Any]:
-    """Return a tick as a row of the table of a trial."""
-    tick = sample.data
-    (x, y, z), (fx, fy, fz) = tick.probe.position, tick.force
-    return {
-        "finger": finger, "tick": tick.tick, "timestamp": tick.timestamp, "x_m": x, "y_m": y, "z_m": z,
-        "fx_n": fx, "fy_n": fy, "fz_n": fz, "mode": tick.contact.mode, "object": tick.contact.object,
-        "penetration_m": tick.contact.penetration, "buttons": tick.buttons, "lost": sample.lost,
-    }  # fmt: skip
-
-
-def summary(ticks: list[dict[str, Any]], reached_s: float | None) -> dict[str, Any]:
-    """Return the columns of a touch for the table of trials.
-
-    With several fingers, the path is that of the first one; the forces are over all.
-    """
-    if not ticks:
-        return {}
-    force = np.array([[tick["fx_n"], tick["fy_n"], tick["fz_n"]] for tick in ticks])
-    first = [tick for tick in ticks if tick["finger"] == ticks[0]["finger"]]
-    path = np.array([[tick["x_m"], tick["y_m"], tick["z_m"]] for tick in first])
-    norm = np.linalg.norm(force, axis=1)
-    touching = norm > 0.0
-    return {
-        "first_tick": first[0]["tick"],
-        "last_tick": first[-1]["tick"],
-        "lost_ticks": sum(tick["lost"] for tick in first),
-        "peak_force_n": float(norm.max()),
-        "mean_force_n": float(norm[touching].mean()) if touching.any() else 0.0,
-        "path_m": float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()),
-        "duration_s": float(first[-1]["timestamp"] - first[0]["timestamp"]) if reached_s is None else reached_s,
-        "reached": reached_s is not None,
-    }

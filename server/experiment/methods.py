@@ -10,10 +10,15 @@ from softfinger.server.experiment.analysis import is_counted
 from softfinger.server.experiment.design import conditions, plan_trials
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.surveys import format_answers
 
 
 def write_methods(
-    experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str], starts: Sequence[Mapping[str, Any]]
+    experiment: ExperimentFile,
+    rows: Sequence[Entry],
+    excluded: Mapping[str, str],
+    starts: Sequence[Mapping[str, Any]],
+    answers: Sequence[Entry] = (),
 ) -> list[str]:
     """Return the paragraphs of a methods section.
 
@@ -25,6 +30,8 @@ def write_methods(
         Reason by excluded participant.
     starts
         Contents of the files about each start of a session (`about.json`).
+    answers
+        Rows of `surveys.survey_table`.
     """
     paragraphs = [
         _participants(experiment, rows, excluded, starts),
@@ -32,7 +39,7 @@ def write_methods(
         _task(experiment),
         _procedure(experiment),
         _design(experiment),
-        _surveys(experiment),
+        _surveys(experiment, answers),
         _analysis(experiment),
     ]
     return [" ".join(each) for each in paragraphs if each]
@@ -61,11 +68,10 @@ def _apparatus(experiment: ExperimentFile, starts: Sequence[Mapping[str, Any]]) 
         devices = sorted({str(start["device"].get("name", "")) for start in rendered})
         rates = sorted({f"{start['rate_hz']:g}" for start in rendered})
         text.append(f"The device was {', '.join(devices)}, at {', '.join(rates)} Hz.")
+        if experiment.screen.masking_noise != "none":
+            text.append(f"{experiment.screen.masking_noise.capitalize()} noise masked the sound of the device.")
     else:
         text.append("No device was used: the answers are simulated without rendering.")
-    screen = experiment.screen
-    if screen.masking_noise != "none":
-        text.append(f"{screen.masking_noise.capitalize()} noise masked the sound of the device.")
     return text
 
 
@@ -147,7 +153,7 @@ def _design(experiment: ExperimentFile) -> list[str]:
     return text
 
 
-def _surveys(experiment: ExperimentFile) -> list[str]:
+def _surveys(experiment: ExperimentFile, answers: Sequence[Entry]) -> list[str]:
     text, when = [], {
         "before": "before the first trial", "between": "after each block but the last", "after": "after the last trial"
     }  # fmt: skip
@@ -157,6 +163,14 @@ def _surveys(experiment: ExperimentFile) -> list[str]:
         text.append(f"The survey “{survey.title or survey.name}”{source} was answered {times}.")
         if survey.score == "mean":
             text.append("Its score is the unweighted mean of its ratings.")
+        if survey.at == ("before",):  # describes the participants
+            names = {each.name for each in survey.question if each.kind != "text"}
+            given = [
+                row for row in answers if row["survey"] == (survey.title or survey.name) and row["question"] in names
+            ]
+            if given:
+                facts = [f"{row['question']} {format_answers(row)}" for row in given]
+                text.append(f"Its answers were: {', '.join(facts)}.")
     return text
 
 
@@ -173,7 +187,8 @@ def _analysis(experiment: ExperimentFile) -> list[str]:
         )
     return [
         model,
-        "Means over participants are geometric, with Student's 95 % intervals.",
+        "Means over participants are geometric, with Student's 95 % intervals; ratios of conditions are within "
+        "participants.",
         "Each factor was tested by the likelihood ratio of models with and without it, with parameters for each "
         "participant (Wilks 1938).",
     ]

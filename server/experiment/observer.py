@@ -72,7 +72,7 @@ class SimulatedObserver:
         noise = RATING_NOISE * (question.max - question.min) * self._rng(SURVEY, number).standard_normal()
         answer = min(max(mean + noise, question.min), question.max)
         if question.kind == "number":
-            return float(round(answer))
+            return min(max(float(round(answer)), question.min), question.max)
         return question.min + question.step * round((answer - question.min) / question.step)
 
     def _rng(self, stream: int, number: int) -> np.random.Generator:

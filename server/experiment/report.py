@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import html
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -17,18 +16,30 @@ from softfinger.server.experiment.analysis import (
     excluded_participants,
     format_fit,
     format_interval,
+    is_counted,
 )
-from softfinger.server.experiment.comparison import compare_models, estimate_population
+from softfinger.server.experiment.comparison import Effect, compare_levels, compare_models, estimate_population
 from softfinger.server.experiment.design import conditions, plan_trials
+from softfinger.server.experiment.figures import name_factors
 from softfinger.server.experiment.journal import Entry, read
 from softfinger.server.experiment.methods import count_trials, write_methods
+from softfinger.server.experiment.psychometric import probability
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.surveys import format_answers
 
 STYLE: Final = (
     "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
     "table{border-collapse:collapse;margin:1em 0}td,th{border-bottom:1px solid #ccc;padding:.2em .8em;text-align:left;"
-    "vertical-align:top}img{max-width:100%;display:block;margin:1em 0}"
+    "vertical-align:top}figure{margin:1em 0}img{max-width:100%;display:block}figcaption{color:#555}"
 )
+CAPTIONS: Final = {
+    "fit": "Answers by level, with the fits of each condition and their 95 % bands; grey: fits of single participants.",
+    "felt": "Force, path and duration of the touches in each condition; dots: trials, lines: means.",
+    "staircases": "Level of each trial of the staircases, in the order of the session; crosses: wrong answers.",
+    "confidence": "Right answers by confidence; the areas of the dots grow with the number of trials.",
+    "surveys": "Mean and standard deviation of the answers to each question.",
+}
+"""Caption of each figure, by the name of its file."""
 PAGE: Final = """<!doctype html>
 <html lang="en">
 <head>
@@ -49,7 +60,7 @@ def write_report(
     experiment: ExperimentFile,
     rows: Sequence[Entry],
     groups: Sequence[Group],
-    table: Sequence[Entry],
+    surveys: tuple[Sequence[Entry], Sequence[tuple[str, Effect]]],
     root: Path,
     figures: Sequence[Path],
 ) -> str:
@@ -61,8 +72,8 @@ def write_report(
         Answered trials.
     groups
         Fits by condition.
-    table
-        Rows of `comparison.survey_table`.
+    surveys
+        Rows of `surveys.survey_table`, and effects of `surveys.compare_scores`.
     root
         Folder of the experiment.
     figures
@@ -71,12 +82,12 @@ def write_report(
     excluded = excluded_participants(experiment, rows)
     sections = [
         ("Design", _design(experiment)),
-        ("Participants and exclusions", _exclusions(rows, excluded, root)),
-        ("Estimates", _estimates(groups, excluded)),
+        ("Participants and exclusions", _exclusions(experiment, rows, excluded, root)),
+        ("Estimates", _estimates(experiment, groups, excluded)),
         ("Models with and without a factor", _models(experiment, rows, excluded)),
-        ("Surveys", _surveys(table)),
+        ("Surveys", _surveys(*surveys)),
         ("Figures", "".join(map(_image, (path for path in figures if path.suffix == ".png")))),
-        ("Methods", "".join(map(_paragraph, write_methods(experiment, rows, excluded, _starts(root))))),
+        ("Methods", "".join(map(_paragraph, write_methods(experiment, rows, excluded, _starts(root), surveys[0])))),
     ]
     body = "\n".join(f"<h2>{heading}</h2>\n{content}" for heading, content in sections if content)
     return PAGE.format(title=html.escape(experiment.title), style=STYLE, body=body)
@@ -101,32 +112,50 @@ def _design(experiment: ExperimentFile) -> str:
     return _table((), [pair for pair in facts.items() if pair[1]])
 
 
-def _exclusions(rows: Sequence[Entry], excluded: Mapping[str, str], root: Path) -> str:
-    caught = catch_shares(rows)
+def _exclusions(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str], root: Path) -> str:
+    caught, is_comparison = catch_shares(rows), experiment.task.kind == "compare"
     journals = {path.parent.name: read(path) for path in sorted(root.glob("sub-*/sub-*_journal.jsonl"))}
     lines = []
     for participant, entries in journals.items():
         own = [row for row in rows if row["participant"] == participant]
         practice, catch, counted = count_trials(own)
         right = f"{caught[participant][0]} of {catch}" if participant in caught else "none"
+        first = [row["answer"] == "first" for row in own if is_counted(row)] if is_comparison else []
         kinds = {entry["kind"] for entry in entries}
         why = excluded.get(participant, "no")
-        if "finished" not in kinds:
+        if "consent" in kinds and not any(entry.get("agreed") for entry in entries):
+            why = "did not agree"
+        elif "finished" not in kinds:
             why += "; the session is not finished"
-        lines.append((participant, str(counted), str(practice), right, why))
-    return _table(("participant", "analysed trials", "practice", "right catch trials", "excluded"), lines)
+        share = [f"{sum(first) / len(first):.0%}" if first else "none"] if is_comparison else []
+        lines.append((participant, str(counted), str(practice), right, *share, why))
+    bias = ["answered “first”"] if is_comparison else []
+    return _table(("participant", "analysed trials", "practice", "right catch trials", *bias, "excluded"), lines)
 
 
-def _estimates(groups: Sequence[Group], excluded: Mapping[str, str]) -> str:
+def _estimates(experiment: ExperimentFile, groups: Sequence[Group], excluded: Mapping[str, str]) -> str:
+    if experiment.task.kind == "compare":
+        share = float(probability(1.0, 1.0, 1.0, lapse=experiment.observer.lapse))
+        value = "value / reference - 1" if experiment.task.more == "up" else "reference / value - 1"
+        quantity = f"A threshold is the level, {value}, at which {100.0 * share:.0f} % of the answers are right."
+    else:
+        quantity = "An estimate is the answer at the geometric mean of the levels."
+    ratios = _effects([(each.factor, each) for each in compare_levels(experiment, groups, excluded)], "ratio")
     population = _table(
-        ("condition", "participants", "geometric mean (95 % interval)"),
+        (_condition_head(experiment), "participants", "geometric mean (95 % interval)"),
         [
             (each.condition, str(each.participants), format_interval(each.mean, each.interval_95))
             for each in estimate_population(groups, excluded)
         ],
     )
     own = [(group.participant, group.condition, str(group.trials), format_fit(group.fit)) for group in groups]
-    return population + _table(("participant", "condition", "trials", "estimate (95 % interval)"), own)
+    fits = _table(("participant", _condition_head(experiment), "trials", "estimate (95 % interval)"), own)
+    return _paragraph(quantity) + population + ratios + fits
+
+
+def _condition_head(experiment: ExperimentFile) -> str:
+    factors = name_factors(experiment)
+    return f"condition ({factors})" if factors else "condition"
 
 
 def _models(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str]) -> str:
@@ -152,18 +181,28 @@ def format_p(value: float) -> str:
     return "p < 0.001" if value < 0.001 else f"p = {value:.3f}"
 
 
-def _surveys(table: Sequence[Entry]) -> str:
+def _surveys(table: Sequence[Entry], effects: Sequence[tuple[str, Effect]]) -> str:
     if not table:
         return ""
     lines = [
-        (
-            row["survey"], row["question"], row["condition"], str(row["answers"]),
-            row["given"] if math.isnan(row["mean"]) else f"{row['mean']:.1f}"
-            + ("" if math.isnan(row["sd"]) else f" ± {row['sd']:.1f}"),
-        )
-        for row in table
+        (row["survey"], row["question"], row["condition"], str(row["answers"]), format_answers(row)) for row in table
+    ]
+    head = ("survey", "question", "condition", "answers", "mean ± standard deviation, or answers")
+    return _table(head, lines) + _effects(
+        [(f"{survey}: {each.factor}", each) for survey, each in effects], "difference"
+    )
+
+
+def _effects(effects: Sequence[tuple[str, Effect]], kind: str) -> str:
+    """Return a table of effects of factors, each with a name; `kind` is ratio or difference."""
+    joint = {"ratio": "to", "difference": "less"}[kind]
+    lines = [
+        (name, f"{each.level} {joint} {each.baseline}", str(each.participants),
+         format_interval(each.value, each.interval_95))
+        for name, each in effects
     ]  # fmt: skip
-    return _table(("survey", "question", "condition", "answers", "mean ± standard deviation, or answers"), lines)
+    head = ("factor", f"{kind} within participants", "participants", "mean (95 % interval)")
+    return _table(head, lines) if lines else ""
 
 
 def _starts(root: Path) -> list[dict[str, Any]]:
@@ -187,5 +226,8 @@ def _paragraph(text: str) -> str:
 
 
 def _image(path: Path) -> str:
-    data = base64.b64encode(path.read_bytes()).decode()
-    return f'<img alt="{html.escape(path.stem)}" src="data:image/png;base64,{data}">\n'
+    data, caption = base64.b64encode(path.read_bytes()).decode(), html.escape(CAPTIONS[path.stem])
+    return (
+        f'<figure><img alt="{path.stem}" src="data:image/png;base64,{data}">'
+        f"<figcaption>{caption}</figcaption></figure>\n"
+    )

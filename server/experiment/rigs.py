@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import fields
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.load import FaultyConfig
 from softfinger.config.schema import Guard, Rig, Scene
 
 if TYPE_CHECKING:  # experiment files are read without importing drivers
@@ -28,13 +29,14 @@ def split(values: Mapping[str, Any], where: str) -> tuple[dict[str, Any], dict[s
 
     Raises ConfigError if a value of the rig needs a restart of the daemon.
     """
-    for path in values:
-        is_rig_value = path.startswith(PREFIX) or path.partition(".")[0] in _TABLES
-        if is_rig_value and path not in CHANGEABLE_KEYS:
-            raise ConfigError(
-                f"{where}: {path}: needs another start of the daemon, so it is no factor: run a session with --rig for "
-                f"each of its levels; of the rig there are {', '.join(sorted(CHANGEABLE_KEYS))}"
-            )
+    faults = [
+        f"{where}: {path}: needs another start of the daemon, so it is no factor: run a session with --rig for "
+        f"each of its levels; of the rig there are {', '.join(sorted(CHANGEABLE_KEYS))}"
+        for path in values
+        if (path.startswith(PREFIX) or path.partition(".")[0] in _TABLES) and path not in CHANGEABLE_KEYS
+    ]
+    if faults:
+        raise FaultyConfig(faults)
     rig_values = {path.removeprefix(PREFIX): value for path, value in values.items() if path in CHANGEABLE_KEYS}
     return rig_values, {path: value for path, value in values.items() if path not in CHANGEABLE_KEYS}
 
@@ -43,13 +45,16 @@ def check_motors(guard: Guard, rig_values: Mapping[str, Any], where: str) -> Non
     """Raise ConfigError if values of an experiment allow more motor heating than the rig."""
     if guard.continuous_force_n is None:
         return
+    faults = []
     for key, limit in (("continuous_force_n", guard.continuous_force_n), ("heat_time_s", guard.heat_time_s)):
         value = rig_values.get(f"guard.{key}", limit)
         if value is None or value > limit:
-            raise ConfigError(
+            faults.append(
                 f"{where}: {PREFIX}guard.{key} = {value}: the rig's {limit:g} is the limit of its motors: "
                 f"give at most that"
             )
+    if faults:
+        raise FaultyConfig(faults)
 
 
 def check_rated(values: Iterable[tuple[str, Mapping[str, Any]]], devices: Sequence[DeviceInfo]) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from softfinger.server.experiment.analysis import Group, is_counted
-from softfinger.server.experiment.figures import plain_ticks, save
+from softfinger.server.experiment.figures import name_factors, plain_ticks, save, wrap_title
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.schema import ExperimentFile
 
@@ -24,7 +24,7 @@ def draw_session(
     rows
         Answered trials.
     table
-        Rows of `comparison.survey_table`.
+        Rows of `surveys.survey_table`.
     groups
         Fits by condition; those of the first participant, or of all, are drawn.
     """
@@ -37,7 +37,7 @@ def draw_session(
         paths += save(_draw_confidence(plt, experiment, groups), out / "confidence")
     ratings = [row for row in table if not np.isnan(row["mean"])]
     if ratings:
-        paths += save(_draw_surveys(plt, ratings), out / "surveys")
+        paths += save(_draw_surveys(plt, experiment, ratings), out / "surveys")
     plt.close("all")
     return paths
 
@@ -86,13 +86,13 @@ def _draw_confidence(plt: Any, experiment: ExperimentFile, groups: Sequence[Grou
     low, high = experiment.confidence.scale
     axes.axhline(0.5, color="0.7", lw=0.8)
     axes.set(xlim=(low - 0.3, high + 0.3), ylim=(0.0, 1.03), ylabel="share of right answers")
-    axes.set(xlabel="confidence", title=f"{experiment.title} ({groups[-1].participant})")
+    axes.set(xlabel="confidence", title=wrap_title(experiment, groups[-1].participant))
     axes.set_xticks(range(low, high + 1))
-    axes.legend(fontsize="small")
+    axes.legend(fontsize="small", title=name_factors(experiment))
     return figure
 
 
-def _draw_surveys(plt: Any, ratings: Sequence[Entry]) -> Any:
+def _draw_surveys(plt: Any, experiment: ExperimentFile, ratings: Sequence[Entry]) -> Any:
     """Draw mean and standard deviation of each numeric question, by condition; a panel for each survey."""
     surveys = list(dict.fromkeys(row["survey"] for row in ratings))
     counts = [len({row["question"] for row in ratings if row["survey"] == survey}) for survey in surveys]
@@ -116,5 +116,5 @@ def _draw_surveys(plt: Any, ratings: Sequence[Entry]) -> Any:
         axes.set_xticks(range(len(questions)), questions, rotation=30, ha="right")
         axes.set(title=survey, ylabel="mean and standard deviation", xlim=(-0.5, len(questions) - 0.5))
         if any(conditions):
-            axes.legend(fontsize="small")
+            axes.legend(fontsize="small", title=name_factors(experiment))
     return figure

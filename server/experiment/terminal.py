@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import select
 import sys
@@ -56,7 +57,7 @@ def keyboard(single: bool) -> Iterator[Callable[[], str]]:
     """
     descriptor = sys.stdin.fileno()
     before = termios.tcgetattr(descriptor) if single and sys.stdin.isatty() else None
-    is_at_end = False
+    is_at_end, decoder = False, codecs.getincrementaldecoder("utf-8")("replace")
 
     def keys() -> str:
         nonlocal is_at_end
@@ -64,7 +65,7 @@ def keyboard(single: bool) -> Iterator[Callable[[], str]]:
             return ""
         data = os.read(descriptor, 256)
         is_at_end = not data
-        return data.decode(errors="replace")
+        return decoder.decode(data)  # a character may be cut by the end of a block
 
     try:
         if before is not None:

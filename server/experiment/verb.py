@@ -10,7 +10,8 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError
 from softfinger.server import signals
 from softfinger.server.arguments import parse_parameter
-from softfinger.server.experiment.experiment import Experiment, RunOptions
+from softfinger.server.experiment.daemon import RunOptions
+from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.session import Stopped
 from softfinger.server.viewer.door.process import check_viewer
 

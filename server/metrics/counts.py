@@ -164,7 +164,11 @@ class MetricsCollector(Collector):
         yield _counter(
             "softfinger_connections_refused", "Connections refused or closed because of their messages", refused
         )
-        yield _counter("softfinger_publisher_restarts", "Times the publisher was started again", restarts)
+        yield _counter(
+            "softfinger_publisher_restarts",
+            "Times the processes of telemetry and commands were started again",
+            restarts,
+        )
         yield from _recording_metrics(self._written())
         state, now = GaugeMetricFamily("softfinger_state", "1 for the daemon's state", labels=["state"]), self._state()
         for each in DaemonState:

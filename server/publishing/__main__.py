@@ -1,4 +1,7 @@
-"""`python -m softfinger.server.publishing FD`: the publisher; the daemon starts it with FD, its end of the channel."""
+"""`python -m softfinger.server.publishing NAME FD`: process for the endpoints NAME; FD is the channel to the daemon.
+
+NAME is telemetry or commands, and is shown by tools that list processes.
+"""
 
 from __future__ import annotations
 
@@ -9,4 +12,4 @@ from softfinger.server.publishing.channel import Channel
 from softfinger.server.publishing.process import publish
 
 if __name__ == "__main__":
-    publish(Channel(socket.socket(fileno=int(sys.argv[1]))))
+    publish(Channel(socket.socket(fileno=int(sys.argv[2]))))

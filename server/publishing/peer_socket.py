@@ -21,7 +21,7 @@ LINGER_MS: Final = 200
 """Time for which the end waits until the last messages have been sent."""
 SEND_BUFFER_BYTES: Final = 262144
 """Send buffer of the system for each peer; without a limit it grows to megabytes, which is latency for a subscriber."""
-FILES_MAX: Final = 256
+FILES_MAX: Final = 512
 """Limit of file descriptors, and so of connections: libzmq has none, and connections beyond it wait in the system's
 queue."""
 MEMORY_MAX: Final = 1 << 30
@@ -115,10 +115,12 @@ class PeerSocket:
         self._open()
         self.renewals += 1
 
-    def process_events(self) -> None:
-        """Process connection events."""
-        for _ in range(EVENTS_AT_ONCE):
-            if not self.monitor.poll(0):
+    def process_events(self, most: int = EVENTS_AT_ONCE) -> bool:
+        """Process at most so many connection events; return whether there may be more."""
+        more = False
+        for _ in range(most):
+            more = bool(self.monitor.poll(0))
+            if not more:
                 break
             event, value = _EVENT.unpack(self.monitor.recv_multipart()[0])
             if event & _REFUSED:
@@ -129,6 +131,7 @@ class PeerSocket:
             elif event == zmq.EVENT_DISCONNECTED:
                 self.connected.pop(value, None)
         self.max_connections = max(self.max_connections, len(self.connected))
+        return more
 
     def refresh_keys(self) -> None:
         """Read the folder of keys again; if a key was removed, disconnect all peers."""

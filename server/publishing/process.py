@@ -1,4 +1,6 @@
-"""Main loop of the publisher: a single thread that handles ticks first, then the daemon's messages, then peers.
+"""Main loop of a process with ZeroMQ sockets.
+
+A single thread handles ticks first, then the daemon's messages, then peers.
 
 It ends with the daemon, on request, by an abort in libzmq if a peer exhausts its memory, or by SIGPROF if libzmq does
 not return. The daemon then starts it again.
@@ -42,13 +44,15 @@ MAX_BUSY_US: Final = 50_000
 KILL_US: Final = 1_000_000
 STUCK_S: Final = 0.5
 """CPU time of one step after which the process ends. libzmq walks its tree of all topics for each connection that
-closes: after a flood of topics for up to a minute, in which no request to stop the force would be read."""
+closes: after a flood of topics for up to a minute, in which no tick would be sent."""
+EVENTS_IN_TURN: Final = 32
+"""Connection events handled before ticks, messages and requests have their turn."""
 RETRY_S: Final = 0.005
 """Interval of retries while the daemon does not read."""
 
 
 class Publishing:
-    """State of the publisher process.
+    """State of the process; it sends ticks if it has an endpoint of telemetry.
 
     channel  to the daemon, from which `setup` has been received
     """
@@ -100,9 +104,10 @@ class Publishing:
         """Publish until the daemon requests the end or exits."""
         poll, bell = self._poll(), self._rows.bell
         renewals, report_s, keys_s = self._renewals(), 0.0, time.monotonic() + KEY_CHECK_S
+        has_events = False
         while not self._ended:
             limit_step()
-            timeout_s = RETRY_S if self._channel.has_queued else PERIOD_S
+            timeout_s = 0.0 if has_events else RETRY_S if self._channel.has_queued else PERIOD_S
             ready = {number for number, _ in poll.poll(timeout_s * 1000.0)}
             if bell in ready:
                 self._rows.reset_bell()
@@ -111,9 +116,9 @@ class Publishing:
                 self._receive()
             self._channel.flush()
             self._handle_peers()
-            if ready - {bell, self._channel.fileno()}:
-                for peers in self._peer_sockets:  # soon: libzmq's thread blocks once a thousand events are unread
-                    peers.process_events()
+            if has_events or ready - {bell, self._channel.fileno()}:
+                # Soon: libzmq's thread blocks once a thousand events are unread. Few: they must not delay requests.
+                has_events = sum(peers.process_events(EVENTS_IN_TURN) for peers in self._peer_sockets) > 0
             now = time.monotonic()
             if now >= report_s:
                 report_s = now + PERIOD_S
@@ -127,7 +132,8 @@ class Publishing:
 
     def _poll(self) -> select.poll:
         poll = select.poll()
-        poll.register(self._rows.bell, select.POLLIN)
+        if self._readers:  # another process would miss the signal that this one resets
+            poll.register(self._rows.bell, select.POLLIN)
         poll.register(self._channel.fileno(), select.POLLIN)
         for peers in self._peer_sockets:
             for socket in (peers.socket, peers.monitor):
@@ -139,6 +145,8 @@ class Publishing:
 
     def _send_ticks(self) -> None:
         messages, latest, readers = self._messages, self._latest, self._readers
+        if not readers:
+            return
         for row in self._rows.take():
             limit_step()
             for topic, body in messages.encode_row(row):
@@ -197,7 +205,7 @@ class Publishing:
 
     def _report_figures(self) -> None:
         for peers in self._peer_sockets:
-            peers.process_events()
+            peers.process_events(EVENTS_IN_TURN)
         figures = Figures(
             sum(each.subscribers for each in self._readers),
             sum(each.lost for each in self._readers),
@@ -270,7 +278,7 @@ def drop_priority_when_busy() -> None:
 
 
 def publish(channel: Channel) -> None:
-    """Run the publisher for the daemon at the other end, until either ends."""
+    """Run the process for the daemon at the other end, until either ends."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the daemon sends a last message
         signal.signal(number, signal.SIG_IGN)
     logging.getLogger().addHandler(_DaemonLogHandler(channel))

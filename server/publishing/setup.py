@@ -94,7 +94,7 @@ class Ticks(Struct, frozen=True):
 
 
 class Setup(Struct, frozen=True):
-    """Setup of the publisher.
+    """Setup of a process; without an endpoint of telemetry it does not send ticks.
 
     memory    file of the ticks
     begin     first row to publish

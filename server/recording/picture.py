@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.heightmaps import read_heights, thinned
+from softfinger.proxy.heightmaps import read_heights, thin_map
 from softfinger.proxy.pictures import relief
 from softfinger.proxy.record import AT
 from softfinger.server.recording.schemas import FRAME, POSE, SCENE, message_class
@@ -196,7 +196,7 @@ def _torus(obj: schema.Torus, at: Any) -> dict[str, Any]:
 
 def _heightmap(obj: schema.Heightmap, at: Any) -> dict[str, Any]:
     try:
-        vertices, triangles = relief(*thinned(read_heights(obj), obj.pitch_m, MAP_PIXELS))
+        vertices, triangles = relief(*thin_map(read_heights(obj), obj.pitch_m, MAP_PIXELS))
     except ConfigError:  # the file was removed after the scene was loaded
         return _draw_name(obj, at)
     points, indices = [_vector(point) for point in vertices.tolist()], triangles.ravel().tolist()

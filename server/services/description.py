@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from functools import cache
 from importlib.metadata import version
 from typing import Any, Final
 
@@ -16,6 +17,11 @@ from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.services.rendering import Rendering
 
 PACKAGES: Final = ("softfinger", "numpy", "numba", "llvmlite", "msgspec", "pyzmq")
+
+
+@cache
+def _versions() -> dict[str, str]:
+    return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
 
 
 def describe_daemon(rendering: Rendering, scene_name: str) -> dict[str, Any]:
@@ -41,7 +47,7 @@ def describe_daemon(rendering: Rendering, scene_name: str) -> dict[str, Any]:
         "armed": rendering.force.is_requested,
         "state": rendering.force.state,
         "ticks": servo.ticks,
-        "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
+        "versions": _versions(),
         "machine": {"system": platform.platform(), "cpu": llvm.get_host_cpu_name()},
         "compiled": {
             "model": explain(scene),

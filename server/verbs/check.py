@@ -125,10 +125,10 @@ def examine_file(file: str) -> Finding:
 
 
 def _experiment(file: str, path: Path) -> Finding:
+    from softfinger.server.experiment.checks import load
     from softfinger.server.experiment.design import summary
-    from softfinger.server.experiment.experiment import Experiment
 
-    experiment = Experiment(path).file
+    experiment = load(path, {}, part_faults)[0]
     return Finding(file, "experiment", summary(experiment), [], describe(experiment), {})
 
 

@@ -36,7 +36,7 @@ ListedDevice = tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None
 def run(args: argparse.Namespace) -> int:
     rig = None if args.rig is None else single_device(load_rig(args.rig))
     devices: list[ListedDevice] = []
-    for device in discovery.attached():
+    for device in discovery.list_attached():
         claim = find_claim(device)
         diagnosis, identification = diagnose(device, claim, rig), None
         if args.ask and claim is not None and diagnosis.state in OPENABLE_STATES:

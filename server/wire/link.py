@@ -1,4 +1,4 @@
-"""The daemon's side of the publisher process: starts it, exchanges messages with it, and restarts it if it exits.
+"""Process with ZeroMQ sockets, as the daemon uses it: started, restarted if it exits, and exchanging messages with it.
 
 A single thread monitors it and receives the requests of its clients. No other thread waits for it: messages to it are
 queued or dropped while it is restarted or does not read.
@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 import msgspec
 
 from softfinger.server.publishing.channel import Channel, Message
-from softfinger.server.publishing.setup import Figures, Kind, Setup
+from softfinger.server.publishing.setup import Figures, Kind
 
 log: Final = logging.getLogger(__name__)
 
@@ -41,6 +41,8 @@ RECONNECT_S: Final = 1.0
 END_S: Final = 1.0
 """Time after a request to end until the process is killed."""
 MODULE: Final = "softfinger.server.publishing"
+Send = Callable[[Kind, bytes, bytes], object]
+"""Function that sends a message: kind, key and body."""
 
 
 class RequestHandlers(NamedTuple):
@@ -56,24 +58,25 @@ class RequestHandlers(NamedTuple):
 
 
 class Link:
-    """Publisher process, from construction until `close`.
+    """Process with ZeroMQ sockets, from construction until `close`.
 
-    setup          returns the setup of a new process: another one each time, as the row to start with changes
-    send_retained  sends the messages that each new process needs after its setup
-    files          file descriptors that the process inherits
-    event          is called with a description of each failure of the process
-    on_handled     is called with each request that was answered or queued
+    name        of its endpoints: telemetry or commands
+    setup       sends a new process its setup, and the messages that it needs after that
+    files       file descriptors that the process inherits
+    event       is called with a description of each failure of the process
+    on_handled  is called with each request that was answered or queued
     """
 
     def __init__(
         self,
-        setup: Callable[[], Setup],
-        send_retained: Callable[[Callable[[Kind, bytes, bytes], object]], None],
+        name: str,
+        setup: Callable[[Send], None],
         files: list[int],
         event: Callable[[str], None],
-        on_handled: Callable[[bytes], None],
+        on_handled: Callable[[bytes], None] = lambda body: None,
     ) -> None:
-        self._setup, self._send_retained, self._files, self._event = setup, send_retained, list(files), event
+        self.name: Final = name
+        self._setup, self._files, self._event = setup, list(files), event
         self._on_handled = on_handled
         self._handlers: RequestHandlers | None = None
         self._earlier_figures, self._present_figures = Figures(), Figures()
@@ -94,7 +97,7 @@ class Link:
         self._replacing = threading.Lock()
         """Locked while one process replaces another, so that a message is sent to the new one."""
         self._process, self._channel = self._start()
-        self._thread = threading.Thread(target=self._run, name="publisher", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"{name} process", daemon=True)
         self._thread.start()
 
     # --- messages to the process ------------------------------------------------------------------------
@@ -114,7 +117,7 @@ class Link:
 
     @property
     def pid(self) -> int:
-        """Process id of the publisher."""
+        """Process id."""
         return self._process.pid
 
     @property
@@ -142,7 +145,7 @@ class Link:
             # A separate session: Ctrl-C and the end of a terminal are handled by the daemon; this process ends with the
             # channel.
             process = subprocess.Popen(
-                [sys.executable, "-m", MODULE, str(child_end.fileno())],
+                [sys.executable, "-m", MODULE, self.name, str(child_end.fileno())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 start_new_session=True,
@@ -152,8 +155,7 @@ class Link:
             undo.pop_all()
         self._started_s = time.monotonic()
         channel = Channel(own_end)
-        channel.send(Kind.SETUP, body=msgspec.msgpack.encode(self._setup()))
-        self._send_retained(channel.send)
+        self._setup(channel.send)
         return process, channel
 
     def _run(self) -> None:
@@ -173,7 +175,7 @@ class Link:
                     time.sleep(min(time.monotonic() - start_s - request_wait_s, REST_MAX_S))
         except Exception:
             self.failed = True
-            log.exception("telemetry: the thread that looks after the publisher failed")
+            log.exception("the thread that monitors the %s process failed", self.name)
         finally:
             self._process.kill()
             self._process.wait()
@@ -225,7 +227,7 @@ class Link:
         if self._ending():
             return False
         if not self._ready:
-            log.error("telemetry: the publisher has ended with code %d before it was ready", code)
+            log.error("the %s process has ended with code %d before it was ready", self.name, code)
             self.failed = True
             return False
         self._channel.close()
@@ -239,7 +241,7 @@ class Link:
         if self._ending():
             return False
         self.restarts += 1
-        text = f"the publisher has ended with code {code} and was started again: subscribers and clients connect again"
+        text = f"the {self.name} process has ended with code {code} and was started again: its peers connect again"
         log.error("%s", text)
         self._restart_reports.append(text)
         return True
@@ -262,7 +264,10 @@ class Link:
         except OSError as error:  # no file descriptor, process or memory is left
             if not self._restart_failed:
                 self._restart_failed = True
-                text = f"the publisher cannot be started: {error}; it is tried again every {PAUSE_MAX_S:g} s or sooner"
+                text = (
+                    f"the {self.name} process cannot be started: {error}; "
+                    f"it is tried again every {PAUSE_MAX_S:g} s or sooner"
+                )
                 log.error("%s", text)
                 self._event(text)
             return False

@@ -178,7 +178,13 @@ HEALTH_KEYS: Final = (
         "messages that subscribers were too slow to take, at least, since the server started",
     ),
     Key("refused", "int", "1", "", "connections refused or closed because of their messages, since the server started"),
-    Key("restarts", "int", "1", "", "times the publisher ended and was started again, since the server started"),
+    Key(
+        "restarts",
+        "int",
+        "1",
+        "",
+        "times the processes of telemetry and commands were started again, since the server started",
+    ),
     Key("state", "str", "", "", "state of the daemon: starting, ready, armed, faulted or stopping"),
 )
 

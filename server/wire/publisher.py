@@ -1,4 +1,7 @@
-"""The daemon's interface to its publisher: accepts records, from which a separate process sends ZeroMQ messages."""
+"""The daemon's interface to its publisher: accepts records, from which a separate process sends ZeroMQ messages.
+
+Another process receives commands, so that subscribers cannot delay them.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from softfinger.server.closing import Closeable
 from softfinger.server.publishing.setup import Figures, Kind, Setup, StateInfo, Ticks
 from softfinger.server.wire.events import RecordEvents, event_map
 from softfinger.server.wire.health import Health, combine
-from softfinger.server.wire.link import Link, RequestHandlers
+from softfinger.server.wire.link import Link, RequestHandlers, Send
 from softfinger.server.wire.native.memory import LAYOUT
 from softfinger.server.wire.native.relay import Relay, Source
 from softfinger.server.wire.native.switch import SharedSwitch
@@ -36,7 +39,7 @@ from softfinger.server.wire.protocol import (
     encode,
     wire_schema,
 )
-from softfinger.server.wire.rig_endpoints import Endpoints, bind_telemetry
+from softfinger.server.wire.rig_endpoints import COMMANDS, TELEMETRY, Endpoints, bind_telemetry
 from softfinger.server.wire.stamps import now_s
 
 log: Final = logging.getLogger(__name__)
@@ -60,9 +63,9 @@ class Publisher(Closeable):
     the endpoint, ConfigError if the endpoint cannot or may not be bound.
 
     backlog   messages queued for a subscriber that stalls
-    priority  SCHED_FIFO priority that the process requests; 0 for none
+    priority  SCHED_FIFO priority that the processes request; 0 for none
     bodies    whether `world` may be called
-    switch    force switch shared with the process; it is closed with this object
+    switch    force switch shared with the process of commands; it is closed with this object
     """
 
     def __init__(
@@ -112,19 +115,35 @@ class Publisher(Closeable):
                 self._switch.file,
                 *(entrance.fd for entrance in self._endpoints.entrances),
             ]
-            self._link: Final = Link(
-                self._setup, self._send_greetings, files, self._report_restart, self._switch.count_handled
+            has_commands = any(entrance.name == COMMANDS for entrance in self._endpoints.entrances)
+            self._commands: Final = (
+                Link(COMMANDS, self._setup_commands, files, self._report_restart, self._switch.count_handled)
+                if has_commands
+                else None
             )
+            if self._commands is not None:
+                undo.callback(self._commands.close, 0.0)
+            self._link: Final = Link(TELEMETRY, self._setup_telemetry, files, self._report_restart)
             undo.pop_all()
+        self._links: Final = [self._link] if self._commands is None else [self._link, self._commands]
         self.tap: Final = self._relay.tap
         """Records passed on by the relay, for one thread of this process."""
 
-    def _setup(self) -> Setup:
+    def _setup_telemetry(self, send: Send) -> None:
         # The first process misses no tick; peers of an earlier process have missed the ticks since its end.
         begin = self._relay.rows if self._starts else 0
         self._starts += 1
+        self._send_setup(send, TELEMETRY, begin)
+        send(Kind.GREETING, SCHEMA_TOPIC.encode(), self._greeting)
+        if self._health_body:
+            send(Kind.GREETING, HEALTH.encode(), self._health_body)
+
+    def _setup_commands(self, send: Send) -> None:
         self._switch.restart()
-        return Setup(
+        self._send_setup(send, COMMANDS, 0)
+
+    def _send_setup(self, send: Send, name: str, begin: int) -> None:
+        setup = Setup(
             self._relay.file,
             begin,
             self._relay.bell,
@@ -133,13 +152,9 @@ class Publisher(Closeable):
             self._priority,
             self._ticks,
             self._state_info,
-            self._endpoints.entrances,
+            [entrance for entrance in self._endpoints.entrances if entrance.name == name],
         )
-
-    def _send_greetings(self, send: Callable[[Kind, bytes, bytes], object]) -> None:
-        send(Kind.GREETING, SCHEMA_TOPIC.encode(), self._greeting)
-        if self._health_body:
-            send(Kind.GREETING, HEALTH.encode(), self._health_body)
+        send(Kind.SETUP, b"", msgspec.msgpack.encode(setup))
 
     def _report_restart(self, text: str) -> None:
         self.report_event("fault", "publisher", message=text)
@@ -155,14 +170,17 @@ class Publisher(Closeable):
         return self._relay.native_id
 
     @property
-    def pid(self) -> int:
-        """Id of the process that sends."""
-        return self._link.pid
+    def pids(self) -> dict[str, int]:
+        """Ids of the processes, by the name of their endpoints: telemetry and, if there are any, commands."""
+        return {link.name: link.pid for link in self._links}
 
     @property
     def figures(self) -> Figures:
         """Counters of peers."""
-        return self._link.figures
+        figures = self._link.figures
+        if self._commands is None:
+            return figures
+        return msgspec.structs.replace(figures, refused=figures.refused + self._commands.figures.refused)
 
     @property
     def subscribers(self) -> int:
@@ -171,20 +189,22 @@ class Publisher(Closeable):
 
     @property
     def restarts(self) -> int:
-        """Number of restarts of the process."""
-        return self._link.restarts
+        """Number of restarts of the processes."""
+        return sum(link.restarts for link in self._links)
 
     def attach(self, source: Source) -> None:
         """Send the ticks of a servo from now on, until it ends. Call it once."""
         self._relay.attach(source)
 
     def serve(self, handlers: RequestHandlers | None) -> None:
-        """Set the handlers of commands; None: commands are no longer answered."""
-        self._link.serve(handlers)
+        """Set the handlers of commands; None: commands are no longer answered. Needs an endpoint of commands."""
+        assert self._commands is not None
+        self._commands.serve(handlers)
 
     def reply(self, client: bytes, body: bytes) -> None:
         """Send a deferred answer to a command; from any thread."""
-        self._link.reply(client, body)
+        assert self._commands is not None
+        self._commands.reply(client, body)
 
     def set_state_info(self, state_info: StateInfo) -> None:
         """Set the contents of `state` that do not come from the tick."""
@@ -216,18 +236,18 @@ class Publisher(Closeable):
             ]
             for event in sorted(events, key=_tick_of):
                 self._send(EVENT, event)
-            figures = self._link.figures
+            figures = self.figures
             drops += figures.missed
             healths = [sums.add(each, drops) for sums, each in zip(self._health, fingers, strict=True)]
             for health in map(combine, zip(*healths, strict=True)):
                 health["subscribers"] = figures.subscribers
                 health["lost"] = figures.lost
                 health["refused"] = figures.refused
-                health["restarts"] = self._link.restarts
+                health["restarts"] = self.restarts
                 health["state"] = self._state
                 self._send(HEALTH, health)
-            if self._link.failed or self.tap.failed:
-                raise RuntimeError("the process that sends, or the thread that forwards, has ended")
+            if any(link.failed for link in self._links) or self.tap.failed:
+                raise RuntimeError("a process of the endpoints, or the thread that forwards, has ended")
 
     def event(self, kind: str, name: str, **fields: Any) -> None:
         """Send an event with the present time; `fields` are further keys, of types that msgpack can encode."""
@@ -254,7 +274,8 @@ class Publisher(Closeable):
             if self._closed:
                 return
             self._closed = True
-        self._link.close(LINGER_S)
+        for link in self._links:
+            link.close(LINGER_S)
         self._relay.close()
         self._switch.close()
         self._endpoints.close()

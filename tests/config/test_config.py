@@ -753,7 +753,7 @@ ANYTHING = st.recursive(
 
 
 @given(ANYTHING)
-@examples(75, 300)
+@examples(40, 300)
 def test_no_mapping_raises_anything_but_config_error(mapping: object) -> None:
     """Whatever a file or a remote command holds, it is a scene, a rig or a ConfigError."""
     for kind in (Scene, Rig):

@@ -11,10 +11,10 @@ import pytest
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import load_scene
+from softfinger.config.load import FaultyConfig, load_scene
 from softfinger.config.mjcf import read_model
 from softfinger.proxy.engine import Engine
-from softfinger.server.experiment.files import check, load
+from softfinger.server.experiment.checks import load
 from softfinger.server.experiment.haptics import to_file_mapping
 from softfinger.server.experiment.masses import load_changed_scene
 
@@ -116,9 +116,12 @@ def write_stl(path: Path) -> str:
 
 def test_masses_of_overrides_pass_the_check_and_stay_in_the_scene() -> None:
     """What an experiment overrides is in the scene that its daemon gets, with nothing in a folder that is gone."""
-    experiment, folder = load("stiffness-discrimination", {"overrides": {"mass.box": 0.2}, "scene": "lift-a-box"})
-    with pytest.raises(ConfigError, match="no object"):  # of the parameter: the mass is good
-        check(experiment, folder)
-    scene = load_changed_scene(experiment.scene, experiment.overrides, "overrides")
+    changes = {"overrides": {"mass.box": 0.2}, "scene": "lift-a-box"}
+    with pytest.raises(
+        FaultyConfig, match=r"there is no object\.table"
+    ) as caught:  # of the parameter: the mass is good
+        load("stiffness-discrimination", changes)
+    assert not any("mass" in str(fault) for fault in caught.value.faults)
+    scene = load_changed_scene("lift-a-box", {"mass.box": 0.2}, "overrides")
     assert Engine(scene).model.body("box").mass[0] == 0.2
     assert Engine(load_scene(to_file_mapping(scene))).model.body("box").mass[0] == 0.2

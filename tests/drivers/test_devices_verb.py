@@ -91,7 +91,7 @@ def test_tables_are_read(root: Path) -> None:
     plug_serial(root, "ttyUSB0", "0403", "6001")
     for name in ("ttyS0", "tty", "ptmx", "ttyACM7"):  # of the machine itself; pulled out while the table was read
         (root / discovery.TTY / name).mkdir()
-    assert discovery.attached(root) == [
+    assert discovery.list_attached(root) == [
         Attached("hid", 0x16C0, 0x0486, "Arm = left", "SN7", "/dev/hidraw2"),
         Attached("hid", 0x046D, 0xC626, "Puck", "SN7", "/dev/hidraw10"),
         Attached("serial", 0x16C0, 0x0483, "Teensy", "SN42", "/dev/ttyACM0"),
@@ -122,7 +122,7 @@ def test_tables_that_may_not_be_read_have_no_devices(root: Path) -> None:
     try:
         assert not discovery.has_usb(root)
         assert discovery.names(root) == frozenset()
-        assert discovery.attached(root) == list(discovery.usb_devices(root))  # what libusb sees, if anything
+        assert discovery.list_attached(root) == list(discovery.usb_devices(root))  # what libusb sees, if anything
         with pytest.raises(DeviceNotFound, match="there is no such file"):
             library.load(str(hidden / "libdrd.so"))
         options = {"firmware": str(hidden / "libdrd.so")}
@@ -143,6 +143,7 @@ def test_tables_that_may_not_be_read_have_no_devices(root: Path) -> None:
         (0x1234, 0x0006, "hid", "woodenhaptics-2015"),
         (0x16C0, 0x0483, "serial", "woodenhaptics-v3"),
         (0x256F, 0xC63A, "spacemouse", "spacemouse"),
+        (0x256F, 0xC631, "spacemouse", "spacemouse"),
     ],
 )
 def test_devices_are_claimed_by_their_ids(vendor: int, product: int, driver: str, rig: str) -> None:

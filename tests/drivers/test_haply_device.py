@@ -637,7 +637,7 @@ def test_the_service_of_a_rig_is_asked_without_a_port(
     service: Service, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`devices --ask --rig` asks the rig's service where USB lists no device of it, as in a container."""
-    monkeypatch.setattr(discovery, "attached", list)
+    monkeypatch.setattr(discovery, "list_attached", list)
     rig = tmp_path / "rig.toml"
     rig.write_text(find(RIG, Rig).read_text("utf-8").replace("port = 10001", f"port = {service.port}"))
     asked = argparse.Namespace(json=True, ask=True, rig=rig)

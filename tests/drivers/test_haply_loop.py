@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.called import called
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.haply_devices import ID, RIG, Service, opened
 
@@ -138,7 +139,7 @@ def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[
 @pytest.mark.parametrize(
     ("sent", "code"),
     [
-        (signal.SIGTERM, 0),
+        pytest.param(signal.SIGTERM, 0, marks=pytest.mark.exhaustive),  # also in test_ways_out_at_far_ends.py
         (signal.SIGKILL, -signal.SIGKILL),
         (signal.SIGSTOP, None),
         pytest.param(signal.SIGINT, 0, marks=pytest.mark.exhaustive),
@@ -171,9 +172,7 @@ def test_a_second_daemon_and_a_zero_that_nobody_confirms(tmp_path: Path) -> None
     """A second daemon on the device ends, and names the first, which goes on. When the service then reads no more, an
     end of the first by a signal does not claim that the force is zero."""
     with Service() as service, pushing_daemon(service, tmp_path) as running:
-        second = subprocess.run(
-            command_line(service, tmp_path, "b"), capture_output=True, text=True, timeout=120, check=False
-        )
+        second = called(*command_line(service, tmp_path, "b")[3:])
         assert second.returncode == 4
         assert re.search(rf"inverse3 {ID} .* in use by process {running.pid} \(.*end that one first", second.stderr)
         service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.1591})  # a pose that stands still has no force

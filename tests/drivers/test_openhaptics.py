@@ -343,7 +343,7 @@ def test_each_generation_of_the_touch_is_known(
     with pytest.raises(DeviceError, match=rf"{device.name} \({device.ids}\) at {device.node} is attached"):
         bench.open()
     bench.ports((device,), permitted=False)
-    monkeypatch.setattr(usb.discovery, "permitted", lambda node: False)
+    monkeypatch.setattr(usb.discovery, "is_permitted", lambda node: False)
     with pytest.raises(DevicePermission, match=rf"\({device.ids}\) at .*install --system"):
         bench.open()
 

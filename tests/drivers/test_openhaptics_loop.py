@@ -136,12 +136,11 @@ def test_two_in_one_daemon(hd: HdStub, touch: TouchBench, tmp_path: Path) -> Non
     assert hd["misuse"] == hd["errors"] == 0
 
 
-OTHERS = (signal.SIGINT, signal.SIGHUP, signal.SIGXCPU)
+OTHERS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGXCPU)
+"""SIGTERM is also in test_ways_out_at_far_ends.py."""
 
 
-@pytest.mark.parametrize(
-    "number", [signal.SIGTERM, signal.SIGKILL, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in OTHERS)]
-)
+@pytest.mark.parametrize("number", [signal.SIGKILL, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in OTHERS)])
 def test_what_the_motors_have_after_a_signal(number: signal.Signals, hd_library: Path, tmp_path: Path) -> None:
     """The command line's daemon, pressing: what it can catch ends it in order and the motors have zero in their last
     tick; after SIGKILL these motors keep the last force, and it is no more than the rig's."""

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
@@ -206,7 +207,7 @@ def test_a_fault_far_down_is_located(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(examples(25, 60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_arbitrary_bytes_give_poses_or_an_error(tmp_path: Path, ending: str, data: st.DataObject) -> None:
     """Random bytes, and good files with bytes changed or cut off, never raise anything but RecordingError."""

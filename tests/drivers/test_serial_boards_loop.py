@@ -20,6 +20,7 @@ from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
 from emulators.haply2diy import Firmware, Port
 from emulators.slowline import SlowLine
 from helpers.c_stub import compile_stub
+from helpers.called import called
 from helpers.described_boards import force_of, settled
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
@@ -123,19 +124,24 @@ def test_a_late_board_goes_on() -> None:
         assert settled(lambda: any(board.torques), lambda on: not on) is False
 
 
-@contextmanager
-def command(
-    name: str, path: str, folder: Path, *more: str, environment: dict[str, str] | None = None
-) -> Iterator[subprocess.Popen[str]]:
-    """`softfinger run` in a process of its own, on a copy of a shipped rig that names the port."""
+def words_of(name: str, path: str, folder: Path, *more: str) -> list[str]:
+    """Return the words of `run` on a copy of a shipped rig that names the port."""
     mine = folder / "rig.toml"
     named = f'driver = "serial"\npath = "{path}"\ntimeout_s = 2.0\n'
     text = (
         find(name, Rig).read_text().replace('driver = "serial"\n', named).replace("quiet_s = 0.02 ", "quiet_s = 0.1  ")
     )
     mine.write_text(text)
-    words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
-    words += ["--scene", "paper-plane", "--endpoint", f"ipc://{folder}/a", *more]
+    words = ["run", "--rig", str(mine), "--realtime", "off", "--scene", "paper-plane"]
+    return [*words, "--endpoint", f"ipc://{folder}/a", *more]
+
+
+@contextmanager
+def command(
+    name: str, path: str, folder: Path, *more: str, environment: dict[str, str] | None = None
+) -> Iterator[subprocess.Popen[str]]:
+    """`softfinger run` in a process of its own."""
+    words = [sys.executable, "-m", "softfinger.server.cli", *words_of(name, path, folder, *more)]
     process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, env=environment)
     try:
         yield process
@@ -166,9 +172,9 @@ def test_a_signal_in_contact_leaves_no_force(number: signal.Signals, code: int, 
         if number == signal.SIGTERM:
             elsewhere = tmp_path / "second"
             elsewhere.mkdir()
-            with command("haply-2diy", port.path, elsewhere) as second:
-                said = second.communicate(timeout=120)[1]
+            second = called(*words_of("haply-2diy", port.path, elsewhere))
             assert second.returncode == 4
+            said = second.stderr
             assert re.search(rf"{port.path} is used by process {process.pid} \(python.*\): end that process", said), (
                 said
             )

@@ -1,8 +1,8 @@
 """What ticks ask of height maps, counted: `python -m helpers.counted_asks` in tests/, the scenes on standard input.
 
 For a process with NUMBA_DISABLE_JIT=1: kernels are plain Python there, so a function that reads a map can count its
-calls. In: {"method": of rolling, "scenes": [[objects, points (n, 3)], ...]}; out, for each scene: the reads of each
-tick, and its proxies.
+calls. In: [[method of rolling, objects, points (n, 3)], ...]; out, for each scene: the reads of each tick, and its
+proxies.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def poses_at(points: ArrayLike) -> Array:
     return posed(places, spun((0.6, 0.0, 0.8), 0.3 * np.arange(len(places))))
 
 
-def count(method: str, scenes: list[Any]) -> list[Any]:
+def count(scenes: list[Any]) -> list[Any]:
     from helpers.touching import scene_with
     from softfinger.proxy.kernels.jit.decorators import PLAIN
     from softfinger.proxy.kernels.model import Pose
@@ -55,7 +55,7 @@ def count(method: str, scenes: list[Any]) -> list[Any]:
     tiles.tile_at = nearest.tile_at = counted(tiles.tile_at, 1)
     surface.height_at = counted(surface.height_at, nearest.LOOK)
     found = []
-    for things, points in scenes:
+    for method, things, points in scenes:
         tree = build_scene(scene_with(*things, rolling={"method": method}))
         state, each, centers = start_state(tree), [], []
         for x, y, z, *turned in poses_at(points).tolist():
@@ -68,4 +68,4 @@ def count(method: str, scenes: list[Any]) -> list[Any]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(count(**json.load(sys.stdin))))
+    print(json.dumps(count(json.load(sys.stdin))))

@@ -105,8 +105,8 @@ class TouchBench(Bench):
 
     def ports(self, ports: tuple[Attached, ...], permitted: bool = True) -> None:
         """What the system lists, and whether this user may open it."""
-        self._patch.setattr(usb.discovery, "attached", lambda: list(ports))
-        self._patch.setattr(usb.discovery, "permitted", lambda node: permitted)
+        self._patch.setattr(usb.discovery, "list_attached", lambda: list(ports))
+        self._patch.setattr(usb.discovery, "is_permitted", lambda node: permitted)
 
     patience_s = 5.0  # the library's thread is not waited for, and this machine may hold any thread up
 

@@ -132,13 +132,13 @@ def test_without_torsion_it_swings_as_a_pendulum_does(tmp_path: Path) -> None:
     engine.run({name: poses[:200] for name, poses in way.items()})
     engine.model.opt.gravity[2] = -G
     turning = []
-    for tick in range(200, 1100):
-        engine.run({name: poses[tick : tick + 1] for name, poses in way.items()})
+    for tick in range(200, 1100, 2):
+        engine.run({name: poses[tick : tick + 2] for name, poses in way.items()})
         turning.append(engine.data.qvel[3])
     turns = np.flatnonzero(np.sign(turning[1:]) * np.sign(turning[:-1]) < 0)
     inertia = MASS * ((2 * HALF) ** 2 / 6.0 + arm**2)
     period = 4.0 * math.sqrt(inertia / (MASS * G * arm)) * ellipk(0.5)
-    assert 2.0 * turns[0] * 1e-3 == pytest.approx(period, rel=0.02)
+    assert 2.0 * turns[0] * 2e-3 == pytest.approx(period, rel=0.02)
     assert abs(tilt(engine)) > 0.5 or len(turns) > 1  # it swings on
 
 
@@ -149,7 +149,7 @@ def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path
     """Pulled with 60 % of the friction cone and twisted more and more: at the torsional limit, or at what the limit
     surface leaves of it; and pulled alone, at the cone. To 1 %."""
     press, static, length = 2.0, 0.8, 0.004
-    step = 4  # ticks: at the rates below a step is 0.4 % of the limit
+    step = 2  # ticks: at the rates below a step is at most 0.4 % of the limit
     material = RUBBER | {
         "friction": {"static": static, "kinetic": static},
         "torsion": {"stiffness_nm_per_rad": TORSION, "friction_length_m": length, "model": model_of_torsion},
@@ -164,8 +164,8 @@ def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path
         hold = {name: np.repeat(poses[-1:], step, axis=0) for name, poses in way.items()}
         pull = twist = 0.0
         for tick in range(0, 3000, step):
-            pull = pulled * min(tick / 300.0, 1.0) + pull_rate * tick * 1e-3
-            twist = twist_rate * max(tick - 600, 0) * 1e-3
+            pull = pulled * min(tick / 200.0, 1.0) + pull_rate * tick * 1e-3
+            twist = twist_rate * max(tick - 300, 0) * 1e-3
             engine.data.qfrc_applied[2], engine.data.qfrc_applied[3] = 2.0 * pull, 2.0 * twist
             thumb = engine.run(hold)["thumb"]
             spun = abs(thumb["contact.torsion"][-1]) > 0.999 * length * press
@@ -174,7 +174,7 @@ def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path
         return pull, twist
 
     cone = static * press
-    assert slips_at(0.0, 1.5, 0.0)[0] == pytest.approx(cone, rel=0.01)
+    assert slips_at(0.0, 3.0, 0.0)[0] == pytest.approx(cone, rel=0.01)
     left = math.sqrt(1.0 - 0.6**2) if model_of_torsion == "limit_surface" else 1.0
     assert slips_at(0.6 * cone, 0.0, 0.01)[1] == pytest.approx(left * length * press, rel=0.01)
 
@@ -424,7 +424,7 @@ HOSTILE = {
         "</mujoco>",
         "bodies or more; at most 1,000",
     ),
-    "a file that includes itself": ('<mujoco><include file="hostile.xml"/></mujoco>', "with all that it includes"),
+    "a file that includes itself": ('<mujoco><include file="hostile.xml"/></mujoco>', "includes hostile.xml again"),
     "too many bodies by an attached model": (
         f'<mujoco>{OPTION}<asset><model name="m" file="model.xml"/></asset><worldbody><replicate count="400">'
         '<attach model="m" prefix="p"/></replicate></worldbody></mujoco>',

@@ -78,7 +78,7 @@ def test_the_depth_is_never_negative(
             for k in range(count)
         ]
         scene = load_scene({"fingertip": {"radius_m": R}, "object": things})
-        records = Engine(scene).run(handled(rng, 150))
+        records = Engine(scene).run(handled(rng, cases(100, 150)))
         depth, force = records["contact.penetration"], records["contact.normal_force"]
         assert (depth >= 0.0).all(), (number, depth.min())
         assert (depth[records["contact.mode"] == 0] == 0.0).all()

@@ -16,7 +16,7 @@ from softfinger.config.load import load_scene  # noqa: E402
 from softfinger.proxy.elastic.compliance import patch_loads, solve_patches  # noqa: E402
 from softfinger.proxy.elastic.prepared import body_of  # noqa: E402
 from softfinger.proxy.elastic.solid import Solid  # noqa: E402
-from softfinger.proxy.elastic.volume import Volume, boundary, checked, fill, quality, read_volume  # noqa: E402
+from softfinger.proxy.elastic.volume import Volume, boundary, check_volume, fill, quality, read_volume  # noqa: E402
 from softfinger.proxy.meshes.prepared import about  # noqa: E402
 
 pytestmark = pytest.mark.plain
@@ -97,7 +97,7 @@ def half_space(radius: float, edge: float, far: float) -> Volume:
         gmsh.finalize()
     place = np.zeros(int(tags.max()) + 1, np.int64)
     place[tags.astype(np.int64)] = np.arange(len(tags))
-    return checked(points.reshape(-1, 3), place[corners.astype(np.int64)].reshape(-1, 4))
+    return check_volume(points.reshape(-1, 3), place[corners.astype(np.int64)].reshape(-1, 4))
 
 
 def deflection_under_a_disc(elements: float) -> float:
@@ -182,7 +182,7 @@ def test_bad_bodies_are_refused_in_one_line(tmp_path: Path, changes: Any, messag
 def test_inverted_and_missing_tetrahedra_are_refused(tmp_path: Path) -> None:
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     with pytest.raises(ValueError, match="tetrahedron 1 is inverted, with 1 in all"):
-        checked(corners, np.array([[0, 1, 2, 3], [0, 2, 1, 3]]))
+        check_volume(corners, np.array([[0, 1, 2, 3], [0, 2, 1, 3]]))
     meshio = pytest.importorskip("meshio")
     meshio.Mesh(corners, [("triangle", [[0, 1, 2]])]).write(tmp_path / "flat.vtu")
     with pytest.raises(ValueError, match="has no tetrahedra, only triangle"):

@@ -188,12 +188,12 @@ def test_the_loss_of_a_full_roll_is_its_share() -> None:
     """Over a long roll the work against the moment is 3/16 alpha a f_N theta, less what the wind-up holds: at most."""
     alpha, load, turn = 0.5, 1.0, 3.0
     engine = soft(HERTZ | {"rolling_loss": alpha}, rolling=None, material={"friction": None, "torsion": None})
-    records = run(engine, pressed().go(1, [0, 0, 0]).go(3000, turn=[0, turn, 0]))
+    records = run(engine, pressed().go(1, [0, 0, 0]).go(1000, turn=[0, turn, 0]))
     a = float(radius("Hertz", load))
     limit = 3.0 / 16.0 * alpha * a * load
     work = work_of_the_hand(records)
-    # Wound over a / r, half of whose work is missing; one step of 1 mrad more or less.
-    assert work[-1] - work[2] == pytest.approx(limit * (turn - 0.5 * a / R), abs=limit * 2e-3)
+    # Wound over a / r, half of whose work is missing; one step of 3 mrad more or less.
+    assert work[-1] - work[2] == pytest.approx(limit * (turn - 0.5 * a / R), abs=limit * 6e-3)
 
 
 # --- as the fingertip sees it ----------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.examples import Cases
 from helpers.touching import Array
 
 from softfinger.config.load import build
@@ -155,9 +156,10 @@ def test_without_friction_the_force_is_within_that_of_the_spring(name: str) -> N
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("turn", [0.0, 0.4])
 @pytest.mark.parametrize("name", SCENES)
-def test_friction_of_each_contact_stays_in_its_cone(name: str, turn: float) -> None:
+@pytest.mark.scaled
+def test_friction_of_each_contact_stays_in_its_cone(name: str, turn: float, cases: Cases) -> None:
     """In every tick, of a hand that goes through the objects too. Without rolls all that sticks is in equilibrium."""
-    for seed in (1, 2):
+    for seed in range(1, cases(2, 3)):
         poses = deep_handling(seed, reach_of(name), turn)
         records = engine(name, 0.6, 0.5).run(poses)
         at_rest = is_stuck(records) if turn == 0.0 else np.zeros(len(poses), bool)
@@ -167,9 +169,10 @@ def test_friction_of_each_contact_stays_in_its_cone(name: str, turn: float) -> N
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ROUND)
-def test_contacts_that_stick_hold_the_proxy_at_any_depth(name: str) -> None:
+@pytest.mark.scaled
+def test_contacts_that_stick_hold_the_proxy_at_any_depth(name: str, cases: Cases) -> None:
     """However deep the hand goes through round objects: the force changes by K times its way, and by nothing else."""
-    for seed in (1, 2):
+    for seed in range(1, cases(2, 3)):
         poses = deep_handling(seed, 0.012, 0.0)
         records = engine(name, 50.0, 50.0).run(poses)
         begun = 2 + int(np.flatnonzero(records["contact.mode"] > 0)[0])

@@ -119,7 +119,7 @@ def test_steady_slip_on_an_anisotropic_surface(plane_scene: SceneFactory, headin
     """With three axes a, b, t: force and moment are (a^2 v_x, b^2 v_y, t^2 omega) / |(a v_x, b v_y, t omega)|."""
     velocity, rate = 0.02 * np.array([np.cos(heading), np.sin(heading)]), 4.0
     scene = plane_scene(material={**COUPLED, "friction": ANISOTROPIC})
-    trace = drive(Engine(scene), pressed().go(800, move=[*(0.8 * velocity), 0], turn=[0, 0, 0.8 * rate]))
+    trace = drive(Engine(scene), pressed().go(400, move=[*(0.4 * velocity), 0], turn=[0, 0, 0.4 * rate]))
     a, b = 0.5 * 0.9, 0.5 * 0.4
     norm = np.linalg.norm([a * velocity[0], b * velocity[1], TAU * rate])
     expected = -np.array([a**2 * velocity[0], b**2 * velocity[1]]) / norm
@@ -143,8 +143,8 @@ def test_a_wound_finger_breaks_loose_earlier(plane_scene: SceneFactory, share: f
 def test_inside_the_surface_nothing_is_coupled(plane_scene: SceneFactory) -> None:
     """Short of the limit, and for a drag or a spin alone, the forces are those of the independent model."""
     hand = pressed().go(50, move=[2e-4, 0, 0]).go(50, turn=[0, 0, 0.04]).go(50, turn=[0.01, 0, 0])
-    drag = pressed().go(300, move=[0.01, 0, 0]).go(100).go(300, move=[-0.01, 0, 0])
-    spin = pressed().go(300, turn=[0, 0, 0.3]).go(300, turn=[0, 0, -0.5])
+    drag = pressed().go(100, move=[0.01, 0, 0]).go(20).go(100, move=[-0.01, 0, 0])
+    spin = pressed().go(100, turn=[0, 0, 0.3]).go(100, turn=[0, 0, -0.5])
     for motion in (hand, drag, spin):
         coupled, alone = drive(Engine(plane_scene(material=COUPLED)), motion), drive(Engine(plane_scene()), motion)
         assert coupled.force == pytest.approx(alone.force, abs=1e-12)

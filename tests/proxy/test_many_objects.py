@@ -13,6 +13,7 @@ import numba
 import numpy as np
 import pytest
 import trimesh
+from helpers.key_world import key_world
 from numpy.typing import NDArray
 
 from softfinger.config import schema
@@ -83,8 +84,8 @@ def over_the_top(ticks: int) -> NDArray[np.float64]:
 @pytest.mark.parametrize("kind", SHAPES)
 def test_among_many_a_shape_is_felt_as_alone(kind: str) -> None:
     """Every number of the records but the sign of a zero, over touch, roll, slip and release."""
-    alone = Engine(scene(SHAPES[kind])).run(over_the_top(200))
-    among = Engine(scene(SHAPES[kind], FAR)).run(over_the_top(200))
+    alone = Engine(scene(SHAPES[kind])).run(over_the_top(100))
+    among = Engine(scene(SHAPES[kind], FAR)).run(over_the_top(100))
     assert alone["contact.normal_force"].max() > 0.05 and set(alone["contact.mode"].ravel()) >= {0.0, 1.0}
     np.testing.assert_array_equal(np.asarray(among) + 0.0, np.asarray(alone) + 0.0)
 
@@ -97,8 +98,8 @@ def test_a_mesh_is_rolled_on_in_closed_form(company: tuple[dict[str, Any], ...],
     trimesh.creation.box((50.0, 40.0, 2000.0 * TOP)).export(tmp_path / "box.stl")
     mesh = {"shape": "mesh", "file": str(tmp_path / "box.stl"), "scale": 0.001}
     rolling = {"rolling": {"method": "rotation_vector"}}
-    on_box = Engine(scene(SHAPES["box"], *company, **rolling)).run(over_the_top(200))
-    on_mesh = Engine(scene(mesh, *company, **rolling)).run(over_the_top(200))
+    on_box = Engine(scene(SHAPES["box"], *company, **rolling)).run(over_the_top(100))
+    on_mesh = Engine(scene(mesh, *company, **rolling)).run(over_the_top(100))
     assert on_box["contact.rolled"].max() > 0.05
     # Vertices are float32 in the file: 2 cm to 1e-9 m, times 1000 N/m.
     np.testing.assert_allclose(on_mesh["force"], on_box["force"], atol=2e-6)
@@ -142,15 +143,19 @@ def test_more_objects_than_have_an_index_are_refused() -> None:
         many_objects([body] * (ENTRIES + 1), (), (), None)
 
 
-def test_other_objects_compile_no_step_anew() -> None:
-    """A second scene with the same laws runs the kernels of the first; of its shapes only the unknown kind is new."""
-    poses = over_the_top(200)
-    first = Engine(scene(SHAPES["sphere"], FAR))
+def test_other_objects_compile_no_step_anew(tmp_path: Path) -> None:
+    """A second scene with the same laws runs the kernels of the first; of its shapes only the unknown kind is new.
+
+    The scenes have a body that nothing touches, so that their step is also that of tests/server/test_world.py.
+    """
+    poses, world = over_the_top(200), key_world(tmp_path)
+    first = Engine(scene(SHAPES["sphere"], FAR, world=world))
     felt = first.run(poses)
     if PLAIN:
         pytest.skip("nothing is compiled")
     signatures = list(step_many.signatures)
-    second = Engine(scene(FAR, SHAPES["cone"], SHAPES["sphere"] | {"position_m": [1.0, 0.0, 0.0]}))
+    third = SHAPES["sphere"] | {"position_m": [1.0, 0.0, 0.0]}
+    second = Engine(scene(FAR, SHAPES["cone"], third, world=world))
     records = second.run(poses)
     assert step_many.signatures == signatures
     assert records["contact.normal_force"].max() > 0.1

@@ -15,7 +15,7 @@ FINGERS = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": 1000.
 
 def test_two_fingers_on_one_mesh_are_each_alone(tmp_path, cases):
     """A mesh that stands still tells one finger nothing of the other: to the bit what each feels by itself."""
-    bumpy, ticks = meshes.bumpy_sphere(cases(8, 24), 0.05, height=0.06), cases(200, 1500)
+    bumpy, ticks = meshes.bumpy_sphere(cases(8, 24), 0.05, height=0.06), cases(120, 1500)
     part = thing("part", "mesh", file=saved(tmp_path, *bumpy))
     poses = {name: hand(bumpy, ticks, R, np.random.default_rng(seed)) for seed, name in ((5, "thumb"), (26, "index"))}
     together = engine(part, fingertip=None, coupling=None, finger=FINGERS).run(poses)
@@ -59,7 +59,7 @@ def test_meshes_and_shapes_hold_it_together(tmp_path, cases):
 def test_a_bumpy_mesh_that_moves_is_met_in_its_own_frame(tmp_path, cases):
     """A turntable turns a bumpy ball under the finger: outside of it wherever it is."""
     bumpy = meshes.bumpy_sphere(cases(8, 24), 0.05, height=0.03)
-    file, rate, ticks = saved(tmp_path, *bumpy), 0.8, cases(600, 2000)
+    file, rate, ticks = saved(tmp_path, *bumpy), 0.8, cases(500, 2000)
     turns = thing("part", "mesh", file=file, motion={"kind": "turntable", "rate_rad_per_s": rate})
     angle = rate * 1e-3 * np.arange(1, ticks + 1)  # the world is advanced before the fingers
     still = np.tile((0.06, 0.01, 0.005), (ticks, 1))

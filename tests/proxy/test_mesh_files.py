@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 import trimesh
 from helpers import meshes
+from helpers.examples import examples
 from helpers.meshes import Mesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.meshes.prepared import about, rendered
+from softfinger.proxy.meshes.prepared import about, latest_picture
 from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes
 from softfinger.server.cli import main
 
@@ -296,10 +297,10 @@ def test_a_file_that_changes_is_read_again(tmp_path: Path) -> None:
     first = about(thing(path))
     assert about(thing(path)) is first
     path.write_bytes(ply_text(meshes.geodesic(4)))
-    assert rendered(thing(path)) is first  # what is rendered does not change with it
+    assert latest_picture(thing(path)) is first  # what is rendered does not change with it
     assert about(thing(path)).report.triangles == 320
     path.unlink()
-    assert rendered(thing(path)).report.triangles == 320
+    assert latest_picture(thing(path)).report.triangles == 320
 
 
 NUMBERS = itertools.count()
@@ -327,7 +328,7 @@ def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
     assert len(np.unique(vertices, axis=0)) == len(vertices)
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(examples(80, 200), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.sampled_from(sorted(FILES)), data=st.data())
 def test_damage_is_refused_or_mended(tmp_path: Path, name: str, data: st.DataObject) -> None:
     """A bit flipped, bytes changed, cut out or doubled, the end cut off: anywhere."""

@@ -13,7 +13,7 @@ from softfinger.proxy.meshes.mending import MERGED_WITHIN, mend
 from softfinger.proxy.meshes.pieces import edges_of, first_alike, pieces_of
 from softfinger.proxy.meshes.reading import Arrays
 from softfinger.proxy.meshes.report import Report, report_of
-from softfinger.proxy.meshes.thinning import thinned
+from softfinger.proxy.meshes.thinning import thin_mesh
 
 BALL = meshes.icosphere(2)
 TURNED = Mesh(BALL.vertices, BALL.triangles[:, ::-1])
@@ -185,13 +185,13 @@ def test_rows_that_are_alike_are_found() -> None:
 def test_pictures_are_thin_and_still_show_the_shape() -> None:
     """No more triangles than asked for, all of them near the surface, wound outward; a small mesh stays itself."""
     ball = meshes.geodesic(60)
-    thin = thinned(Arrays(*ball), 5000)
+    thin = thin_mesh(Arrays(*ball), 5000)
     assert 1000 < len(thin.triangles) <= 5000
     # A cell is a twentieth of the radius at most: vertices in the middle of one lie in by the square of half of it.
     assert np.abs(np.linalg.norm(thin.vertices, axis=1) - 1.0).max() < 0.02
     assert meshes.volume(Mesh(*thin)) == pytest.approx(meshes.volume(ball), rel=0.05)
-    assert thinned(Arrays(*BALL), 320).triangles is BALL.triangles
+    assert thin_mesh(Arrays(*BALL), 320).triangles is BALL.triangles
     for width in (1.0, 1e-3, 1e-9):  # the narrower, the fewer cells there are
         strip = meshes.sheet(width, 1.0, columns=100, rows=100)
-        assert len(thinned(Arrays(*strip), 500).triangles) <= 500
-    assert len(thinned(Arrays(*meshes.sheet(columns=100, rows=100)), 500).triangles) > 100
+        assert len(thin_mesh(Arrays(*strip), 500).triangles) <= 500
+    assert len(thin_mesh(Arrays(*meshes.sheet(columns=100, rows=100)), 500).triangles) > 100

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import meshes
+from helpers.examples import examples
 from helpers.surface_hand import hand
 from helpers.touching import R, engine, saved, thing
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from references.triangles import distances
 
@@ -98,7 +99,7 @@ def test_distance_is_that_of_the_nearest_of_all(name):
         assert np.linalg.norm(np.array(point) + gap * np.array(normal) - x) <= EQUAL * size
 
 
-@settings(max_examples=200, deadline=None)
+@examples(60, 200)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.floats(-6.0, 3.0), st.floats(0.1, 1e4))
 def test_any_triangles_at_any_size(seed, count, exponent, away):
     """From micrometres to kilometres, from a point on a triangle to far off."""

@@ -91,7 +91,7 @@ CASE = (st.sampled_from(KINDS), *MOTIONS)
 
 
 @pytest.mark.scaled
-@examples(25)
+@examples(15)
 @given(*CASE)
 def test_closed_cycle_gives_no_energy(kind, found, count):
     """At no tick has the hand got more than it put in; in a pinch not in all."""
@@ -108,7 +108,7 @@ def softly(kind):
 
 
 @pytest.mark.scaled
-@examples(25)
+@examples(15)
 @given(st.sampled_from(["groove", "sharp groove", "valley", "seam"]), numbers(4, 6), st.integers(1, 4))
 def test_spin_of_contact_patches_gives_no_energy(kind, found, count):
     """The work of spinning is at no tick less than all patches store, f R phi^2 / 2 each, whatever their loads do.
@@ -132,7 +132,7 @@ def test_spin_of_contact_patches_gives_no_energy(kind, found, count):
 
 
 @pytest.mark.scaled
-@examples(25)
+@examples(15)
 @given(st.sampled_from(RIGHT_ANGLED), *MOTIONS)
 def test_unequal_walls_give_no_energy(kind, found, count):
     """One of them softer, with less friction and less torsion."""
@@ -143,7 +143,7 @@ def test_unequal_walls_give_no_energy(kind, found, count):
 
 
 @pytest.mark.scaled
-@examples(25)
+@examples(15)
 @given(st.sampled_from(list(BALLS)), *MOTIONS)
 def test_curved_bodies_give_no_energy(kind, found, count):
     """Up to what a tick misses of the turn of a normal: see test_closed_cycle_on_a_ball_with_friction_gives_no_energy.
@@ -177,7 +177,7 @@ def swaying(kind):
 
 
 @pytest.mark.scaled
-@examples(25)
+@examples(15)
 @given(st.sampled_from(["groove", "corner", "slot"]), *MOTIONS)
 def test_moving_body_gives_no_more_energy_than_its_own_work(kind, found, count):
     """What hand and wall put in is never less than nothing: the force of the wall on the hand goes with the wall."""
@@ -196,7 +196,7 @@ def test_moving_body_gives_no_more_energy_than_its_own_work(kind, found, count):
 
 
 @pytest.mark.scaled
-@examples(25)
+@examples(15)
 @given(st.sampled_from(SYMMETRIC), *MOTIONS)
 def test_what_was_touched_first_changes_nothing(kind, found, count):
     """A way and the same in a mirror, which meets the other body first."""
@@ -208,7 +208,7 @@ def test_what_was_touched_first_changes_nothing(kind, found, count):
 
 
 @pytest.mark.scaled
-@examples(25)
+@examples(15)
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
 def test_order_of_bodies_changes_nothing(kind, found, count):
     poses = handling(kind, found, count)
@@ -219,7 +219,7 @@ def test_order_of_bodies_changes_nothing(kind, found, count):
 
 
 @pytest.mark.scaled
-@examples(25)
+@examples(15)
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
 def test_force_is_continuous(kind, found, count):
     """From tick to tick the force changes by no more than stiffness times motion, through every hand-over.
@@ -245,7 +245,7 @@ def elsewhere(kind):
 
 
 @pytest.mark.scaled
-@examples(25)
+@examples(15)
 @given(st.sampled_from([*PLANES, *BALLS]), *MOTIONS)
 def test_results_do_not_depend_on_the_world_frame(kind, found, count):
     poses = handling(kind, found, count)

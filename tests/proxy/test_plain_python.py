@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,19 +53,21 @@ def records_of(name: str) -> Any:
     return np.stack([found[finger] for finger in engine.fingers], axis=1)
 
 
-def write_all(folder: Path) -> None:
-    """A file of records for each scene: what the process without a compiler is started for."""
+def write_records(folder: Path, names: Sequence[str]) -> None:
+    """Write a file of records for each scene: what the process without a compiler is started for."""
     assert PLAIN
-    for name in CENTERS:
+    for name in names:
         np.save(folder / name, records_of(name))
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what another process has written, whose kernels are plain Python."""
+def plain(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the records of the selected scenes, by another process whose kernels are plain Python."""
     folder = tmp_path_factory.mktemp("plain")
+    selected = [item.callspec.params for item in request.session.items if "plain" in getattr(item, "fixturenames", ())]
+    names = [params["name"] for params in selected]
     done = subprocess.run(
-        [sys.executable, __file__, str(folder)],
+        [sys.executable, __file__, str(folder), *names],
         env=os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True,
         text=True,
@@ -145,4 +148,4 @@ def test_rolls_are_the_same_numbers(method: str, name: str) -> None:
 
 
 if __name__ == "__main__":
-    write_all(Path(sys.argv[1]))
+    write_records(Path(sys.argv[1]), sys.argv[2:])

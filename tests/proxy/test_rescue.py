@@ -1,6 +1,6 @@
 """A call that may end the process comes back: every trick of `rescue.py`, with MuJoCo's own errors.
 
-Each test is a program of its own: the handler of MuJoCo is one for a process.
+It needs programs of its own: the handler of MuJoCo is one for a process.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if sys.argv[1:]:  # keys of others, so that ours has another number
 import mujoco
 from softfinger.proxy.bodies import _library
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.proxy.kernels.jit.rescue import RESCUE_ALIGNMENT, RESCUE_BYTES, jump_on_error, rescued, words_in
+from softfinger.proxy.kernels.jit.rescue import RESCUE_ALIGNMENT, RESCUE_BYTES, jump_on_error, call_rescued, words_in
 library = _library(mujoco)
 library.mju_setLogHandler.argtypes = (ctypes.c_void_p,)
 library.mju_setLogHandler(jump_on_error.address)
@@ -36,7 +36,7 @@ def steps(address: int, model: int, data: int, memory: int, count: int) -> tuple
     failed, total = 0, 0.0
     for i in range(count):
         half = 0.5 * i
-        failed += rescued(address, model, data, memory)
+        failed += call_rescued(address, model, data, memory)
         total += half  # a value from before the jump
     return failed, total
 
@@ -65,10 +65,10 @@ def said_by(code: str, *words: str, **environment: str) -> str:
     return done.stdout.strip()
 
 
-def test_an_error_comes_back_and_the_caller_goes_on() -> None:
-    """A hundred errors in a row, with MuJoCo's words; values of the caller from before each jump are what they were.
-    After a reset the same data steps on, and Python's own call of MuJoCo still raises."""
-    code = """
+ERRORS = """
+print(*stepped(*model_and_data(77), 3), jump_on_error._cache.cache_path != '')
+"""
+RETURN = """
 model, data = model_and_data(77)
 print(*stepped(model, data, 100))
 model.opt.integrator = 0
@@ -80,16 +80,7 @@ try:
 except mujoco.FatalError as error:
     print(error)
 """
-    total = 0.5 * sum(range(100))
-    first, second, third = said_by(code).splitlines()
-    assert first == f"100 {total} invalid integrator"
-    assert second.split() == ["0", str(total), "0.2"]
-    assert "invalid integrator" in third
-
-
-def test_each_thread_jumps_to_its_own_call() -> None:
-    """Four at the same time, every other one with an error in each of its calls."""
-    code = """
+THREADS = """
 outcome, cases = {}, [(k, *model_and_data(77 if k % 2 else 0)) for k in range(4)]
 stepped(*cases[0][1:], 1)
 gate = threading.Barrier(4)
@@ -101,21 +92,7 @@ for thread in threads: thread.start()
 for thread in threads: thread.join()
 print(*(outcome[k][0] for k in range(4)), outcome[1][2])
 """
-    assert said_by(code) == "0 20000 0 20000 invalid integrator"
-
-
-def test_a_kept_handler_finds_the_key_of_its_process(tmp_path: Path) -> None:
-    """Compiled by one process and loaded by another, in which the key of the jump has another number."""
-    code = "print(*stepped(*model_and_data(77), 3), jump_on_error._cache.cache_path != '')"
-    kept = str(tmp_path / "kernels")
-    first = said_by(code, "0", SOFTFINGER_CACHE_DIR=kept)
-    assert list(Path(kept).rglob("jump_on_error*.kernel"))
-    assert said_by(code, "5", SOFTFINGER_CACHE_DIR=kept) == first == "3 1.5 invalid integrator True"
-
-
-def test_an_error_with_no_way_back_does_not_end_the_process() -> None:
-    """Stepped by address outside of `rescued`: that thread sleeps, and the program goes on to its end."""
-    code = """
+NO_WAY_BACK = """
 model, data = model_and_data(77)
 step = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(STEP)
 asleep = threading.Thread(target=lambda: step(model._address, data._address), daemon=True)
@@ -124,4 +101,22 @@ asleep.join(1.0)
 print(asleep.is_alive(), flush=True)
 os._exit(0)
 """
-    assert said_by(code) == "True"
+
+
+def test_an_error_comes_back_and_the_caller_goes_on(tmp_path: Path) -> None:
+    """A hundred errors in a row, with MuJoCo's words; values of the caller from before each jump are what they were.
+    After a reset the same data steps on, and Python's own call of MuJoCo still raises. Of four threads at a time, every
+    other one with an error in each of its calls, each jumps to its own call. Stepped by address outside of
+    `call_rescued`, a thread sleeps, and the program continues to its end.
+
+    The handler is compiled by one process and loaded by another, in which the key of the jump has another number.
+    """
+    kept, total = str(tmp_path / "kernels"), 0.5 * sum(range(100))
+    first = said_by(ERRORS, "0", SOFTFINGER_CACHE_DIR=kept)
+    assert first == "3 1.5 invalid integrator True"
+    assert list(Path(kept).rglob("jump_on_error*.kernel"))
+    said = said_by(ERRORS + RETURN + THREADS + NO_WAY_BACK, "5", SOFTFINGER_CACHE_DIR=kept).splitlines()
+    assert said[:2] == [first, f"100 {total} invalid integrator"]
+    assert said[2].split() == ["0", str(total), "0.2"]
+    assert "invalid integrator" in said[3]
+    assert said[4:] == ["0 20000 0 20000 invalid integrator", "True"]

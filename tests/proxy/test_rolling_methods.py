@@ -56,7 +56,7 @@ def test_rotation_vector_is_exact_from_the_barrel_and_the_end_of_a_cylinder(begi
     """From a place in the middle of either, by itself and on to the rim: the integrated path."""
     rng, shape, crossed = np.random.default_rng(14), SHAPES["capped cylinder"], 0
     out_of = shape.radius + RADIUS, shape.half_length + RADIUS
-    for _ in range(24):
+    for _ in range(10):
         if begins == "barrel":
             center, normal = (out_of[0], 0.0, rng.uniform(-1.0, 1.0) * shape.half_length), (1.0, 0.0, 0.0)
         else:

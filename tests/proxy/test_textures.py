@@ -36,7 +36,7 @@ from softfinger.proxy.kernels.contact.texture import sample
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.record import AT, FREE, SLIDING
 from softfinger.proxy.scene import build_scene
-from softfinger.proxy.textures import FREQUENCY_MAX_HZ, bounds, filtered
+from softfinger.proxy.textures import FREQUENCY_MAX_HZ, bounds, filter_texture
 from softfinger.server.offline.summary import scene_summary
 
 pytestmark = pytest.mark.plain
@@ -153,7 +153,7 @@ def test_filter_is_the_gaussian_mean_of_the_array_as_it_goes_on(border: str, row
         expected = np.array(lines) if axis else np.array(lines).T
     # Sampled at 2.9 and 3.6 spacings for sigma, a Gaussian has the transform of the whole one to less than rounding
     # wherever the filter keeps anything: exp(-2 (pi sigma / spacing)^2) is 1e-72, and exp(-20) at the array's limit.
-    np.testing.assert_allclose(filtered(grid, pitch, cutoff, (repeats, repeats)), expected, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(filter_texture(grid, pitch, cutoff, (repeats, repeats)), expected, rtol=0.0, atol=1e-13)
 
 
 def gauss(begin: Array, end: Array, pitch: float) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from softfinger.proxy.kernels.jit.tuples import (
     first_of,
     fold_each,
     map_each,
-    padded,
+    pad,
     replace,
     same_for,
     unzip,
@@ -65,7 +65,7 @@ def of_all(numbers: Any, others: Any, things: Any) -> Any:
     none, nothing = unzip(map_each(half_and_third, ((), ()), 6.0))
     return (
         (halves, thirds, none, nothing, fold_each(behind, numbers, (0.0, 0.0))),
-        (same_for(numbers, 7.0), first_of(numbers, 1.0, 2.0), padded(numbers, 0.5, 4), field_of_each(things, "size")),
+        (same_for(numbers, 7.0), first_of(numbers, 1.0, 2.0), pad(numbers, 0.5, 4), field_of_each(things, "size")),
     )
 
 

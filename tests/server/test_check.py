@@ -157,7 +157,10 @@ def test_a_fault_does_not_hide_those_of_other_parts(tmp_path: Path) -> None:
         "scene": """
             fingertip = { radius_m = -1 }
             world = { model = "none.xml" }
-            object = [{ name = "one", shape = "mehs", file = "one.stl", material = "wood" }]""",
+            object = [
+                { name = "one", shape = "mehs", file = "one.stl", material = "wood" },
+                { name = "two", shape = "mesh", file = "two.dae", material = "wood" }
+            ]""",
         "rig": """
             servo = { rate_hz = 99 }
             [devices.thumb]
@@ -174,11 +177,12 @@ def test_a_fault_does_not_hide_those_of_other_parts(tmp_path: Path) -> None:
     scene, rig = (examine_file(str(tmp_path / f"{name}.toml")).errors for name in files)
     expected = {
         "fingertip.radius_m = -1": scene, "'mehs'": scene, "one.stl: cannot be read": scene, "none.xml: cannot": scene,
+        "'two.dae': must end in": scene,
         "servo.rate_hz = 99": rig, "did you mean 'serial'": rig, "did you mean 'recording'": rig,
         "recording is missing": rig, "devices.middle.recording: ": rig,
     }  # fmt: skip
     assert [part for part, errors in expected.items() if sum(part in error for error in errors) != 1] == []
-    assert len(scene) == 4 and len(rig) == 5
+    assert len(scene) == 5 and len(rig) == 5
 
 
 @pytest.mark.plain

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from math import inf
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,6 @@ from softfinger.drivers.simulated.plant import (
     make_plant,
     make_rest_state,
 )
-from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import Packed, flatten
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
@@ -36,7 +36,7 @@ from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.servo_thread import FINISHED, Servo
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.closed_loop import FIGURES, Run, close_loop, close_many, run_closed_loop
+from softfinger.server.offline.closed_loop import FIGURES, close_many, run_closed_loop
 from softfinger.tools.bench import closed_loop as bench_closed_loop
 
 OPEN_GUARD = Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0)
@@ -143,27 +143,31 @@ def test_pressed_wall_is_the_linear_sampled_system(delay: int, damping: float) -
     np.testing.assert_allclose(records[:, POSITION][:, 2] - 0.01, expected, atol=1e-15)
 
 
-@entry
-def go_on(tuning, start, plant, state, drive, run, bound):
-    return close_loop(tuning, start, start, plant, state, drive, run, bound)
+def figures_of(tunings: Packed, plant: Any, state: Any, pose: np.ndarray, ticks: int, bound: float) -> np.ndarray:
+    """Return FIGURES of each of `tunings`, of a device that starts at `pose` (7,)."""
+    figures = np.zeros((len(tunings.values), len(FIGURES)))
+    drive = PlantInputs(ALOFT, pose, np.zeros(DELAY_LINE_SIZE))
+    tables = (Packed(plant, flatten(plant)[None]), Packed(state, flatten(state)[None]))
+    close_many(tunings, begin(tunings.like.scene), *tables, drive, ticks, bound, figures)
+    return figures
 
 
 def test_figures_are_those_of_the_records() -> None:
-    """The loop without records goes the same way: ticks, excursion, force and work, all to the bit or to rounding."""
+    """The loop without records goes the same way: ticks, excursion, force and work, all to rounding."""
     tuning, ticks = ice(2000.0, 1.0, 0.002), 2000
     plant = make_plant(0.001, Handle((0.2,) * 3, (1.0,) * 3), Impedance(mass=0.1, damping=2.0, stiffness=300.0))
-    poses = resting_at(0.008)
-    device = Simulation(plant, make_rest_state((0.0, 0.0, 0.02))._replace(goal=(0.0, 0.0, 0.008)), ALOFT, poses)
+    pose = resting_at(0.008)
+    device = Simulation(plant, make_rest_state((0.0, 0.0, 0.02))._replace(goal=(0.0, 0.0, 0.008)), ALOFT, pose)
     records = whole(run_closed_loop(tuning, [device], 1000.0, ticks + 1))
-    drive = PlantInputs(ALOFT, poses, np.zeros(DELAY_LINE_SIZE))
-    end = go_on(tuning, begin(tuning.scene), plant, device.state, drive, Run(0, ticks, 0.001), inf)
+    tunings = Packed(tuning, flatten(tuning)[None])
+    (row,) = figures_of(tunings, plant, device.state, pose, ticks, inf)
+    end = dict(zip(FIGURES, row, strict=True))
     x, force = records[:, POSITION], records[:-1, FORCE]
-    assert end.state.position == tuple(x[ticks])
-    assert end.memory.fingers[0].guard_state.force == tuple(force[-1])
-    assert (end.ticks, end.exit_tick) == (ticks, -1.0)
-    assert end.excursion == pytest.approx(np.linalg.norm(x[1:] - x[0], axis=1).max(), rel=1e-15)
-    assert end.force == pytest.approx(np.linalg.norm(force, axis=1).max(), rel=1e-15) and end.force > 1.0
-    assert end.energy == pytest.approx(np.sum(force * np.diff(x, axis=0)), rel=1e-12)
+    assert (end["ticks"], end["exit_tick"]) == (ticks, -1.0)
+    assert end["excursion"] == pytest.approx(np.linalg.norm(x[1:] - x[0], axis=1).max(), rel=1e-15)
+    assert end["force"] == pytest.approx(np.linalg.norm(force, axis=1).max(), rel=1e-15) and end["force"] > 1.0
+    # The sum of 2000 products, each with every bit of position and force.
+    assert end["energy"] == pytest.approx(np.sum(force * np.diff(x, axis=0)), rel=1e-12)
 
 
 def test_many_cases_are_each_on_its_own() -> None:
@@ -172,17 +176,8 @@ def test_many_cases_are_each_on_its_own() -> None:
     tuning = ice()
     plant = make_plant(0.001, Handle((0.1,) * 3, (1.0,) * 3), Impedance(damping=1.0, stiffness=100.0))
     state = make_rest_state((0.0, 0.0, 0.009))
-    figures = np.zeros((5, len(FIGURES)))
-    close_many(
-        Packed(tuning, np.array([flatten(ice(k)) for k in stiffness])),
-        begin(tuning.scene),
-        Packed(plant, flatten(plant)[None]),
-        Packed(state, flatten(state)[None]),
-        PlantInputs(ALOFT, resting_at(0.009), np.zeros(DELAY_LINE_SIZE)),
-        5000,
-        0.005,
-        figures,
-    )
+    tunings = Packed(tuning, np.array([flatten(ice(k)) for k in stiffness]))
+    figures = figures_of(tunings, plant, state, resting_at(0.009), 5000, 0.005)
     left = figures[:, FIGURES.index("exit_tick")]
     assert (left[[0, 2, 4]] == -1.0).all() and (left[[1, 3]] > 0.0).all()
     assert figures[0].tolist() == figures[4].tolist() and figures[1].tolist() == figures[3].tolist()

@@ -30,8 +30,8 @@ from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import AsyncControl, Control
 
 WAIT_S = 120.0
-BEFORE = 12
-"""Requests that wait before the one in question; each takes some milliseconds to answer."""
+BEFORE = 48
+"""Requests that wait before the one in question; each takes a millisecond or two to answer."""
 
 
 class Driver:
@@ -169,7 +169,7 @@ def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path)
 @pytest.mark.real_time
 @pytest.mark.parametrize("client", ["blocking", "asyncio"])
 def test_a_disarm_that_is_lost_is_sent_again(client, monkeypatch, tmp_path):
-    """The publisher process receives it and is killed before it reads it. The device is given zero from the next one
+    """The process receives it and is killed before it reads it. The device is given zero from the next one
     on, and the client has its answer."""
 
     async def disarm_in_task() -> Any:
@@ -183,7 +183,7 @@ def test_a_disarm_that_is_lost_is_sent_again(client, monkeypatch, tmp_path):
         threading.Timer(2.0 * RESEND_S, os.kill, (pid, signal.SIGKILL)).start()
 
     with running(monkeypatch, tmp_path) as (daemon, device):
-        endpoint, pid = str(daemon.commands_endpoint), daemon.publisher.pid
+        endpoint, pid = str(daemon.commands_endpoint), daemon.publisher.pids["commands"]
         assert eventually(lambda: forced(device))
         if client == "asyncio":
             armed = asyncio.run(disarm_in_task())
@@ -192,8 +192,21 @@ def test_a_disarm_that_is_lost_is_sent_again(client, monkeypatch, tmp_path):
                 control.get_state()
                 stall()
                 armed = control.disarm()
-        assert armed.armed is False and daemon.publisher.pid != pid
+        assert armed.armed is False and daemon.publisher.pids["commands"] != pid
         assert eventually(lambda: not forced(device))
+
+
+@pytest.mark.real_time
+def test_subscribers_do_not_delay_disarm(monkeypatch, tmp_path):
+    """The device is given zero, and the client an answer, while the process of telemetry does nothing at all."""
+    with running(monkeypatch, tmp_path) as (daemon, device), Control(str(daemon.commands_endpoint), WAIT_S) as control:
+        assert eventually(lambda: forced(device))
+        os.kill(daemon.publisher.pids["telemetry"], signal.SIGSTOP)
+        try:
+            assert control.disarm().armed is False
+            assert eventually(lambda: not forced(device))
+        finally:
+            os.kill(daemon.publisher.pids["telemetry"], signal.SIGCONT)
 
 
 HOLD = ctypes.PyDLL(None).usleep

@@ -175,7 +175,7 @@ def test_keys_are_asked_for_by_the_next_publisher_too(ring: Ring) -> None:
         own = Listener(context, daemon.publisher.endpoint)
         reader = Listener(context, daemon.public["telemetry"], ring.of("reader"))
         assert eventually(lambda: own.look().messages > 10 and reader.look().messages > 10)
-        os.kill(daemon.publisher.pid, signal.SIGKILL)
+        os.kill(daemon.publisher.pids["telemetry"], signal.SIGKILL)
         assert eventually(lambda: daemon.publisher.restarts == 1)
         heard = reader.look().messages
         assert eventually(lambda: reader.look().messages > heard + 500)

@@ -31,7 +31,7 @@ def norm(v):
 @given(st.lists(st.tuples(any_vector, any_vector), min_size=1, max_size=30))
 @example([((0.0, 0.0, 0.0), (0.0, 0.0, 2.2e-313))])  # the inverse of a subnormal number overflows
 @pytest.mark.scaled
-@examples(300, 3000)
+@examples(150, 3000)
 def test_output_is_always_finite_bounded_and_slow(wrenches):
     """For any sequence of wrenches, NaN and infinities among them, the output keeps every limit."""
     before = g.INITIAL_GUARD_STATE

@@ -42,7 +42,7 @@ from softfinger.server.wire.publisher import Publisher
 ended = threading.Event()
 threading.Thread(target=lambda: (sys.stdin.readline(), ended.set()), daemon=True).start()
 publisher = Publisher(sys.argv[1], backlog=int(sys.argv[4]), priority=1)
-print(json.dumps([publisher.endpoint, publisher.ring()["name"], publisher.pid]), flush=True)
+print(json.dumps([publisher.endpoint, publisher.ring()["name"], publisher.pids["telemetry"]]), flush=True)
 record, tick = synthetic(10), 0
 due = time.monotonic()
 while not ended.is_set():

@@ -30,7 +30,12 @@ from softfinger.server.recording.reader import Ticks, read_contents
 pytestmark = pytest.mark.real_time
 
 KILLS = int(os.environ.get("SOFTFINGER_KILLS", "40"))
-VICTIMS = {"page": b"\0view\0", "publisher": b"\0softfinger.server.publishing\0", "daemon": b"\0run\0"}
+VICTIMS = {
+    "page": b"\0view\0",
+    "telemetry process": b"\0softfinger.server.publishing\0telemetry\0",
+    "commands process": b"\0softfinger.server.publishing\0commands\0",
+    "daemon": b"\0run\0",
+}
 """What the command of each has in it."""
 START_S = 120.0
 """A cold start compiles."""
@@ -50,7 +55,7 @@ def children(pid: int) -> list[int]:
 
 
 def of_kind(kind: str, pid: int) -> int | None:
-    """The process of a run that is its daemon, its publisher or its page, once it is there."""
+    """Return the process of a run with this role, if it has started."""
     for each in (pid, *children(pid)):
         with suppress(FileNotFoundError, ProcessLookupError):
             if VICTIMS[kind] in Path(f"/proc/{each}/cmdline").read_bytes():
@@ -115,9 +120,9 @@ def kill(process: subprocess.Popen[bytes], kind: str, told: Path) -> list[int]:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("kills", [len(VICTIMS), KILLS])
 def test_a_kill_at_any_moment_leaves_nothing_behind(kills: int, tmp_path: Path) -> None:
-    """Daemon, publisher and page by turns, at random moments: that a page or a publisher has ended is told. Then the
-    daemon, too: no process of it is left, the recording has whole ticks in a row, and the next one gets the same port,
-    socket and folder, to the last, which runs to its end and leaves no socket."""
+    """All processes of a run by turns, at random moments: the end of one is reported. Then the daemon: no process of it
+    is left, the recording has whole ticks in a row, and the next one gets the same port, socket and folder, to the
+    last, which runs to its end and leaves no socket."""
     drawn = random.Random(7)
     board = Board(lambda _: (*PLACE[:2], 0.006))
     recorded = 0

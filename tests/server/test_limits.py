@@ -366,7 +366,7 @@ any_way = st.tuples(*[st.floats(-0.01, 0.01)] * 3)
 
 @given(st.lists(st.tuples(any_force, any_force, any_way, st.sampled_from([FREE, ROLLING])), min_size=1, max_size=80))
 @pytest.mark.scaled
-@examples(100, 3000)
+@examples(60, 3000)
 def test_no_limit_is_ever_passed(steps):
     """Over any wrenches and motions: the force is finite, below the guard's and the heat's limit, zero while the
     handle has been too fast; heat stays below 1; given is no more than twice the energy and the work of one tick."""

@@ -16,6 +16,7 @@ import time
 
 import numpy as np
 import pytest
+from helpers.called import called
 from helpers.programs import Program
 from helpers.telemetry_records import put, synthetic
 from rich.console import Console
@@ -86,8 +87,8 @@ def piped(*arguments):
 
 
 def test_once_writes_one_line_with_everything(endpoint):
-    """Through a pipe, --once waits for a health message and writes a single plain line."""
-    done = piped("--endpoint", endpoint, "--once")
+    """Without a terminal, --once waits for a health message and writes a single plain line; with --json a document."""
+    done = called("monitor", "--endpoint", endpoint, "--once")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("\n") == 1
     for part in (
@@ -102,6 +103,9 @@ def test_once_writes_one_line_with_everything(endpoint):
     ):
         assert part in done.stdout
     assert "\x1b" not in done.stdout
+    done = called("monitor", "--endpoint", endpoint, "--json", "--once")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["contact"]["contact"]["mode"] == 2
 
 
 def test_json_writes_one_object_a_second(endpoint):
@@ -120,27 +124,22 @@ def test_json_writes_one_object_a_second(endpoint):
     assert objects[0]["contact"]["tick"] < last["contact"]["tick"]
 
 
-def test_json_once_is_one_object(endpoint):
-    """--json --once is a single JSON document for scripts."""
-    done = piped("--endpoint", endpoint, "--json", "--once")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["contact"]["contact"]["mode"] == 2
-
-
 def test_not_a_number_becomes_null():
     """A nan in a message does not make the JSON unreadable."""
-    with (
-        Publisher("tcp://127.0.0.1:*") as publisher,
-        Program(
-            command("--endpoint", publisher.endpoint, "--json", "--once"), stdout=subprocess.PIPE, text=True
-        ) as process,
-    ):
-        records = synthetic(1)
-        put(records, "force", [np.nan, 0.0, np.inf])
-        while process.poll() is None:
+    records, stop = synthetic(1), threading.Event()
+    put(records, "force", [np.nan, 0.0, np.inf])
+
+    def publish(publisher):
+        while not stop.wait(0.02):
             publisher.publish(records)
-            time.sleep(0.02)
-        assert json.loads(process.stdout.read())["contact"]["force"] == [None, 0.0, None]
+
+    with Publisher("tcp://127.0.0.1:*") as publisher:
+        thread = threading.Thread(target=publish, args=(publisher,))
+        thread.start()
+        done = called("monitor", "--endpoint", publisher.endpoint, "--json", "--once")
+        stop.set()
+        thread.join()
+    assert json.loads(done.stdout)["contact"]["force"] == [None, 0.0, None]
 
 
 def test_reader_that_has_enough_ends_it_quietly(endpoint):
@@ -148,15 +147,6 @@ def test_reader_that_has_enough_ends_it_quietly(endpoint):
     with Program(command("--endpoint", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert "sliding" in process.stdout.readline()
         process.stdout.close()
-        assert process.stderr.read() == ""
-        assert process.wait(30) == 0
-
-
-def test_interrupt_ends_it_quietly(endpoint):
-    """SIGINT is the usual way out: code 0, no traceback."""
-    with Program(command("--endpoint", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert "sliding" in process.stdout.readline()
-        process.send_signal(signal.SIGINT)
         assert process.stderr.read() == ""
         assert process.wait(30) == 0
 
@@ -174,11 +164,13 @@ def test_nothing_arriving_is_said_with_endpoint_and_exit_code(tmp_path):
 
 
 def test_stream_that_stops_is_said_and_waited_for():
-    """After the server falls silent the lines say for how long, and the last tick stays."""
+    """After the server falls silent the lines say for how long, and the last tick stays. SIGINT is the usual way out:
+    code 0, no traceback."""
+    pipe = subprocess.PIPE
     with (
         Publisher("tcp://127.0.0.1:*") as publisher,
         Program(
-            command("--endpoint", publisher.endpoint, "--timeout", "30"), stdout=subprocess.PIPE, text=True
+            command("--endpoint", publisher.endpoint, "--timeout", "30"), stdout=pipe, stderr=pipe, text=True
         ) as process,
     ):
         stop = threading.Event()
@@ -197,6 +189,7 @@ def test_stream_that_stops_is_said_and_waited_for():
             assert "tick 41 free object -1" in line
         assert re.search(r"no data for [1-9]\.\d s; tick 41 free", line)
         process.send_signal(signal.SIGINT)
+        assert process.stderr.read() == ""
         assert process.wait(30) == 0
 
 

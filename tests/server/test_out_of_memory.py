@@ -14,6 +14,7 @@ import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 import pytest
 import zmq
@@ -47,7 +48,7 @@ def look_on(address: str, closing: ExitStack) -> None:
 
 
 def process_of(process: subprocess.Popen[str], kind: str, other: int = 0) -> int:
-    """The daemon's publisher or page, once it is there; `other`: in the place of that one."""
+    """Wait for the process of a daemon with this role, other than `other`, and return its id."""
     found: list[int] = []
 
     def there() -> bool:
@@ -70,7 +71,7 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
     board has a force all the while, and the recording every tick."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process), felt(board) as least:
-        publisher = process_of(process, "publisher")
+        publisher = process_of(process, "telemetry process")
         with zmq.Context() as context, ExitStack() as closing:
             for _ in range(STALLED):
                 stalled = closing.enter_context(context.socket(zmq.SUB))
@@ -79,14 +80,14 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
                 stalled.connect(f"ipc://{tmp_path}/t")
             take_memory(publisher)
             until(lambda: gone(publisher), START_S, "the end of the publisher")
-        process_of(process, "publisher", other=publisher)
+        process_of(process, "telemetry process", other=publisher)
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
             first = next(iter(telemetry)).tick
             assert next(sample for sample in telemetry if sample.tick > first + 1500)  # the event waits for a second
         assert least() > 0.0
         said = end(process)
         assert board.force == ZERO
-    assert "the publisher has ended with code" in said
+    assert "the telemetry process has ended with code" in said
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks))) and "publisher" in [name for name, _ in events]
 
@@ -114,29 +115,40 @@ def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
     assert ticks == list(range(len(ticks))) and "page" in [name for name, _ in events]
 
 
-@pytest.mark.parametrize("kind", ["publisher", "page"])
-def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(kind: str, tmp_path: Path) -> None:
-    """It is restarted when descriptors are available again. Until then the run continues with its force."""
+def line_with(words: str, lines: IO[str]) -> str:
+    """Return the next line with these words; none before it tells again that a process cannot be started."""
+    for line in lines:
+        if words in line:
+            return line
+        assert "cannot be started" not in line
+    raise AssertionError(f"no line with {words!r}")
+
+
+def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(tmp_path: Path) -> None:
+    """Publisher and page are restarted when descriptors are available again. Until then the run continues with its
+    force. A page that a signal ends is not restarted."""
     recording = tmp_path / "on.mcap"
-    view = ["--view"] if kind == "page" else []
-    with pressing(tmp_path, *view, "--record", str(recording)) as (board, process), felt(board) as least:
+    with pressing(tmp_path, "--view", "--record", str(recording)) as (board, process), felt(board) as least:
         assert process.stderr is not None
-        before = process_of(process, kind)
         hard = resource.prlimit(process.pid, resource.RLIMIT_NOFILE)[1]
-        resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (3, hard))  # what is open stays open
-        os.kill(before, signal.SIGKILL)
-        assert next(line for line in process.stderr if f"the {kind} cannot be started: [Errno 24]" in line)
-        first = len(board.sent)
-        until(lambda: len(board.sent) > first + 1000, END_S, "a thousand forces")
-        assert process.poll() is None and of_kind(kind, process.pid) in (None, before)
-        resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (hard, hard))
-        assert process_of(process, kind, other=before)
+        for kind in ("telemetry process", "page"):
+            before = process_of(process, kind)
+            resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (3, hard))  # what is open stays open
+            os.kill(before, signal.SIGKILL)
+            line_with(f"the {kind} cannot be started: [Errno 24]", process.stderr)
+            first = len(board.sent)
+            until(lambda first=first: len(board.sent) > first + 1000, END_S, "a thousand forces")
+            assert process.poll() is None and of_kind(kind, process.pid) in (None, before)
+            resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (hard, hard))
+            page = process_of(process, kind, other=before)
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
             tick = next(iter(telemetry)).tick
             assert next(sample for sample in telemetry if sample.tick > tick + 1500)  # the event waits for a second
+        os.kill(page, signal.SIGTERM)
+        assert "the page has ended" in line_with("to see it again: ", process.stderr)
         assert least() > 0.0
         said = end(process)
         assert board.force == ZERO
-    assert said.count("cannot be started") == 0  # told once
+    assert said.count("cannot be started") == 0  # told once each
     ticks, events = read(recording)
-    assert ticks == list(range(len(ticks))) and kind in [name for name, _ in events]
+    assert ticks == list(range(len(ticks))) and {"publisher", "page"} <= {name for name, _ in events}

@@ -57,7 +57,7 @@ class Peers(NamedTuple):
 
 OWNERS = {
     "telemetry": "publisher",
-    "commands": "publisher",
+    "commands": "receiver",
     "forwarded telemetry": "gateway",
     "forwarded commands": "gateway",
     "metrics": "daemon",
@@ -116,13 +116,15 @@ def peers() -> Iterator[Peers]:
                 owners = {
                     "daemon": daemon.pid,
                     "gateway": gateway.pid,
-                    "publisher": child_of(daemon.pid, b"softfinger.server.publishing"),
+                    "publisher": child_of(daemon.pid, b"publishing\0telemetry"),
+                    "receiver": child_of(daemon.pid, b"publishing\0commands"),
                     "page": child_of(daemon.pid, b"\0view\0"),
                 }
                 try:
                     yield Peers(addresses, owners)
                     assert (daemon.poll(), gateway.poll()) == (None, None)
-                    assert owners["publisher"] == child_of(daemon.pid, b"softfinger.server.publishing")
+                    assert owners["publisher"] == child_of(daemon.pid, b"publishing\0telemetry")
+                    assert owners["receiver"] == child_of(daemon.pid, b"publishing\0commands")
                     assert owners["page"] == child_of(daemon.pid, b"\0view\0")
                 finally:
                     gateway.terminate()

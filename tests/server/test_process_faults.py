@@ -51,8 +51,10 @@ def end(process: subprocess.Popen[str]) -> str:
 
 
 def publisher_of(pid: int) -> int:
-    """The daemon's child that has its sockets."""
-    (found,) = [each for each in children(pid) if b"publishing" in Path(f"/proc/{each}/cmdline").read_bytes()]
+    """Return the daemon's child that sends telemetry."""
+    (found,) = [
+        each for each in children(pid) if b"publishing\0telemetry" in Path(f"/proc/{each}/cmdline").read_bytes()
+    ]
     return found
 
 

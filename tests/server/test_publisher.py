@@ -315,7 +315,7 @@ def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
             control.heartbeat()
             assert socket.recv_multipart()
             for killed in (1, 2):
-                os.kill(publisher.pid, signal.SIGKILL)
+                os.kill(publisher.pids["telemetry"], signal.SIGKILL)
                 while not (publisher.restarts == killed and publisher.subscribers == 1):
                     rows.append(local.take(1.0).copy())
                     while socket.poll(0):  # one that does not read does not subscribe anew either

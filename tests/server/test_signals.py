@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 from emulators.serialboard import Board, Cable
+from helpers.called import called
 from helpers.programs import Program
 from helpers.serial_devices import PLACE, RIG
 
@@ -110,32 +111,46 @@ def test_every_signal_that_ends_a_process_is_handled() -> None:
 OTHERS = (signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT, signal.SIGRTMIN + 3)
 
 
-@pytest.mark.parametrize(
-    "number",
-    [
-        signal.SIGHUP,
-        *(pytest.param(number, marks=pytest.mark.exhaustive) for number in OTHERS),
-    ],
-)
+def watcher_of(process: subprocess.Popen[str]) -> int:
+    """Return the process id of a daemon's watcher, its only child except the publisher."""
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+
+    def watchers() -> list[int]:
+        found = map(int, children.read_text().split())
+        return [each for each in found if b"publishing" not in Path(f"/proc/{each}/cmdline").read_bytes()]
+
+    until(lambda: bool(watchers()), END_S, "the watcher")
+    (watcher,) = watchers()
+    return watcher
+
+
+def end_by(process: subprocess.Popen[str], board: Board, number: int) -> None:
+    """End a daemon by a signal, and send others while it closes: they change nothing."""
+    process.send_signal(number)
+    time.sleep(0.1)  # of signals that wait together Python takes the lowest number first
+    for another in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, number):
+        time.sleep(0.01)
+        process.send_signal(another)
+    said = process.communicate(timeout=END_S)[1]
+    assert process.returncode == 128 + number, said
+    assert "force is zero" in said and "Traceback" not in said and "has died" not in said
+    until(lambda: board.force == ZERO, 1.0, "the zero")
+    assert board.faults == []
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("number", OTHERS)
 def test_signal_ends_the_daemon_without_force(number: int, tmp_path: Path) -> None:
-    """A daemon that presses ends in order by any signal, with the number in its exit code, and others that come while
-    it closes change nothing."""
+    """A daemon that presses ends in order by any signal, with the number in its exit code."""
     with pressing(tmp_path) as (board, process):
-        process.send_signal(number)
-        time.sleep(0.1)  # of signals that wait together Python takes the lowest number first
-        for another in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, number):
-            time.sleep(0.01)
-            process.send_signal(another)
-        said = process.communicate(timeout=END_S)[1]
-        assert process.returncode == 128 + number, said
-        assert "force is zero" in said and "Traceback" not in said
-        until(lambda: board.force == ZERO, 1.0, "the zero")
-        assert board.faults == []
+        end_by(process, board, number)
 
 
 def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
-    """Ctrl-Z takes the force off before the process stops; with `fg` it fades in anew, and the daemon goes on."""
-    with pressing(tmp_path) as (board, process):
+    """Ctrl-Z takes the force off before the process stops; with `fg` it fades in again, and the daemon continues. Then
+    the end of its terminal ends it in order, and its watcher with it."""
+    with pressing(tmp_path, "--watcher") as (board, process):
+        watcher = watcher_of(process)
         process.send_signal(signal.SIGTSTP)
         until(lambda: state(process.pid) == "T" or process.poll() is not None, END_S, "the stop")
         assert process.poll() is None, process.communicate()[1]
@@ -149,22 +164,27 @@ def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
         forces = [frame[2] for frame in board.sent[count:]]
         first = next(force for force in forces if force > 0)
         assert first < 0.1 * 1e3 * FORCE_N  # a ramp's beginning
-        process.send_signal(signal.SIGINT)
-        said = process.communicate(timeout=END_S)[1]
-        assert process.returncode == 0, said
-        until(lambda: board.force == ZERO, 1.0, "the zero")
+        end_by(process, board, signal.SIGHUP)
+        assert not Path(f"/proc/{watcher}").exists()
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.exhaustive)])
 def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path) -> None:
-    """`run --watcher`: killed outright, the daemon leaves its force, and the other process takes it off."""
+    """`run --watcher`: killed outright, the daemon leaves its force, and the watcher, which survives what ends the
+    daemon, takes it off. A device that it cannot reach is refused."""
     with pressing(tmp_path, "--watcher") as (board, process):
+        watcher = watcher_of(process)
+        os.kill(watcher, signal.SIGTERM)
+        time.sleep(0.1)
+        assert state(watcher) == "S"
         process.send_signal(number)
         said = process.communicate(timeout=END_S)[1]
         assert process.returncode == -number
         assert "the daemon has died: zero force was written to /dev/pts/" in said
         until(lambda: board.force == ZERO, 1.0, "the zero")
         assert board.sent[-1] == (0, 0, 0, 2, 0, 0, 0)
+    refused = called("run", "--watcher", "--endpoint", f"ipc://{tmp_path}/t")
+    assert refused.returncode == 2 and "no other process can switch off the force of replay" in refused.stderr
 
 
 def test_without_a_watcher_a_killed_daemon_leaves_its_force(tmp_path: Path) -> None:
@@ -174,31 +194,6 @@ def test_without_a_watcher_a_killed_daemon_leaves_its_force(tmp_path: Path) -> N
         process.wait(END_S)
         time.sleep(0.5)
         assert board.force[2] > 0.0
-
-
-def test_watcher_goes_with_a_daemon_that_ends_in_order(tmp_path: Path) -> None:
-    """It ends with the daemon, and survives what ends the daemon; a device that it cannot reach is refused."""
-    with pressing(tmp_path, "--watcher") as (board, process):
-        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-
-        def watchers() -> list[int]:
-            """Not the publisher, which is beside it."""
-            found = map(int, children.read_text().split())
-            return [each for each in found if b"publishing" not in Path(f"/proc/{each}/cmdline").read_bytes()]
-
-        until(lambda: bool(watchers()), END_S, "the watcher")
-        (watcher,) = watchers()
-        os.kill(watcher, signal.SIGTERM)
-        time.sleep(0.1)
-        assert state(watcher) == "S"
-        process.send_signal(signal.SIGTERM)
-        said = process.communicate(timeout=END_S)[1]
-        assert process.returncode == 0 and "has died" not in said
-        assert not Path(f"/proc/{watcher}").exists()
-        assert board.force == ZERO
-    words = [*COMMAND, "run", "--watcher", "--endpoint", f"ipc://{tmp_path}/t"]
-    refused = subprocess.run(words, capture_output=True, text=True, timeout=START_S, check=False)
-    assert refused.returncode == 2 and "no other process can switch off the force of replay" in refused.stderr
 
 
 @pytest.mark.parametrize(

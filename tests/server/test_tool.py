@@ -31,7 +31,7 @@ from softfinger.server.offline.simulate import simulate, simulate_devices
 from softfinger.server.offline.summary import rig_summary
 
 DT = 1e-3
-SLOW_HZ = 250.0
+SLOW_HZ = 100.0
 """Rate of a whole recording where the ticks between show nothing else."""
 FREE_HAND = Guard(40.0, 2.0, 1e6, 1e6, 0.0, 1.0)
 """Limits of force, torque and their changes that nothing here reaches, and no ramp."""
@@ -171,6 +171,7 @@ def test_servo_writes_the_carried_wrench(fault: Any) -> None:
     device.close()
 
 
+@pytest.mark.plain
 def test_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
     """From the file through `simulate --device`: the tip is where the tool has it, turned as it turns."""
     file = tmp_path / "rig.toml"

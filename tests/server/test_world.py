@@ -1,7 +1,7 @@
 """Bodies that move by themselves under the daemon: what is published, that it is what `simulate` computes, and what
 becomes of those that cannot be simulated.
 
-Compiles a servo for a key on a spring.
+Compiles a servo for a key on a spring, with friction and rolling.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 import pytest
 from helpers.allocations import HAS_COMPILER, counted
+from helpers.key_world import KEY, ROLLING, key_world
 
 from softfinger.config import schema
 from softfinger.config.load import load_rig, load_scene, overridden
@@ -37,17 +38,6 @@ from softfinger.server.wire.control import Control
 
 pytestmark = pytest.mark.real_time
 
-KEY = """
-<mujoco>
-  <option timestep="0.001" integrator="implicitfast" gravity="0 0 0"/>
-  <worldbody>
-    <body name="key" pos="0 0 -0.01">
-      <joint type="slide" axis="0 0 1" stiffness="300" damping="1" frictionloss="1e-6"/>
-      <geom name="key" type="box" size="0.02 0.02 0.01" mass="0.05"/>
-    </body>
-  </worldbody>
-</mujoco>
-"""
 PRESSED_M = 1e-3
 """How deep the recording goes into the key at rest."""
 
@@ -55,10 +45,7 @@ PRESSED_M = 1e-3
 @pytest.fixture
 def scene(tmp_path: Path) -> schema.Scene:
     """A key that the fingertip of the shipped taps presses."""
-    (tmp_path / "key.xml").write_text(KEY)
-    material = {"stiffness_n_per_m": 500.0, "damping_ns_per_m": 2.0}
-    world = {"model": str(tmp_path / "key.xml"), "material": material}
-    return load_scene({"fingertip": {"radius_m": 0.01}, "world": world})
+    return load_scene({"fingertip": {"radius_m": 0.01}, "rolling": ROLLING, "world": key_world(tmp_path)})
 
 
 def rig(**changes: Any) -> schema.Rig:
@@ -135,13 +122,14 @@ COUNT = """
 import ctypes, sys
 sys.path.insert(0, sys.argv[1])
 from helpers.faulty_device import FaultyDevice, Options
+from helpers.key_world import ROLLING, RUBBER
 from softfinger.config.load import load_rig, load_scene, overridden
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 shim = ctypes.CDLL(None)
 shim.allocations.restype = ctypes.c_long
-geom = {"name": "key", "material": {"stiffness_n_per_m": 500.0, "damping_ns_per_m": 2.0}}
-scene = load_scene({"fingertip": {"radius_m": 0.01}, "world": {"model": sys.argv[2], "geom": [geom]}})
+world = {"model": sys.argv[2], "geom": [{"name": "key", "material": RUBBER}]}
+scene = load_scene({"fingertip": {"radius_m": 0.01}, "rolling": ROLLING, "world": world})
 def count(ticks):
     seen, device = [], FaultyDevice(Options())
     def prepare():

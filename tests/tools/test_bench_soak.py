@@ -59,7 +59,13 @@ def test_a_short_run_has_every_process(tmp_path: Path, capsys: pytest.CaptureFix
     cli.main(["bench", "soak", "--minutes", "0.2", "--json", "--plot", str(drawing)])
     found = json.loads(capsys.readouterr().out)
     names = set(found["processes"])
-    assert {"daemon", "daemon: server.publishing", "page", *(f"subscriber {k}" for k in range(1, 5))} <= names
+    assert {
+        "daemon",
+        "daemon: telemetry",
+        "daemon: commands",
+        "page",
+        *(f"subscriber {k}" for k in range(1, 5)),
+    } <= names
     assert found["ticks"] + found["missed"] > 11_000
     assert all(each["threads"]["last"] >= 1.0 for each in found["processes"].values())
     assert drawing.stat().st_size > 0

@@ -144,7 +144,7 @@ def test_a_rig_that_allows_less_than_a_push_is_told(
 def test_without_a_rig_it_is_the_first_attached_device(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first that has a shipped rig; with none attached the error says to name one."""
     ports: list[Attached] = [Attached("usb", 0x1234, 0x0001, "a lamp", "", "")]
-    monkeypatch.setattr(discovery, "attached", lambda: ports)
+    monkeypatch.setattr(discovery, "list_attached", lambda: ports)
     with pytest.raises(DeviceNotFound, match="name yours with --rig"):
         probe.attached_rig()
     ports.append(Attached("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0"))

@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 SUBSCRIBERS: Final = 4
 CHANGE_S: Final = 0.1
 SAMPLE_S: Final = 1.0
+ROLES: Final = ("telemetry", "commands", "view")
+"""Words of the command lines of child processes that name them."""
 C_TURN_S: Final = 10.0
 """The C loop stores its measurements in memory until the end of a turn."""
 WARM_S: Final = 600.0
@@ -179,9 +181,9 @@ def sizes(name: str, pid: int) -> Sizes:
         }
         children = " ".join(each.read_text() for each in process.glob("task/*/children")).split()
         for child in map(int, children):
-            words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
-            module = next((word.decode() for word in words if word.startswith(b"softfinger.")), "child")
-            found |= sizes(f"{name}: {module.removeprefix('softfinger.')}", child)
+            words = Path(f"/proc/{child}/cmdline").read_text().split("\0")
+            role = next((word for word in words if word in ROLES), "child")
+            found |= sizes(f"{name}: {role}", child)
     except (OSError, KeyError):  # it has ended
         return {}
     return found

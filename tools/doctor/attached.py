@@ -24,7 +24,7 @@ def checks(rig: Rig) -> list[Check]:
     found = [libusb(rig), hidapi(rig), *(maker_library(rig, driver) for driver in LIBRARY_DRIVERS)]
     if single_device(rig).driver == "haply":
         found.append(inverse_service(rig))
-    return [*found, *devices(rig, discovery.attached())]
+    return [*found, *devices(rig, discovery.list_attached())]
 
 
 def _missing(needed: bool) -> State:

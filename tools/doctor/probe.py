@@ -67,7 +67,7 @@ def check_push(rig: Rig) -> None:
 
 def attached_rig() -> str:
     """Return the shipped rig of the first attached device that has one. Raises DeviceNotFound if there is none."""
-    for device in discovery.attached():
+    for device in discovery.list_attached():
         claim = find_claim(device)
         if claim is not None and claim.rigs:
             return claim.rigs[0]

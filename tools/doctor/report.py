@@ -117,7 +117,7 @@ def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
 
 def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
     """Return a report with all data that is known before opening the device, and the serial numbers to shorten."""
-    found = [one for one in discovery.attached() if attached.is_of(rig, one)]
+    found = [one for one in discovery.list_attached() if attached.is_of(rig, one)]
     freedom = read_subspace(single_device(rig))
     report: dict[str, Any] = {
         "report": FORMAT,

@@ -293,7 +293,8 @@ HAZARDS: Final = (
         ("tests/server/test_signals.py::test_watcher_takes_the_force_off_a_killed_daemon",),
     ),
     Hazard(
-        "a publisher that ends, also while no memory or file descriptor is left", "the daemon", "none",
+        "a process of telemetry or commands that ends, also while no memory or file descriptor is left", "the daemon",
+        "none",
         "as before; with `heartbeat_s`, zero until heartbeats come again", f"it is started again, {_TRIED}",
         ("fault publisher",),
         ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",
@@ -307,8 +308,9 @@ HAZARDS: Final = (
     ),
     Hazard(
         "a publisher that hangs, a lost network", "none needed: no other thread waits for it", "none",
-        "as before; subscribers miss ticks", _NONE, (),
-        (f"{_PROCESS}::test_a_publisher_that_stands_still_holds_up_nothing",
+        "as before; subscribers miss ticks; commands are answered", _NONE, (),
+        ("tests/server/test_commands_at_once.py::test_subscribers_do_not_delay_disarm",
+         f"{_PROCESS}::test_a_publisher_that_stands_still_holds_up_nothing",
          f"{_PROCESS}::test_a_network_that_is_lost_costs_subscribers_alone"),
     ),
     Hazard(

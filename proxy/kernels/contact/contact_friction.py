@@ -12,7 +12,7 @@ from softfinger.proxy.kernels.contact.normal import normal_force_of
 from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
 from softfinger.proxy.kernels.contact.texture import texture_depth_on, texture_friction
 from softfinger.proxy.kernels.friction.contact_patch import ContactPatch, contact_patch, torsion_under, winding_unit
-from softfinger.proxy.kernels.friction.laws import turned
+from softfinger.proxy.kernels.friction.laws import rotate_law
 from softfinger.proxy.kernels.friction.stick_slip import stick_slip
 from softfinger.proxy.kernels.friction.torsion import share_of
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -140,7 +140,7 @@ def apply_friction(
     area = contact_patch(finger.patch, round_by, material.compliance, load)
     unit = winding_unit(material.torsion, area, share)
     result = stick_slip(
-        turned(material.friction, ground.orientation),
+        rotate_law(material.friction, ground.orientation),
         torsion_under(share_of(material.torsion, share), area),
         Coupling(
             share * finger.coupling.stiffness,

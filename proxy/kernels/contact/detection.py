@@ -7,7 +7,7 @@ from softfinger.proxy.kernels.contact.carry import (
     any_moves,
 )
 from softfinger.proxy.kernels.contact.contact_friction import Prediction
-from softfinger.proxy.kernels.contact.first_pose import first_touch, raised
+from softfinger.proxy.kernels.contact.first_pose import first_touch, raise_outside
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint
@@ -35,7 +35,7 @@ from softfinger.proxy.kernels.query.kinds import (
     by_multipoint,
     is_mesh_at,
 )
-from softfinger.proxy.kernels.query.motion import carried_along
+from softfinger.proxy.kernels.query.motion import carry_along
 from softfinger.proxy.kernels.query.objects import (
     NOBODY,
     closest_to_within,
@@ -127,7 +127,7 @@ def refine_touch_of_facet(
 ) -> tuple[Vec3, bool]:
     """Sweep one facet: the search of a mesh moves in steps of its clearance, and may end a little before the touch."""
     body = object_at(objects, index)
-    begin = carried_along(body, start)
+    begin = carry_along(body, start)
     share = travel(body.shape, into(body.pose, begin), into(body.pose, end), radius, False)
     found = vec3.add_scaled(begin, min(share, 1.0), vec3.sub(end, begin))
     return found, is_outside(objects, radius, found, found, budget)
@@ -180,7 +180,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
             if state.started != 0.0:
                 center = met
             else:
-                center, known = raised(objects, index, radius, center, normal)
+                center, known = raise_outside(objects, index, radius, center, normal)
                 if not known:
                     return Meeting(start, position, position, nothing, False, SPENT)
         depth = max(vec3.dot(vec3.sub(center, position), normal), 0.0)

@@ -80,7 +80,7 @@ def first_touch_of_any(objects: Any, radius: float, position: Vec3, budget: int)
 
 
 @by_multipoint
-def raised(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> Any:
+def raise_outside(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> Any:
     """Return a position (3,) m outside for a fingertip that is inside at `center`, and True if one was found.
 
     index   of an object that the fingertip touches there
@@ -88,13 +88,13 @@ def raised(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3
     """
 
 
-@raised.otherwise
+@raise_outside.otherwise
 def raise_off_object(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
     body = object_at(objects, index)
     return out_of(body.pose, raised_clear(body.shape, into(body.pose, center), radius)), True
 
 
-@raised.of(WITH_MESH)
+@raise_outside.of(WITH_MESH)
 def raise_off_facets(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
     """Return the first position along the normal that is outside of all objects."""
     height, step, left = 0.0, RISE * radius, ROOM

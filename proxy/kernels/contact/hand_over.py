@@ -74,7 +74,7 @@ def largest_loser(contacts: Contacts, losses: Vec3) -> ContactState:
 
 
 @jit
-def merged(objects: Any, taker: ContactState, giver: ContactState, weight: float) -> Any:
+def merge_contact(objects: Any, taker: ContactState, giver: ContactState, weight: float) -> Any:
     """Add the deflection and wind-up of `giver`, times `weight`, to a contact.
 
     Vectors are projected onto the tangent plane of the receiver, and the spin onto its normal. On a stiffer torsional
@@ -135,9 +135,9 @@ def contact_after_hand_over(
         spin_slip_angle=like.spin_slip_angle,
         bend=vec3.scale(kept, own.bend),
     )
-    contact = merged(objects, contact, contacts[0], gained * losses[0])
-    contact = merged(objects, contact, contacts[1], gained * losses[1])
-    return merged(objects, contact, contacts[2], gained * losses[2])
+    contact = merge_contact(objects, contact, contacts[0], gained * losses[0])
+    contact = merge_contact(objects, contact, contacts[1], gained * losses[1])
+    return merge_contact(objects, contact, contacts[2], gained * losses[2])
 
 
 @jit

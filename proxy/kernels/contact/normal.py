@@ -24,7 +24,7 @@ def spring(law: Any, depth: float) -> Any:
 
 
 @jit
-def bounded(elastic: float, damping: float, speed: float) -> float:
+def bound_force(elastic: float, damping: float, speed: float) -> float:
     """Return elastic - B v, at least 0 and at most 2 elastic: damping never pulls, and at most doubles the force."""
     return min(max(elastic - damping * speed, 0.0), max(2.0 * elastic, 0.0))
 
@@ -47,12 +47,12 @@ def spring_under_damping(law: HuntCrossley, depth: float) -> float:
 
 @normal_force_of.of(LinearNormal)
 def normal_force_linear(law: LinearNormal, depth: float, speed: float) -> float:
-    return bounded(linear_spring(law, depth), law.damping, speed)
+    return bound_force(linear_spring(law, depth), law.damping, speed)
 
 
 @normal_force_of.of(PowerNormal)
 def normal_force_power(law: PowerNormal, depth: float, speed: float) -> float:
-    return bounded(power_spring(law, depth), law.damping, speed)
+    return bound_force(power_spring(law, depth), law.damping, speed)
 
 
 @normal_force_of.of(HuntCrossley)

@@ -78,7 +78,7 @@ def is_single(state: FingerState, radius: float) -> bool:
 
 
 @jit
-def nothing_approached(probe: Probe) -> Approach:
+def make_no_approach(probe: Probe) -> Approach:
     """Return an Approach without a contact."""
     return Approach(
         start=probe.position, outside=probe.position, center=probe.position,
@@ -127,7 +127,7 @@ def approach_among_several(
     """
     if state.mode != FREE:
         single = is_single(state, finger.radius)
-        approach = nothing_approached(motion.probe)
+        approach = make_no_approach(motion.probe)
         if single:
             index = state.contacts[0].body
             body = object_at(shapes, index)

@@ -21,8 +21,8 @@ from softfinger.proxy.kernels.contact.prediction import lag_of
 from softfinger.proxy.kernels.contact.rest.among import trailing_force
 from softfinger.proxy.kernels.contact.several_rest import Settled
 from softfinger.proxy.kernels.friction.contact_patch import contact_patch, winding_unit
-from softfinger.proxy.kernels.friction.laws import turned
-from softfinger.proxy.kernels.friction.stick_slip import within_cone
+from softfinger.proxy.kernels.friction.laws import rotate_law
+from softfinger.proxy.kernels.friction.stick_slip import limit_to_cone
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import NO_OUTCOME, Constraint, ContactOutcome, ContactState, Finger, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
@@ -134,8 +134,8 @@ def share_of_wrench(
     rubbing = friction_share_on(approach, forces, settled.contacts, constraint)
     # The limit of the torsional moment grows by up to f_N^(4/3).
     moment, bending = ease * ease * rubbing.moment, vec3.scale(ease * ease, rubbing.bending)
-    law = turned(ground.material.friction, ground.orientation)
-    tangential = within_cone(law, normal, vec3.scale(ease, rubbing.force), load.size, contact.slip_speed)
+    law = rotate_law(ground.material.friction, ground.orientation)
+    tangential = limit_to_cone(law, normal, vec3.scale(ease, rubbing.force), load.size, contact.slip_speed)
     torque = torque_of(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
     torque = vec3.add(torque, bending)
     round_by = radius_of_curvature(finger.form, finger.radius, probe.orientation, normal)

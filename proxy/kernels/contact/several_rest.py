@@ -12,7 +12,7 @@ from softfinger.proxy.kernels.contact.hand_over import Contacts, hand_over
 from softfinger.proxy.kernels.contact.prediction import lag_of
 from softfinger.proxy.kernels.contact.rest.active_set import active_objects, leaves_no_room
 from softfinger.proxy.kernels.contact.rest.among import (
-    over_edges,
+    constraints_over_edges,
     settle_among_several,
 )
 from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
@@ -55,7 +55,7 @@ class Settled(NamedTuple):
 
 
 @jit
-def rubbed(predicted: Prediction, forces: ContactForces) -> ContactState:
+def contact_after_friction(predicted: Prediction, forces: ContactForces) -> ContactState:
     """Return a contact after friction, NO_CONTACT if it has no load."""
     nothing = predicted.contact.body < 0.0 or predicted.contact.share <= 0.0
     return NO_CONTACT if nothing else with_friction_result(predicted, forces)
@@ -79,7 +79,7 @@ def update_pushes(contacts: Contacts, active: ActiveSet) -> Contacts:
 
 
 @jit
-def eased(active: ActiveSet, ease: float) -> ActiveSet:
+def ease_depths(active: ActiveSet, ease: float) -> ActiveSet:
     """Return the constraints with their depths times `ease`."""
     one, two, three = active
     return (
@@ -90,7 +90,7 @@ def eased(active: ActiveSet, ease: float) -> ActiveSet:
 
 
 @jit
-def lag_predicted(approach: Approach) -> Vec3:
+def predict_lag(approach: Approach) -> Vec3:
     """Return the mean deflection (3,) m of the contacts if all stick."""
     one, two, three = approach.predicted
     lag = vec3.scale(one.contact.share, one.deflection)
@@ -118,21 +118,21 @@ def settle_after_friction(
     position of the proxy if all contacts stick.
     """
     after = (
-        rubbed(approach.predicted[0], forces[0]),
-        rubbed(approach.predicted[1], forces[1]),
-        rubbed(approach.predicted[2], forces[2]),
+        contact_after_friction(approach.predicted[0], forces[0]),
+        contact_after_friction(approach.predicted[1], forces[1]),
+        contact_after_friction(approach.predicted[2], forces[2]),
     )
     radius, lag, budget = finger.radius, lag_of(after), approach.budget
     goal, active, ease = vec3.add(position, lag), approach.active, 1.0
-    above = vec3.sub(approach.center, vec3.add(position, lag_predicted(approach)))
+    above = vec3.sub(approach.center, vec3.add(position, predict_lag(approach)))
     depth = vec3.norm(above)
     if lag != ZERO and depth > DEEP * radius:
         ease = DEEP * radius / depth
-        goal, active = vec3.add_scaled(goal, 1.0 - ease, above), eased(active, ease)
+        goal, active = vec3.add_scaled(goal, 1.0 - ease, above), ease_depths(active, ease)
     if approach.single and has_creases_at(shapes, approach.active[0].body):
         budget = budget // 4  # the height map was already searched as the only object
     rest = settle_among_several(shapes, radius, goal, approach.start, approach.outside, active, budget)
-    active = over_edges(shapes, rest.active, rest.center)
+    active = constraints_over_edges(shapes, rest.active, rest.center)
     if active_objects(active) == (after[0].body, after[1].body, after[2].body):
         contacts = update_pushes(after, active)
     else:

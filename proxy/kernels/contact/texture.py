@@ -15,7 +15,7 @@ point.
 from math import floor
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.friction.laws import scaled
+from softfinger.proxy.kernels.friction.laws import scale_law
 from softfinger.proxy.kernels.friction.torsion import with_scaled_friction
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
@@ -26,7 +26,7 @@ from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_o
 from softfinger.proxy.kernels.numerics.scalars import clamp
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.shapes.charts import Chart, chart
-from softfinger.proxy.kernels.shapes.composite import shaded
+from softfinger.proxy.kernels.shapes.composite import shade_normal
 
 CELLS_CEILING = 1e15
 """Limit of a coordinate in cells: beyond it, float64 resolves no fraction of a cell, and farther out no whole cells."""
@@ -51,7 +51,7 @@ def weights(t: float) -> tuple[tuple[float, float, float, float], tuple[float, f
 
 
 @jit
-def wrapped(index: float, count: float, period: float) -> int:
+def wrap_index(index: float, count: float, period: float) -> int:
     """Return the index in an array of that `count`; it is valid for a coordinate that is not finite, too."""
     if period != 0.0:
         index -= count * floor(index / count)
@@ -63,7 +63,7 @@ def wrapped(index: float, count: float, period: float) -> int:
 @jit
 def line_at(texture: Texture, row: float, columns: Any, weight: Any, slope: Any) -> tuple[float, float]:
     """Return the weighted sum of four neighbours of one row, and its derivative along the row."""
-    start = wrapped(row, texture.rows, texture.period_v) * int(texture.columns)
+    start = wrap_index(row, texture.rows, texture.period_v) * int(texture.columns)
     z0, z1 = texture.values[start + columns[0]], texture.values[start + columns[1]]
     z2, z3 = texture.values[start + columns[2]], texture.values[start + columns[3]]
     value = weight[0] * z0 + weight[1] * z1 + weight[2] * z2 + weight[3] * z3
@@ -78,10 +78,10 @@ def sample(texture: Texture, u: float, v: float) -> Sample:
     left, top = floor(across), floor(down)
     a, da = weights(across - left)
     b, db = weights(down - top)
-    i0 = wrapped(left - 1.0, texture.columns, texture.period_u)
-    i1 = wrapped(left, texture.columns, texture.period_u)
-    i2 = wrapped(left + 1.0, texture.columns, texture.period_u)
-    i3 = wrapped(left + 2.0, texture.columns, texture.period_u)
+    i0 = wrap_index(left - 1.0, texture.columns, texture.period_u)
+    i1 = wrap_index(left, texture.columns, texture.period_u)
+    i2 = wrap_index(left + 1.0, texture.columns, texture.period_u)
+    i3 = wrap_index(left + 2.0, texture.columns, texture.period_u)
     columns = (i0, i1, i2, i3)
     z0, d0 = line_at(texture, top - 1.0, columns, a, da)
     z1, d1 = line_at(texture, top, columns, a, da)
@@ -109,7 +109,7 @@ def texture_depth(texture: Any, body: Any, depth: float, normal: Vec3, position:
 
 @texture_depth.of(None)
 def depth_without_texture(texture: None, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
-    return depth, shaded(body.shape, body.pose, normal, position)
+    return depth, shade_normal(body.shape, body.pose, normal, position)
 
 
 @texture_depth.of(Texture)
@@ -190,5 +190,5 @@ def scale_friction_by_grip(
         z = 1.0 - at.inside * (1.0 - sample(texture, at.u, at.v).value)
         factor = grip.low + (grip.high - grip.low) * z
     made_of = body.material
-    friction, torsion = scaled(made_of.friction, factor), with_scaled_friction(made_of.torsion, factor)
+    friction, torsion = scale_law(made_of.friction, factor), with_scaled_friction(made_of.torsion, factor)
     return replace(body, "material", replace(made_of, "friction", friction, "torsion", torsion))

@@ -9,7 +9,7 @@ from softfinger.proxy.kernels.jit.tuples import fold_each, map_each, unzip
 from softfinger.proxy.kernels.model import Carrier, Constraint, Many, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.container import object_at
-from softfinger.proxy.kernels.query.motion import carried_along, moving_pose
+from softfinger.proxy.kernels.query.motion import carry_along, moving_pose
 from softfinger.proxy.kernels.query.objects import closest_or_bound_on
 
 
@@ -37,12 +37,12 @@ def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Tou
     states  a tuple for each Carrier of the objects
     """
     felt, after = unzip(map_each(effects_of, (objects.effects, states), objects, radius, touched, contact))
-    force, unsearched = fold_each(added, felt, (NO_FORCE, 0.0))
+    force, unsearched = fold_each(add_forces, felt, (NO_FORCE, 0.0))
     return force, after, unsearched
 
 
 @jit
-def added(one: tuple[Vec3, float], other: tuple[Vec3, float]) -> tuple[Vec3, float]:
+def add_forces(one: tuple[Vec3, float], other: tuple[Vec3, float]) -> tuple[Vec3, float]:
     """Force of both, and 1 if the search of either did not end."""
     return vec3.add(one[0], other[0]), max(one[1], other[1])
 
@@ -66,7 +66,7 @@ def effects_of(
         is_touched = 0.0
     frame, velocity = moving_pose(body.motion, body.pose), contact.velocity
     if contact.dt > 0.0:  # relative to this object
-        way = vec3.sub(carried_along(body, touched.before), touched.before)
+        way = vec3.sub(carry_along(body, touched.before), touched.before)
         velocity = vec3.add_scaled(velocity, -1.0 / contact.dt, way)
     situation = Situation(
         position=contact.position, velocity=velocity, dt=contact.dt, touched=is_touched, gap=gap - radius,

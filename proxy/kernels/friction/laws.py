@@ -49,12 +49,12 @@ def cut(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec
 
 
 @by_type
-def turned(law: Any, rotation: Quaternion) -> Any:
+def rotate_law(law: Any, rotation: Quaternion) -> Any:
     """Return the law with its directions rotated with the object."""
 
 
 @by_type
-def scaled(law: Any, factor: float) -> Any:
+def scale_law(law: Any, factor: float) -> Any:
     """Return the law with all its coefficients multiplied by `factor`."""
 
 
@@ -90,23 +90,23 @@ def isotropic_load_size(law: Any, normal: Vec3, load: Vec3) -> float:
     return vec3.norm(load)
 
 
-@turned.of(None, Friction, SpeedFriction, PaperFriction)
-def unturned(law: Any, rotation: Quaternion) -> Any:
+@rotate_law.of(None, Friction, SpeedFriction, PaperFriction)
+def rotate_isotropic(law: Any, rotation: Quaternion) -> Any:
     return law
 
 
-@scaled.of(None)
-def unscaled_nothing(law: None, factor: float) -> None:
+@scale_law.of(None)
+def scale_no_law(law: None, factor: float) -> None:
     return law
 
 
-@scaled.of(Friction)
-def coulomb_scaled(law: Friction, factor: float) -> Friction:
+@scale_law.of(Friction)
+def scale_coulomb(law: Friction, factor: float) -> Friction:
     return Friction(factor * law.static, factor * law.kinetic)
 
 
-@scaled.of(PaperFriction)
-def paper_scaled(law: PaperFriction, factor: float) -> PaperFriction:
+@scale_law.of(PaperFriction)
+def scale_paper(law: PaperFriction, factor: float) -> PaperFriction:
     return PaperFriction(factor * law.static, factor * law.kinetic)
 
 
@@ -114,16 +114,16 @@ def paper_scaled(law: PaperFriction, factor: float) -> PaperFriction:
 
 
 @by_type
-def remaining(stribeck: Any, slip_speed: float) -> Any:
+def remaining_drop(stribeck: Any, slip_speed: float) -> Any:
     """Return the fraction of the drop from static to kinetic friction that remains at a slip speed."""
 
 
-@remaining.of(None)
+@remaining_drop.of(None)
 def drop_to_kinetic_at_once(stribeck: None, slip_speed: float) -> float:
     return 0.0
 
 
-@remaining.of(Stribeck)
+@remaining_drop.of(Stribeck)
 def drop_to_kinetic_with_speed(stribeck: Stribeck, slip_speed: float) -> float:
     if stribeck.speed <= 0.0:
         return 0.0
@@ -137,12 +137,12 @@ def speed_cone(law: SpeedFriction, normal_force: float, slip_speed: float) -> tu
 
     Source: the general kinetic model in Armstrong-Helouvry, Dupont, Canudas de Wit (1994), exponent 2.
     """
-    drop = (law.static - law.kinetic) * remaining(law.stribeck, slip_speed)
+    drop = (law.static - law.kinetic) * remaining_drop(law.stribeck, slip_speed)
     return law.static * normal_force, (law.kinetic + drop + law.viscous * slip_speed) * normal_force
 
 
-@scaled.of(SpeedFriction)
-def speed_scaled(law: SpeedFriction, factor: float) -> SpeedFriction:
+@scale_law.of(SpeedFriction)
+def scale_speed_law(law: SpeedFriction, factor: float) -> SpeedFriction:
     return SpeedFriction(factor * law.static, factor * law.kinetic, law.stribeck, factor * law.viscous)
 
 
@@ -206,8 +206,8 @@ def anisotropic_cut(law: Anisotropic, normal: Vec3, longest: float, breaking: fl
     return kept, vec3.norm(vec3.sub(deflection, kept)), vec3.norm(kept)
 
 
-@turned.of(Anisotropic)
-def anisotropic_turned(law: Anisotropic, rotation: Quaternion) -> Anisotropic:
+@rotate_law.of(Anisotropic)
+def rotate_anisotropic(law: Anisotropic, rotation: Quaternion) -> Anisotropic:
     return Anisotropic(
         law.law,
         rotations.rotate(rotation, law.direction),
@@ -218,10 +218,10 @@ def anisotropic_turned(law: Anisotropic, rotation: Quaternion) -> Anisotropic:
     )
 
 
-@scaled.of(Anisotropic)
-def anisotropic_scaled(law: Anisotropic, factor: float) -> Anisotropic:
+@scale_law.of(Anisotropic)
+def scale_anisotropic(law: Anisotropic, factor: float) -> Anisotropic:
     return Anisotropic(
-        scaled(law.law, factor),
+        scale_law(law.law, factor),
         law.direction,
         law.static_along,
         law.static_across,

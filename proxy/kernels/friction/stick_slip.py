@@ -12,7 +12,7 @@ from typing import Any
 from softfinger.proxy.kernels.friction.laws import cone, load_size
 from softfinger.proxy.kernels.friction.limit_surface import room, slide
 from softfinger.proxy.kernels.friction.stick_slip_of_paper import stick_slip_by_equations
-from softfinger.proxy.kernels.friction.torsion import damped, wind_up
+from softfinger.proxy.kernels.friction.torsion import damp_moment, wind_up
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import (
@@ -59,7 +59,7 @@ def slide_freely(
         mode=float(SLIDING), cause=float(CAUSE_NONE), deflection=zero, rolled_part=zero, slip_speed=0.0,
         slip_deflection=0.0, spin=wound.spin, spin_slip_speed=wound.slip_speed, spin_slip_angle=wound.slip_angle,
         force=zero,
-        moment=damped(torsion, coupling.torsional_damping, wound.moment, wound.spin - given.spin, given),
+        moment=damp_moment(torsion, coupling.torsional_damping, wound.moment, wound.spin - given.spin, given),
     )  # fmt: skip
 
 
@@ -88,22 +88,22 @@ def limit_force(law: Any, normal: Vec3, force: Vec3, largest: float) -> Vec3:
 
 
 @by_type
-def within_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Any:
+def limit_to_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Any:
     """Limit `force` (3,) N to the friction cone of that normal force, N, and slip speed, m/s."""
 
 
-@within_cone.of(None)
-def no_friction(law: None, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Vec3:
+@limit_to_cone.of(None)
+def limit_to_nothing(law: None, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Vec3:
     return (0.0, 0.0, 0.0)
 
 
-@within_cone.of(Friction, SpeedFriction, Anisotropic)
-def within_static_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Vec3:
+@limit_to_cone.of(Friction, SpeedFriction, Anisotropic)
+def limit_to_static_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Vec3:
     static_limit, kinetic_limit = cone(law, normal_force, slip_speed)
     return limit_force(law, normal, force, max(static_limit, kinetic_limit))
 
 
-@within_cone.of(PaperFriction)
+@limit_to_cone.of(PaperFriction)
 def unlimited_as_in_the_paper(
     law: PaperFriction, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float
 ) -> Vec3:
@@ -219,7 +219,7 @@ def stick_slip_by_law(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled_part, slip_speed=slip_speed,
         slip_deflection=slip_deflection, spin=now.spin, spin_slip_speed=now.slip_speed,
         spin_slip_angle=now.slip_angle, force=force,
-        moment=damped(torsion, coupling.torsional_damping, now.moment, now.spin - given.spin, given),
+        moment=damp_moment(torsion, coupling.torsional_damping, now.moment, now.spin - given.spin, given),
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ The end of a contact is that of our contact model, not the paper's f_N = 0.
 
 from typing import Any
 
-from softfinger.proxy.kernels.friction.torsion import damped, wind_up
+from softfinger.proxy.kernels.friction.torsion import damp_moment, wind_up
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Coupling, FrictionInput, FrictionResult, PaperFriction
 from softfinger.proxy.kernels.numerics import vec3
@@ -63,5 +63,5 @@ def stick_slip_by_equations(
     return FrictionResult(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled, slip_speed=0.0, slip_deflection=0.0,
         spin=now.spin, spin_slip_speed=now.slip_speed, spin_slip_angle=now.slip_angle, force=force,
-        moment=damped(torsion, coupling.torsional_damping, now.moment, now.spin - given.spin, given),
+        moment=damp_moment(torsion, coupling.torsional_damping, now.moment, now.spin - given.spin, given),
     )  # fmt: skip

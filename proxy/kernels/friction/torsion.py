@@ -146,7 +146,7 @@ def share_of_law(torsion: Any, share: float) -> Any:
 
 
 @by_type
-def damped(torsion: Any, damping: float, moment: float, wound: float, given: FrictionInput) -> Any:
+def damp_moment(torsion: Any, damping: float, moment: float, wound: float, given: FrictionInput) -> Any:
     """Return the moment of spring and parallel damper, N m, clamped to the torsional limit.
 
     damping  N m s/rad
@@ -154,13 +154,13 @@ def damped(torsion: Any, damping: float, moment: float, wound: float, given: Fri
     """
 
 
-@damped.of(None)
-def damped_nothing(torsion: None, damping: float, moment: float, wound: float, given: FrictionInput) -> float:
+@damp_moment.of(None)
+def damp_no_moment(torsion: None, damping: float, moment: float, wound: float, given: FrictionInput) -> float:
     return moment
 
 
-@damped.otherwise
-def damped_spring(torsion: Any, damping: float, moment: float, wound: float, given: FrictionInput) -> float:
+@damp_moment.otherwise
+def damp_spring(torsion: Any, damping: float, moment: float, wound: float, given: FrictionInput) -> float:
     if damping == 0.0 or given.dt <= 0.0:
         return moment
     limit = torsional_limit(torsion, given.normal_force)
@@ -186,7 +186,7 @@ def no_torsion(
 
 
 @jit
-def clamped(
+def clamp_to_torsion(
     torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
 ) -> TorsionResult:
     """Compute tau_n = k_z phi, its magnitude at most the torsional limit; the anchor slips by the excess.
@@ -203,7 +203,7 @@ def clamped(
 def wind_spring(
     torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
 ) -> TorsionResult:
-    return clamped(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt)
+    return clamp_to_torsion(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt)
 
 
 @wind_up.of(LimitSurface)
@@ -216,8 +216,8 @@ def wind_limit_surface(
     slip_angle: float,
     dt: float,
 ) -> TorsionResult:
-    """Clamp as `clamped`: the limit surface without a tangential load; with one, `slide` has already limited phi."""
-    return clamped(torsion.law, spin, turn, normal_force, slip_speed, slip_angle, dt)
+    """Apply the limit surface without a tangential load; with one, `slide` has already limited phi."""
+    return clamp_to_torsion(torsion.law, spin, turn, normal_force, slip_speed, slip_angle, dt)
 
 
 @wind_up.of(SoftFingerProxy)

@@ -66,10 +66,10 @@ class Packed(NamedTuple):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle with the addresses of the copied arrays."""
-        return repacked, (self.like, self.values)
+        return repack, (self.like, self.values)
 
 
-def repacked(like: Any, values: np.ndarray) -> Packed:
+def repack(like: Any, values: np.ndarray) -> Packed:
     """Return `values` as the leaves of `like`, with the addresses of its arrays."""
     rows = [flatten(unflatten(like, row)) for row in np.atleast_2d(values)]
     return Packed(like, np.reshape(rows, values.shape))

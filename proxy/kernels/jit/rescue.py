@@ -30,7 +30,7 @@ JUMP_BYTES: Final = 1024
 SAID_BYTES: Final = 256
 RESCUE_BYTES: Final = JUMP_BYTES + SAID_BYTES
 RESCUE_ALIGNMENT: Final = 16
-"""Alignment of the memory of `rescued`: the target of the jump, then the error message, zero-terminated."""
+"""Alignment of the memory of `call_rescued`: the target of the jump, then the error message, zero-terminated."""
 
 KEY_SYMBOL: Final = "softfinger_rescue_key"
 LOG_ERROR: Final = 3
@@ -58,10 +58,10 @@ def _read_key(typing_context: Any) -> Any:
 
 
 _rescue_key: Any = intrinsic(_read_key)
-"""Key of the thread-specific address of the memory of the current call; the address is 0 outside of `rescued`."""
+"""Key of the thread-specific address of the memory of the current call; the address is 0 outside of `call_rescued`."""
 
 
-def _between(module: Any) -> Any:
+def _make_jump(module: Any) -> Any:
     """Return int32 f(int64 address, int64 a, int64 b, int64 memory): 0 after a call, 1 after a jump out of it."""
     known = module.globals.get("rescue_call")
     if known is not None:
@@ -86,7 +86,7 @@ def _between(module: Any) -> Any:
 
 def _between_of(typing_context: Any, address: Any, a: Any, b: Any, memory: Any) -> Any:
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.call(_between(builder.module), arguments)
+        return builder.call(_make_jump(builder.module), arguments)
 
     word = types.int64
     return types.int32(word, word, word, word), build
@@ -96,7 +96,7 @@ _call_between: Any = intrinsic(_between_of)
 
 
 @jit
-def rescued(address: int, a: int, b: int, memory: int) -> int:
+def call_rescued(address: int, a: int, b: int, memory: int) -> int:
     """Call void f(int64 a, int64 b) at `address`; return 0, or 1 after an error, with its message in `memory`.
 
     memory  address of RESCUE_BYTES, used only by this call
@@ -111,7 +111,7 @@ def rescued(address: int, a: int, b: int, memory: int) -> int:
 def jump_on_error(message: int) -> None:
     """Handle MuJoCo's messages: ignore warnings, which are counted elsewhere, and do not return after an error.
 
-    After an error outside of `rescued` there is no target to jump to. Its thread then sleeps forever: ending the
+    After an error outside of `call_rescued` there is no target to jump to. Its thread then sleeps forever: ending the
     process would leave the device with its present force.
     """
     if int32_at(message)[0] != LOG_ERROR:

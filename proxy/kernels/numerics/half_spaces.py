@@ -138,7 +138,7 @@ def _apart(c: float) -> float:
 
 
 @jit
-def _between(c: float, first: float, second: float, b1: float, b2: float) -> tuple[float, float]:
+def _weights_between(c: float, first: float, second: float, b1: float, b2: float) -> tuple[float, float]:
     """Return the weights of two normals in `place`: halfway between walls that face each other and leave no room."""
     if c < FACING and b1 + b2 > 0.0:
         return 0.5 * b1, 0.5 * b2
@@ -146,7 +146,7 @@ def _between(c: float, first: float, second: float, b1: float, b2: float) -> tup
 
 
 @jit
-def _eased(c: float, b1: float, b2: float) -> tuple[float, float]:
+def _ease(c: float, b1: float, b2: float) -> tuple[float, float]:
     """Return two demands, the smaller reduced until the larger also satisfies it if their normals are nearly parallel.
 
     `c` is the cosine between the normals.
@@ -178,9 +178,9 @@ def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: f
     c = Cosines(_apart(true.c12), _apart(true.c13), _apart(true.c23))
     push, met = _meet(count, c, b1, b2, b3)
     if not met:  # the larger demand of two nearly parallel normals satisfies both
-        one, two = _eased(c.c12, b1, b2)
-        one, three = _eased(c.c13, one, b3)
-        two, three = _eased(c.c23, two, three)
+        one, two = _ease(c.c12, b1, b2)
+        one, three = _ease(c.c13, one, b3)
+        two, three = _ease(c.c23, two, three)
         push, met = _meet(count, c, one, two, three)
     if not met:
         # The normals are coplanar, sum nu_i n_i = 0; the demands b_i - t can be satisfied if sum nu_i (b_i - t) = 0.
@@ -188,9 +188,9 @@ def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: f
         t = (v1 * b1 + v2 * b2 + v3 * b3) / (v1 + v2 + v3)
         place, _ = _meet(count, c, b1 - t, b2 - t, b3 - t)
         return Solution(Depths(place.first + t, place.second + t, place.third + t), place)
-    one, two = _between(true.c12, push.first, push.second, b1, b2)
+    one, two = _weights_between(true.c12, push.first, push.second, b1, b2)
     three = push.third
     if count == 3:
-        one, three = _between(true.c13, one, three, b1, b3)
-        two, three = _between(true.c23, two, three, b2, b3)
+        one, three = _weights_between(true.c13, one, three, b1, b3)
+        two, three = _weights_between(true.c23, two, three, b2, b3)
     return Solution(push, Depths(one, two, three))

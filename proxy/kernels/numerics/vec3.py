@@ -33,7 +33,7 @@ as long."""
 
 
 @jit
-def faded(s: float, a: Vec3) -> Vec3:
+def scale_and_flush(s: float, a: Vec3) -> Vec3:
     """Return s a, with 0 for components of `a` below LEAST.
 
     A component that decays by a factor in each tick would otherwise become denormal and remain so. A single branch,

@@ -14,7 +14,7 @@ from typing import Any, Final
 from softfinger.proxy.kernels.jit.decorators import PLAIN, jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at
-from softfinger.proxy.kernels.jit.rescue import rescued
+from softfinger.proxy.kernels.jit.rescue import call_rescued
 from softfinger.proxy.kernels.jit.seqlock import Slot, store
 from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import Bodies, Contact, ContactOutcome, FingerState, Pose, Vec3
@@ -50,7 +50,7 @@ MOVING: Final = 15
 FAULT: Final = 16
 """Two int64 that change: the fault, NO_FAULT to SLOW, and the excess of slow steps over fast ones, at least 0."""
 RESCUE: Final = 17
-"""Memory of `rescued`."""
+"""Memory of `call_rescued`."""
 BUDGET_NS: Final = 18
 """Largest duration of a step, ns; 0 for no limit."""
 LAST_POSITION: Final = 19
@@ -221,7 +221,7 @@ def _call_by_binding(block: Any, half: int) -> int:
 
 
 def _call_by_address(block: Any, half: int) -> int:
-    return rescued(block[half], block[MODEL], block[DATA], block[RESCUE])
+    return call_rescued(block[half], block[MODEL], block[DATA], block[RESCUE])
 
 
 call_half: Any = _call_by_binding if PLAIN else jit(_call_by_address)

@@ -46,14 +46,14 @@ def angle_after(turns: float) -> float:
 
 
 @jit
-def turned(axis: Vec3, angle: float) -> Quaternion:
+def rotation_about(axis: Vec3, angle: float) -> Quaternion:
     """Return the rotation by `angle` rad about the unit vector `axis`."""
     s = sin(0.5 * angle)
     return (cos(0.5 * angle), s * axis[0], s * axis[1], s * axis[2])
 
 
 @jit
-def carried(pose: Pose, position: Vec3, turn: Quaternion) -> Pose:
+def pose_in_world(pose: Pose, position: Vec3, turn: Quaternion) -> Pose:
     """Return the pose in the world of a position (3,) m and a rotation in the frame `pose`."""
     moved = vec3.add(pose.position, rotations.rotate(pose.orientation, position))
     return Pose(moved, rotations.multiply(pose.orientation, turn))
@@ -89,20 +89,20 @@ def pose_of_driven(motion: Driven, pose: Pose, time: float) -> Pose:
 def pose_of_sinusoid(motion: Sinusoid, pose: Pose, time: float) -> Pose:
     """Translate by s A and rotate by s alpha about the axis through the origin, with s = sin(2 pi f t + phase)."""
     s = sin(angle_after(motion.frequency * time) + motion.phase)
-    return carried(pose, vec3.scale(s, motion.translation), turned(motion.axis, s * motion.angle))
+    return pose_in_world(pose, vec3.scale(s, motion.translation), rotation_about(motion.axis, s * motion.angle))
 
 
 @pose_at.of(Turntable)
 def pose_of_turntable(motion: Turntable, pose: Pose, time: float) -> Pose:
     """Rotate by rate * t about the axis through the pivot, the point of the object that does not move."""
-    turn = turned(motion.axis, angle_after(motion.rate * time / (2.0 * pi)))
-    return carried(pose, vec3.sub(motion.pivot, rotations.rotate(turn, motion.pivot)), turn)
+    turn = rotation_about(motion.axis, angle_after(motion.rate * time / (2.0 * pi)))
+    return pose_in_world(pose, vec3.sub(motion.pivot, rotations.rotate(turn, motion.pivot)), turn)
 
 
 @pose_at.of(Simulated)
 def pose_of_simulated(motion: Simulated, pose: Pose, time: float) -> Pose:
     """Return the pose of an object attached to a body; its base pose is in the frame of the body."""
-    return carried(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
+    return pose_in_world(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
 
 
 @pose_at.of(Motion)
@@ -113,7 +113,7 @@ def pose_of_any(motion: Motion, pose: Pose, time: float) -> Pose:
     if motion.kind == TURNTABLE:
         return pose_of_turntable(Turntable(motion.axis, motion.rate, motion.pivot), pose, time)
     if motion.kind == SIMULATED:
-        return carried(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
+        return pose_in_world(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
     return pose
 
 
@@ -144,16 +144,16 @@ def moves(motion: Any) -> float:
 
 
 @by_type_of("was")
-def carried_along(body: Any, x: Vec3) -> Any:
+def carry_along(body: Any, x: Vec3) -> Any:
     """Return the current position of a point that was at `x` (3,) m at the last tick and moved with the object."""
 
 
-@carried_along.of(None)
-def not_carried(body: Any, x: Vec3) -> Vec3:
+@carry_along.of(None)
+def carry_nothing(body: Any, x: Vec3) -> Vec3:
     return x
 
 
-@carried_along.of(Pose)
+@carry_along.of(Pose)
 def carried_by_pose(body: Any, x: Vec3) -> Vec3:
     if can_move(body.motion) == 0.0:
         return x

@@ -12,7 +12,7 @@ from softfinger.proxy.kernels.model import STILL, Many, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
 from softfinger.proxy.kernels.query.container import ENTRIES, is_beyond, object_at
-from softfinger.proxy.kernels.query.motion import carried_along
+from softfinger.proxy.kernels.query.motion import carry_along
 from softfinger.proxy.kernels.shapes import NO_HIT
 from softfinger.proxy.kernels.shapes.protocol import meets
 
@@ -35,11 +35,11 @@ def first_hit(objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool,
 
 
 @jit
-def meets_it(
+def sweep_to_row(
     body: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
 ) -> tuple[float, float, Vec3, int]:
     """Return the share of the path at the hit, the triangle, the centre (3,) m there, and the remaining budget."""
-    begin = carried_along(body, start)
+    begin = carry_along(body, start)
     met, facet, budget = meets(body.shape, into(body.pose, begin), into(body.pose, end), radius, leaves, budget)
     return met, facet, vec3.add_scaled(begin, met, vec3.sub(end, begin)), budget
 
@@ -50,7 +50,7 @@ def first_hit_of_one(
 ) -> tuple[float, Vec3, int]:
     if skip[0] == 0.0 or skip[1] == 0.0 or skip[2] == 0.0:
         return -1.0, end, budget
-    met, facet, where, budget = meets_it(objects.body, start, end, radius, leaves, budget)
+    met, facet, where, budget = sweep_to_row(objects.body, start, end, radius, leaves, budget)
     return (facet, where, budget) if met < NO_HIT else (-1.0, end, budget)
 
 
@@ -67,7 +67,7 @@ def first_hit_of_many(
         entry = objects.entries[row]
         if entry.motion.kind == STILL and is_beyond(objects, row, start, near):
             continue
-        met, facet, place, budget = meets_it(object_at(objects, at), start, end, radius, leaves, budget)
+        met, facet, place, budget = sweep_to_row(object_at(objects, at), start, end, radius, leaves, budget)
         if met < share:
             share, index, where = met, at + ENTRIES * facet, place
     return index, where, budget

@@ -13,7 +13,7 @@ from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import SIMULATED, Entry, Many, Material, Pose, Single, World
 from softfinger.proxy.kernels.query.bodies import last_pose_of_body
 from softfinger.proxy.kernels.query.container import AT_TIME, MEMORY, read_pose, write_pose
-from softfinger.proxy.kernels.query.motion import carried, moving_pose, pose_at
+from softfinger.proxy.kernels.query.motion import moving_pose, pose_at, pose_in_world
 
 
 @by_type
@@ -46,7 +46,7 @@ def move_one(entry: Entry, world: World, memory: Mutable, at: int, time: float) 
     pose = pose_at(motion, rest, time)
     before = pose
     if motion.kind == SIMULATED:
-        before = carried(last_pose_of_body(motion.block, motion.body), rest.position, rest.orientation)
+        before = pose_in_world(last_pose_of_body(motion.block, motion.body), rest.position, rest.orientation)
     elif world.started != 0.0 and memory[at + AT_TIME] == world.time:
         before = read_pose(memory, at)
     write_pose(memory, at + 7, before)

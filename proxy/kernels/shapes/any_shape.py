@@ -43,7 +43,7 @@ from softfinger.proxy.kernels.shapes.composite import (
     nearest_of_shape,
     neighbour_of,
     raised_clear,
-    shaded,
+    shade_normal,
 )
 from softfinger.proxy.kernels.shapes.kernel_table import (
     BEND,
@@ -117,7 +117,7 @@ SLOTS.update(
         NEAREST: KernelSlot(nearest_of_shape, (ZERO, 0.0, ZERO, 0), NO_OBJECT),
         NEIGHBOUR: KernelSlot(neighbour_of, (ZERO,), 0.0),
         RAISED: KernelSlot(raised_clear, (ZERO, 0.0), ZERO),
-        SHADED: KernelSlot(shaded, (Pose(ZERO, UP), ZERO, ZERO), ZERO),
+        SHADED: KernelSlot(shade_normal, (Pose(ZERO, UP), ZERO, ZERO), ZERO),
         CHART: KernelSlot(chart, (0.0, ZERO, ZERO), NO_CHART),
     }
 )
@@ -259,8 +259,8 @@ def raised_clear_of_any(shape: AnyShape, x: Vec3, radius: float) -> Vec3:
     return x
 
 
-@shaded.of(AnyShape)
-def shaded_any(shape: AnyShape, pose: Pose, normal: Vec3, position: Vec3) -> Vec3:
+@shade_normal.of(AnyShape)
+def shade_any(shape: AnyShape, pose: Pose, normal: Vec3, position: Vec3) -> Vec3:
     if shape.kernels[SHADED] != 0:
         return called(shape, SHADED, ZERO, (pose, normal, position))
     return normal

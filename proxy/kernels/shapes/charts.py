@@ -48,7 +48,7 @@ def ease(margin: float, fade: float) -> tuple[float, float]:
 
 
 @jit
-def within(margin: float, fade: float, coordinate: float) -> tuple[float, float]:
+def ease_at_edge(margin: float, fade: float, coordinate: float) -> tuple[float, float]:
     """Return `ease` at the distance `margin` from the edge, and its derivative with respect to the coordinate."""
     share, slope = ease(margin, fade)
     return share, -slope if coordinate > 0.0 else slope
@@ -58,9 +58,9 @@ def within(margin: float, fade: float, coordinate: float) -> tuple[float, float]
 def flat(fade: float, x: Vec3, normal: Vec3, half: Vec3) -> Chart:
     """Return the chart of a face normal to an axis, |x_i| <= half_i."""
     a, b, c = abs(normal[0]), abs(normal[1]), abs(normal[2])
-    i, di = within(half[0] - abs(x[0]), fade, x[0])
-    j, dj = within(half[1] - abs(x[1]), fade, x[1])
-    k, dk = within(half[2] - abs(x[2]), fade, x[2])
+    i, di = ease_at_edge(half[0] - abs(x[0]), fade, x[0])
+    j, dj = ease_at_edge(half[1] - abs(x[1]), fade, x[1])
+    k, dk = ease_at_edge(half[2] - abs(x[2]), fade, x[2])
     if c >= a and c >= b:
         return Chart(x[0], x[1], (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), i * j, (di * j, i * dj, 0.0))
     if b >= a:
@@ -100,5 +100,5 @@ def chart_of_capped_cylinder(shape: CappedCylinder, fade: float, x: Vec3, normal
         share, slope = ease(shape.radius - away, fade)
         inward = (-slope * x[0] / away, -slope * x[1] / away, 0.0)
         return Chart(x[0], x[1], (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), share, inward)
-    share, slope = within(shape.half_length - abs(x[2]), fade, x[2])
+    share, slope = ease_at_edge(shape.half_length - abs(x[2]), fade, x[2])
     return round_z(shape.radius, x, share, slope)

@@ -97,15 +97,15 @@ def raised_clear(shape: Any, x: Vec3, radius: float) -> Any:
 
 
 @raised_clear.otherwise
-def raised_not_at_all(shape: Any, x: Vec3, radius: float) -> Vec3:
+def keep_position(shape: Any, x: Vec3, radius: float) -> Vec3:
     return x
 
 
 @by_type
-def shaded(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Any:
+def shade_normal(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Any:
     """Return the unit vector (3,) of the normal force of a shape without texture, for a probe at `position` (3,) m."""
 
 
-@shaded.otherwise
-def not_shaded(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
+@shade_normal.otherwise
+def keep_normal(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
     return normal

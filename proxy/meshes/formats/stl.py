@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -19,30 +20,31 @@ _FACET: Final = re.compile(
     + rb"\s+endloop\s+endfacet\b",
     re.IGNORECASE,
 )
-_ENDS: Final = re.compile(rb"\bendfacet\b", re.IGNORECASE)
 
 
 def read(data: bytes) -> Faces:
     """Return the triangles of an STL file, each with corners of its own."""
     count = int.from_bytes(data[80:84], "little") if len(data) >= HEAD else 0
-    body = data[HEAD : HEAD + _TRIANGLE.itemsize * count]
-    if len(data) >= HEAD and len(body) == _TRIANGLE.itemsize * count:  # a text has a count beyond its length there
-        if behind := data[HEAD + len(body) :].strip(b"\0 \t\r\n\x1a"):
+    end = HEAD + _TRIANGLE.itemsize * count
+    if len(data) >= end:  # a text has a count beyond its length there
+        if behind := data[end:].strip(b"\0 \t\r\n\x1a"):
             raise ValueError(
                 f"states {count:,} triangles, but {len(behind):,} bytes follow them: it is damaged, or has "
                 "several solids; export it as one"
             )
-        return _faces(np.frombuffer(body, _TRIANGLE)["corners"].astype(np.float64), count)
+        return _faces(np.frombuffer(data, _TRIANGLE, count, HEAD)["corners"].astype(np.float64), count)
     text = clean(data).strip(b"\0 \t\n\x1a")
     if text[:5].lower() != b"solid" or b"\0" in text:
         if not data.strip():
             raise ValueError("is empty")
-        there = f"states {count:,} triangles, but has {max(0, len(data) - HEAD):,} bytes of 50 each for them"
+        there = f"states {count:,} triangles, but has {len(data) - HEAD:,} bytes of 50 each for them"
+        if len(data) < HEAD:
+            there = f"has {len(data)} bytes, fewer than the head of an STL file"
         raise ValueError(f"{there}: it was cut off, or is no STL file")
     if b"endsolid" not in text[text.rfind(b"\n") + 1 :].lower() and b"endsolid" not in text[-4096:].lower():
         raise ValueError("has no endsolid at its end: it was cut off")
-    corners = numbers(b"\n".join(b" ".join(facet) for facet in _FACET.findall(text)), np.float64)
-    return _faces(corners, len(_ENDS.findall(text)))
+    corners = numbers(b" ".join(chain.from_iterable(_FACET.findall(text))), np.float64)
+    return _faces(corners, text.lower().count(b"endfacet"))  # a quarter of the time of a search for whole words
 
 
 def _faces(corners: np.ndarray, promised: int) -> Faces:

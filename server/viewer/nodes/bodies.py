@@ -14,7 +14,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.mjcf_geoms import taken
 from softfinger.proxy.actions import kernel_motion
 from softfinger.proxy.kernels.model import Pose
-from softfinger.proxy.kernels.query.motion import carried, pose_at
+from softfinger.proxy.kernels.query.motion import pose_at, pose_in_world
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
 from softfinger.server.surface_meshes import PLANE_M, Mesh, surface_mesh
@@ -109,7 +109,7 @@ class Bodies:
         """Move the objects on bodies to the poses of these bodies (name, world frame)."""
         for object_index, (name, (position, orientation)) in self._body_attachments.items():
             if name in bodies:
-                carried_pose = carried(Pose(*bodies[name]), position, orientation)
+                carried_pose = pose_in_world(Pose(*bodies[name]), position, orientation)
                 self.poses[object_index] = (carried_pose.position, carried_pose.orientation)
                 self._update_frame(object_index)
 

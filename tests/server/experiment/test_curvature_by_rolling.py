@@ -12,10 +12,11 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.sources import EXPERIMENTS
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.numerics.rotations import exp
+from softfinger.server.experiment.checks import load
 from softfinger.server.experiment.experiment import Experiment
-from softfinger.server.experiment.files import load
-from softfinger.server.experiment.haptics import ONE, interpolate_path, quaternion
+from softfinger.server.experiment.hands import interpolate_path, quaternion
 from softfinger.server.experiment.masses import load_changed_scene
+from softfinger.server.experiment.schema import ONE
 
 pytestmark = pytest.mark.plain
 

@@ -13,12 +13,14 @@ from test_experiment_design import small
 from softfinger.server.experiment.analysis import ALL, excluded_participants, fit_groups
 from softfinger.server.experiment.comparison import (
     chi_squared_tail,
+    compare_levels,
     compare_models,
+    difference_of_levels,
     estimate_population,
-    survey_table,
 )
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.psychometric import probability
+from softfinger.server.experiment.surveys import compare_scores, survey_table
 
 pytestmark = pytest.mark.plain
 
@@ -138,6 +140,46 @@ def test_means_over_participants_are_geometric(study: tuple[Experiment, list[dic
         assert found.interval_95 == pytest.approx(np.exp(stats.t.interval(0.95, 5, each.mean(), stats.sem(each))))
 
 
+def test_ratios_are_within_participants(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
+    """SciPy's paired interval of the logarithms, which holds the planted 0.3 / 0.15; excluded participants left out."""
+    experiment, rows = study
+    groups = fit_groups(experiment.file, rows)
+    (found,) = compare_levels(experiment.file, groups, ["sub-06"])
+    thresholds = {
+        condition: [
+            np.log(group.fit.threshold)
+            for group in groups
+            if group.condition == condition and group.participant not in (ALL, "sub-06")
+        ]
+        for condition in ("0.0", "4.0")
+    }
+    paired = stats.ttest_rel(thresholds["4.0"], thresholds["0.0"]).confidence_interval()
+    assert found[:4] == ("damping", "4.0", "0.0", 5)
+    assert found.interval_95 == pytest.approx((np.exp(paired.low), np.exp(paired.high)))
+    assert found.interval_95[0] <= 2.0 <= found.interval_95[1]
+
+
+def test_differences_of_two_factors_are_of_conditions_that_differ_only_in_one() -> None:
+    """a adds 1 and b adds 10 x; a participant without one of the conditions has no difference."""
+    factors = [
+        {"name": name, "parameter": f"object.table.material.{key}", "levels": levels}
+        for name, key, levels in (("a", "damping_ns_per_m", [0.0, 1.0]), ("b", "friction.static", [0.5, 0.7, 0.9]))
+    ]
+    file, shift = Experiment(small(factor=factors)).file, {0.5: 0.0, 0.7: 10.0, 0.9: 30.0}
+    values = {
+        (who, f"{a}, {b}"): extra + a + shift[b] * (1.0 + extra)
+        for who, extra in (("sub-01", 0.0), ("sub-02", 0.1))
+        for a in (0.0, 1.0)
+        for b in (0.5, 0.7, 0.9)
+    }
+    found = difference_of_levels(file, values | {("sub-03", "0.0, 0.5"): 7.0})
+    assert [(each.factor, each.level, each.baseline, each.participants) for each in found] == [
+        ("a", "1.0", "0.0", 2), ("b", "0.7", "0.5", 2), ("b", "0.9", "0.5", 2)
+    ]  # fmt: skip
+    assert [each.value for each in found] == pytest.approx([1.0, 10.5, 31.5])
+    assert found[1].interval_95 == pytest.approx(stats.t.interval(0.95, 1, 10.5, stats.sem([10.0, 11.0])))
+
+
 def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
     """One who guesses gets half of them right: the fit of all is that of the other two."""
     experiment = Experiment(small(factor=[], catch=CATCH))
@@ -161,3 +203,20 @@ def test_a_score_is_the_mean_of_all_ratings() -> None:
     table = survey_table(made, answers)
     assert [(each["question"], each["mean"]) for each in table][-1] == ("mean", 35.0) and len(table) == 7
     assert len(survey_table(made, answers[:-1])) == 5
+
+
+def test_scores_are_compared_within_participants() -> None:
+    """Ratings 10 and 20 higher in the second block: a difference of 15, with SciPy's paired interval."""
+    made = Experiment(small(survey=[TLX | {"at": ["between", "after"]}]), {"design.order": "given"}).file
+    answers = [
+        {"participant": who, "survey": "load", "block": block, "condition": condition, "question": question.name,
+         "answer": 30.0 + more}
+        for who, rise in (("sub-01", 10.0), ("sub-02", 20.0))
+        for block, condition, more in ((1, "0.0", 0.0), (2, "1.0", rise), (3, "2.0", 5.0))
+        for question in made.survey[0].question
+    ]  # fmt: skip
+    (title, found), (_, second) = compare_scores(made, answers)
+    paired = stats.ttest_rel([40.0, 50.0], [30.0, 30.0]).confidence_interval()
+    assert title == "NASA-TLX" and found[:5] == ("damping", "1.0", "0.0", 2, 15.0)
+    assert found.interval_95 == pytest.approx((paired.low, paired.high))
+    assert second.value == 5.0 and compare_scores(made, answers[:6]) == []

@@ -25,9 +25,11 @@ from test_experiment_design import small
 from softfinger.config.errors import CommandRefused, HapticError, RecordingError
 from softfinger.config.materials import materials
 from softfinger.server import cli
-from softfinger.server.experiment.experiment import Experiment, RunOptions, results
+from softfinger.server.experiment.daemon import RunOptions
+from softfinger.server.experiment.experiment import Experiment, results
 from softfinger.server.experiment.files import shipped
-from softfinger.server.experiment.haptics import START_TOLERANCE_M, Haptics, interpolate_path
+from softfinger.server.experiment.hands import interpolate_path
+from softfinger.server.experiment.haptics import START_TOLERANCE_M, Haptics
 from softfinger.server.experiment.interfaces import Stimulus, TouchResult
 from softfinger.server.experiment.journal import read
 from softfinger.server.loop.guard import DISARMED

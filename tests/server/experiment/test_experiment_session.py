@@ -26,7 +26,8 @@ from softfinger.config.sources import EXPERIMENTS, FOLDERS
 from softfinger.server import cli
 from softfinger.server.experiment.analysis import fit_groups
 from softfinger.server.experiment.answers import DryRun
-from softfinger.server.experiment.experiment import Experiment, RunOptions, results
+from softfinger.server.experiment.daemon import RunOptions
+from softfinger.server.experiment.experiment import Experiment, results
 from softfinger.server.experiment.files import shipped
 from softfinger.server.experiment.folder import Folder, load
 from softfinger.server.experiment.interfaces import NullApparatus

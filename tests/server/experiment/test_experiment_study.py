@@ -20,8 +20,9 @@ from test_experiment_session import drawn
 from softfinger.config.errors import ConfigError
 from softfinger.server import cli
 from softfinger.server.experiment.analysis import fit_groups
+from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.design import plan_trials
-from softfinger.server.experiment.experiment import Experiment, RunOptions
+from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.folder import load
 from softfinger.server.experiment.session import Stopped
 
@@ -151,6 +152,8 @@ def test_a_study_goes_from_consent_to_report(tmp_path: Path) -> None:
     }  # fmt: skip
     with (out / "trials.csv").open() as table:
         assert {"staircase", "catch", "confidence"} <= set(next(csv.DictReader(table)))
+    (out / "sub-03").mkdir()
+    (out / "sub-03" / "sub-03_journal.jsonl").write_text('{"kind": "consent", "agreed": false}\n')
     assert cli.main(["figure", str(out), "--report"]) == 0
     figures = {path.name for path in (out / "figures").iterdir()}
     for name in ("staircases", "confidence", "surveys"):
@@ -161,7 +164,10 @@ def test_a_study_goes_from_consent_to_report(tmp_path: Path) -> None:
     assert page.count("data:image/png;base64,") == 4 and 'src="http' not in page and "<link" not in page
     for text in (
         "2 interleaved staircases of 60 trials together per condition, starting at 0.8 and 0.05",
-        "Hart, S. G. and Staveland", "2 simulated observers took part", "of 12", "damping", "χ²(2) =",
+        "Hart, S. G. and Staveland", "2 simulated observers took part", "of 12", "condition (damping)", "χ²(2) =",
+        "ratio within participants", "4.0 to 0.0", "NASA-TLX: damping", "4.0 less 0.0", "answered “first”",
+        "80 % of the answers are right", "Its answers were: age ", "crosses: wrong answers",
+        "<td>sub-03</td><td>0</td><td>0</td><td>none</td><td>none</td><td>did not agree</td>",
     ):  # fmt: skip
         assert text in page
 

@@ -138,9 +138,11 @@ def changed_at(tick: int, stiffness: float) -> np.ndarray:
     poses = resample(load_poses("tap"), 1000.0)
     scene = load_scene("paper-plane")
     softer = overridden(scene, {STIFFNESS: stiffness}, "test")
-    parts = [simulate(make_tuning(each, load_rig("replay").guard), poses, 1000.0) for each in (scene, softer)]
-    assert parts[0][tick, AT.contact_mode] == FREE
-    return np.vstack([parts[0][:tick], parts[1][tick:]])
+    after = simulate(make_tuning(softer, load_rig("replay").guard), poses, 1000.0)
+    assert run()[tick, AT.contact_mode] == FREE
+    records = np.vstack([run()[:tick], after[tick:]])
+    records[:, AT.timestamp] = after[:, AT.timestamp]
+    return records
 
 
 @pytest.mark.plain

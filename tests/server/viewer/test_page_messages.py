@@ -97,7 +97,7 @@ def test_a_browser_that_connects_while_a_message_is_queued_ends_nothing() -> Non
     loop.close()
 
 
-@pytest.mark.parametrize("seconds", [2.0, pytest.param(15.0, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("seconds", [0.8, pytest.param(15.0, marks=pytest.mark.exhaustive)])
 def test_spoiled_messages_cost_a_browser_its_page_at_most(seconds: float, tmp_path: Path) -> None:
     """However they are spoiled: the process is there, no larger, serves, and says no traceback for them."""
     seeds = [msgpack.packb(each) for each in SAID]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import shlex
@@ -19,6 +20,7 @@ from urllib.request import url2pathname
 
 import pytest
 from helpers.browser import answered, browser, eventually, shown, why_none
+from helpers.called import called
 from helpers.programs import Program
 
 from softfinger.server.viewer.door import process as of_page
@@ -101,15 +103,6 @@ def test_a_page_starts_again_three_times() -> None:
         assert "force is zero" in rest and "the page has ended" not in rest
 
 
-def test_a_page_that_is_ended_stays_away() -> None:
-    """By whom a signal asked for it: that is said, and it is not started again."""
-    with run_with_page() as (process, _):
-        assert process.stderr is not None
-        os.kill(child_of(process), signal.SIGTERM)
-        ended = next(line for line in process.stderr if "the page has ended" in line)
-        assert "to see it again: " in ended
-
-
 def test_a_page_that_says_nothing_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A daemon whose page hangs as it starts goes on without it, and tells."""
     hangs = tmp_path / "python"
@@ -162,12 +155,12 @@ def test_a_browser_is_opened_by_a_file_that_leads_to_the_page(tmp_path: Path, mo
         assert not file.exists()
 
 
-def test_run_without_a_page_names_the_option() -> None:
+def test_run_without_a_page_names_the_option(caplog: pytest.LogCaptureFixture) -> None:
     """Its first line says so, before a scene may have to be compiled."""
     ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*", "--realtime", "off"]
-    command = [sys.executable, "-m", "softfinger.server.cli", "run", *ends, "--duration", "0.01"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
-    assert "--view shows it in the browser" in done.stderr.splitlines()[0]
+    with caplog.at_level(logging.INFO):
+        assert called("run", *ends, "--duration", "0.01").returncode == 0
+    assert "--view shows it in the browser" in caplog.messages[0]
 
 
 @pytest.mark.system

@@ -45,7 +45,7 @@ def displacement_of(active: ActiveSet) -> Vec3:
 
 
 @jit
-def pressed(index: float, normal: Vec3, behind: Vec3) -> ActiveSet:
+def active_set_of_one(index: float, normal: Vec3, behind: Vec3) -> ActiveSet:
     """Return the active set of one object with the proxy at `behind` (3,) m from the probe."""
     return one_constraint(index, normal, max(vec3.dot(behind, normal), 0.0))
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.rest.active_set import pressed
+from softfinger.proxy.kernels.contact.rest.active_set import active_set_of_one
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import FLAT, ActiveSet, AnyShape, Plane, Pose, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
@@ -42,7 +42,7 @@ def settle_on_one(
     """
     body = object_at(objects, index)
     center, normal, bounded = rest_on(body.shape, body.pose, radius, probe, center, deflection, normal)
-    return center, pressed(index, normal, vec3.sub(center, probe)), bounded
+    return center, active_set_of_one(index, normal, vec3.sub(center, probe)), bounded
 
 
 @rest_on.of(AnyShape)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.contact.rest.active_set import (
     active_objects,
+    active_set_of_one,
     count_of,
     displacement_of,
     drop_weakest,
@@ -14,7 +15,6 @@ from softfinger.proxy.kernels.contact.rest.active_set import (
     loads_of,
     merge_support_points,
     one_constraint,
-    pressed,
     sort_by_load,
     with_another,
     with_touched,
@@ -124,10 +124,10 @@ def settle_in_steps(
             break
         deep = vec3.sub(probe, center)
         whole = vec3.add_scaled(center, min(0.5 * STRIDE * radius / vec3.norm(deep), 0.5), deep)
-        _, held, _ = relaxed(objects, radius, whole, center, active, 1, rest.budget)
+        _, held, _ = relax(objects, radius, whole, center, active, 1, rest.budget)
     if whole == probe:
         return rest
-    _, held, _ = relaxed(objects, radius, probe, rest.center, rest.active, 1, rest.budget)
+    _, held, _ = relax(objects, radius, probe, rest.center, rest.active, 1, rest.budget)
     return Rest(rest.center, held, True, rest.budget)
 
 
@@ -178,7 +178,7 @@ def facet_under(objects: Any, index: float, x: Vec3) -> float:
 
 
 @jit
-def over_edge(objects: Any, constraint: Constraint, center: Vec3, others: ActiveSet) -> Constraint:
+def constraint_over_edge(objects: Any, constraint: Constraint, center: Vec3, others: ActiveSet) -> Constraint:
     """Return the constraint of the facet under a proxy at `center` (3,) m, which may have crossed an edge."""
     body = constraint.body
     if body < 0.0 or not is_mesh_at(objects, body):
@@ -190,20 +190,20 @@ def over_edge(objects: Any, constraint: Constraint, center: Vec3, others: Active
 
 
 @by_multipoint
-def over_edges(objects: Any, active: ActiveSet, center: Vec3) -> Any:
-    """Return the constraints of the facets under a proxy at `center` (3,) m, see `over_edge`."""
+def constraints_over_edges(objects: Any, active: ActiveSet, center: Vec3) -> Any:
+    """Return the constraints of the facets under a proxy at `center` (3,) m, see `constraint_over_edge`."""
 
 
-@over_edges.of(SINGLE_POINT, WITH_HEIGHTMAP)
-def over_no_edges(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
+@constraints_over_edges.of(SINGLE_POINT, WITH_HEIGHTMAP)
+def keep_constraints(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
     return active
 
 
-@over_edges.of(WITH_MESH)
-def over_edges_of_facets(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
-    one = over_edge(objects, active[0], center, active)
-    two = over_edge(objects, active[1], center, (one, active[1], active[2]))
-    return one, two, over_edge(objects, active[2], center, (one, two, active[2]))
+@constraints_over_edges.of(WITH_MESH)
+def constraints_over_edges_of_facets(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
+    one = constraint_over_edge(objects, active[0], center, active)
+    two = constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))
+    return one, two, constraint_over_edge(objects, active[2], center, (one, two, active[2]))
 
 
 @jit
@@ -220,7 +220,7 @@ def slide_over_facets(
         _, point, foot_normal, _ = closest_to_within(objects, foot, probe, BUDGET)
         if vec3.dot(foot_normal, normal) > SAME_SIDE:
             center = vec3.add_scaled(point, radius, foot_normal)
-            return center, pressed(foot, foot_normal, vec3.sub(center, probe)), True
+            return center, active_set_of_one(foot, foot_normal, vec3.sub(center, probe)), True
     for _ in range(rounds):
         depth = vec3.dot(vec3.sub(center, probe), normal)
         goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
@@ -232,7 +232,7 @@ def slide_over_facets(
         if square <= (SETTLED * radius) ** 2:
             break
     at_rest = rounds == SLIDING_ROUNDS or square <= (AT_REST * radius) ** 2
-    return center, pressed(index, normal, vec3.sub(center, probe)), at_rest
+    return center, active_set_of_one(index, normal, vec3.sub(center, probe)), at_rest
 
 
 @jit
@@ -261,7 +261,7 @@ def settle_for(
             goal = stop
             break
         active = with_another(active, hit, normal)
-        goal, active, left = relaxed(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, left)
+        goal, active, left = relax(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, left)
     center = goal
     if not wide:
         # The second of two flush objects is active from the start: else the proxy would fall off at the first's edge.
@@ -269,7 +269,7 @@ def settle_for(
         active, left = with_touched(objects, radius, goal, active, near)
     found, lift, budget = False, 0.0, left
     for attempt in range(ATTEMPTS_ON_MANY if wide else ATTEMPTS):
-        center, active, left = relaxed(objects, radius + lift, probe, center, active, rounds, left)
+        center, active, left = relax(objects, radius + lift, probe, center, active, rounds, left)
         if wide and attempt == 0:
             center, active = step_over(objects, radius, probe, center, active)
         gap, at, left = deepest(objects, center, radius, active_objects(active), left)
@@ -294,7 +294,7 @@ def settle_for(
         late = gap >= radius * (1.0 - INSIDE) or left < 0 or not leaves_no_room(active)
         if late:
             center = before
-            _, active, left = relaxed(objects, radius, probe, before, active_before, 1, left)
+            _, active, left = relax(objects, radius, probe, before, active_before, 1, left)
     if any_creases(objects):
         active = merge_support_points(active)
     return Rest(center, sort_by_load(objects, active), late, left)
@@ -313,12 +313,12 @@ def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Acti
         if beyond == active[0].body:
             break
         active = one_constraint(beyond, active[0].normal, 0.0)
-        goal, active, _ = relaxed(objects, radius, probe, goal, active, 1, BUDGET)
+        goal, active, _ = relax(objects, radius, probe, goal, active, 1, BUDGET)
     return goal, active
 
 
 @jit
-def relaxed(
+def relax(
     objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
 ) -> tuple[Vec3, ActiveSet, int]:
     """Return the point nearest to `base` in front of the tangent planes of all active objects, active set, and budget.
@@ -345,7 +345,7 @@ def linearisation_point(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec
 def project_until_rest(
     objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
 ) -> tuple[Vec3, ActiveSet, float, int]:
-    """Return `relaxed`, and the distance, m, that the proxy moved in the last round."""
+    """Return `relax`, and the distance, m, that the proxy moved in the last round."""
     square = 1e300
     near = (SETTLED * radius) ** 2
     one, two, three = active

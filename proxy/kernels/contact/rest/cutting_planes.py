@@ -108,7 +108,7 @@ def towards(objects: Any, index: float, normal: Vec3, apart: Vec3) -> Vec3:
 
 
 @jit
-def solved(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlanes:
+def solve_planes(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlanes:
     """Return the planes with their solution: the point nearest to the probe that is in front of all by `lift` m."""
     one, two, three = planes.one, planes.two, planes.three
     if one.body < 0.0:
@@ -128,7 +128,7 @@ def solved(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlanes:
 
 
 @jit
-def missed(plane: CuttingPlane, x: Vec3) -> float:
+def distance_behind(plane: CuttingPlane, x: Vec3) -> float:
     """Return the distance (m) of `x` behind a plane, negative in front."""
     return plane.offset - vec3.dot(plane.normal, x)
 
@@ -142,22 +142,22 @@ def with_plane(planes: CuttingPlanes, plane: CuttingPlane, radius: float, probe:
     one, two, three = planes.one, planes.two, planes.three
     nowhere, nothing = probe, Depths(0.0, 0.0, 0.0)
     if one.body < 0.0:
-        return solved(CuttingPlanes(plane, two, three, nowhere, nothing), probe, lift)
+        return solve_planes(CuttingPlanes(plane, two, three, nowhere, nothing), probe, lift)
     if two.body < 0.0:
-        return solved(CuttingPlanes(one, plane, three, nowhere, nothing), probe, lift)
+        return solve_planes(CuttingPlanes(one, plane, three, nowhere, nothing), probe, lift)
     if three.body < 0.0:
-        return solved(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
-    best = solved(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
-    least = missed(three, best.center)
+        return solve_planes(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
+    best = solve_planes(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
+    least = distance_behind(three, best.center)
     for turn in range(2):
         if least <= MISSED * radius:
             break
         if turn == 0:
-            other = solved(CuttingPlanes(one, three, plane, nowhere, nothing), probe, lift)
-            far = missed(two, other.center)
+            other = solve_planes(CuttingPlanes(one, three, plane, nowhere, nothing), probe, lift)
+            far = distance_behind(two, other.center)
         else:
-            other = solved(CuttingPlanes(two, three, plane, nowhere, nothing), probe, lift)
-            far = missed(one, other.center)
+            other = solve_planes(CuttingPlanes(two, three, plane, nowhere, nothing), probe, lift)
+            far = distance_behind(one, other.center)
         if far < least:
             best, least = other, far
     return best
@@ -239,7 +239,7 @@ def step_towards(
     nearest  True to add the plane of an obstructing facet nearest to the obstructed point, which is exact on flat
              surfaces; False for that nearest to the anchor: round a convex edge, only this allows the full path
     """
-    planes = solved(planes, probe, 0.0)
+    planes = solve_planes(planes, probe, 0.0)
     center, found, clipped, lift, begun = anchor, False, False, 0.0, budget
     kept = budget // 4  # reserve for the halvings
     budget -= kept
@@ -269,8 +269,8 @@ def step_towards(
         else:
             planes = with_plane(planes, plane, radius, probe, lift)
             continue
-        planes = solved(CuttingPlanes(one, two, three, center, planes.push), probe, lift)
-    active, late = constraints_of(planes if lift == 0.0 else solved(planes, probe, 0.0)), budget < 0
+        planes = solve_planes(CuttingPlanes(one, two, three, center, planes.push), probe, lift)
+    active, late = constraints_of(planes if lift == 0.0 else solve_planes(planes, probe, 0.0)), budget < 0
     budget = max(budget, 0) + kept
     if found:
         return Stand(center, active, clipped, budget)
@@ -326,5 +326,5 @@ def pushed_at(objects: Any, radius: float, probe: Vec3, center: Vec3, active: Ac
     one = plane_at(objects, active[0], radius, center)
     two = plane_at(objects, active[1], radius, center)
     three = plane_at(objects, active[2], radius, center)
-    planes = solved(CuttingPlanes(one, two, three, center, Depths(0.0, 0.0, 0.0)), probe, 0.0)
+    planes = solve_planes(CuttingPlanes(one, two, three, center, Depths(0.0, 0.0, 0.0)), probe, 0.0)
     return constraints_of(planes), planes.center

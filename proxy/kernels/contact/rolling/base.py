@@ -117,7 +117,7 @@ def roll_angle_of_ball(shape: Any, radius: float, motion: Vec3, tilted: float) -
 
 
 @earlier.of(MinkowskiSum)
-def turned_less(shape: MinkowskiSum, w: Vec3, left: float) -> MinkowskiSum:
+def reduce_turn(shape: MinkowskiSum, w: Vec3, left: float) -> MinkowskiSum:
     back = rotations.exp(vec3.scale(-left, w))
     return MinkowskiSum(shape.shape, shape.semi_axes, rotations.multiply(back, shape.orientation), shape.radius)
 

@@ -34,7 +34,7 @@ def turn_about(axis: Vec3, angle: float, v: Vec3) -> Vec3:
 
 
 @jit
-def over_sphere(radius: float, share: float, normal: Vec3, w: Vec3) -> tuple[Vec3, Vec3, float]:
+def roll_over_sphere(radius: float, share: float, normal: Vec3, w: Vec3) -> tuple[Vec3, Vec3, float]:
     """Return normal (3,), motion (3,) m and spin (rad) after rolling by `w` over a sphere.
 
     n <- exp(k w) n, so w . n is constant. The centre moves on a small circle. Unrolled into the tangent plane, it is an
@@ -49,7 +49,7 @@ def over_sphere(radius: float, share: float, normal: Vec3, w: Vec3) -> tuple[Vec
 
 
 @jit
-def over_cylinder(radius: float, share: float, axis: Vec3, normal: Vec3, w: Vec3) -> tuple[Vec3, Vec3, float]:
+def roll_over_cylinder(radius: float, share: float, axis: Vec3, normal: Vec3, w: Vec3) -> tuple[Vec3, Vec3, float]:
     """Return normal (3,), motion (3,) m and spin (rad) after rolling by `w` over a cylinder; `axis` is a unit vector.
 
     The normal rotates about the axis by k w . axis at a constant rate. Travel along the axis and spin are the integrals
@@ -92,7 +92,7 @@ def unroll_on_flat(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec
 @unroll.of(Sphere)
 def unroll_on_sphere(shape: Sphere, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
     distance = radius + shape.side * shape.radius
-    end, motion, spin = over_sphere(radius, turning_share(radius, distance), normal, w)
+    end, motion, spin = roll_over_sphere(radius, turning_share(radius, distance), normal, w)
     center, end = land(shape, radius, vec3.scale(distance, end))
     return Roll(center, end, motion, vec3.norm(motion) / radius, spin, True)
 
@@ -100,7 +100,7 @@ def unroll_on_sphere(shape: Sphere, radius: float, center: Vec3, normal: Vec3, w
 @unroll.of(Cylinder)
 def unroll_on_cylinder(shape: Cylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
     distance = radius + shape.side * shape.radius
-    end, motion, spin = over_cylinder(radius, turning_share(radius, distance), (0.0, 0.0, 1.0), normal, w)
+    end, motion, spin = roll_over_cylinder(radius, turning_share(radius, distance), (0.0, 0.0, 1.0), normal, w)
     moved = (distance * end[0], distance * end[1], center[2] + motion[2])
     center, end = land(shape, radius, moved)
     return Roll(center, end, motion, vec3.norm(motion) / radius, spin, True)

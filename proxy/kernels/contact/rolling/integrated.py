@@ -19,7 +19,7 @@ MAX_TRIALS = 256
 
 
 @jit
-def unrolled(way: Vec3, normal: Vec3, length: float) -> Vec3:
+def unroll_displacement(way: Vec3, normal: Vec3, length: float) -> Vec3:
     """Project the displacement `way` (3,) m of a step into the tangent plane at its end, and scale it to `length` m."""
     flat = vec3.reject(way, normal)
     size = vec3.norm(flat)
@@ -41,7 +41,7 @@ def roll_midpoint(method: Midpoint, shape: Any, radius: float, center: Vec3, nor
         then = earlier(shape, w, 1.0 - part)
         _, point, n, _ = closest_from(then, vec3.add_scaled(center, part, slope), begun, BUDGET_OF_A_ROLL)
     end = vec3.add_scaled(point, radius, n)
-    motion = unrolled(slope, n, length)
+    motion = unroll_displacement(slope, n, length)
     return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin, True)
 
 
@@ -66,7 +66,7 @@ def roll_montana_rk4(
         left = 0.5 if stage < 2 else 0.0
         _, point, n, _ = closest_from(earlier(shape, w, left), vec3.add(center, ahead), begun, BUDGET_OF_A_ROLL)
     end = vec3.add_scaled(point, radius, n)
-    motion = unrolled(moved, n, length)
+    motion = unroll_displacement(moved, n, length)
     return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin, True)
 
 
@@ -161,7 +161,7 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
             end = vec3.add_scaled(point, radius, n7)
             length, rate, tilt = rates(shape, w, (k1, k3, k4, k5, k6), (n, n3, n4, n5, n6))
             spin, tilted = spin + h * rate, tilted + h * tilt
-            motion = vec3.add(transport(shape, motion, n, n7), unrolled(slope, n7, h * length))
+            motion = vec3.add(transport(shape, motion, n, n7), unroll_displacement(slope, n7, h * length))
             center, n, k1 = end, n7, k7
             left -= h
             if left <= 0.0:

@@ -8,7 +8,7 @@ equation, and the path is exact across faces, edges and corners.
 from math import atan, pi, sqrt
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, land
-from softfinger.proxy.kernels.contact.rolling.closed import over_cylinder, over_sphere, turning_share
+from softfinger.proxy.kernels.contact.rolling.closed import roll_over_cylinder, roll_over_sphere, turning_share
 from softfinger.proxy.kernels.contact.rolling.integrated import integrate
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Box, CappedCylinder, Capsule, Vec3
@@ -109,10 +109,10 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
         part = vec3.scale(min(time, left), w)
         before = n
         if cap == 0.0:
-            n, moved, twist = over_cylinder(radius, share, axis, n, part)
+            n, moved, twist = roll_over_cylinder(radius, share, axis, n, part)
             z = min(max(z + moved[2], -shape.half_length), shape.half_length)
         else:
-            n, moved, twist = over_sphere(radius, share, n, part)
+            n, moved, twist = roll_over_sphere(radius, share, n, part)
         motion, spin = vec3.add(transport(shape, motion, before, n), moved), spin + twist
         if time >= left:
             break
@@ -179,10 +179,10 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
         clamped = abs(sides[0]) + abs(sides[1]) + abs(sides[2])
         before = n
         if clamped > 2.5:
-            n, moved, twist = over_sphere(radius, 1.0, n, part)
+            n, moved, twist = roll_over_sphere(radius, 1.0, n, part)
         elif clamped > 1.5:
             along = (1.0 - abs(sides[0]), 1.0 - abs(sides[1]), 1.0 - abs(sides[2]))
-            n, moved, twist = over_cylinder(radius, 1.0, along, n, part)
+            n, moved, twist = roll_over_cylinder(radius, 1.0, along, n, part)
             point = vec3.add_scaled(point, vec3.dot(moved, along), along)
         else:
             moved, twist = vec3.scale(radius, vec3.cross(part, n)), vec3.dot(part, n)
@@ -206,7 +206,7 @@ def to_the_rim_by_barrel(shape: CappedCylinder, radius: float, center: Vec3, nor
     distance, n = radius + shape.radius, unit((normal[0], normal[1], 0.0), normal)
     share = turning_share(radius, distance)
     time = min(leaving_barrel(shape.half_length, center[2], share, radius, n, w)[0], 1.0)
-    n, motion, spin = over_cylinder(radius, share, (0.0, 0.0, 1.0), n, vec3.scale(time, w))
+    n, motion, spin = roll_over_cylinder(radius, share, (0.0, 0.0, 1.0), n, vec3.scale(time, w))
     return time, (distance * n[0], distance * n[1], center[2] + motion[2]), motion, spin
 
 

@@ -24,17 +24,17 @@ from softfinger.proxy.kernels.shapes.heightmap.surface import (
     MapPoint,
     descend,
     foot_at,
-    in_pitches,
     is_below,
+    to_pitches,
     touching,
 )
 from softfinger.proxy.kernels.shapes.heightmap.tiles import (
     AS_NEAR,
     FAR,
     LEVELS,
-    beaten,
     convex_around,
     has,
+    is_beyond,
     nearer_half,
     square_to_box,
     tile_at,
@@ -146,7 +146,7 @@ def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
                 else:
                     start = foot_at(shape, p, p[0] + way.s, p[1] + way.t)
                     spent += LOOK
-                    if not beaten(p, tile, start, best.square):
+                    if not is_beyond(p, tile, start, best.square):
                         if not tile.convex:
                             start = best_of_quarters(shape, p, start, i, j)
                             spent += 4 * LOOK
@@ -172,7 +172,7 @@ def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
 
 
 @jit
-def touched(shape: Heightmap, x: Vec3, found: MapSearch) -> TouchedPoint:
+def touch_at(shape: Heightmap, x: Vec3, found: MapSearch) -> TouchedPoint:
     gap, point, normal = touching(shape, x, found.foot)
     if not found.whole and gap > 0.0 and is_below(shape, x):
         gap, normal = -gap, vec3.scale(-1.0, normal)
@@ -182,22 +182,22 @@ def touched(shape: Heightmap, x: Vec3, found: MapSearch) -> TouchedPoint:
 @outlined
 def downhill(shape: Heightmap, x: Vec3, start: Vec3) -> TouchedPoint:
     """Return the foot point of `x` (3,) m reached by descent from `start` (3,) m, nearest or not."""
-    at = in_pitches(shape, start)
-    foot, looks = descend(shape, in_pitches(shape, x), MapPoint(at[0], at[1]), FAR)
-    return touched(shape, x, MapSearch(foot, FAR, True, LOOK * looks))
+    at = to_pitches(shape, start)
+    foot, looks = descend(shape, to_pitches(shape, x), MapPoint(at[0], at[1]), FAR)
+    return touch_at(shape, x, MapSearch(foot, FAR, True, LOOK * looks))
 
 
 @outlined
 def nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> TouchedPoint:
     """Return the nearest point; no search is needed if the foot point found from `start` is known to be the nearest."""
-    p, at = in_pitches(shape, x), in_pitches(shape, start)
+    p, at = to_pitches(shape, x), to_pitches(shape, start)
     foot, looks = descend(shape, p, MapPoint(at[0], at[1]), FAR)
     spent = LOOK * looks + AROUND
     found = MapSearch(foot, FAR, True, spent)
     if not convex_around(shape, p, foot):
         found = search(shape, p, foot, budget - spent)
         found = MapSearch(found.foot, found.bound, found.whole, found.spent + spent)
-    return touched(shape, x, found)
+    return touch_at(shape, x, found)
 
 
 @outlined
@@ -206,7 +206,7 @@ def gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> Gap:
 
     Without budget, it is the lower bound from the bounding box of the map, -FAR inside of the box.
     """
-    p, most = in_pitches(shape, x), reach / shape.pitch * ABOVE
+    p, most = to_pitches(shape, x), reach / shape.pitch * ABOVE
     whole = tile_at(shape, p, int(shape.levels) - 1, 0, 0)
     if whole.w > 0.0 and square_to_box(whole) > most * most:
         return Gap(FAR, True, 1)
@@ -222,7 +222,7 @@ def gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> Gap:
         found = MapSearch(found.foot, found.bound, found.whole, found.spent + spent + LOOK)
         if found.foot.s == -FAR:  # no foot point within the limit
             return Gap(FAR if found.whole else found.bound * shape.pitch, found.whole, found.spent)
-    near = touched(shape, x, found)
+    near = touch_at(shape, x, found)
     return Gap(near.gap, near.whole, near.spent)
 
 
@@ -232,7 +232,7 @@ def above(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
 
     It is above the upper bounds of all tiles within `radius` along the grid.
     """
-    p, reach = in_pitches(shape, x), radius / shape.pitch
+    p, reach = to_pitches(shape, x), radius / shape.pitch
     top = -FAR
     around = tiles_around(shape, p, reach, UNDER)
     for j in range(around.top, around.bottom + 1):
@@ -267,7 +267,7 @@ def closest_within_on_heightmap(shape: Heightmap, x: Vec3, budget: int) -> tuple
 @outlined
 def downhill_from_two(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """Return `closest_from`; without budget, for the surface point below `x`."""
-    p, at = in_pitches(shape, x), in_pitches(shape, start)
+    p, at = to_pitches(shape, x), to_pitches(shape, start)
     if budget < 0:
         gap, point, normal = touching(shape, x, foot_at(shape, p, p[0], p[1]))
         return gap, point, normal, budget

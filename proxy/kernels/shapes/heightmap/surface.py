@@ -88,7 +88,7 @@ def basis(f: float) -> tuple[Four, Four, Four]:
 
 
 @jit
-def held(place: float, count: float) -> float:
+def clamp_to_cells(place: float, count: float) -> float:
     """Clamp a coordinate to its `count` cells; return 0 for NaN."""
     if not place > 0.0:
         return 0.0
@@ -112,7 +112,7 @@ def row_at(shape: Heightmap, at: int, a: Four, da: Four, dda: Four) -> Vec3:
 
 
 @jit
-def weighted(weight: Four, z0: float, z1: float, z2: float, z3: float) -> float:
+def weigh(weight: Four, z0: float, z1: float, z2: float, z3: float) -> float:
     return weight[0] * z0 + weight[1] * z1 + weight[2] * z2 + weight[3] * z3
 
 
@@ -122,7 +122,7 @@ def height_at(shape: Heightmap, s: float, t: float) -> Height:
 
     The outermost cells are level at the border, so that the derivatives are continuous there.
     """
-    s, t = held(s, shape.columns), held(t, shape.rows)
+    s, t = clamp_to_cells(s, shape.columns), clamp_to_cells(t, shape.rows)
     i, j = min(int(s), int(shape.columns) - 1), min(int(t), int(shape.rows) - 1)
     a, da, dda = basis(s - i)
     b, db, ddb = basis(t - j)
@@ -134,12 +134,12 @@ def height_at(shape: Heightmap, s: float, t: float) -> Height:
     z2, s2, ss2 = row_at(shape, at + 2 * width, a, da, dda)
     z3, s3, ss3 = row_at(shape, at + 3 * width, a, da, dda)
     return Height(
-        z=weighted(b, z0, z1, z2, z3),
-        s=weighted(b, s0, s1, s2, s3),
-        t=weighted(db, z0, z1, z2, z3),
-        ss=weighted(b, ss0, ss1, ss2, ss3),
-        st=weighted(db, s0, s1, s2, s3),
-        tt=weighted(ddb, z0, z1, z2, z3),
+        z=weigh(b, z0, z1, z2, z3),
+        s=weigh(b, s0, s1, s2, s3),
+        t=weigh(db, z0, z1, z2, z3),
+        ss=weigh(b, ss0, ss1, ss2, ss3),
+        st=weigh(db, s0, s1, s2, s3),
+        tt=weigh(ddb, z0, z1, z2, z3),
     )
 
 
@@ -207,7 +207,7 @@ def descend(shape: Heightmap, p: Vec3, start: MapPoint, reach: float) -> tuple[M
 
 
 @jit
-def in_pitches(shape: Heightmap, x: Vec3) -> Vec3:
+def to_pitches(shape: Heightmap, x: Vec3) -> Vec3:
     per = 1.0 / shape.pitch
     return (x[0] * per + 0.5 * shape.columns, x[1] * per + 0.5 * shape.rows, x[2] * per)
 
@@ -215,7 +215,7 @@ def in_pitches(shape: Heightmap, x: Vec3) -> Vec3:
 @jit
 def is_below(shape: Heightmap, x: Vec3) -> bool:
     """Return True if `x` (3,) m is in the solid."""
-    p = in_pitches(shape, x)
+    p = to_pitches(shape, x)
     return height_at(shape, p[0], p[1]).z > p[2]
 
 
@@ -241,7 +241,7 @@ def touching(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, Vec
 @curvature.of(Heightmap)
 def curvature_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     """Return the curvature of the graph: -a . h'' a / |(-h', 1)| along a unit tangent with the part a in the grid."""
-    at = in_pitches(shape, point)
+    at = to_pitches(shape, point)
     h = height_at(shape, at[0], at[1])
     steep = 1.0 + h.s * h.s + h.t * h.t
     up = vec3.scale(1.0 / sqrt(steep), (-h.s, -h.t, 1.0))

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Heightmap, Vec3
-from softfinger.proxy.kernels.shapes.heightmap.surface import MapFoot, MapPoint, gradient, held
+from softfinger.proxy.kernels.shapes.heightmap.surface import MapFoot, MapPoint, clamp_to_cells, gradient
 
 LEVELS: Final = 24
 """Upper bound of the number of levels of any map."""
@@ -32,7 +32,7 @@ def wide(count: float, level: int) -> int:
 
 
 @jit
-def beside(place: float, index: int, last: int, count: float) -> float:
+def coordinate_at_tile(place: float, index: int, last: int, count: float) -> float:
     """Return a coordinate as used for the tile at `index`: a tile at the border extends outward at constant height.
 
     So a coordinate beyond the map becomes that of the border.
@@ -88,8 +88,8 @@ def tile_at(shape: Heightmap, p: Vec3, level: int, i: int, j: int) -> Tile:
     b1, b2, thick = shape.facets[at + 1], shape.facets[at + 2], shape.facets[at + 3]
     half = 0.5 * (1 << level)
     middle_s, middle_t = (2.0 * i + 1.0) * half, (2.0 * j + 1.0) * half
-    u = beside(p[0], i, across - 1, shape.columns) - middle_s
-    v = beside(p[1], j, down - 1, shape.rows) - middle_t
+    u = coordinate_at_tile(p[0], i, across - 1, shape.columns) - middle_s
+    v = coordinate_at_tile(p[1], j, down - 1, shape.rows) - middle_t
     w = p[2] - shape.facets[at]
     rise = (abs(b1) + abs(b2)) * half
     convex = (w + rise + thick) * shape.facets[at + 4] < 1.0 and (rise + thick - w) * shape.facets[at + 5] < 1.0
@@ -135,7 +135,7 @@ def to_facet(tile: Tile) -> tuple[float, MapPoint]:
 @jit
 def place_of(place: float, level: int, count: float) -> int:
     """Return the index, in its row of tiles, of the tile that contains the coordinate or is closest to it."""
-    return min(int(held(place, count)) >> level, wide(count, level) - 1)
+    return min(int(clamp_to_cells(place, count)) >> level, wide(count, level) - 1)
 
 
 class Around(NamedTuple):
@@ -195,7 +195,7 @@ def least_along(slope: float, place: float, half: float) -> float:
 
 
 @jit
-def beaten(p: Vec3, tile: Tile, place: MapFoot, square: float) -> bool:
+def is_beyond(p: Vec3, tile: Tile, place: MapFoot, square: float) -> bool:
     """Return True if no point of the tile is closer than the squared distance `square`.
 
     A convex function is nowhere below its tangent plane, here that at `place`.

@@ -20,7 +20,7 @@ from softfinger.proxy.kernels.shapes.composite import (
     is_mesh_shape,
     nearest_of_shape,
     neighbour_of,
-    shaded,
+    shade_normal,
 )
 from softfinger.proxy.kernels.shapes.mesh.nearest import nearest
 from softfinger.proxy.kernels.shapes.mesh.triangle import beyond_edge, closest_on_triangle, shaded_normal
@@ -173,8 +173,8 @@ def facet_of_mesh(shape: Mesh, facet: float) -> Facet:
     return Facet(shape, facet)
 
 
-@shaded.of(Facet)
-def shaded_facet(shape: Facet, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
+@shade_normal.of(Facet)
+def shade_facet(shape: Facet, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
     """Interpolate the normals of the vertices at the contact point; only the direction of the force changes.
 
     Source: Morgenbesser and Srinivasan, Force shading for haptic shape perception, 1996.

@@ -1,0 +1,174 @@
+"""Loading of an experiment with every check that is possible before a session; all faults in one error."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from msgspec.structs import replace
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.fields import is_complete, known
+from softfinger.config.load import FaultyConfig, attempt, build_changed, load_rig, load_scene, overridden
+from softfinger.config.schema import Rig, Scene
+from softfinger.config.words import near, shown
+from softfinger.server.experiment import rigs
+from softfinger.server.experiment.design import conditions
+from softfinger.server.experiment.files import level_extremes, read, read_image, read_survey, resolve_source
+from softfinger.server.experiment.masses import load_changed_scene
+from softfinger.server.experiment.schema import ONE, ExperimentFile
+from softfinger.server.experiment.session import CONSENT, consent_question
+
+C = TypeVar("C", bound=Scene | Rig)
+PartFaults = Callable[[Any, str], list[str]]
+"""Further check of a scene or rig with its name; of a faulty one, with UNSET in the place of what is unusable."""
+CONDITION_TABLES: Final = ("task", "procedure", "factor", "overrides", "catch")
+"""Tables that determine the parameters of every condition."""
+
+
+def load(
+    source: str | Path | Mapping[str, Any],
+    changes: Mapping[str, Any],
+    part_faults: PartFaults = lambda config, name: [],
+) -> tuple[ExperimentFile, Path]:
+    """Return an experiment and the folder of its files.
+
+    changes      replacement values by dotted key
+    part_faults  further check of each scene and of the rig
+
+    Raises FaultyConfig with every fault of the file, and of the surveys, scenes, rig and images that it names.
+    """
+    tables, name, folder = read(source)
+    faults, faulty = list[str](), set[str]()
+    try:
+        experiment = build_changed(ExperimentFile, tables, name, changes, dict.fromkeys(changes, "experiment"))
+    except FaultyConfig as error:
+        experiment = error.config
+        faults += map(str, error.faults)
+        faulty = {re.split(r"[.\[]", fault.key)[0] for fault in error.faults if not isinstance(fault, str)}
+    if known(experiment) and "" not in faulty:
+        checks = _Checks(experiment, folder, frozenset(faulty), faults)
+        checks.files(part_faults)
+        checks.conditions()
+        experiment = checks.experiment
+    if faults:
+        raise FaultyConfig(faults, experiment)
+    return experiment, folder
+
+
+class _Checks:
+    """Checks of an experiment; each is skipped if a table that it needs is in `faulty`, and appends to `faults`."""
+
+    def __init__(self, experiment: ExperimentFile, folder: Path, faulty: frozenset[str], faults: list[str]) -> None:
+        self.experiment, self._folder, self._faulty, self._faults = experiment, folder, faulty, faults
+        self._rig: Rig | None = None
+        self._scenes = dict[str, Scene | None]()
+
+    def _are_sound(self, *tables: str) -> bool:
+        return self._faulty.isdisjoint(tables)
+
+    def files(self, part_faults: PartFaults) -> None:
+        """Load surveys, rig, scenes and images."""
+        experiment = self.experiment
+        surveys = [
+            attempt(partial(read_survey, survey, self._folder), self._faults) if is_complete(survey) else None
+            for survey in (experiment.survey if known(experiment.survey) else ())
+        ]
+        if None in surveys:
+            self._faulty |= {"survey"}
+        elif surveys:
+            self.experiment = replace(experiment, survey=tuple(surveys))
+        if self._are_sound("rig"):
+            self._rig = self._part(load_rig, experiment.rig, part_faults)
+        names = [experiment.scene] if self._are_sound("scene") else []
+        for factor in experiment.factor if known(experiment.factor) else ():
+            names += factor.scenes.values() if known(factor) and known(factor.scenes) else []
+        for name in dict.fromkeys(names):
+            self._scenes[name] = self._part(load_scene, name, part_faults)
+        if self._are_sound("screen"):
+            images = [experiment.screen.image, *(values.get("image") for values in experiment.screen.by.values())]
+            for image in dict.fromkeys(image for image in images if image and isinstance(image, str)):
+                attempt(partial(read_image, image, self._folder), self._faults)
+
+    def _part(self, load: Callable[[str | Path], C], name: str, part_faults: PartFaults) -> C | None:
+        """Return a scene or rig, None if it cannot be loaded."""
+        try:
+            config = load(resolve_source(self._folder, name))
+        except FaultyConfig as error:
+            self._faults += [*map(str, error.faults), *part_faults(error.config, name)]
+        except ConfigError as error:
+            self._faults.append(str(error))
+        else:
+            self._faults += part_faults(config, name)
+            return config
+        return None
+
+    def conditions(self) -> None:
+        """Check what belongs to a condition, a question or a finger."""
+        experiment = self.experiment
+        if self._are_sound(*CONDITION_TABLES, "scene"):
+            self._faults += self._parameter_faults()
+        if self._are_sound("motion", "scene", "factor") and None not in self._scenes.values():
+            fingers = {finger.name for scene in self._scenes.values() if scene for finger in scene.finger or ()}
+            fingers |= {ONE} if any(scene and not scene.finger for scene in self._scenes.values()) else set()
+            self._faults += [
+                f"motion.{finger}: no scene has this finger; there are {', '.join(sorted(fingers))}"
+                for finger in sorted(experiment.motion.keys() - fingers)
+            ]
+        if self._are_sound("observer", "survey", "consent"):
+            self._faults += dict.fromkeys(_answer_faults(experiment))
+        if not self._are_sound("factor"):
+            return
+        for table in ("observer", "screen"):
+            if self._are_sound(table):
+                self._faults += self._faults_by_condition(table)
+
+    def _parameter_faults(self) -> list[str]:
+        """Return the faults of the parameters at the extremes of each condition, each fault once."""
+        distinct = dict[str, str]()
+        for where, name, values in level_extremes(self.experiment):
+            found, rig, scene = list[str](), self._rig, self._scenes[name]
+            parameters = attempt(partial(rigs.split, values, where), found)
+            if parameters is not None and rig is not None:
+                attempt(partial(rigs.check_motors, rig.guard, parameters[0], where), found)
+                attempt(partial(overridden, rig, parameters[0], where), found)
+            if parameters is not None and scene is not None:
+                attempt(partial(load_changed_scene, scene, parameters[1], where), found)
+            for fault in found:
+                distinct.setdefault(fault.removeprefix(f"{where}: "), fault)
+        return list(distinct.values())
+
+    def _faults_by_condition(self, key: str) -> list[str]:
+        """Return the faults of the values by condition of a table."""
+        table, names = getattr(self.experiment, key), [condition.name for condition in conditions(self.experiment)]
+        faults = list[str]()
+        for name, values in table.by.items():
+            if name not in names:
+                faults.append(
+                    f"{key}.by: no condition is called {shown(name)}{near(name, names)}; there are "
+                    f"{'; '.join(names)}: the levels of all factors, with a comma between them"
+                )
+            attempt(partial(overridden, table, values, f"{key}.by.{name}"), faults)
+        return faults
+
+
+def _answer_faults(experiment: ExperimentFile) -> Iterator[str]:
+    """Yield the faults of the simulated observer's answers to questions."""
+    questions = {question.name: question for survey in experiment.survey for question in survey.question}
+    if experiment.consent:
+        questions |= {CONSENT: consent_question(experiment)}
+    observer = experiment.observer
+    everywhere = [observer.answers, *(values.get("answers", {}) for values in observer.by.values())]
+    for name, answer in (pair for answers in everywhere if isinstance(answers, Mapping) for pair in answers.items()):
+        where = f"observer.answers.{name} = {shown(answer)}"
+        if name not in questions:
+            yield f"{where}: no survey has this question{near(name, list(questions))}"
+            continue
+        question = questions[name]
+        if question.kind == "multi-choice" and answer not in question.options:
+            yield f"{where}: must be one of {', '.join(question.options)}"
+        if question.kind in ("likert", "number") and not isinstance(answer, int | float):
+            yield f"{where}: must be a number from {question.min:g} to {question.max:g}"

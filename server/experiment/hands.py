@@ -1,0 +1,67 @@
+"""Hands that a program can lead: to the start of a touch, and along the paths of [motion] and [turn]."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from softfinger.server.experiment.schema import ONE, ExperimentFile
+from softfinger.server.remote import Client
+
+Point = tuple[float, float, float]
+
+
+class Hands:
+    """Hands of a daemon, by the name of their finger."""
+
+    def __init__(self, client: Client, experiment: ExperimentFile) -> None:
+        self._client, self._experiment = client, experiment
+        self._is_led: Final = dict[str, bool]()
+        self.update()
+
+    def update(self) -> None:
+        """Ask the daemon which hands can be led, after a change of the scene."""
+        self._is_led.clear()
+        self._is_led.update({finger["name"]: finger["led"] for finger in self._client.describe()["fingers"]})
+
+    def lead_to_start(self) -> dict[str, Point]:
+        """Lead hands to the start of their path, or of the trial; return these positions, m."""
+        starts = dict[str, Point]()
+        for name, is_led in self._is_led.items():
+            path = self._experiment.motion.get(name or ONE)
+            start = path[0][1:] if path else self._experiment.trial.start_m
+            if is_led and start is not None:
+                starts[name] = start
+                self._lead(name, start, 0.0)
+        return starts
+
+    def lead(self, elapsed_s: float) -> None:
+        """Lead each hand with a path to its point at a time of the touch, s."""
+        for name, is_led in self._is_led.items():
+            if is_led and (path := self._experiment.motion.get(name or ONE)):
+                self._lead(name, interpolate_path(path, elapsed_s), elapsed_s)
+
+    def _lead(self, name: str, position: Point, elapsed_s: float) -> None:
+        rotations = self._experiment.turn.get(name or ONE)
+        orientation = quaternion(interpolate_path(rotations, elapsed_s)) if rotations else None
+        self._client.hand(position, orientation, finger=name or None)
+
+
+def interpolate_path(path: tuple[tuple[float, float, float, float], ...], t: float) -> Point:
+    """Return the point x, y, z at time t, s, on a path of waypoints t, x, y, z; it rests before and after them."""
+    times = [point[0] for point in path]
+    x, y, z = (float(np.interp(t, times, [point[axis] for point in path])) for axis in (1, 2, 3))
+    return x, y, z
+
+
+def quaternion(rotation: tuple[float, float, float]) -> tuple[float, float, float, float]:
+    """Return the unit quaternion w, x, y, z of a rotation vector, rad.
+
+    The function of the kernels is not used, since it would compile during a touch.
+    """
+    angle = math.hypot(*rotation)
+    share = 0.5 if angle == 0.0 else math.sin(0.5 * angle) / angle
+    x, y, z = (share * part for part in rotation)
+    return math.cos(0.5 * angle), x, y, z

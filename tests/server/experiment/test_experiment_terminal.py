@@ -1,0 +1,67 @@
+"""Answers typed in the terminal: odd texts, numbers of other countries, characters cut by a read."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import pytest
+from test_experiment_design import small
+
+from softfinger.server.experiment.experiment import Experiment
+from softfinger.server.experiment.observer import SimulatedObserver
+from softfinger.server.experiment.terminal import CHOICES, keyboard, parse_answer
+from softfinger.server.wire.commands import Prompt
+
+pytestmark = pytest.mark.plain
+
+NUMBER = Prompt("t", "?", number=(0.5, 2.5))
+TEXT = Prompt("t", "?", text_length=5)
+
+
+@pytest.mark.parametrize(
+    ("prompt", "typed", "answer", "rest"),
+    [
+        (NUMBER, "1,75\n", 1.75, ""),
+        (NUMBER, " 1.75 \n2", 1.75, "2"),
+        (NUMBER, "1.000,5\n", "1.000,5", ""),  # no number: the daemon tells what is asked
+        (NUMBER, "1.7", None, "1.7"),
+        (NUMBER, "\n", None, ""),
+        (TEXT, "größer\n", "größe", ""),
+        (TEXT, "  \n", None, ""),
+        (Prompt("t", "?", choices=CHOICES), "x2", "second", ""),
+        (Prompt("t", "?", choices=("a b", "c")), "a b\n", "a b", ""),
+    ],
+)
+def test_a_line_is_an_answer(prompt: Prompt, typed: str, answer: Any, rest: str) -> None:
+    assert parse_answer(prompt, typed, 0) == (answer, rest)
+
+
+def test_a_character_that_two_reads_share_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A read takes 256 bytes: the second byte of each ü comes with the next one."""
+    text = "a" + 300 * "ü" + "\n"
+    reader, writer = os.pipe()
+    with os.fdopen(reader) as stdin, os.fdopen(writer, "w") as typed, keyboard_of(stdin, monkeypatch) as keys:
+        typed.write(text)
+        typed.flush()
+        assert "".join(keys() for _ in range(4)) == text
+
+
+def keyboard_of(stdin: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.setattr("sys.stdin", stdin)
+    return keyboard(single=False)
+
+
+def test_simulated_numbers_are_within_their_bounds() -> None:
+    """Whole numbers, except at a bound that is none."""
+    height = {"name": "height", "kind": "number", "prompt": "?", "min": 0.5, "max": 2.5}
+    file = Experiment(small(survey=[{"name": "s", "at": ["before"], "question": [height]}])).file
+    question = file.survey[0].question[0]
+    answers = {SimulatedObserver(file, 1).survey(question, None, number) for number in range(200)}
+    given = {SimulatedObserver(low_file(height), 1).survey(question, None, number) for number in range(200)}
+    assert answers == {1.0, 2.0} and given == {0.5, 1.0}
+
+
+def low_file(height: dict[str, Any]) -> Any:
+    survey = {"name": "s", "at": ["before"], "question": [height]}
+    return Experiment(small(survey=[survey], observer={"answers": {"height": 0.5}})).file
