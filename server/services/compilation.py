@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable
 from typing import IO, Final, NamedTuple
 
@@ -27,6 +28,7 @@ from softfinger.proxy.kernels.jit.decorators import KEPT
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.progress import PLAIN_PERIOD_S, QUIET_S
 from softfinger.server.services.base import Worker
 
 log: Final = logging.getLogger(__name__)
@@ -175,13 +177,24 @@ def compile_loop(scene: schema.Scene) -> Tuning:
 def main() -> None:
     """Compile the loop of the scene on standard input, a line of JSON; exit when standard input ends.
 
-    Prints a line to standard output if anything has to be compiled; functions in the cache are only loaded.
+    Prints lines with the progress to standard output if anything has to be compiled; functions in the cache are only
+    loaded.
     """
     os.nice(NICE)
-    COMPILE_PROGRESS.on_first = lambda: print("compiling kernels that are not cached, in another process", flush=True)
+    COMPILE_PROGRESS.on_first = lambda: threading.Thread(target=_report, daemon=True).start()
     scene = build(schema.Scene, json.loads(sys.stdin.readline()), "the scene")
     threading.Thread(target=_exit_with_daemon, daemon=True).start()
     compile_loop(scene)
+
+
+def _report() -> None:
+    print("compiling kernels that are not cached, in another process", flush=True)
+    wait = QUIET_S
+    while True:
+        time.sleep(wait)
+        if kernel := str(COMPILE_PROGRESS):
+            print(kernel, flush=True)
+        wait = PLAIN_PERIOD_S
 
 
 def _exit_with_daemon() -> None:

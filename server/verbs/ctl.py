@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     if args.method == "set_scene" and isinstance(scene, str) and scene.endswith(".toml"):
         # Read here with the rights of this user: the daemon opens no file that a client names.
         params = {"name": Path(scene).stem[:64]} | params | {"scene": read_toml(scene)}
-    compiles = ", which may have to compile the scene" if args.method == "set_scene" else ""
+    compiles = ", which may have to compile the scene: its log counts the kernels" if args.method == "set_scene" else ""
     wait_display = progress(f"{args.method}: waiting for the daemon{compiles}")
     lock = keys.keys_from_options(args)
     within_s = BUSY_S if args.timeout is None else args.timeout

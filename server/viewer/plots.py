@@ -22,6 +22,10 @@ HEIGHT: Final = 66
 """Height of a plot, pixels: three fit below the controls of a window of 800."""
 PADDING: Final = (7, 24, 7, 0)
 """Space around a plot, pixels, for the figures at the ends of its axis: top, right, bottom, left."""
+AXIS_WIDTH: Final = 58
+"""Width of the vertical axis, pixels: room for 10,000 us."""
+LABEL_SPACE: Final = 15
+"""Least distance of two figures of the vertical axis, pixels: each plot has more than one."""
 TIME_HEIGHT: Final = 35
 """Height of the time axis, pixels."""
 
@@ -38,14 +42,14 @@ class Plots:
         panel.dock_below(gui.main_panel)
         with panel.add_tab(f"Last {SPAN_S:.0f} s"):
             self._plots = [
-                _plot(gui, "depth, mm", ("depth",), BANDS),
-                _plot(gui, "force, N: normal, tangential (red)", ("normal", "tangential"), BANDS),
-                _plot(gui, "torsion, mN m", ("torsion",), BANDS, has_time=True),
+                _plot(gui, "depth, mm", ("depth",), 1.0, BANDS),
+                _plot(gui, "force, N: normal, tangential (red)", ("normal", "tangential"), 1.0, BANDS),
+                _plot(gui, "torsion, mN m", ("torsion",), 1.0, BANDS, has_time=True),
             ]
         with tab:
             self._plots += [
-                _plot(gui, "spin, degrees; roll (red)", ("spin", "roll"), has_time=True),
-                _plot(gui, "woken late, us; step (red)", ("woken late", "step"), has_time=True),
+                _plot(gui, "spin, degrees; roll (red)", ("spin", "roll"), 1.0, has_time=True),
+                _plot(gui, "woken late, us; step (red)", ("woken late", "step"), 100.0, has_time=True),
             ]
 
     def add(self, rows: NDArray[np.float64], radius: float) -> None:
@@ -87,9 +91,17 @@ class Plots:
 
 
 def _plot(
-    gui: Any, title: str, names: tuple[str, ...], bands: tuple[ContactState, ...] = (), has_time: bool = False
+    gui: Any,
+    title: str,
+    names: tuple[str, ...],
+    reach: float,
+    bands: tuple[ContactState, ...] = (),
+    has_time: bool = False,
 ) -> Any:
-    """Add a plot of lines over coloured bands of the states of the contact, which are 0 or 1."""
+    """Add a plot of lines over coloured bands of the states of the contact, which are 0 or 1.
+
+    The vertical axis spans at least 0 to `reach`.
+    """
     series = (
         {"label": "s"},
         *(
@@ -105,13 +117,14 @@ def _plot(
         *({"label": name, "stroke": colour, "width": 1.5} for name, colour in zip(names, LINES, strict=False)),
     )
     nothing = np.zeros(2)
-    scales = {"x": {"time": False}, "band": {"range": (0.0, 1.0)}}
+    span = {end: {"pad": 0.1, "soft": soft, "mode": 1} for end, soft in (("min", 0.0), ("max", reach))}
+    scales = {"x": {"time": False}, "y": {"range": span}, "band": {"range": (0.0, 1.0)}}
     return gui.add_uplot(
         (nothing,) * len(series),
         series,
         title=title,
         scales=scales,
-        axes=({"show": has_time}, {"show": True}),
+        axes=({"show": has_time}, {"show": True, "size": AXIS_WIDTH, "space": LABEL_SPACE}),
         legend={"show": False},
         padding=PADDING,
         height=HEIGHT + TIME_HEIGHT * has_time,

@@ -252,7 +252,7 @@ def no_telemetry_text(endpoint: str, waited_s: float) -> str:
     """Return the message for a user if nothing arrived."""
     return (
         f"no telemetry from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
-        "and is this its [telemetry] endpoint?"
+        "has it compiled its scene, and is this its [telemetry] endpoint?"
     )
 
 

@@ -104,7 +104,7 @@ def no_answer(method: str, endpoint: str, waited_s: float) -> NoAnswer:
     """Return the error, with possible causes."""
     return NoAnswer(
         f"no answer to {method} from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
-        "as this user, and is this its [commands] endpoint, which it prints at the start?"
+        "as this user, has it compiled its scene, and is this its [commands] endpoint, which it prints at the start?"
     )
 
 

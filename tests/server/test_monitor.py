@@ -159,7 +159,7 @@ def test_nothing_arriving_is_said_with_endpoint_and_exit_code(tmp_path):
     assert done.stdout == ""
     assert done.stderr.strip() == (
         f"no telemetry from {nowhere} within 0.2 s: is the server running (softfinger run), "
-        "and is this its [telemetry] endpoint?"
+        "has it compiled its scene, and is this its [telemetry] endpoint?"
     )
 
 
