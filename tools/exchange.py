@@ -122,7 +122,7 @@ def _nothing(handle: int, values: Any) -> int:
 
 
 @jit
-def pushed(push: Push, t: float) -> Vec3:
+def push_force(push: Push, t: float) -> Vec3:
     """Return the force (3,) N of a push at `t` (s) after its start."""
     share = t / push.duration
     if not 0.0 <= share <= 1.0:
@@ -230,7 +230,7 @@ def exchange_loop(
         pace = with_suspension(pace, woke, timespec)
         if 0 <= span.limit_ns < woke - begun:
             break
-        done = exchange_once(io, empty, guard, guarded, pushed(push, number * nominal), pace.dt, nominal, scratch)
+        done = exchange_once(io, empty, guard, guarded, push_force(push, number * nominal), pace.dt, nominal, scratch)
         guarded, status = done.guarded, done.status
         if status < 0 or status == END:
             ending = shutdown.FINISHED if status == END else shutdown.READ_FAILED
@@ -390,7 +390,7 @@ def check_seconds(seconds: float) -> None:
         raise ConfigError(f"--seconds {seconds:g}: must be from {SECONDS.low:g} to {SECONDS.high:g}: {SECONDS.reason}")
 
 
-def disarmed(rig: Rig) -> Guard:
+def disarmed_guard(rig: Rig) -> Guard:
     """Return a guard that passes no force."""
     given = rig.guard
     return Guard(0.0, 0.0, given.force_slew_n_per_s, given.torque_slew_nm_per_s, given.ramp_s, 0.0)

@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     lines: list[str] = []
     for path in boxes:
         try:
-            parts[f"blackbox/{path.name}"] = cleaned(path, cleaner)
+            parts[f"blackbox/{path.name}"] = clean_recording(path, cleaner)
         except RecordingError as error:  # cut short by a kill, or of another version
             log.warning("left out: %s", error)
             continue
@@ -95,7 +95,7 @@ def private_rig(rig: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in named.items() if key != "security"}
 
 
-def cleaned(path: Path, cleaner: privacy.Privacy) -> bytes:
+def clean_recording(path: Path, cleaner: privacy.Privacy) -> bytes:
     """Return a black box file rewritten with the same ticks and cleaned texts. Raises RecordingError."""
     parts = list(read_contents(path))
     about = {part.name: part.value for part in parts if isinstance(part, Note)}

@@ -36,7 +36,7 @@ from softfinger.tools.exchange import (
     Exchange,
     Push,
     compile_exchange,
-    disarmed,
+    disarmed_guard,
     exchange_loop,
 )
 from softfinger.tools.exchange_figures import HISTOGRAM_S, burst_figures, figures, histogram
@@ -54,7 +54,7 @@ def recording(**options: object) -> replay.Replay:
 
 def test_no_force_reaches_a_device_that_is_only_measured() -> None:
     """With a disarmed guard every wrench written is zero, though a push is asked for; each tick has its row."""
-    with recording() as device, Exchange(device, RIG, disarmed(RIG)) as exchange:
+    with recording() as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.3, Push((1.0, 1.0, 1.0), 10.0, 0.3))
     assert rows.shape == (300, ROW_SIZE)
     logged = device.logged().wrench
@@ -65,7 +65,7 @@ def test_no_force_reaches_a_device_that_is_only_measured() -> None:
 
 def test_rows_hold_every_sample_in_turn() -> None:
     """Poses are the recording's, one a row, device time goes on by a period, all times are positive and in order."""
-    with recording() as device, Exchange(device, RIG, disarmed(RIG)) as exchange:
+    with recording() as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.2)
         first = round(rows[0, SAMPLE + SAMPLE_TIME] * RATE_HZ)
         want = device.samples[(first + np.arange(200)) % len(device.samples)]
@@ -121,7 +121,7 @@ def test_an_exception_in_the_middle_leaves_no_force() -> None:
 
 def test_a_burst_is_bounded() -> None:
     """Without pauses it ends by its rows or its time, and goes on where it was."""
-    with recording() as device, Exchange(device, RIG, disarmed(RIG)) as exchange:
+    with recording() as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
         rows = exchange.burst()
         more = exchange.record(0.01)
     assert 100 < len(rows) <= BURST_ROWS
@@ -132,7 +132,7 @@ def test_a_burst_is_bounded() -> None:
 
 def test_the_end_of_a_recording_is_no_failure() -> None:
     """A recording that is not looped gives the rows there are, and none after that."""
-    with recording(loop=False) as device, Exchange(device, RIG, disarmed(RIG)) as exchange:
+    with recording(loop=False) as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
         rows = exchange.record(5.0)
         assert 0 < len(rows) <= len(device.samples)
         assert len(exchange.record(0.1)) == 0

@@ -27,7 +27,7 @@ from softfinger.proxy.kernels.contact.rolling import roll
 from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.scene import build_scene
-from softfinger.tools.accuracy.reference import rolled
+from softfinger.tools.accuracy.reference import roll_in_frame
 
 pytestmark = pytest.mark.plain
 
@@ -44,7 +44,7 @@ def test_rotation_vector_is_exact(name: str) -> None:
         center, normal = touching(shape, rng)
         w = rotation(rng)
         out = rolled_by(METHODS["rotation_vector"], shape, center, normal, w)
-        end, n, spin = rolled(shape, RADIUS, center, normal, lambda _, w=w: w)
+        end, n, spin = roll_in_frame(shape, RADIUS, center, normal, lambda _, w=w: w)
         worst = max(worst, np.abs(np.array(out.center) - end).max(), RADIUS * np.abs(np.array(out.normal) - n).max())
         worst = max(worst, RADIUS * abs(out.spin - spin))
     # Rounding, the reference's own 1e-13, and 1e-12 rad of spin across the rim of a cylinder, which is integrated.
@@ -63,7 +63,7 @@ def test_rotation_vector_is_exact_from_the_barrel_and_the_end_of_a_cylinder(begi
             center, normal = (rng.uniform(-1.0, 1.0) * shape.radius, 0.0, out_of[1]), (0.0, 0.0, 1.0)
         w = rotation(rng)
         out = rolled_by(METHODS["rotation_vector"], shape, center, normal, w)
-        end, n, spin = rolled(shape, RADIUS, center, normal, lambda _, w=w: w)
+        end, n, spin = roll_in_frame(shape, RADIUS, center, normal, lambda _, w=w: w)
         leaves = abs(out.normal[2] - normal[2]) > 1e-9  # barrel and end each leave it as it is
         past = leaves and abs(out.normal[2]) in (0.0, 1.0)
         crossed += leaves
@@ -86,7 +86,7 @@ def test_rotation_vector_at_all_sizes(scale: float) -> None:
         out = roll(METHODS["rotation_vector"], shape, scale, center, n, rotations.exp(w))
         # The reference is integrated in units of the fingertip, where its tolerances mean what they say.
         unit = shape._replace(radius=shape.radius / scale)
-        end, _, _ = rolled(unit, 1.0, np.array(center) / scale, n, lambda _, w=w: w)
+        end, _, _ = roll_in_frame(unit, 1.0, np.array(center) / scale, n, lambda _, w=w: w)
         assert np.abs(np.array(out.center) / scale - end).max() < 1e-11
 
 
@@ -99,7 +99,7 @@ def test_step_control_reaches_its_tolerance(name: str) -> None:
         center, normal = touching(shape, rng)
         w = rotation(rng)
         out = rolled_by(METHODS["montana_rk45"], shape, center, normal, w)
-        end, _, spin = rolled(shape, RADIUS, center, normal, lambda _, w=w: w)
+        end, _, spin = roll_in_frame(shape, RADIUS, center, normal, lambda _, w=w: w)
         # 1e-10 of the radius; where the curvature jumps the estimate is rougher, and the spin has none of its own.
         assert np.abs(np.array(out.center) - end).max() < 1e-12
         assert abs(out.spin - spin) < (1e-9 if name in PIECED else 1e-11)
@@ -110,7 +110,7 @@ def errors(method: Any, shape: Any, ticks: list[int], seed: int) -> list[float]:
     rng = np.random.default_rng(seed)
     center, normal = touching(shape, rng)
     w = rotation(rng, 1.5, 1.5)
-    end, _, _ = rolled(shape, RADIUS, center, normal, lambda _: w)
+    end, _, _ = roll_in_frame(shape, RADIUS, center, normal, lambda _: w)
     ends = [np.array(rolled_by(method, shape, center, normal, w, n).center) for n in ticks]
     return [float(np.linalg.norm(found - end)) for found in ends]
 

@@ -12,7 +12,7 @@ from softfinger.tools.accuracy.meshes import (
     TURN_RAD,
     begins,
     converge,
-    led,
+    lead_path,
     orders,
 )
 
@@ -64,7 +64,7 @@ def test_paths_go_askew_over_edges(name: str) -> None:
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     for heading in HEADINGS_RAD:
-        path = led(CASES[name].shape, *begins(CASES[name]), heading, TICKS)
+        path = lead_path(CASES[name].shape, *begins(CASES[name]), heading, TICKS)
         near = [int(np.linalg.norm((a + b + c) / 3.0 - point, axis=1).argmin()) for point in path.points[::20]]
         assert len(np.unique(normals[near].round(9), axis=0)) >= 4
         centers = path.points + RADIUS_M * path.normals

@@ -18,7 +18,7 @@ from softfinger.drivers.system.discovery import Attached
 from softfinger.server.cli import main
 from softfinger.server.loop import realtime
 from softfinger.tools.doctor import attached, loop, machine
-from softfinger.tools.doctor.check import STATES, Check, graded, lines
+from softfinger.tools.doctor.check import STATES, Check, grade, lines
 
 pytestmark = pytest.mark.real_time
 
@@ -127,7 +127,7 @@ def test_a_refused_setting_is_bad_where_the_rig_requires_it(mode: str, state: st
 )
 def test_a_number_is_graded_by_its_thresholds(value: float, state: str) -> None:
     """A threshold itself still belongs to the better state."""
-    assert graded(value, 0.1, 0.5) == state
+    assert grade(value, 0.1, 0.5) == state
 
 
 @pytest.mark.parametrize(
@@ -141,10 +141,10 @@ def test_a_number_is_graded_by_its_thresholds(value: float, state: str) -> None:
 def test_the_loop_is_judged_against_the_period(missed: int, p99: float, states: tuple[str, str]) -> None:
     """Share of missed ticks and p99 of the lateness, at 1 kHz; without a compiler that is said."""
     result = {"rate_hz": 1000.0, "servo": {"ticks": 10_000, "missed": missed, "late": {"p99": p99}}}
-    checks = loop.judged(result)
+    checks = loop.judge_loop(result)
     assert tuple(check.state for check in checks) == states
     assert "install gcc" in checks[1].seen
-    beside = loop.judged(result | {"c": {"late": {"p99": 40e-6}}})
+    beside = loop.judge_loop(result | {"c": {"late": {"p99": 40e-6}}})
     assert "the same loop in C 40 us" in beside[1].seen
 
 

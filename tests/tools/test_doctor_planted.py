@@ -111,8 +111,8 @@ def sound_and_planted(problem: str, folder: Path, keep: ExitStack, patch: pytest
     if problem in ("ticks that are missed", "late wake-ups"):
         number = 0 if problem.startswith("ticks") else 1
         return (
-            lambda: loop.judged(figures(0, 5e-5))[number],
-            lambda: loop.judged(figures(50, 6e-4))[number],
+            lambda: loop.judge_loop(figures(0, 5e-5))[number],
+            lambda: loop.judge_loop(figures(50, 6e-4))[number],
         )
     if problem == "library that is missing":
         for name in ("FDSDK", "FORCEDIM_SDK"):

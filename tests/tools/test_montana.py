@@ -12,7 +12,7 @@ from references.rolling_cases import METHODS, RADIUS, rolled_by
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.numerics import rotations
 from softfinger.tools.accuracy import montana
-from softfinger.tools.accuracy.reference import normal_and_curvature, rolled
+from softfinger.tools.accuracy.reference import normal_and_curvature, roll_in_frame
 
 pytestmark = pytest.mark.plain
 
@@ -96,7 +96,7 @@ def test_both_forms_agree(name: str) -> None:
         w *= 0.4 / np.linalg.norm(w)
         after = montana.roll_coordinates(RADIUS, shape, at, tuple(map(float, w)), 100)
         end, _ = contact(shape, after)
-        reference, _, _ = rolled(shape, RADIUS, center, normal, lambda _, w=w: w)
+        reference, _, _ = roll_in_frame(shape, RADIUS, center, normal, lambda _, w=w: w)
         # Both are integrated: a hundred steps of order 4 leave 1e-11 of a radian near a chart's pole.
         assert end == pytest.approx(reference, abs=1e-12)
         assert orientation(shape, after) == pytest.approx(turned(w) @ before, abs=1e-10)

@@ -13,7 +13,7 @@ from helpers.forgotten import forget_user
 from softfinger.config.load import load_rig
 from softfinger.drivers import registry
 from softfinger.tools.doctor import privacy, report
-from softfinger.tools.doctor.questions import ANSWERS, answered, questions
+from softfinger.tools.doctor.questions import ANSWERS, answer_questions, questions
 
 pytestmark = pytest.mark.plain
 
@@ -110,13 +110,13 @@ def test_the_questions_are_well_formed() -> None:
 def test_what_was_measured_answers_its_question() -> None:
     """From the parts of a report: motions, pushes, buttons; what is not there is not answered, with how to."""
     empty, _ = report.begun(load_rig("falcon"), guided=False)
-    assert not any(row["measured"] for row in answered(empty))
+    assert not any(row["measured"] for row in answer_questions(empty))
     full = empty | {
         "moves": [{"asked": "move it up", "kind": "translation", "seen": "+z"}],
         "pushes": [{"axis": "+x", "seen": "-x"}],
         "buttons": {"masks": [0, 4]},
     }
-    answers = {row["id"]: row["answer"] for row in answered(full) if row["measured"]}
+    answers = {row["id"]: row["answer"] for row in answer_questions(full) if row["measured"]}
     assert answers == {
         "frame": "move it up: +z", "force-sign": "force along +x: -x", "buttons": "masks 0, 4 were seen"
     }  # fmt: skip

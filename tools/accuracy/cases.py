@@ -138,14 +138,14 @@ def contact(surface: str, ratio: float | None) -> tuple[Any, model.Vec3, model.V
     """Return the shape with that curvature ratio, and centre (3,) m and normal (3,) of the first contact."""
     found = SURFACES[surface]
     scale = 1.0 if ratio is None else RADIUS_M / (found.size * ratio)
-    shape = found.shape if scale == 1.0 else scaled(found.shape, scale)
+    shape = found.shape if scale == 1.0 else scale_shape(found.shape, scale)
     _, point, n = closest(shape, tuple(scale * x for x in found.near))
     normal = (float(n[0]), float(n[1]), float(n[2]))
     x, y, z = (float(p + RADIUS_M * c) for p, c in zip(point, normal, strict=True))
     return shape, (x, y, z), normal
 
 
-def scaled(shape: Any, scale: float) -> Any:
+def scale_shape(shape: Any, scale: float) -> Any:
     """Return the shape with all lengths multiplied by `scale`."""
     lengths = {name: value for name, value in shape._asdict().items() if name not in ("side", "normal")}
     return shape._replace(

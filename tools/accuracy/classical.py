@@ -18,7 +18,7 @@ from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.server.loop.clock import Stopwatch, now_ns
-from softfinger.tools.accuracy.montana import Coordinates, chart, moved, rolling_rates
+from softfinger.tools.accuracy.montana import Coordinates, advance, chart, rolling_rates
 
 Array = NDArray[np.float64]
 
@@ -98,24 +98,24 @@ def ode45(
             h = span - t
         at = angle + spin_rate * t
         turn = spin_rate * h
-        k2 = slope(radius, shape, moved(y, h / 5, k1), w, normal, at + turn / 5)
-        ahead = moved(moved(y, h * 3 / 40, k1), h * 9 / 40, k2)
+        k2 = slope(radius, shape, advance(y, h / 5, k1), w, normal, at + turn / 5)
+        ahead = advance(advance(y, h * 3 / 40, k1), h * 9 / 40, k2)
         k3 = slope(radius, shape, ahead, w, normal, at + turn * 3 / 10)
-        ahead = moved(moved(moved(y, h * 44 / 45, k1), h * -56 / 15, k2), h * 32 / 9, k3)
+        ahead = advance(advance(advance(y, h * 44 / 45, k1), h * -56 / 15, k2), h * 32 / 9, k3)
         k4 = slope(radius, shape, ahead, w, normal, at + turn * 4 / 5)
-        ahead = moved(moved(y, h * 19372 / 6561, k1), h * -25360 / 2187, k2)
-        ahead = moved(moved(ahead, h * 64448 / 6561, k3), h * -212 / 729, k4)
+        ahead = advance(advance(y, h * 19372 / 6561, k1), h * -25360 / 2187, k2)
+        ahead = advance(advance(ahead, h * 64448 / 6561, k3), h * -212 / 729, k4)
         k5 = slope(radius, shape, ahead, w, normal, at + turn * 8 / 9)
-        ahead = moved(moved(y, h * 9017 / 3168, k1), h * -355 / 33, k2)
-        ahead = moved(moved(moved(ahead, h * 46732 / 5247, k3), h * 49 / 176, k4), h * -5103 / 18656, k5)
+        ahead = advance(advance(y, h * 9017 / 3168, k1), h * -355 / 33, k2)
+        ahead = advance(advance(advance(ahead, h * 46732 / 5247, k3), h * 49 / 176, k4), h * -5103 / 18656, k5)
         k6 = slope(radius, shape, ahead, w, normal, at + turn)
-        ahead = moved(moved(moved(y, h * 35 / 384, k1), h * 500 / 1113, k3), h * 125 / 192, k4)
-        ahead = moved(moved(ahead, h * -2187 / 6784, k5), h * 11 / 84, k6)
+        ahead = advance(advance(advance(y, h * 35 / 384, k1), h * 500 / 1113, k3), h * 125 / 192, k4)
+        ahead = advance(advance(ahead, h * -2187 / 6784, k5), h * 11 / 84, k6)
         k7 = slope(radius, shape, ahead, w, normal, at + turn)
         count += 6
         nothing = Coordinates(0.0, 0.0, 0.0, 0.0, 0.0)
-        off = moved(moved(moved(nothing, 71 / 57600, k1), -71 / 16695, k3), 71 / 1920, k4)
-        off = moved(moved(moved(off, -17253 / 339200, k5), 22 / 525, k6), -1 / 40, k7)
+        off = advance(advance(advance(nothing, 71 / 57600, k1), -71 / 16695, k3), 71 / 1920, k4)
+        off = advance(advance(advance(off, -17253 / 339200, k5), 22 / 525, k6), -1 / 40, k7)
         error = h * largest(off, y, ahead)
         if error > RELATIVE_TOLERANCE:
             # Only the first failure in a row trusts the error estimate.

@@ -10,7 +10,7 @@ import numpy as np
 
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools.accuracy.cases import METHODS
-from softfinger.tools.accuracy.front import front, grouped, standard
+from softfinger.tools.accuracy.front import front, group_by, standard
 from softfinger.tools.accuracy.paper import MOTIONS, exact_path, method_path
 
 COLUMNS: Final = 4
@@ -48,7 +48,7 @@ def draw_fronts(result: dict[str, Any], path: Path) -> None:
     """
     rows = standard(result["trade"])
     motion = "changing" if any(row["motion"] == "changing" for row in rows) else "constant"
-    surfaces = grouped((row for row in rows if row["motion"] == motion), "surface")
+    surfaces = group_by((row for row in rows if row["motion"] == motion), "surface")
     groups = {str(name): group for (name,), group in surfaces}
     drawing, found = panels(path, list(groups), min(COLUMNS, len(groups)))
     lines: dict[str, Any] = {}
@@ -56,7 +56,7 @@ def draw_fronts(result: dict[str, Any], path: Path) -> None:
         chosen = front(group)
         points = [(row["ns_per_step"] / row["step_s"] * 1e-9, max(row["max_error_m"], FLOOR_M)) for row in chosen]
         (lines["Pareto front"],) = axes.loglog(*zip(*points, strict=True), **FRONT)
-        for (method,), ladder in grouped(group, "method"):
+        for (method,), ladder in group_by(group, "method"):
             load = [row["ns_per_step"] / row["step_s"] * 1e-9 for row in ladder]
             error = [max(row["max_error_m"], FLOOR_M) for row in ladder]
             (lines[method],) = axes.loglog(load, error, color=colour(method), linewidth=1)
@@ -72,12 +72,14 @@ def draw_orders(result: dict[str, Any], path: Path) -> None:
     measured = {row["surface"] for row in rows}
     names = [name for name in ORDER_SURFACES if name in measured] or sorted(measured)[:2]
     groups = {
-        f"{name}, {motion} rate": group for (name, motion), group in grouped(rows, "surface", "motion") if name in names
+        f"{name}, {motion} rate": group
+        for (name, motion), group in group_by(rows, "surface", "motion")
+        if name in names
     }
     drawing, found = panels(path, list(groups), min(2, len(groups)))
     lines: dict[str, Any] = {}
     for axes, group in zip(found, groups.values(), strict=True):
-        for (method,), ladder in grouped(group, "method"):
+        for (method,), ladder in group_by(group, "method"):
             steps = [row["step_s"] for row in ladder]
             error = [max(row["max_error_m"], FLOOR_M) for row in ladder]
             (lines[method],) = axes.loglog(steps, error, color=colour(method), marker=".", linewidth=1)

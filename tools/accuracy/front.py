@@ -26,7 +26,7 @@ def standard(rows: Iterable[Row]) -> list[Row]:
     return [row for row in own if all(row[key] == first[key] for key in keys)]
 
 
-def grouped(rows: Iterable[Row], *keys: str) -> Iterable[tuple[tuple[Any, ...], list[Row]]]:
+def group_by(rows: Iterable[Row], *keys: str) -> Iterable[tuple[tuple[Any, ...], list[Row]]]:
     """Group rows that agree in `keys`, in the order of their first appearance."""
     found: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
@@ -51,7 +51,7 @@ def front(rows: Sequence[Row]) -> list[Row]:
 
 def fronts(rows: Iterable[Row]) -> list[Row]:
     """Return the front of each surface and motion, over all methods and rates."""
-    return [row for _, group in grouped(standard(rows), "surface", "motion") for row in front(group)]
+    return [row for _, group in group_by(standard(rows), "surface", "motion") for row in front(group)]
 
 
 def orders(rows: Iterable[Row]) -> list[Row]:
@@ -61,7 +61,7 @@ def orders(rows: Iterable[Row]) -> list[Row]:
     follows the tolerance.
     """
     found = []
-    for (surface, motion, method), group in grouped(standard(rows), "surface", "motion", "method"):
+    for (surface, motion, method), group in group_by(standard(rows), "surface", "motion", "method"):
         clear = sorted((row["step_s"], row["max_error_m"]) for row in group)
         clear = [point for point in clear if point[1] > CLEAR * ROUNDING_M][:3]
         slope = None
@@ -78,7 +78,7 @@ def recommendations(rows: Iterable[Row], targets_m: Sequence[float]) -> list[Row
     `method` is None if no method is accurate enough.
     """
     found = []
-    for (surface, motion, rate), group in grouped(standard(rows), "surface", "motion", "rate_hz"):
+    for (surface, motion, rate), group in group_by(standard(rows), "surface", "motion", "rate_hz"):
         for target in targets_m:
             fit = [row for row in group if row["max_error_m"] <= target]
             best = min(fit, key=lambda row: row["ns_per_step"], default=None)

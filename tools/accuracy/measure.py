@@ -73,7 +73,7 @@ class Rolled(NamedTuple):
     step_ns: float
 
 
-def rolled(method: Any, shape: Any, center: Any, normal: Any, dq: Array, passes: int = 1) -> Rolled:
+def roll_path_timed(method: Any, shape: Any, center: Any, normal: Any, dq: Array, passes: int = 1) -> Rolled:
     """Return the path of the fingertip through the rotations `dq` (n, 4), timed in `passes` blocks."""
     path, repeats = np.zeros((len(dq), 7)), ceil(BLOCK_STEPS / len(dq)) if passes > 1 else 1
     watch = stopwatch(passes)
@@ -106,7 +106,7 @@ def run_case(case: Case) -> dict[str, Any]:
     dq = turns(orientations(track, normal, np.linspace(0.0, track.duration_s, count + 1)))
     points, spins = reference(track, count)
     unit = reference_ns()
-    found = rolled(METHODS[case.method](case.tolerance), shape, center, normal, dq, case.passes)
+    found = roll_path_timed(METHODS[case.method](case.tolerance), shape, center, normal, dq, case.passes)
     return {
         "surface": case.surface,
         "method": case.method,
@@ -152,7 +152,7 @@ def run_drift(case: DriftCase) -> dict[str, Any]:
     dq = np.column_stack([np.sqrt(1.0 - np.sum(half * half, axis=1)), half])
     method, off, blocks = METHODS[case.method](case.tolerance), 0.0, case.steps // DRIFT_BLOCK
     for _ in range(blocks):
-        out = rolled(method, shape, center, normal, dq)
+        out = roll_path_timed(method, shape, center, normal, dq)
         point, n = out.points[-1].tolist(), out.normals[-1].tolist()
         off = max(off, abs(float(closest(shape, tuple(point))[0])))
         normal = (n[0], n[1], n[2])

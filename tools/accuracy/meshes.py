@@ -158,12 +158,12 @@ def converge(name: str, fineness: Sequence[int], ticks: int = TICKS) -> Iterator
     A row also has the largest change of the force's direction from tick to tick, rad, which is N per N.
     """
     case = CASES[name]
-    paths = [led(case.shape, *begins(case), heading, ticks) for heading in HEADINGS_RAD]
+    paths = [lead_path(case.shape, *begins(case), heading, ticks) for heading in HEADINGS_RAD]
     for n in fineness:
         vertices, triangles = case.triangles(n)
         edges = vertices[triangles] - vertices[np.roll(triangles, 1, axis=1)]
         with tempfile.TemporaryDirectory() as folder:
-            table = {"shape": "mesh", "file": saved(Path(folder), vertices, triangles)}
+            table = {"shape": "mesh", "file": save_mesh(Path(folder), vertices, triangles)}
             flat, rolls = (Engine(scene_of(table, sticks)) for sticks in (False, True))
             shaded = Engine(scene_of(table | {"shading": "normals"}, False))
         found = [differences(path, *(visit(each, path) for each in (flat, shaded, rolls))) for path in paths]
@@ -207,7 +207,7 @@ def begins(case: Case) -> tuple[Array, Array]:
     return np.array(foot), np.array(up)
 
 
-def led(shape: Any, foot: Array, normal: Array, heading: float, ticks: int) -> Led:
+def lead_path(shape: Any, foot: Array, normal: Array, heading: float, ticks: int) -> Led:
     """Return the descent onto a point and the path on which the fingertip rolls from there.
 
     foot     (3,)  m, point of the surface
@@ -242,7 +242,7 @@ def scene_of(table: dict[str, Any], sticks: bool) -> schema.Scene:
     return build(schema.Scene, tables, "accuracy --meshes")
 
 
-def saved(folder: Path, vertices: Array, triangles: NDArray[np.int64]) -> str:
+def save_mesh(folder: Path, vertices: Array, triangles: NDArray[np.int64]) -> str:
     """Write an OBJ file with all digits of the numbers, and return its path."""
     if (why := missing()) is not None:
         raise ConfigError(f"accuracy --meshes needs trimesh: pip install 'softfinger[mesh]' ({why})")

@@ -206,7 +206,7 @@ def rolling_rates(radius: float, shape: Any, at: Coordinates, w: Vec3) -> Coordi
 
 
 @jit
-def moved(at: Coordinates, h: float, by: Coordinates) -> Coordinates:
+def advance(at: Coordinates, h: float, by: Coordinates) -> Coordinates:
     """Return at + h by."""
     return Coordinates(
         at.u_f + h * by.u_f, at.v_f + h * by.v_f, at.u_o + h * by.u_o, at.v_o + h * by.v_o, at.psi + h * by.psi
@@ -224,8 +224,8 @@ def roll_coordinates(radius: float, shape: Any, at: Coordinates, w: Vec3, steps:
         total, slope, ahead = at, at, at
         for stage in range(4):
             slope = rolling_rates(radius, shape, ahead, w)
-            total = moved(total, h / 6.0 if stage == 0 or stage == 3 else h / 3.0, slope)
-            ahead = moved(at, h if stage == 2 else 0.5 * h, slope)
+            total = advance(total, h / 6.0 if stage == 0 or stage == 3 else h / 3.0, slope)
+            ahead = advance(at, h if stage == 2 else 0.5 * h, slope)
         at = total
     return at
 

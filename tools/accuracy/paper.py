@@ -28,7 +28,7 @@ from softfinger.tools.accuracy.classical import (
     Steps,
     roll_classical,
 )
-from softfinger.tools.accuracy.measure import rolled
+from softfinger.tools.accuracy.measure import roll_path_timed
 from softfinger.tools.accuracy.montana import Coordinates
 from softfinger.tools.accuracy.reference import roll_path
 from softfinger.tools.bench.step import reference_ns
@@ -90,7 +90,7 @@ def method_path(name: str, motion: str, tolerance: float) -> Array:
     """
     method = METHODS[name](tolerance)
     if motion == "world":
-        return np.vstack([np.zeros(3), rolled(method, PLANE, CENTER, NORMAL, steps()).points])
+        return np.vstack([np.zeros(3), roll_path_timed(method, PLANE, CENTER, NORMAL, steps()).points])
     out = roll(method, PLANE, RADIUS_M, CENTER, NORMAL, rotations.exp(TURN_RAD))
     turned = out.spin * (np.arange(STEPS) + (0.5 if name == "euler_zxz" else 0.0))
     moved = complex(out.motion[0], out.motion[1]) * np.exp(1j * turned)
@@ -128,7 +128,7 @@ def speed(tolerance: float, blocks: int = 50) -> dict[str, Any]:
     counts: dict[str, int] = {}
     for _ in range(ROUNDS):
         for name, make in METHODS.items():
-            taken[name].append(rolled(make(tolerance), PLANE, CENTER, NORMAL, dq, blocks).step_ns)
+            taken[name].append(roll_path_timed(make(tolerance), PLANE, CENTER, NORMAL, dq, blocks).step_ns)
         for name, turns, dt, share in (
             ("classical", dq, STEP_S, MAX_STEP_SHARE),
             ("free", dq, STEP_S, 1.0),

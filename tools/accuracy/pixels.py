@@ -24,8 +24,8 @@ from softfinger.tools.accuracy.meshes import (
     Array,
     Led,
     differences,
-    led,
-    saved,
+    lead_path,
+    save_mesh,
     scene_of,
     visit,
 )
@@ -47,7 +47,7 @@ PASSES: Final = 3
 def paths(ticks: int) -> list[Led]:
     foot = np.array([*BEGIN_M, HILLS.height(*BEGIN_M)])
     normal, _ = normal_and_curvature(foot, HILLS)
-    return [led(HILLS, foot, normal, heading, ticks) for heading in HEADINGS_RAD]
+    return [lead_path(HILLS, foot, normal, heading, ticks) for heading in HEADINGS_RAD]
 
 
 def grid(pitch: float) -> tuple[Array, Array, Array]:
@@ -68,7 +68,7 @@ def table(kind: str, pitch: float, folder: Path) -> dict[str, Any]:
     a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
     triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     vertices = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
-    return {"shape": "mesh", "file": saved(folder, vertices, triangles), "shading": "normals"}
+    return {"shape": "mesh", "file": save_mesh(folder, vertices, triangles), "shading": "normals"}
 
 
 def compare(kind: str, pitch: float, ways: Sequence[Led]) -> dict[str, Any]:

@@ -225,7 +225,7 @@ def integrate(
     )  # fmt: skip
 
 
-def rolled(
+def roll_in_frame(
     shape: Any,
     radius: float,
     center: ArrayLike,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final, TextIO
 
 from softfinger.config.files import new_file
-from softfinger.tools.accuracy.front import grouped, standard
+from softfinger.tools.accuracy.front import group_by, standard
 
 RATE_HZ: Final = 1000.0
 """Servo rate of the printed recommendations if it was measured; else the highest."""
@@ -80,7 +80,7 @@ def speed_table(result: dict[str, Any]) -> Any:
 def orders_table(result: dict[str, Any]) -> Any:
     methods = list(dict.fromkeys(row["method"] for row in result["orders"]))
     rows = []
-    for (surface, motion), group in grouped(result["orders"], "surface", "motion"):
+    for (surface, motion), group in group_by(result["orders"], "surface", "motion"):
         found = {row["method"]: "-" if row["order"] is None else f"{row['order']:.2f}" for row in group}
         rows.append((surface, motion, *(found.get(method, "") for method in methods)))
     return table("measured order (-: rounding)", ("surface", "rate", *methods), rows, 2)
@@ -89,7 +89,7 @@ def orders_table(result: dict[str, Any]) -> Any:
 def front_table(result: dict[str, Any]) -> Any:
     """Return a table with a row for each part of a front with one method, over a range of servo rates."""
     rows = []
-    for (surface, motion), group in grouped(result["pareto"], "surface", "motion"):
+    for (surface, motion), group in group_by(result["pareto"], "surface", "motion"):
         for method, run in groupby(group, key=lambda row: row["method"]):
             stretch = list(run)
             rates, ns, error = ([row[key] for row in stretch] for key in ("rate_hz", "ns_per_step", "max_error_m"))
@@ -113,7 +113,7 @@ def sweep_table(result: dict[str, Any]) -> Any:
     keys = ("motion", "turn_rate_rad_per_s", "given_ratio", "spin_ratio", "rate_hz")
     methods = list(dict.fromkeys(row["method"] for row in result["trade"]))
     rows = []
-    for key, group in grouped((row for row in result["trade"] if id(row) not in ladder), *keys):
+    for key, group in group_by((row for row in result["trade"] if id(row) not in ladder), *keys):
         worst: dict[str, float] = {}
         for row in group:
             worst[row["method"]] = max(worst.get(row["method"], 0.0), row["max_error_m"])
@@ -126,7 +126,7 @@ def sweep_table(result: dict[str, Any]) -> Any:
 def drift_table(result: dict[str, Any]) -> Any:
     methods = list(dict.fromkeys(row["method"] for row in result["drift"]))
     rows = []
-    for (surface, steps), group in grouped(result["drift"], "surface", "steps"):
+    for (surface, steps), group in group_by(result["drift"], "surface", "steps"):
         found = {row["method"]: f"{row['drift_m']:.0e}" for row in group}
         rows.append((surface, f"{steps:g}", *(found.get(method, "") for method in methods)))
     return table("drift off the surface, m", ("surface", "steps", *methods), rows, 1)
@@ -142,7 +142,7 @@ def at_advised_rate(result: dict[str, Any]) -> list[dict[str, Any]]:
 def advice(result: dict[str, Any]) -> list[str]:
     """Return the recommendations for RATE_HZ; of errors with the same method only the smallest."""
     found = []
-    for _, group in grouped(at_advised_rate(result), "surface", "motion", "method"):
+    for _, group in group_by(at_advised_rate(result), "surface", "motion", "method"):
         pick = min if group[0]["method"] else max
         found.append(pick(group, key=lambda row: row["error_below_m"])["sentence"])
     return [str(sentence) for sentence in found]

@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
                 ]
             )
             done(number + 1)
-    rows = [{"plant": name} | told(of) for name, *of in zip(HANDLES, *turns, strict=True)]
+    rows = [{"plant": name} | summarize(of) for name, *of in zip(HANDLES, *turns, strict=True)]
     result = {"scene": args.scene, "ticks": TICKS * blocks, "plants": rows}
     lines = [f"closed loop on {args.scene}: contact step, guard and simulated device, in contact, one processor"]
     lines += [
@@ -132,7 +132,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def told(turns: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def summarize(turns: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return the quietest turn of a plant."""
     row: dict[str, Any] = {key: quiet([turn[key] for turn in turns]) for key in turns[0]}
     row["p99_block_ns_per_tick"] = float(np.median([turn["p99_block_ns_per_tick"] for turn in turns]))

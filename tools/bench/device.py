@@ -22,7 +22,7 @@ from softfinger.tools.exchange import (
     Exchange,
     check_seconds,
     compile_exchange,
-    disarmed,
+    disarmed_guard,
 )
 from softfinger.tools.exchange_figures import burst_figures, burst_line, figures, table
 from softfinger.tools.measure import Array, show
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     rig = load_rig(args.rig)
     rate = rig.servo.rate_hz
     compile_exchange()
-    with open_device(single_device(rig), rate) as device, Exchange(device, rig, disarmed(rig)) as exchange:
+    with open_device(single_device(rig), rate) as device, Exchange(device, rig, disarmed_guard(rig)) as exchange:
         with progress("measuring the exchange with the device"):
             rows = exchange.record(args.seconds)
             burst = exchange.burst()

@@ -70,9 +70,9 @@ def run(args: argparse.Namespace) -> int:
             scene = scene_of(radius, shape="mesh", file=file)
             made = {"triangles": len(triangles), "bumpy": bumpy, "fingertip_m": radius}
             made["loaded_s"] = time.perf_counter() - begun
-            rows.append(made | measured(scene, radius, args) | asked(scene, vertices[triangles], radius))
+            rows.append(made | measure_ticks(scene, radius, args) | count_visits(scene, vertices[triangles], radius))
             done(len(rows))
-        beside = [measured(scene_of(r, shape="sphere", radius_m=RADIUS_M), r, args) for r in args.fingertip]
+        beside = [measure_ticks(scene_of(r, shape="sphere", radius_m=RADIUS_M), r, args) for r in args.fingertip]
     result = {"rows": rows, "sphere": [{"fingertip_m": r} | row for r, row in zip(args.fingertip, beside, strict=True)]}
     show(result, args.json, list(table(result)))
     if args.plot:
@@ -125,7 +125,7 @@ def way(ticks: int, radius: float) -> Array:
     return poses
 
 
-def measured(scene: schema.Scene, radius: float, args: argparse.Namespace) -> dict[str, Any]:
+def measure_ticks(scene: schema.Scene, radius: float, args: argparse.Namespace) -> dict[str, Any]:
     """Measure the time of single ticks, ns: back to back, paced, and in free motion."""
     tree = build_scene(scene)
     parameters, poses = packed(tree), way(args.ticks, radius)
@@ -162,7 +162,7 @@ def ask(like: Any, values: Array, points: Array, found: Array) -> None:
                 found[i, 2] = min(found[i, 2], foot_on(corners_of(triangles, k), x).square)
 
 
-def asked(scene: schema.Scene, corners: Array, radius: float) -> dict[str, Any]:
+def count_visits(scene: schema.Scene, corners: Array, radius: float) -> dict[str, Any]:
     """Return the nodes and triangles visited for the nearest one, and the largest error of the distance."""
     mesh = build_scene(scene).objects.body.shape
     points = np.ascontiguousarray(way(BLOCK, radius)[:, :3])

@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
                 for place, ending in enumerate(SUFFIXES):
                     taken[ending].append(simulate(args.scene, poses, Path(made, f"results{ending}")))
                     done(turn * len(SUFFIXES) + place + 1)
-    rows = [{"format": ending[1:]} | told(turns, ticks) for ending, turns in taken.items()]
+    rows = [{"format": ending[1:]} | summarize(turns, ticks) for ending, turns in taken.items()]
     lines = [f"{ticks} ticks on {args.scene}, poses from CSV, with the start of the program; {rounds} turns each"]
     lines += [
         f"  {row['format']:<5}{row['seconds']:7.2f} s, median {row['median_seconds']:.2f}, "
@@ -97,7 +97,7 @@ def children_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def told(turns: list[tuple[float, float]], ticks: int) -> dict[str, Any]:
+def summarize(turns: list[tuple[float, float]], ticks: int) -> dict[str, Any]:
     """Return the fastest turn, since other programs share the machine, and the median."""
     walls, cpus = zip(*turns, strict=True)
     return {

@@ -126,13 +126,13 @@ def soak(rig: Rig, seconds: float) -> Soaked:
         page, address = running.enter_context(viewer("--endpoint", shown.endpoint, "--commands", commands))
         running.enter_context(helper("--page", address))
         readers = [running.enter_context(helper(shown.endpoint)) for _ in range(SUBSCRIBERS)]
-        running.enter_context(ended([sys.executable, "-c", BUSY]))
+        running.enter_context(end_after([sys.executable, "-c", BUSY]))
         client = running.enter_context(Client(shown.endpoint, commands, timeout_s=30.0))
-        beside = running.enter_context(in_c(rig, folder))
+        beside = running.enter_context(run_c_loop(rig, folder))
         trees = {"daemon": shown.process.pid, "page": page.pid}
         trees |= {f"subscriber {number}": reader.pid for number, reader in enumerate(readers, 1)}
         first = newest(shown.endpoint)
-        times, processes = watched(trees, lambda number: change(client, number), seconds)
+        times, processes = watch_processes(trees, lambda number: change(client, number), seconds)
         last = newest(shown.endpoint)
         for reader in readers:
             reader.send_signal(signal.SIGTERM)
@@ -140,7 +140,9 @@ def soak(rig: Rig, seconds: float) -> Soaked:
         return Soaked(times, processes, last[0] - first[0], last[1] - first[1], beside(), lost)
 
 
-def watched(trees: dict[str, int], act: Callable[[int], None], seconds: float) -> tuple[Array, dict[str, Array]]:
+def watch_processes(
+    trees: dict[str, int], act: Callable[[int], None], seconds: float
+) -> tuple[Array, dict[str, Array]]:
     """Sample every process and its children, and call `act` ten times a second, until the end or a signal.
 
     Returns the times (n,) s and, by process, samples (n, 3), NaN if the process did not exist. A process that existed
@@ -202,7 +204,7 @@ def newest(endpoint: str) -> tuple[int, int]:
 
 
 @contextmanager
-def ended(words: list[str]) -> Iterator[subprocess.Popen[str]]:
+def end_after(words: list[str]) -> Iterator[subprocess.Popen[str]]:
     """Run a process until the block ends, and kill it with all processes that it has started."""
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
         try:
@@ -216,14 +218,14 @@ def ended(words: list[str]) -> Iterator[subprocess.Popen[str]]:
 @contextmanager
 def helper(*words: str) -> Iterator[subprocess.Popen[str]]:
     """Run this file as a process until the block ends; yields it once it is at work."""
-    with ended([sys.executable, "-m", "softfinger.tools.bench.soak", *words]) as process:
+    with end_after([sys.executable, "-m", "softfinger.tools.bench.soak", *words]) as process:
         assert process.stdout is not None
         process.stdout.readline()
         yield process
 
 
 @contextmanager
-def in_c(rig: Rig, folder: Path) -> Iterator[Callable[[], int | None]]:
+def run_c_loop(rig: Rig, folder: Path) -> Iterator[Callable[[], int | None]]:
     """Run the C loop in turns.
 
     Yields a function that ends the loop and returns its missed deadlines, None without a compiler.
@@ -314,7 +316,7 @@ def draw(path: Path, soaked: Soaked) -> None:
     save(drawing, path)
 
 
-def until_asked() -> threading.Event:
+def stop_on_sigterm() -> threading.Event:
     """Return an event that SIGTERM sets, and print that the process is at work."""
     stopped = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stopped.set())
@@ -324,7 +326,7 @@ def until_asked() -> threading.Event:
 
 def receive(endpoint: str) -> None:
     """Run a subscriber that counts the ticks it did not receive and prints them on SIGTERM."""
-    stopped, lost = until_asked(), 0
+    stopped, lost = stop_on_sigterm(), 0
     with subscribe(endpoint) as samples:
         while not stopped.is_set():
             if (sample := samples.receive(0.1)) is not None:
@@ -360,7 +362,7 @@ def repeat_in_c(program: str, rate_hz: str, realtime: str, priority: str) -> Non
     rig = load_rig("simulated", {"servo.rate_hz": float(rate_hz), "servo.priority": int(priority)})
     if realtime == "off":
         rig = load_rig("simulated", {"servo.rate_hz": float(rate_hz), "servo.realtime": "off"})
-    stopped, missed = until_asked(), 0
+    stopped, missed = stop_on_sigterm(), 0
     while not stopped.is_set():
         rows = run_reference(Path(program), rig, round(C_TURN_S * rig.servo.rate_hz))
         missed += int(np.floor(rows[:, 0] * rig.servo.rate_hz).sum())

@@ -100,7 +100,7 @@ def select(offered: Sequence[Feature], patterns: Sequence[str]) -> list[Feature]
 def variants(name: str, scene: Scene, blocks: int) -> list[dict[str, Any]]:
     poses = corner_poses() if name == CORNER else touching_poses(scene)
     parts = [("whole", scene), *((f"without {n}", s) for n, s in without_parts(scene)), ("bare", bare_contact(scene))]
-    units, costs = in_turns([(part, poses) for _, part in parts], blocks)
+    units, costs = measure_in_turns([(part, poses) for _, part in parts], blocks)
     rows: list[dict[str, Any]] = []
     for (label, _), turns in zip(parts, costs, strict=True):
         row = {"variant": label, "ns_per_step": quiet([cost.median_ns for cost in turns])}
@@ -113,7 +113,7 @@ def variants(name: str, scene: Scene, blocks: int) -> list[dict[str, Any]]:
     return rows
 
 
-def in_turns(measured: Sequence[tuple[Scene, Any]], blocks: int) -> tuple[list[float], list[list[Cost]]]:
+def measure_in_turns(measured: Sequence[tuple[Scene, Any]], blocks: int) -> tuple[list[float], list[list[Cost]]]:
     """Measure scenes with their poses, `blocks` blocks each in ROUNDS turns.
 
     Returns the time of the reference in each turn, ns, and the Cost of each scene in each turn.
@@ -153,7 +153,7 @@ def cost_of(feature: Feature, blocks: int) -> dict[str, Any]:
         poses = (touching_poses(feature.without),) * 2
     else:
         poses = touching_poses(feature.without), touching_poses(feature.having)
-    units, (without, having) = in_turns(list(zip(scenes, poses, strict=True)), blocks)
+    units, (without, having) = measure_in_turns(list(zip(scenes, poses, strict=True)), blocks)
     before, after = np.array([cost.median_ns for cost in without]), np.array([cost.median_ns for cost in having])
     return {
         "feature": feature.name,

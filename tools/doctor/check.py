@@ -18,7 +18,7 @@ class Check(NamedTuple):
     remedy: str = ""
 
 
-def graded(value: float, fair: float, bad: float) -> State:
+def grade(value: float, fair: float, bad: float) -> State:
     """Return the state of a number that is good up to `fair` and bad above `bad`."""
     return STATES[(value > fair) + (value > bad)]
 

@@ -23,7 +23,7 @@ from softfinger.server.offline.cost import touching_poses
 from softfinger.server.progress import progress, report_compilation
 from softfinger.server.wire.publisher import Publisher
 from softfinger.tools.bench import loop
-from softfinger.tools.doctor.check import STATES, Check, graded
+from softfinger.tools.doctor.check import STATES, Check, grade
 
 MISSED_FAIR: Final = 1e-4
 """Fraction of missed ticks: one in ten seconds at 1 kHz. A missed tick extends the force by one period."""
@@ -96,10 +96,10 @@ def lateness(rig: Rig, scene: Scene, seconds: float, plot: Path | None = None) -
     result = loop.evaluate({name: np.concatenate(parts) for name, parts in runs.items()}, rig.servo.rate_hz)
     if plot is not None:
         loop.draw(plot, runs, rig.servo.rate_hz)
-    return judged(result), result
+    return judge_loop(result), result
 
 
-def judged(result: dict[str, Any]) -> list[Check]:
+def judge_loop(result: dict[str, Any]) -> list[Check]:
     """Return the checks for the figures of `tools.bench.loop.evaluate`."""
     period, servo = 1.0 / result["rate_hz"], result["servo"]
     share, late = servo["missed"] / servo["ticks"], servo["late"]["p99"]
@@ -111,14 +111,14 @@ def judged(result: dict[str, Any]) -> list[Check]:
     return [
         Check(
             "ticks in time",
-            graded(share, MISSED_FAIR, MISSED_BAD),
+            grade(share, MISSED_FAIR, MISSED_BAD),
             f"{servo['missed']} of {servo['ticks']} missed ({share:.3%}) at {result['rate_hz']:g} Hz",
             f"at most {MISSED_FAIR:.2%}; above {MISSED_BAD:.0%} it is felt",
             f"correct the faults listed above; {quiet}; or a lower servo.rate_hz",
         ),
         Check(
             "wake-up lateness",
-            graded(late / period, LATE_FAIR, LATE_BAD),
+            grade(late / period, LATE_FAIR, LATE_BAD),
             f"p99 {late * 1e6:.0f} us, {late / period:.1%} of the period; {beside}",
             f"at most {LATE_FAIR:.0%} of the period; above {LATE_BAD:.0%} a tick does not fit",
             f"correct the faults listed above; {quiet}",
@@ -133,7 +133,7 @@ def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
     share = cost.median_ns * 1e-9 * rig.servo.rate_hz
     return Check(
         "contact step",
-        graded(share, STEP_FAIR, STEP_BAD),
+        grade(share, STEP_FAIR, STEP_BAD),
         f"{cost.median_ns:.0f} ns on {scene_name}, {share:.3%} of the period",
         f"at most {STEP_FAIR:.0%} of the period",
         f"softfinger check {scene_name} --explain says what each part costs; or a lower servo.rate_hz",

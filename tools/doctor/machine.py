@@ -94,7 +94,7 @@ def virtual(root: Path = ROOT) -> Check:
     seen = []
     machine = " ".join(filter(None, (text(root / "sys/class/dmi/id" / key) for key in ("sys_vendor", "product_name"))))
     if re.search(r"^flags\s*:.*\bhypervisor\b", text(root / "proc/cpuinfo"), re.MULTILINE):
-        seen.append(f"virtual machine{f' ({machine})' if machine else ''}, {stolen(root)}")
+        seen.append(f"virtual machine{f' ({machine})' if machine else ''}, {stolen_share(root)}")
     if (
         (root / ".dockerenv").exists()
         or (root / "run/.containerenv").exists()
@@ -115,7 +115,7 @@ def virtual(root: Path = ROOT) -> Check:
     )
 
 
-def stolen(root: Path = ROOT) -> str:
+def stolen_share(root: Path = ROOT) -> str:
     """Return the share of time that the host has taken from this machine since its start."""
     words = text(root / "proc/stat").partition("\n")[0].split()[1:9]
     if len(words) < 8 or not sum(map(int, words)):

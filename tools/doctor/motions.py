@@ -99,7 +99,7 @@ def rotation(before: Array, after: Array) -> Array:
     return angle
 
 
-def translated(rows: Array) -> Array:
+def translation_of(rows: Array) -> Array:
     """Return the displacement (3,) m of the handle from the start of a part to its end."""
     kept = finite(rows)
     count = max(1, round(ENDS * len(kept)))
@@ -115,7 +115,7 @@ def move(asked: str, kind: str, expected: str, rows: Array) -> dict[str, Any] | 
     if len(kept) == 0:
         return None
     turned = kind == "rotation"
-    vector = rotation(kept[0], kept[-1]) if turned else translated(kept)
+    vector = rotation(kept[0], kept[-1]) if turned else translation_of(kept)
     seen = along(vector, TURNED_RAD if turned else MOVED_M)
     return {
         "asked": asked,

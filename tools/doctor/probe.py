@@ -25,7 +25,7 @@ from softfinger.tools.doctor import motions
 from softfinger.tools.doctor.axes_picture import picture
 from softfinger.tools.doctor.report import begun, pushing, record, report_file, written
 from softfinger.tools.doctor.session import TRANSLATIONS, Session
-from softfinger.tools.exchange import START, Exchange, disarmed
+from softfinger.tools.exchange import START, Exchange, disarmed_guard
 from softfinger.tools.exchange_figures import figures
 from softfinger.tools.measure import Array
 from softfinger.tools.options import PUSH_N
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     report, serials = begun(rig, guided)
 
     def guard_of(device: Device) -> Guard:
-        return pushing(rig, device, PUSH_N, "--push") if args.push else disarmed(rig)
+        return pushing(rig, device, PUSH_N, "--push") if args.push else disarmed_guard(rig)
 
     def session_of(exchange: Exchange, info: DeviceInfo) -> Session:
         return Probe(exchange, info, report, PART_S, guided, freedom)
@@ -96,7 +96,7 @@ class Probe(Session):
             if found is not None:
                 self._report["moves"].append(found)
         parts.append(self._cued("press each button in turn, and turn the handle"))
-        together = joined(parts)
+        together = join_rows(parts)
         if len(together):
             self._report["exchange"] = figures(together, self._exchange.rate_hz)
             self._report["buttons"] = {"masks": motions.masks(together)}
@@ -133,7 +133,7 @@ class Probe(Session):
         return said.strip()[:80]
 
 
-def joined(parts: list[Array]) -> Array:
+def join_rows(parts: list[Array]) -> Array:
     """Join rows of parts; the gaps between the parts are removed from their times."""
     kept: list[Array] = []
     begins = 0.0

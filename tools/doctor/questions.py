@@ -30,7 +30,7 @@ def questions() -> tuple[Question, ...]:
     return tuple(Question(row["id"], tuple(row["drivers"]), row["question"], row["how"]) for row in rows)
 
 
-def answered(report: Report) -> list[dict[str, Any]]:
+def answer_questions(report: Report) -> list[dict[str, Any]]:
     """Return the questions of a report's driver, each with the measured answer or with the way to get it."""
     found = []
     for one in questions():

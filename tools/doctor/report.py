@@ -25,10 +25,10 @@ from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.tuning import guard_limits
 from softfinger.tools.bench.device import draw
 from softfinger.tools.doctor import attached, machine, privacy
-from softfinger.tools.doctor.questions import answered
+from softfinger.tools.doctor.questions import answer_questions
 from softfinger.tools.doctor.report_text import lines
 from softfinger.tools.doctor.session import FORCE_MIN_S, Session
-from softfinger.tools.exchange import Exchange, compile_exchange, disarmed
+from softfinger.tools.exchange import Exchange, compile_exchange, disarmed_guard
 from softfinger.tools.measure import show
 
 FORMAT: Final = 1
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
     def work() -> None:
         def guard_of(device: Device) -> Guard:
-            return disarmed(rig) if args.with_force is None else pushing(rig, device, args.with_force)
+            return disarmed_guard(rig) if args.with_force is None else pushing(rig, device, args.with_force)
 
         def session_of(exchange: Exchange, info: DeviceInfo) -> Session:
             return Session(exchange, info, report, args.seconds, guided, freedom)
@@ -95,7 +95,7 @@ def written(
             "message": str(error),
             "in_use": report["device"] is not None,
         }
-    report["questions"] = answered(report)
+    report["questions"] = answer_questions(report)
     report = privacy.Privacy(serials).clean(report)
     write(file, report)
     show(report, as_json, [*head(report), *lines(report, file)])

@@ -78,7 +78,7 @@ def starved_s(gap_s: float, period_s: float = TICK_S) -> float:
     return (floor(health.LOST_MAX_S / lost) + 1) * (gap_s + period_s)
 
 
-def starved() -> tuple[float, float]:
+def stall_range_s() -> tuple[float, float]:
     """Return the shortest and the longest time (s) of consecutive stalls, of every length that counts."""
     times = [starved_s(float(gap)) for gap in np.linspace(health.GAP_MIN_S, health.GAP_MAX_S, 1000)]
     return min(times), max(times)
@@ -126,7 +126,7 @@ _HELD: Final = round(base.IGNORED_WRENCH_MAX_S / TICK_S) + 2
 """Including the tick in which it ends."""
 _STALLED: Final = round(health.STALL_MAX_S / TICK_S)
 _QUIET: Final = round(max(QUIET_S.values()) / TICK_S)
-_STARVED: Final = starved()
+_STARVED: Final = stall_range_s()
 _FAST: Final = default(Guard, "handle_speed_max_m_per_s")
 _FASTER: Final = 1.5 * _FAST
 _CAUGHT: Final = f"{ticks_to_exceed(_FAST, _FASTER)} ticks at {_FASTER:g} m/s"

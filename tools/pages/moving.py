@@ -37,7 +37,7 @@ TITLES: Final = (
 )
 
 
-def lifted(torsion: bool) -> tuple[Array, Array, Array]:
+def simulate_lift(torsion: bool) -> tuple[Array, Array, Array]:
     """Return the states of all frames.
 
     They are the box's position in the plane (n, 2) m, its turn (n,) deg, and the fingers' position (n, 2) m.
@@ -68,7 +68,7 @@ def _given_way(gap: Array) -> Array:
 
 def picture() -> str:
     """Return the text of the SVG."""
-    halves = [_half(place, *lifted(torsion)) for place, torsion in enumerate((True, False))]
+    halves = [_half(place, *simulate_lift(torsion)) for place, torsion in enumerate((True, False))]
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {2 * WIDTH} {HEIGHT}" width="{2 * WIDTH}" '
         f'height="{HEIGHT}" font-family="sans-serif" font-size="14">\n'

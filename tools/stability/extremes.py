@@ -106,7 +106,7 @@ WALLS: Final = (
 )
 
 
-def turned(angles: NDArray[np.floating[Any]], axis: Sequence[float]) -> Array:
+def turns_about(angles: NDArray[np.floating[Any]], axis: Sequence[float]) -> Array:
     """Return the quaternions (n, 4) of the angles (n,) rad about an axis."""
     unit = np.asarray(axis, float) / np.linalg.norm(axis)
     return np.column_stack([np.cos(angles / 2), np.sin(angles / 2)[:, None] * unit])
@@ -168,13 +168,13 @@ def on_a_plane() -> Iterator[Case]:
     yield Case("no rotation", "a drag without any turn", scene(), press(0.001, way=0.01), even(TICKS), expects=slides)
     for angle, words in ((pi, "pi"), (pi - 1e-9, "a little less than pi"), (pi + 1e-9, "a little more than pi")):
         poses = press(0.001)
-        poses[:, 3:] = turned(angle * np.arange(TICKS), (1.0, 0.3, 0.1))
+        poses[:, 3:] = turns_about(angle * np.arange(TICKS), (1.0, 0.3, 0.1))
         yield Case("rotation in one tick", f"{words} about a slanting axis, every tick", scene(), poses, even(TICKS))
     poses = press(0.001)
-    poses[:, 3:] = turned(0.02 * np.arange(TICKS), (0.0, 0.0, 1.0))
+    poses[:, 3:] = turns_about(0.02 * np.arange(TICKS), (0.0, 0.0, 1.0))
     yield Case("gimbal of ZXZ", "theta = 0: pure spin", scene(), poses, even(TICKS), expects=never_slides)
     poses = press(0.001)
-    poses[:, 3:] = turned(pi * np.arange(TICKS), (1.0, 0.0, 0.0))
+    poses[:, 3:] = turns_about(pi * np.arange(TICKS), (1.0, 0.0, 0.0))
     yield Case("gimbal of ZXZ", "theta = pi every tick", scene(), poses, even(TICKS))
     for radius in (1e-5, 1e3):
         model = scene(radius=radius)
@@ -214,7 +214,7 @@ def on_a_plane() -> Iterator[Case]:
     poses[:, :3] = hops
     yield Case("teleporting probe", "up to 1000 km a tick, through the plane", scene(), poses, even(TICKS))
     poses = press(1.0)
-    yield Case("deep penetration", "1 m at 1e6 N/m", scene(stiffness=1e6), poses, even(TICKS), expects=clamped)
+    yield Case("deep penetration", "1 m at 1e6 N/m", scene(stiffness=1e6), poses, even(TICKS), expects=clamp_sample)
 
 
 def on_other_objects() -> Iterator[Case]:
@@ -226,13 +226,13 @@ def on_other_objects() -> Iterator[Case]:
         yield Case("curvature", words, scene(ball, radius=radius), poses, even(TICKS), expects=touches_and_leaves)
     for sign in (1.0, -1.0):
         poses = press(0.001)
-        poses[:, 3:] = turned(sign * pi / 2 * np.arange(TICKS), (0.0, 1.0, 0.0))
+        poses[:, 3:] = turns_about(sign * pi / 2 * np.arange(TICKS), (0.0, 1.0, 0.0))
         yield Case("gimbal of ZYX", "pitch of pi/2 every tick", scene(BALL, method="euler_zyx"), poses, even(TICKS))
 
     for place, words in (((0.01, 0.0), "edge"), ((0.01, 0.01), "corner")):
         poses = press(0.001, way=0.004)
         poses[:, :2] += np.asarray(place) - 0.001
-        poses[:, 3:] = turned(np.linspace(0.0, 2.0, TICKS), (0.3, 1.0, 0.0))
+        poses[:, 3:] = turns_about(np.linspace(0.0, 2.0, TICKS), (0.3, 1.0, 0.0))
         words = f"of a box, rolled over its {words}"
         yield Case("sharp object", words, scene(BLOCK), poses, even(TICKS), expects=touches_and_leaves)
 
@@ -241,11 +241,11 @@ def on_other_objects() -> Iterator[Case]:
         poses[:, : count - 1] += 0.009
         poses[:, count - 1 : 2] += 0.05
         words = f"{count} walls at once, turning"
-        poses[:, 3:] = turned(np.linspace(0.0, 1.0, TICKS), (1.0, 1.0, 1.0))
+        poses[:, 3:] = turns_about(np.linspace(0.0, 1.0, TICKS), (1.0, 1.0, 1.0))
         yield Case("several contacts", words, scene(*WALLS), poses, even(TICKS))
 
 
-def clamped(records: Array) -> str:
+def clamp_sample(records: Array) -> str:
     force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
     return "" if force.max() > 0.99 * FORCE_MAX_N else "the clamp was not reached"
 

@@ -54,18 +54,18 @@ of a scene.
 def damping_limit(case: Case) -> float:
     """Return the wall damping, N s/m, above which no wall of the linear loop is stable, to a percent."""
     low, high = 0.0, 1.0
-    while linear_limit(varied(case, "wall_damping_ns_per_m", high).linear()) > 0.0:
+    while linear_limit(vary(case, "wall_damping_ns_per_m", high).linear()) > 0.0:
         low, high = high, 2.0 * high
     while high - low > 0.01 * high:
         middle = 0.5 * (low + high)
-        if linear_limit(varied(case, "wall_damping_ns_per_m", middle).linear()) > 0.0:
+        if linear_limit(vary(case, "wall_damping_ns_per_m", middle).linear()) > 0.0:
             low = middle
         else:
             high = middle
     return high
 
 
-def varied(case: Case, key: str, value: float) -> Case:
+def vary(case: Case, key: str, value: float) -> Case:
     return msgspec.structs.replace(case, **{key: value})
 
 
@@ -84,7 +84,7 @@ def cases_of(name: str, case: Case, points: int = POINTS) -> list[Case]:
     """Return the cases of a map."""
     key = MAPS[name].key
     whole = key == "delay_ticks"
-    return [varied(case, key, int(value) if whole else value) for value in axis(name, case, points).tolist()]
+    return [vary(case, key, int(value) if whole else value) for value in axis(name, case, points).tolist()]
 
 
 def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: Case) -> None:

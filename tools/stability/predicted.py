@@ -53,7 +53,7 @@ class LinearLoop(NamedTuple):
     hand_damping: float = 0.0
 
 
-def held(loop: LinearLoop) -> tuple[Array, Array]:
+def hold_force(loop: LinearLoop) -> tuple[Array, Array]:
     """Return position and velocity after a tick of constant force: phi (2, 2) and gamma (2,), exact.
 
     They follow from the exponential of the motion with the constant force as a third state.
@@ -72,7 +72,7 @@ def closed_loop(loop: LinearLoop) -> tuple[Array, Array]:
     The state has position and velocity, sensed position and filtered velocity of the last tick, and the d delayed
     commands, oldest first.
     """
-    phi, gamma = held(loop)
+    phi, gamma = hold_force(loop)
     d = loop.delay
     gain = 1.0 / (loop.velocity_time_constant + loop.period)
     velocity, wall = np.zeros(4 + d), np.zeros(4 + d)  # rows: outputs of the servo for a state

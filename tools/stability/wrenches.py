@@ -60,7 +60,7 @@ def cases() -> Iterator[Case]:
     for value, component in ((nan, 0), (inf, 1), (-inf, 2), (nan, 3), (inf, 4), (-inf, 5)):
         broken = STEADY.copy()
         broken[BROKEN_AT, component] = value
-        yield Case(f"{value:+} N".replace("+nan", "nan") + " m" * (component > 2), broken, even, refused)
+        yield Case(f"{value:+} N".replace("+nan", "nan") + " m" * (component > 2), broken, even, refuse)
     yield Case("1e300 N", STEADY * 1e300, even, reaches_the_clamp)
     held = even.copy()
     held[RAMP_TICKS] = 0.05
@@ -89,7 +89,7 @@ def reaches_the_clamp(out: Array, bits: NDArray[np.int64]) -> str:
     return "" if good else "the limit was not reached, or the direction lost"
 
 
-def refused(out: Array, bits: NDArray[np.int64]) -> str:
+def refuse(out: Array, bits: NDArray[np.int64]) -> str:
     at = BROKEN_AT
     if out[at].any() or bits[at] != NOT_FINITE or (np.delete(bits, at) & NOT_FINITE).any():
         return "a wrench that is not finite was not refused, or not named"
