@@ -109,7 +109,9 @@ SET_BY = {
         (health, name) for name in ("LOST_MAX_S", "LOST_SHARE", "GAP_MIN_S", "GAP_MAX_S")
     ],
     "an exception in the servo's thread": [(HapticError, "exit_code")],
-    "a publisher that ends, also while no memory or file descriptor is left": [(link, "PAUSE_MAX_S")],
+    "a process of telemetry or commands that ends, also while no memory or file descriptor is left": [
+        (link, "PAUSE_MAX_S")
+    ],
     "a page that ends, also while no memory or file descriptor is left": [(process, "RESTARTS")],
     "memory of the daemon in swap": [(swapping, "PERIOD_S")],
     "commands that cannot be taken": [(SafetyStop, "exit_code")],
