@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final, NoReturn, Self
 
 from softfinger.config.errors import ConfigError
+from softfinger.server.wire import DEFAULT_ENDPOINT
 
 _NAMED_FILE: Final = re.compile(r"([A-Za-z0-9_-]+)=(.+)", re.DOTALL)
 
@@ -68,6 +69,13 @@ class Parser(argparse.ArgumentParser):
 
             error.message += near(value, action.choices or ())
             raise
+
+
+def add_endpoint_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--endpoint` of a client of a daemon."""
+    parser.add_argument(
+        "--endpoint", default=DEFAULT_ENDPOINT, help="of the daemon: its telemetry or its commands (%(default)s)"
+    )
 
 
 def add_key_options(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""The study: figures of docs/, and the tables of accuracy and of bodies under fingers, made anew by one command.
+"""Study: make the figures of docs/, and the tables of accuracy and of bodies under fingers, by one command.
 
     python -m softfinger.tools.study docs             # or: make study
 

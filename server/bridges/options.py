@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Final
 
-from softfinger.server.arguments import add_key_options
-from softfinger.server.wire import DEFAULT_ENDPOINT
+from softfinger.server.arguments import add_endpoint_option, add_key_options
 
 FOXGLOVE_PORT: Final = 8765
 """Default port of Foxglove."""
@@ -19,11 +18,7 @@ def configure_bridge(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("viewer", choices=["foxglove", "rerun"], help="which")
     parser.add_argument("recording", nargs="?", metavar="FILE", help="a recording for Rerun, in place of a daemon")
-    parser.add_argument(
-        "--endpoint",
-        default=DEFAULT_ENDPOINT,
-        help="of the daemon: its telemetry or its commands (%(default)s)",
-    )
+    add_endpoint_option(parser)
     parser.add_argument(
         "--commands", metavar="URL", help="endpoint of the daemon's description (default: next to that of telemetry)"
     )

@@ -9,10 +9,9 @@ import argparse
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.server.arguments import add_key_options, duration
+from softfinger.server.arguments import add_endpoint_option, add_key_options, duration
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.viewer.roles import Role
-from softfinger.server.wire import DEFAULT_ENDPOINT
 
 RIG: Final = "replay"
 VIEW_RIG: Final = "simulated-hand"
@@ -81,11 +80,7 @@ def configure_simulate(parser: argparse.ArgumentParser) -> None:
 
 def configure_monitor(parser: argparse.ArgumentParser) -> None:
     parser.description = "Show contact mode, forces, lateness and events of a running server."
-    parser.add_argument(
-        "--endpoint",
-        default=DEFAULT_ENDPOINT,
-        help="of the daemon: its telemetry or its commands (%(default)s)",
-    )
+    add_endpoint_option(parser)
     add_key_options(parser)
     parser.add_argument("--once", action="store_true", help="show one summary and leave")
     parser.add_argument("--json", action="store_true", help="write JSON objects, one a line")
@@ -102,11 +97,7 @@ def configure_view(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--scene", help="scene of a recording without one, or instead of it")
     parser.add_argument("--tick", type=int, default=0, metavar="N", help="where in a recording to begin")
-    parser.add_argument(
-        "--endpoint",
-        default=DEFAULT_ENDPOINT,
-        help="of the daemon: its telemetry or its commands (%(default)s)",
-    )
+    add_endpoint_option(parser)
     parser.add_argument("--commands", help="commands endpoint (default: next to that of telemetry)")
     add_key_options(parser)
     parser.add_argument(
@@ -145,11 +136,7 @@ def configure_record(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help=".csv: only poses; .mcap: every value of every tick; NAME=FILE for each of several fingers",
     )
-    parser.add_argument(
-        "--endpoint",
-        default=DEFAULT_ENDPOINT,
-        help="of the daemon: its telemetry or its commands (%(default)s)",
-    )
+    add_endpoint_option(parser)
     parser.add_argument(
         "--commands", metavar="URL", help="endpoint of the server's description (default: next to that of telemetry)"
     )
@@ -183,9 +170,7 @@ def configure_ctl(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "params", nargs="*", metavar="key=value", help="its parameters: values of TOML or JSON, else texts"
     )
-    parser.add_argument(
-        "--endpoint", default=DEFAULT_ENDPOINT, help="of the daemon: its telemetry or its commands (%(default)s)"
-    )
+    add_endpoint_option(parser)
     add_key_options(parser)
     parser.add_argument(
         "--timeout", type=duration, metavar="S", help="longest wait for the answer (default: by method)"

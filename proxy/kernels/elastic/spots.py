@@ -1,6 +1,6 @@
 """Spots of an elastic surface: contact points with their load, its slopes, and the compliance between them."""
 
-from math import pi, sqrt
+from math import sqrt
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.normal import normal_force_of
@@ -26,38 +26,6 @@ LIMITED = 1e-6
 """Share by which the cone has to reduce the friction of a contact that sticks, beyond rounding."""
 DEPTH_STEP_M = 1e-7
 """Change of the depth by which the stiffness of the normal force is measured."""
-
-ROTATION_MAX_RAD = 10.0 * pi / 180.0
-STRAIN_MAX = 0.1
-"""Rotation and strain above which the body is no longer linear."""
-
-LEAN_RAD = 1e-6
-"""Angle between the contact normal and that of the facet from which the contact is on an edge."""
-LIMITED = 1e-6
-"""Share by which the cone has to reduce the friction of a contact that sticks, beyond rounding."""
-DEPTH_STEP_M = 1e-7
-"""Change of the depth by which the stiffness of the normal force is measured."""
-
-ROTATION_MAX_RAD = 10.0 * pi / 180.0
-STRAIN_MAX = 0.1
-"""Rotation and strain above which the body is no longer linear."""
-
-LIMITED = 1e-6
-"""Share by which the cone has to reduce the friction of a contact that sticks, beyond rounding."""
-DEPTH_STEP_M = 1e-7
-"""Change of the depth by which the stiffness of the normal force is measured."""
-
-ROTATION_MAX_RAD = 10.0 * pi / 180.0
-STRAIN_MAX = 0.1
-"""Rotation and strain above which the body is no longer linear."""
-
-DEPTH_STEP_M = 1e-7
-"""Change of the depth by which the stiffness of the normal force is measured."""
-
-ROTATION_MAX_RAD = 10.0 * pi / 180.0
-STRAIN_MAX = 0.1
-"""Rotation and strain above which the body is no longer linear."""
-
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 
@@ -173,7 +141,7 @@ def friction_on(law: Any, force: Vec3, normal: Vec3) -> Any:
 
 
 @friction_on.of(None)
-def no_friction(law: None, force: Vec3, normal: Vec3) -> Vec3:
+def friction_of_none(law: None, force: Vec3, normal: Vec3) -> Vec3:
     return ZERO
 
 

@@ -1,4 +1,4 @@
-"""Contact step on an elastic surface: the rigid step with the probe shifted by the displacement of the surface.
+"""Contact step on an elastic surface: the rigid step with the probe shift_pose by the displacement of the surface.
 
     f_i = F(p_i - u_i),    u_i = sum_j C(x_i, x_j) f_j
 
@@ -30,42 +30,13 @@ ROUNDS = 6
 """Largest number of rigid steps of a finger in a tick."""
 SOLVED = 1e-11
 """Change of the displacement, m, below which it is not corrected: 0.01 uN for a finger of 1000 N/m."""
-ON_EDGE = 1e-9
-"""Barycentric weight below which a contact is on the edge of its facet."""
-LEAN_RAD = 1e-6
-"""Angle between the contact normal and that of the facet from which the contact is on an edge."""
-LIMITED = 1e-6
-"""Share by which the cone has to reduce the friction of a contact that sticks, beyond rounding."""
-DEPTH_STEP_M = 1e-7
-"""Change of the depth by which the stiffness of the normal force is measured."""
-
-ROTATION_MAX_RAD = 10.0 * pi / 180.0
-STRAIN_MAX = 0.1
-"""Rotation and strain above which the body is no longer linear."""
-
-SOLVED = 1e-11
-"""Change of the displacement, m, below which it is not corrected: 0.01 uN for a finger of 1000 N/m."""
-ON_EDGE = 1e-9
-"""Barycentric weight below which a contact is on the edge of its facet."""
-LEAN_RAD = 1e-6
-"""Angle between the contact normal and that of the facet from which the contact is on an edge."""
-LIMITED = 1e-6
-"""Share by which the cone has to reduce the friction of a contact that sticks, beyond rounding."""
-DEPTH_STEP_M = 1e-7
-"""Change of the depth by which the stiffness of the normal force is measured."""
-
-ROTATION_MAX_RAD = 10.0 * pi / 180.0
-STRAIN_MAX = 0.1
-"""Rotation and strain above which the body is no longer linear."""
-
-
 ROTATION_MAX_RAD = 10.0 * pi / 180.0
 STRAIN_MAX = 0.1
 """Rotation and strain above which the body is no longer linear."""
 
 
 @jit
-def shifted(body: Any, pose: Pose, surface: Vec3) -> Pose:
+def shift_pose(body: Any, pose: Pose, surface: Vec3) -> Pose:
     """Return the pose relative to the displaced surface."""
     return Pose(vec3.sub(pose.position, turn_out_of(body.pose, surface)), pose.orientation)
 
@@ -74,18 +45,18 @@ def shifted(body: Any, pose: Pose, surface: Vec3) -> Pose:
 def relative_to(body: Any, state: FingerState, surface: Vec3) -> FingerState:
     """Return the state of a finger with its probe relative to the displaced surface, where its contact is solved."""
     probe = state.probe
-    moved = shifted(body, Pose(probe.position, probe.orientation), surface)
+    moved = shift_pose(body, Pose(probe.position, probe.orientation), surface)
     return replace(state, "probe", Probe(moved.position, probe.orientation, probe.velocity))
 
 
 @jit
-def with_probe_at(state: FingerState, pose: Pose) -> FingerState:
+def place_probe(state: FingerState, pose: Pose) -> FingerState:
     """Return the state of a finger with its probe in the world, where guard, passivity and record need it."""
     return replace(state, "probe", Probe(pose.position, pose.orientation, state.probe.velocity))
 
 
 @jit
-def extrapolated(last: Surface, state: FingerState, pose: Pose) -> Vec3:
+def extrapolate(last: Surface, state: FingerState, pose: Pose) -> Vec3:
     """Return the expected displacement (3,) m: it changes as in the last tick, but by no more than the probe moved."""
     moved, change = vec3.norm(vec3.sub(pose.position, state.probe.position)), vec3.norm(last.change)
     if change > moved:
@@ -94,7 +65,7 @@ def extrapolated(last: Surface, state: FingerState, pose: Pose) -> Vec3:
 
 
 @jit
-def memory_of(elastic: Elastic, dt: float) -> float:
+def share_in_tick(elastic: Elastic, dt: float) -> float:
     """Return the share of the new displacement that the surface reaches in a tick: 1 without damping."""
     if elastic.damping == 0.0:
         return 1.0
@@ -188,12 +159,12 @@ def press(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt
 @press.of(1)
 def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last, finger = scene.elastic, objects.body, state.world.surfaces[0], fingers[0]
-    gain = memory_of(elastic, dt)
+    gain = share_in_tick(elastic, dt)
     rest, slope, bent = vec3.scale(1.0 - gain, last.displacement), ZERO, (0.0, 0.0)
-    u = extrapolated(last, state.fingers[0], poses[0])
+    u = extrapolate(last, state.fingers[0], poses[0])
     before = relative_to(body, state.fingers[0], last.displacement)
     for left in range(ROUNDS - 1, -1, -1):
-        after, contact = step_finger(finger, before, shifted(body, poses[0], u), scene, objects, dt)
+        after, contact = step_finger(finger, before, shift_pose(body, poses[0], u), scene, objects, dt)
         goal, matrix, rise, bent = rest, mat3.IDENTITY, ZERO, (0.0, 0.0)
         if contact.mode != FREE:
             spot = contact_spot(elastic, body, finger, before, after, contact, dt)
@@ -202,15 +173,15 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
             moves = mat3.plus(mat3.plus(mat3.product(given.compliance, spot.spring), 1.0, given.at), 1.0, given.by)
             matrix, rise = (
                 mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves)),
-                mat3.times(mat3.transposed(given.at), spot.load),
+                mat3.times(mat3.transpose(given.at), spot.load),
             )
-        slope = mat3.times(mat3.transposed(matrix), vec3.scale(gain, rise))
+        slope = mat3.times(mat3.transpose(matrix), vec3.scale(gain, rise))
         change = mat3.times(matrix, vec3.sub(goal, u))
         if left == 0 or vec3.dot(change, change) <= SOLVED**2:
             break
         u = vec3.add(u, change)
     surface = surface_after(scene, finger, last, u, contact, bent, dt)
-    return (with_probe_at(after, poses[0]),), (report_on(body, contact, surface, slope),), (surface,)
+    return (place_probe(after, poses[0]),), (report_on(body, contact, surface, slope),), (surface,)
 
 
 @jit
@@ -240,26 +211,26 @@ def correct_both(elastic: Elastic, one: Spot, two: Spot, gain: float, short: Any
     second = mat3.times(rest, vec3.sub(lack_two, mat3.times(left, lack_one)))
     first = mat3.times(a_inverse, vec3.sub(lack_one, mat3.times(b, second)))
     # The same with the transposed matrix.
-    rise_one = vec3.scale(gain, mat3.times(mat3.transposed(at_one), one.load))
-    rise_two = vec3.scale(gain, mat3.times(mat3.transposed(at_two), two.load))
-    right = mat3.transposed(mat3.product(a_inverse, b))
-    slope_two = mat3.times(mat3.transposed(rest), vec3.sub(rise_two, mat3.times(right, rise_one)))
-    slope_one = mat3.times(mat3.transposed(a_inverse), vec3.sub(rise_one, mat3.times(mat3.transposed(c), slope_two)))
+    rise_one = vec3.scale(gain, mat3.times(mat3.transpose(at_one), one.load))
+    rise_two = vec3.scale(gain, mat3.times(mat3.transpose(at_two), two.load))
+    right = mat3.transpose(mat3.product(a_inverse, b))
+    slope_two = mat3.times(mat3.transpose(rest), vec3.sub(rise_two, mat3.times(right, rise_one)))
+    slope_one = mat3.times(mat3.transpose(a_inverse), vec3.sub(rise_one, mat3.times(mat3.transpose(c), slope_two)))
     return first, second, slope_one, slope_two
 
 
 @press.of(2)
 def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last = scene.elastic, objects.body, state.world.surfaces
-    gain = memory_of(elastic, dt)
+    gain = share_in_tick(elastic, dt)
     rest_u, rest_v = vec3.scale(1.0 - gain, last[0].displacement), vec3.scale(1.0 - gain, last[1].displacement)
-    u, v = extrapolated(last[0], state.fingers[0], poses[0]), extrapolated(last[1], state.fingers[1], poses[1])
+    u, v = extrapolate(last[0], state.fingers[0], poses[0]), extrapolate(last[1], state.fingers[1], poses[1])
     slope_u, slope_v = ZERO, ZERO
     before_one = relative_to(body, state.fingers[0], last[0].displacement)
     before_two = relative_to(body, state.fingers[1], last[1].displacement)
     for left in range(ROUNDS - 1, -1, -1):
-        one, first = step_finger(fingers[0], before_one, shifted(body, poses[0], u), scene, objects, dt)
-        two, second = step_finger(fingers[1], before_two, shifted(body, poses[1], v), scene, objects, dt)
+        one, first = step_finger(fingers[0], before_one, shift_pose(body, poses[0], u), scene, objects, dt)
+        two, second = step_finger(fingers[1], before_two, shift_pose(body, poses[1], v), scene, objects, dt)
         x = spot_of(elastic, objects, fingers[0], before_one, one, first, dt)
         y = spot_of(elastic, objects, fingers[1], before_two, two, second, dt)
         short = (vec3.sub(rest_u, u), vec3.sub(rest_v, v))
@@ -272,4 +243,4 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     surface_u = surface_after(scene, fingers[0], last[0], u, first, bent, dt)
     surface_v = surface_after(scene, fingers[1], last[1], v, second, bent, dt)
     contacts = (report_on(body, first, surface_u, slope_u), report_on(body, second, surface_v, slope_v))
-    return (with_probe_at(one, poses[0]), with_probe_at(two, poses[1])), contacts, (surface_u, surface_v)
+    return (place_probe(one, poses[0]), place_probe(two, poses[1])), contacts, (surface_u, surface_v)

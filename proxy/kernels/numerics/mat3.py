@@ -15,7 +15,7 @@ def times(m: Mat3, v: Vec3) -> Vec3:
 
 
 @jit
-def transposed(m: Mat3) -> Mat3:
+def transpose(m: Mat3) -> Mat3:
     return ((m[0][0], m[1][0], m[2][0]), (m[0][1], m[1][1], m[2][1]), (m[0][2], m[1][2], m[2][2]))
 
 
@@ -27,7 +27,7 @@ def plus(a: Mat3, s: float, b: Mat3) -> Mat3:
 
 @jit
 def product(a: Mat3, b: Mat3) -> Mat3:
-    columns = transposed(b)
+    columns = transpose(b)
     return (times(columns, a[0]), times(columns, a[1]), times(columns, a[2]))
 
 
@@ -41,4 +41,4 @@ def plus_outer(m: Mat3, a: Vec3, b: Vec3) -> Mat3:
 def inverse(m: Mat3) -> Mat3:
     a, b, c = vec3.cross(m[1], m[2]), vec3.cross(m[2], m[0]), vec3.cross(m[0], m[1])
     size = 1.0 / vec3.dot(m[0], a)
-    return transposed((vec3.scale(size, a), vec3.scale(size, b), vec3.scale(size, c)))
+    return transpose((vec3.scale(size, a), vec3.scale(size, b), vec3.scale(size, c)))
