@@ -54,7 +54,7 @@ def _effect(effect: schema.Effect | schema.ObjectEffect) -> Any:
 def _boundary(effect: schema.Boundary) -> model.BoxBoundary | model.SphereBoundary:
     spring = effect.stiffness_n_per_m, effect.damping_ns_per_m, effect.force_max_n
     if effect.size_m is not None:
-        return model.BoxBoundary(effect.position_m, _halved(effect.size_m), *spring)
+        return model.BoxBoundary(effect.position_m, _halve(effect.size_m), *spring)
     assert effect.radius_m is not None
     return model.SphereBoundary(effect.position_m, effect.radius_m, *spring)
 
@@ -63,7 +63,7 @@ def _region(region: schema.Region | None) -> model.BoxRegion | model.SphereRegio
     if region is None:
         return None
     if region.size_m is not None:
-        return model.BoxRegion(region.position_m, _halved(region.size_m), region.edge_m)
+        return model.BoxRegion(region.position_m, _halve(region.size_m), region.edge_m)
     assert region.radius_m is not None
     return model.SphereRegion(region.position_m, region.radius_m, region.edge_m)
 
@@ -93,5 +93,5 @@ def _unit(v: model.Vec3) -> model.Vec3:
     return (v[0] / length, v[1] / length, v[2] / length)
 
 
-def _halved(v: model.Vec3) -> model.Vec3:
+def _halve(v: model.Vec3) -> model.Vec3:
     return (0.5 * v[0], 0.5 * v[1], 0.5 * v[2])

@@ -58,7 +58,7 @@ def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
         if curved or viscous:
             stribeck = model.Stribeck(f.stribeck_speed_m_per_s or 0.0) if curved else None
             law = model.SpeedFriction(f.static, f.kinetic, stribeck, f.viscous_s_per_m or 0.0)
-        laws.append(_directed(law, f) if directed else law)
+        laws.append(_make_anisotropic(law, f) if directed else law)
     return laws
 
 
@@ -129,7 +129,7 @@ def lever_of(k: float) -> float:
     return exp(lgamma(3.0 / k) + lgamma(1.0 + 3.0 / k) - lgamma(1.0 + 4.0 / k) - lgamma(2.0 / k))
 
 
-def _directed(law: model.Friction | model.SpeedFriction, friction: schema.Friction) -> model.Anisotropic:
+def _make_anisotropic(law: model.Friction | model.SpeedFriction, friction: schema.Friction) -> model.Anisotropic:
     direction = friction.direction_x or (1.0, 0.0, 0.0)
     static, kinetic = friction.static_scale or (1.0, 1.0), friction.kinetic_scale or (1.0, 1.0)
     return model.Anisotropic(law, _unit(direction), *static, *kinetic)

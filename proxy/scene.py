@@ -58,7 +58,7 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
         texture = kernel_texture(thing)
         for part, (shape, position, orientation) in enumerate(shape_bodies(thing)):
             fixed = motion is None and texture is None
-            shape, pose = _placed(shape, thing, position, orientation, fixed)
+            shape, pose = _place_shape(shape, thing, position, orientation, fixed)
             if effects and part == 0:  # several walls of one object do together what the object does once
                 carriers.append(model.Carrier(float(len(bodies)), effects))
             made_of = material if isinstance(pose, model.Pose) else _facing(material, thing.orientation_wxyz)
@@ -164,24 +164,24 @@ def patches_of(objects: model.Single | model.Many) -> int:
     return 1 if isinstance(objects, model.Single) and not isinstance(objects.body.shape, model.Mesh) else 3
 
 
-def _placed(
+def _place_shape(
     shape: Any, thing: schema.Object, position: model.Vec3, orientation: model.Quaternion, fixed: bool
 ) -> tuple[Any, Any]:
     """Return a shape and its simplest pose: none if it is `fixed` and can be expressed in the world frame."""
     turn = thing.orientation_wxyz  # parts are translated relative to their object, not rotated
-    moved = _rotated(thing.orientation_wxyz, position)
+    moved = _rotate(thing.orientation_wxyz, position)
     at = (moved[0] + thing.position_m[0], moved[1] + thing.position_m[1], moved[2] + thing.position_m[2])
     if not fixed:
         return shape, model.Pose(at, turn)
     if isinstance(shape, model.Plane):
-        normal = _rotated(turn, shape.normal)
+        normal = _rotate(turn, shape.normal)
         return model.Plane(normal, shape.offset + sum(n * p for n, p in zip(normal, at, strict=True))), None
     if isinstance(shape, model.Sphere) or turn == (1.0, 0.0, 0.0, 0.0):
         return shape, (model.Place(at) if any(at) else None)
     return shape, model.Pose(at, turn)
 
 
-def _rotated(q: model.Quaternion, v: model.Vec3) -> model.Vec3:
+def _rotate(q: model.Quaternion, v: model.Vec3) -> model.Vec3:
     """Rotate `v` (3,) by the unit quaternion `q`; in Python, because compiling a kernel would delay the start."""
     w, x, y, z = q
     rows = (
@@ -198,7 +198,7 @@ def _facing(material: model.Material, turn: model.Quaternion) -> model.Material:
     law = material.friction
     if not isinstance(law, model.Anisotropic):
         return material
-    return material._replace(friction=law._replace(direction=_rotated(turn, law.direction)))
+    return material._replace(friction=law._replace(direction=_rotate(turn, law.direction)))
 
 
 def _materials(scene: schema.Scene) -> list[model.Material]:

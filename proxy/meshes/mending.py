@@ -68,12 +68,12 @@ def mend(given: Arrays, loose: bool) -> Mended:
         If the mesh is too small, too large or too far from its origin, or if no triangle has an area.
     """
     vertices, triangles = given
-    used, triangles = _used(given)
+    used, triangles = _drop_unused_vertices(given)
     unused = len(vertices) - len(used)
     vertices = vertices[used]
     _check_size(vertices)
 
-    kept, number = _merged(vertices, loose)
+    kept, number = _merge_vertices(vertices, loose)
     merged = len(vertices) - len(kept)
     vertices, triangles = vertices[kept], number[triangles]
 
@@ -86,7 +86,7 @@ def mend(given: Arrays, loose: bool) -> Mended:
     if len(triangles) == 0:
         raise ValueError(f"has no triangle with an area: all {len(flat):,} are points or lines")
 
-    left, triangles = _used(Arrays(vertices, triangles))
+    left, triangles = _drop_unused_vertices(Arrays(vertices, triangles))
     vertices = vertices[left]
     edges = edges_of(triangles)
     wound = wind(Arrays(vertices, triangles), edges)
@@ -127,7 +127,7 @@ def _size(vertices: Vertices) -> float:
     return max(high - low for low, high in zip(*_ends(vertices), strict=True))
 
 
-def _used(given: Arrays) -> tuple[NDArray[np.int64], Triangles]:
+def _drop_unused_vertices(given: Arrays) -> tuple[NDArray[np.int64], Triangles]:
     """Return the indices of the used vertices, and the triangles (m, 3) as indices into these."""
     has = np.zeros(len(given.vertices), np.bool_)
     has[given.triangles.ravel()] = True
@@ -135,7 +135,7 @@ def _used(given: Arrays) -> tuple[NDArray[np.int64], Triangles]:
     return np.flatnonzero(has), place[given.triangles]
 
 
-def _merged(vertices: Vertices, loose: bool) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def _merge_vertices(vertices: Vertices, loose: bool) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Return the indices of the vertices to keep, and the new index of each vertex."""
     first = first_alike((vertices + 0.0).view(np.uint64))  # + 0.0 turns -0.0 into 0.0
     kept, place = _places(first)

@@ -91,7 +91,7 @@ def about(thing: schema.Mesh) -> About:
     state = _state(thing)
     found: About | None = _abouts.get(state)
     if found is None:
-        found = _about(_mended(thing, _bytes(thing)))
+        found = _about(_read_and_mend(thing, _bytes(thing)))
         _remember(thing, state, found)
     return found
 
@@ -122,7 +122,7 @@ def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KE
         if thing.elastic is not None:
             _body(thing)  # shows its own progress
         with progress.display(f"building the mesh of {thing.name}", STAGES) as done:
-            mended = _mended(thing, data, done)
+            mended = _read_and_mend(thing, data, done)
             tree = builder.build(*mended[0])
             done(3)
             found = _about(mended)
@@ -159,7 +159,9 @@ def _body(thing: schema.Mesh) -> Body:
     return body_of(thing)
 
 
-def _mended(thing: schema.Mesh, data: bytes, done: Callable[[int], None] = lambda stage: None) -> tuple[Arrays, Report]:
+def _read_and_mend(
+    thing: schema.Mesh, data: bytes, done: Callable[[int], None] = lambda stage: None
+) -> tuple[Arrays, Report]:
     if thing.elastic is not None:
         mended = mend(_body(thing).surface, loose=False)
         return mended.arrays, report_of(mended, loose=False, scale=None)

@@ -48,10 +48,10 @@ class Report:
         found.append(("mended", "; ".join(self.mended) or "nothing was to be"))
         found.append(("noted", "; ".join(self.noted)))
         if inside and not self.watertight:
-            found.append(("inside", self._no_inside()))
+            found.append(("inside", self._explain_no_inside()))
         return found
 
-    def _no_inside(self) -> str:
+    def _explain_no_inside(self) -> str:
         why, what = "it is not watertight", "correct the faults in the notes"
         if self.open_edges:
             why, what = f"it has {self.open_edges:,} open edges", "close its holes"

@@ -26,12 +26,12 @@ def thin_mesh(mesh: Arrays, most: int = PICTURE_TRIANGLES) -> Arrays:
     cell = max(float(np.sqrt(3.0 * around / most)), FINEST * float(edges.max()))
     thin = mesh
     while len(thin.triangles) > most:
-        thin = _clustered(mesh, cell)
+        thin = _cluster_vertices(mesh, cell)
         cell *= max(_COARSER, float(np.sqrt(len(thin.triangles) / most)))
     return thin
 
 
-def _clustered(mesh: Arrays, cell: float) -> Arrays:
+def _cluster_vertices(mesh: Arrays, cell: float) -> Arrays:
     at = ((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.uint32)
     first = first_alike(at)
     stays = first == np.arange(len(first))

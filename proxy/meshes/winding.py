@@ -40,7 +40,7 @@ def wind(mesh: Arrays, edges: Edges) -> Wound:
     pieces = pieces_of(edges)
     bodies = len(pieces.one_sided)
     turned = _majority(pieces) & ~pieces.one_sided[pieces.body]
-    triangles = _turned(mesh.triangles, turned)
+    triangles = _reverse(mesh.triangles, turned)
     closed = ~pieces.one_sided
     # An edge without exactly two triangles is a boundary of all pieces that it belongs to.
     rim = (edges.many[edges.first] != 2).nonzero()[0] // 3
@@ -49,12 +49,12 @@ def wind(mesh: Arrays, edges: Edges) -> Wound:
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     add_volumes(mesh.vertices, triangles, middle, pieces.body, volumes)
     volumes[~closed] = 0.0
-    hollow = _within(mesh.vertices, triangles, pieces.body, volumes)
+    hollow = _find_hollows(mesh.vertices, triangles, pieces.body, volumes)
     inward = (volumes < 0.0) & ~hollow
     volumes[inward] *= -1.0
     outward = inward[pieces.body]
     return Wound(
-        _turned(triangles, outward),
+        _reverse(triangles, outward),
         bodies=bodies,
         alike=int(turned.sum()),
         outward=int(outward.sum()),
@@ -72,7 +72,7 @@ def _majority(pieces: Pieces) -> NDArray[np.bool_]:
     return pieces.turned ^ most[pieces.body]
 
 
-def _turned(triangles: Triangles, which: NDArray[np.bool_]) -> Triangles:
+def _reverse(triangles: Triangles, which: NDArray[np.bool_]) -> Triangles:
     if not which.any():
         return triangles
     wound = triangles.copy()
@@ -80,7 +80,7 @@ def _turned(triangles: Triangles, which: NDArray[np.bool_]) -> Triangles:
     return wound
 
 
-def _within(
+def _find_hollows(
     vertices: Vertices, triangles: Triangles, body: NDArray[np.int32], volumes: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Return which pieces (bodies,) are hollows.

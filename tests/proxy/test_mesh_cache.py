@@ -87,7 +87,7 @@ def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytes
     forget(monkeypatch)
     again = tree_of(thing, BUILDER, folder)
     assert BUILT == [] and same(first, again) and not again.corners.flags.writeable
-    monkeypatch.setattr(prepared, "_mended", None)  # nothing is read for what is known already
+    monkeypatch.setattr(prepared, "_read_and_mend", None)  # nothing is read for what is known already
     assert about(thing).report == told.report
     assert about(thing).picture.vertices.tobytes() == told.picture.vertices.tobytes()
 

@@ -42,11 +42,11 @@ def read(data: bytes) -> Faces:
             raise ValueError(f"{what} ({str(name)[:60]}): export it without")
     file = _File(head, buffer)
     parts, promised = list[tuple[Points, Indices]](), 0
-    for mesh, place in _placed(head):
+    for mesh, place in _iterate_meshes(head):
         for primitive in head["meshes"][mesh]["primitives"]:
             if primitive.get("mode", TRIANGLES) < TRIANGLES:  # points and lines have no surface
                 continue
-            promised += file.promised(primitive)
+            promised += file.count_triangles(primitive)
             if promised > limits.MESH_TRIANGLES.high:
                 raise ValueError(f"has more than {limits.MESH_TRIANGLES.high:,} triangles, the most: decimate it")
             points, triangles = file.triangles(primitive)
@@ -83,7 +83,7 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
     return head, data[start + 8 : start + 8 + binary]
 
 
-def _placed(head: dict[str, Any]) -> Iterator[tuple[int, NDArray[np.float64]]]:
+def _iterate_meshes(head: dict[str, Any]) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Yield each mesh of the scene and its matrix (4, 4)."""
     nodes = head.get("nodes", [])
     children = {int(child) for node in nodes for child in node.get("children", [])}
@@ -135,7 +135,7 @@ class _File:
     def __init__(self, head: dict[str, Any], buffer: bytes) -> None:
         self._head, self._buffer = head, buffer
 
-    def promised(self, primitive: dict[str, Any]) -> int:
+    def count_triangles(self, primitive: dict[str, Any]) -> int:
         """Return the number of triangles of a part of a mesh, by its mode and the count of its accessor alone."""
         accessor = self._head["accessors"][primitive.get("indices", primitive["attributes"]["POSITION"])]
         corners, mode = int(accessor["count"]), primitive.get("mode", TRIANGLES)

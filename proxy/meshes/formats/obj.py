@@ -36,7 +36,7 @@ def read(data: bytes) -> Faces:
     corners = numbers(rows, np.int64)
     if len(corners) != counts.sum():
         raise ValueError(f"is damaged: {counts.sum():,} corners of faces, and {len(corners):,} numbers for them")
-    return Faces(points, _zero_based(text, corners, counts), counts, len(counts))
+    return Faces(points, _to_zero_based(text, corners, counts), counts, len(counts))
 
 
 def _points(rows: list[bytes]) -> Points:
@@ -51,7 +51,7 @@ def _points(rows: list[bytes]) -> Points:
     return np.asarray(values[(np.cumsum(words) - words)[:, None] + np.arange(3)])
 
 
-def _zero_based(text: bytes, corners: Indices, counts: Indices) -> Indices:
+def _to_zero_based(text: bytes, corners: Indices, counts: Indices) -> Indices:
     """Return the corners as indices from 0; in the file they count from 1, or back from the last vertex if negative."""
     if (corners > 0).all():
         return corners - 1
