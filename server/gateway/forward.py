@@ -1,4 +1,4 @@
-"""Main loop of the gateway: a single thread for all its sockets."""
+"""Main loop of the gateway: a single thread for all sockets of a process."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class Forward:
                         peers.process_events()
                         peers.refresh_keys()
                     if show is not None:
-                        show(self.line())
+                        show(describe(self.statistics()))
                 changed |= self._renewals() != renewals
 
     def _renewals(self) -> int:
@@ -150,23 +150,23 @@ class Forward:
             }
         return found
 
-    def line(self) -> str:
-        """Return the statistics as text."""
-        found = self.statistics()
-        parts = []
-        if "messages" in found:
-            parts.append(f"{found['messages']} messages, {found['lost']} ticks missing")
-        if "lsl" in found:
-            parts.append(f"{found['lsl']['samples']} samples to LSL")
-        parts += [
-            f"{name}: at most {found[name]['connections_max']} connections, {found[name]['refused']} refused"
-            for name in ("telemetry", "commands")
-            if name in found
-        ]
-        if "commands" in found:
-            parts.append(f"{found['commands']['requests']} requests")
-        return "; ".join(parts)
-
     def close(self) -> None:
         """Disconnect all; may be called repeatedly."""
         self._files.close()
+
+
+def describe(statistics: dict[str, Any]) -> str:
+    """Return the statistics as text."""
+    parts = []
+    if "messages" in statistics:
+        parts.append(f"{statistics['messages']} messages, {statistics['lost']} ticks missing")
+    if "lsl" in statistics:
+        parts.append(f"{statistics['lsl']['samples']} samples to LSL")
+    parts += [
+        f"{name}: at most {statistics[name]['connections_max']} connections, {statistics[name]['refused']} refused"
+        for name in ("telemetry", "commands")
+        if name in statistics
+    ]
+    if "commands" in statistics:
+        parts.append(f"{statistics['commands']['requests']} requests")
+    return "; ".join(parts)

@@ -7,7 +7,9 @@ still the same one, has not stored the payload, and serves the next peer.
 from __future__ import annotations
 
 import contextlib
+import os
 import random
+import signal
 import socket
 import struct
 import subprocess
@@ -58,7 +60,7 @@ class Peers(NamedTuple):
 OWNERS = {
     "telemetry": "publisher",
     "commands": "receiver",
-    "forwarded telemetry": "gateway",
+    "forwarded telemetry": "gateway's telemetry",
     "forwarded commands": "gateway",
     "metrics": "daemon",
     "page": "page",
@@ -109,13 +111,15 @@ def peers() -> Iterator[Peers]:
                 addresses[name] = after(daemon, words)
             after(daemon, "real time: ")  # it is compiled, and ticks
             words = ["forward", "--from", addresses["telemetry"], "--commands-from", addresses["commands"]]
-            words += ["--to", "tcp://127.0.0.1:*", "--commands-to", "tcp://127.0.0.1:*"]
+            with socket.create_server(("127.0.0.1", 0)) as unused:
+                addresses["forwarded telemetry"] = f"tcp://127.0.0.1:{unused.getsockname()[1]}"
+            words += ["--to", addresses["forwarded telemetry"], "--commands-to", "tcp://127.0.0.1:*"]
             with Program([*COMMAND, *words], stderr=subprocess.PIPE, text=True) as gateway:
-                addresses["forwarded telemetry"] = after(gateway, "telemetry forwarded on ")
                 addresses["forwarded commands"] = after(gateway, "commands forwarded on ")
                 owners = {
                     "daemon": daemon.pid,
                     "gateway": gateway.pid,
+                    "gateway's telemetry": child_of(gateway.pid, b"\0--until-eof\0"),
                     "publisher": child_of(daemon.pid, b"publishing\0telemetry"),
                     "receiver": child_of(daemon.pid, b"publishing\0commands"),
                     "page": child_of(daemon.pid, b"\0view\0"),
@@ -314,6 +318,18 @@ def refused_browser(address: str) -> int | None:
         late.recv(timeout=CUT_S)
         return None
     return late.protocol.close_code
+
+
+def test_forwarded_commands_do_not_depend_on_telemetry(peers: Peers) -> None:
+    """Commands are answered while the process that forwards telemetry is stopped; killed, it is started again."""
+    pid = peers.owners["gateway's telemetry"]
+    os.kill(pid, signal.SIGSTOP)
+    assert serves("forwarded commands", peers.addresses["forwarded commands"])
+    os.kill(pid, signal.SIGKILL)
+    assert serves("forwarded telemetry", peers.addresses["forwarded telemetry"])
+    assert serves("forwarded commands", peers.addresses["forwarded commands"])
+    peers.owners["gateway's telemetry"] = child_of(peers.owners["gateway"], b"\0--until-eof\0")
+    assert peers.owners["gateway's telemetry"] != pid
 
 
 @pytest.mark.parametrize("name", ["telemetry", "forwarded telemetry"])

@@ -13,9 +13,11 @@ from typing import Final
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import is_public
 from softfinger.server import keys, signals
-from softfinger.server.gateway.addresses import find_addresses
-from softfinger.server.gateway.forward import CommandPath, Forward, Source
+from softfinger.server.gateway.addresses import Addresses, find_addresses
+from softfinger.server.gateway.forward import CommandPath, Forward, Source, describe
 from softfinger.server.gateway.lsl import Outlets
+from softfinger.server.gateway.telemetry_process import TelemetryProcess
+from softfinger.server.keys import ClientKeys
 from softfinger.server.progress import counter
 from softfinger.server.publishing.allowed import Allowed
 from softfinger.server.publishing.peer_socket import KeyLock
@@ -32,28 +34,46 @@ def run(args: argparse.Namespace) -> int:
     origin = find_addresses(args.source, upstream, args.commands_from)
     stop = threading.Event()
     with ExitStack() as stack:
-        to, commands = None, None
-        if args.to:
-            lock = make_lock(args.to, "--to", args.keys, args.readers)
-            to = (bind(args.to, "--to", stack), lock)
-        if args.commands_to:
-            lock = make_lock(args.commands_to, "--commands-to", args.keys, args.commanders)
-            opened = bind(args.commands_to, "--commands-to", stack)
-            commands = CommandPath(Source(origin.command_endpoint(), upstream), opened, lock)
-        stream = Source(origin.telemetry, upstream) if to or args.lsl else None
-        forward = Forward(stream, to, commands, Outlets(origin.telemetry) if args.lsl else None)
+        forward = (_open_commands if args.commands_to else _open_telemetry)(args, origin, upstream, stack)
         stack.callback(forward.close)
         for name, part in (("telemetry", forward.readers), ("commands", forward.commanders)):
             if part is not None:
                 who = "clients with a key" if part.peers.lock else "every client that reaches it"
                 log.info("%s forwarded on %s, to %s", name, part.peers.endpoint, who)
+        telemetry = TelemetryProcess(args, origin) if args.commands_to and (args.to or args.lsl) else None
+        if telemetry is not None:
+            stack.callback(telemetry.end)
         if args.until_eof:
             threading.Thread(target=_end_with_input, args=(stop,), daemon=True).start()
         with signals.stop_on_signal(stop.set), counter() as show:
-            forward.run(stop.is_set, show)
-        found, line = forward.statistics(), forward.line()
-    print(json.dumps(found) if args.json else f"{line}; {found['seconds']:.1f} s", flush=True)
+            if telemetry is None:
+                forward.run(stop.is_set, show)
+            else:  # which shows its own counts
+                forward.run(lambda: stop.is_set() or telemetry.has_failed())
+        found = (telemetry.end() if telemetry is not None else {}) | forward.statistics()
+    if telemetry is not None and telemetry.exit_code:
+        return telemetry.exit_code
+    print(json.dumps(found) if args.json else f"{describe(found)}; {found['seconds']:.1f} s", flush=True)
     return signals.stop_exit_code()
+
+
+def _open_commands(
+    args: argparse.Namespace, origin: Addresses, upstream: ClientKeys | None, stack: ExitStack
+) -> Forward:
+    lock = make_lock(args.commands_to, "--commands-to", args.keys, args.commanders)
+    bound = bind(args.commands_to, "--commands-to", stack)
+    return Forward(None, commands=CommandPath(Source(origin.command_endpoint(), upstream), bound, lock))
+
+
+def _open_telemetry(
+    args: argparse.Namespace, origin: Addresses, upstream: ClientKeys | None, stack: ExitStack
+) -> Forward:
+    readers = None
+    if args.to:
+        lock = make_lock(args.to, "--to", args.keys, args.readers)
+        readers = (bind(args.to, "--to", stack), lock)
+    outlets = Outlets(origin.telemetry) if args.lsl else None
+    return Forward(Source(origin.telemetry, upstream), readers, outlets=outlets)
 
 
 def _end_with_input(stop: threading.Event) -> None:
