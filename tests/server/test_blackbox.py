@@ -71,7 +71,8 @@ def test_old_events_take_no_memory() -> None:
 
 @pytest.mark.plain
 def test_old_events_and_log_lines_are_not_written(tmp_path: Path) -> None:
-    """Events and log lines older than ten seconds are not written; a foreign reader finds the others by topic and time."""
+    """Events and log lines older than ten seconds are not written; a foreign reader finds newer ones by topic and
+    time."""
     box, now = BlackBox([""], [], 100.0), time.time()
     box.take(records(0, 3))
     for age in (HISTORY_S + 5.0, 1.0):
@@ -147,7 +148,8 @@ def named_in(path: Path) -> dict[str, dict[str, Any]]:
 
 @pytest.mark.real_time
 def test_a_lost_device_writes_a_file_named_in_its_event() -> None:
-    """After a lost device, the file has every tick of the run and an event with the error message and the file's path."""
+    """After a lost device, the file has every tick of the run and an event with the error message and the file's
+    path."""
     with pytest.raises(DeviceLost) as lost, running([{"kind": "disconnect", "at_tick": 700}]) as daemon:
         daemon.wait(WAIT_S)
     path = files(blackbox.folder())[-1]

@@ -1,4 +1,4 @@
-"""Data sent to Foxglove and Rerun, read back with their own libraries; without a library, one line names the package."""
+"""Data sent to Foxglove and Rerun, read back with their libraries; without a library, one line names the package."""
 
 from __future__ import annotations
 
