@@ -107,10 +107,8 @@ def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_the_folder_is_bounded(tmp_path: Path) -> None:
-    """The oldest recordings are deleted to stay below FILES_MAX and BYTES_MAX; other files stay.
-
-    A folder writable by other users is refused.
-    """
+    """The oldest recordings are deleted to stay below FILES_MAX and BYTES_MAX; other files stay. A folder writable by
+    other users is refused."""
     place = tmp_path / "boxes"
     prepare_folder(place)
     assert place.stat().st_mode & 0o777 == 0o700

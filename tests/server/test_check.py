@@ -132,8 +132,8 @@ def test_explain_prints_measured_costs() -> None:
 
 @pytest.mark.plain
 def test_check_prints_how_geoms_are_used(tmp_path: Path) -> None:
-    """`--explain` prints, once, the cost of a tick and of the bare contact, and the damping a device needs; nothing for
-    a rig."""
+    """`--explain` prints once the cost of a tick and of the bare contact, and the damping a device needs; not for a
+    rig."""
     trimesh.creation.box((20.0, 20.0, 20.0)).export(tmp_path / "cube.stl")
     geom = '<body pos="{k} 0 1"><freejoint/><geom name="geom {k}" type="mesh" mesh="cube"/></body>'
     (tmp_path / "cubes.xml").write_text(

@@ -150,10 +150,8 @@ def events(daemon: Daemon) -> Iterator[Any]:
 
 
 def largest_rise(rows: np.ndarray) -> float:
-    """Return the largest rise of the force from tick to tick, except where a stall made the guard start from zero.
-
-    A fall may be faster: the switch takes the force off within MAX_OFF_S.
-    """
+    """Return the largest rise of the force from tick to tick, except where a stall made the guard start from zero. A
+    fall may be faster: the switch takes the force off within MAX_OFF_S."""
     rises = np.diff(np.linalg.norm(rows[:, AT.force : AT.force + 3], axis=1))
     return float(rises[rows[1:, AT.dt] <= PAUSE_MAX_S].max())
 

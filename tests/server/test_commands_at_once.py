@@ -222,11 +222,8 @@ def ticks_without(device: FaultyDevice) -> int:
 @pytest.mark.real_time
 def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
     """While the GIL is blocked for 1 s, the device gets zero after the heartbeat's 0.3 s, or after a `disarm` sent
-    before.
-
-    Half of the due ticks may be missed; Python could start only at the end. A heartbeat restores the force in the first
-    case, `arm` in the second.
-    """
+    before. Half of the due ticks may be missed; Python could start only at the end. A heartbeat restores the force in
+    the first case, `arm` in the second."""
     with running(monkeypatch, tmp_path, **{"commands.heartbeat_s": 0.3}) as (daemon, device):
         endpoint = str(daemon.commands_endpoint)
         with Control(endpoint, WAIT_S) as control:
