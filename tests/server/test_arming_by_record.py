@@ -121,7 +121,6 @@ def test_a_press_is_a_button_that_was_up(words: list[float], armed: bool) -> Non
 
 
 def test_any_finger_may_press() -> None:
-    """Buttons of all fingers are combined: a new button on any finger arms, the same button on another finger does
-    not."""
+    """Buttons of all fingers are combined: a new button on any finger arms, the same one on another finger does not."""
     assert taken(Asked("button", 2), batch((1, [(0, 0), (0, 0)]), (2, [(0, 0), (0, 2)]))) == ARMED
     assert taken(Asked("button", 2), batch((1, [(0, 1), (0, 0)]), (2, [(0, 0), (0, 1)]))) == []

@@ -71,8 +71,7 @@ def test_old_events_take_no_memory() -> None:
 
 @pytest.mark.plain
 def test_old_events_and_log_lines_are_not_written(tmp_path: Path) -> None:
-    """Events and log lines older than ten seconds are not written; a foreign reader finds newer ones by topic and
-    time."""
+    """Events and log lines older than ten seconds are not written; a foreign reader finds the newer ones."""
     box, now = BlackBox([""], [], 100.0), time.time()
     box.take(records(0, 3))
     for age in (HISTORY_S + 5.0, 1.0):
@@ -107,8 +106,7 @@ def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_the_folder_is_bounded(tmp_path: Path) -> None:
-    """The oldest recordings are deleted to stay below FILES_MAX and BYTES_MAX; other files stay. A folder writable by
-    other users is refused."""
+    """The oldest recordings are deleted to stay below FILES_MAX and BYTES_MAX; a shared writable folder is refused."""
     place = tmp_path / "boxes"
     prepare_folder(place)
     assert place.stat().st_mode & 0o777 == 0o700
@@ -146,8 +144,7 @@ def named_in(path: Path) -> dict[str, dict[str, Any]]:
 
 @pytest.mark.real_time
 def test_a_lost_device_writes_a_file_named_in_its_event() -> None:
-    """After a lost device, the file has every tick of the run and an event with the error message and the file's
-    path."""
+    """After a lost device, the file has every tick of the run and an event with the error and the file's path."""
     with pytest.raises(DeviceLost) as lost, running([{"kind": "disconnect", "at_tick": 700}]) as daemon:
         daemon.wait(WAIT_S)
     path = files(blackbox.folder())[-1]
@@ -161,9 +158,8 @@ def test_a_lost_device_writes_a_file_named_in_its_event() -> None:
 @pytest.mark.real_time
 def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """The daemon continues. The file has the event and the ticks before and after the kill."""
-    monkeypatch.setenv(
-        "SOFTFINGER_BLACKBOX_DIR", str(tmp_path)
-    )  # another daemon of this process may have written a file
+    # Another daemon of this process may have written a file.
+    monkeypatch.setenv("SOFTFINGER_BLACKBOX_DIR", str(tmp_path))
     with running() as daemon:
         with subscribe(daemon.publisher.endpoint, timeout_s=WAIT_S) as samples:
             next(iter(samples))  # a publisher killed before it is ready is not restarted
@@ -182,7 +178,7 @@ def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_p
 
 
 @pytest.mark.real_time
-def test_a_missing_folder_does_not_change_the_error(
+def test_the_error_is_the_same_without_a_folder(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """If the folder cannot be created, the run ends with the same error and the log names the reason."""

@@ -231,8 +231,7 @@ def lifted(path: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: Path) -> None:
-    """The message is read back unchanged. The body's frame has the body's pose; the box is drawn in it, the floor is
-    not."""
+    """The message is read back unchanged, the body's frame has its pose, and only the box is drawn in that frame."""
     path, world = lifted(tmp_path / "lift.mcap")
     assert [part.world for part in read_contents(path) if isinstance(part, World)] == [world]
     frames, entities = {}, {}

@@ -123,7 +123,7 @@ def test_check_as_json() -> None:
 
 
 def test_explain_prints_measured_costs() -> None:
-    """`--explain` prints once the cost of a tick and of the bare contact and the damping a device needs; not for a rig."""
+    """`--explain` prints the cost of a tick and of the contact, and the damping a device needs, for scenes only."""
     done = called("check", "--explain", "frictionless-plane", "replay")
     assert done.returncode == 0, done.stderr
     for said in (r"cost of a tick.*\d+ ns", r"bare contact.*\d+ ns", r"1000 N/m; passive at 1000 Hz .* more than 0\.5"):
@@ -132,8 +132,7 @@ def test_explain_prints_measured_costs() -> None:
 
 @pytest.mark.plain
 def test_check_prints_how_geoms_are_used(tmp_path: Path) -> None:
-    """`--explain` prints once the cost of a tick and of the bare contact, and the damping a device needs; not for a
-    rig."""
+    """A height field is shown as a map, and ten meshes count as touched geoms."""
     trimesh.creation.box((20.0, 20.0, 20.0)).export(tmp_path / "cube.stl")
     geom = '<body pos="{k} 0 1"><freejoint/><geom name="geom {k}" type="mesh" mesh="cube"/></body>'
     (tmp_path / "cubes.xml").write_text(

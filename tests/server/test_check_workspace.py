@@ -69,8 +69,7 @@ def test_text_draws_wall_and_objects_to_scale() -> None:
 
 
 def test_the_command_line_draws_each_rig_in_each_scene(tmp_path: Path) -> None:
-    """`check` of a rig and a scene draws the soft wall and the plane after its other output; `--plot` writes a
-    figure."""
+    """`check` of a rig and a scene draws the soft wall and the plane; `--plot` writes a figure."""
     picture = tmp_path / "wall.svg"
     done = called("check", "falcon", "paper-plane", "--plot", str(picture))
     assert done.returncode == 0, done.stderr

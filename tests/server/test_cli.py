@@ -45,8 +45,7 @@ print(early, os.environ["OPENBLAS_NUM_THREADS"], gc.isenabled(), gc.get_freeze_c
 
 
 def test_garbage_collection_is_on_when_a_verb_runs():
-    """Garbage collection is off during imports and on when a verb runs; numpy is imported after its thread count is
-    set."""
+    """Garbage collection is off during imports and on in a verb; numpy is imported after its thread count is set."""
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     done = subprocess.run([sys.executable, "-c", BEGIN], capture_output=True, text=True, timeout=300, env=environment)
     assert done.stdout.splitlines()[-1:] == ["False 1 True True"], done.stderr
@@ -337,9 +336,7 @@ def test_bench_of_the_step_prints_json(tmp_path, monkeypatch):
     monkeypatch.setattr(step, "ROUNDS", 2)
     poses = step.touching_poses
     monkeypatch.setattr(step, "touching_poses", lambda scene: poses(scene, 50))
-    monkeypatch.setattr(
-        step, "reference_ns", lambda: 100.0
-    )  # the reference chain of operations is fast only when compiled
+    monkeypatch.setattr(step, "reference_ns", lambda: 100.0)  # the reference chain is fast only when compiled
     plot = tmp_path / "plot.png"
     done = called("bench", "step", "--json", "--plot", str(plot), "--blocks", "2", "--features", "torsion linear")
     assert done.returncode == 0, done.stderr

@@ -120,8 +120,7 @@ def test_a_restarted_server_counts_no_losses(publisher):
 
 
 def test_lost_counts_all_messages_a_stalled_client_missed(tmp_path):
-    """Received messages plus the sum of `lost` equal the published ones, for a client that stops reading; the publisher
-    counts losses, too."""
+    """For a client that stops reading, received messages plus the sum of `lost` equal the published ones."""
     count = 60_000  # more than publisher, kernel and client buffer together
     with (
         Publisher(f"ipc://{tmp_path}/telemetry", backlog=1000) as publisher,

@@ -108,8 +108,7 @@ def eventually(what, seconds=WAIT_S):
 
 @pytest.fixture
 def rig(monkeypatch):
-    """Return a function that makes rigs of a pressing device; a step of its full force in one tick exceeds the slew
-    limit."""
+    """Return a function that makes rigs of a pressing device, whose full force in one tick exceeds the slew limit."""
     load = registry.load
     monkeypatch.setattr(registry, "load", lambda name: Driver() if name == "faulty" else load(name))
     quiet = {
@@ -204,8 +203,7 @@ def test_every_method_answers(rig):
 
 
 def test_a_parameter_changes_along_its_ramp(rig):
-    """The answer and `describe` have the target value and the ramp time; `get_state` has the rendered force. The force
-    follows the ramp."""
+    """The answer and `describe` have the target value and the ramp time; the rendered force follows the ramp."""
     with running(rig(**{"commands.ramp_s": 0.1})) as (daemon, control, kept):
         first = daemon.servo.ticks
         changed = control.set_params({STIFFNESS: 500.0})
@@ -220,8 +218,7 @@ def test_a_parameter_changes_along_its_ramp(rig):
 
 
 def test_events_of_every_command_are_recorded(rig, tmp_path):
-    """Every method is called during a recording. The recording continues, and its events equal those sent to
-    subscribers."""
+    """Every method is called during a recording; the recorded events equal those sent to subscribers."""
     told = []
     with (
         running(rig(**{"recording.directory": str(tmp_path)})) as (daemon, control, _),
@@ -272,8 +269,7 @@ def test_events_of_every_command_are_recorded(rig, tmp_path):
     own = {"schema", "timestamp", "tick"}  # time of writing differs
 
     def essence(events):
-        """Return the events of commands, sorted, without time and order; contact and guard events are computed twice
-        from ticks."""
+        """Return the events of commands without time and order; contact and guard events follow from ticks."""
         kinds, recording = ("command", "mark", "lifecycle"), ("record_start", "record_stop")
         kept = [each for each in events if each["kind"] in kinds and each["name"] not in recording]
         return sorted(json.dumps({key: each[key] for key in sorted(each.keys() - own)}) for each in kept)
@@ -403,8 +399,7 @@ def test_refused_commands_name_the_error_and_change_nothing(rig):
 
 @pytest.mark.exhaustive  # compiles a scene type; test_parameters.py has the same without a loop
 def test_the_law_of_the_normal_force_and_the_patch_are_parameters(rig):
-    """f = K d (delta / d)^p and a = c (f / 1 N)^gamma use the current parameters. Changes that need another model are
-    refused."""
+    """f = K d (delta / d)^p and a = c (f / 1 N)^gamma use the current parameters; changes of the model are refused."""
     patch = {"shear_modulus_pa": 45e3, "radius_m": 0.004, "exponent": 0.25}
     described = describe(pressed_scene(normal={"exponent": 1.5, "depth_m": 4.0 * DEPTH_M}))
     described["fingertip"]["patch"] = patch
@@ -452,8 +447,7 @@ def test_parameters_set_together_are_never_torn(rig):
 
 
 def test_changes_of_scene_cause_no_step_of_force(rig):
-    """In eight changes of scene in contact, no force changes faster than the slew limit, and parameters belong to their
-    scene."""
+    """In eight changes of scene in contact, no force changes faster than the slew limit."""
     own = {"fingertip": {"radius_m": 0.01}, "object": [{"name": "a", "shape": "plane",
            "material": {"stiffness_n_per_m": 700.0}}]}  # fmt: skip
     with running(rig(), load_scene("frictionless-plane")) as (daemon, control, kept):
@@ -471,8 +465,7 @@ def test_changes_of_scene_cause_no_step_of_force(rig):
 
 
 def test_disarm_fades_out_and_arm_fades_in(rig):
-    """After disarm the force falls to exactly zero, within the slew limit, and stays zero for a new scene; after arm it
-    follows the ramp."""
+    """After disarm the force falls to zero within the slew limit and stays there; after arm it follows the ramp."""
     with running(rig()) as (daemon, control, kept):
         first = daemon.servo.ticks
         assert control.disarm().armed is False
@@ -552,8 +545,7 @@ def test_a_heartbeat_brings_back_no_force_that_was_taken_off_by_command(rig):
 
 
 def test_what_is_no_request_is_no_sign_of_life():
-    """Malformed requests, unknown methods and requests above the limit do not count as a heartbeat; a valid request
-    does."""
+    """Malformed requests, unknown methods and requests above the limit do not count as a heartbeat; valid ones do."""
     reasons: set[str] = set()
     rendering = SimpleNamespace(
         rig=load_rig("replay", {"commands.heartbeat_s": 10.0}),
@@ -612,8 +604,7 @@ def test_each_client_gets_its_answers(rig):
 
 
 def test_an_answer_that_comes_too_late_is_not_that_of_the_next_request():
-    """The server answers the first request after receiving the second: each call gets the answer to its request, or
-    none."""
+    """The server answers the first request after the second one: each call gets the answer to its request, or none."""
     with zmq.Context() as context, context.socket(zmq.ROUTER) as server:
         server.linger, server.rcvtimeo = 0, 10_000
         port = server.bind_to_random_port("tcp://127.0.0.1")
@@ -684,8 +675,7 @@ def alive(pid: int) -> bool:
 
 
 def test_a_compilation_does_not_block_other_requests(rig, slow_compiler):
-    """Heartbeat and disarm are answered during a compilation; a later scene ends that compiler, and so does the
-    daemon's end."""
+    """Heartbeat and disarm are answered during a compilation, which ends with a later scene or with the daemon."""
     with (
         running(rig()) as (daemon, control, kept),
         Control(daemon.commands_endpoint) as first,
@@ -739,8 +729,7 @@ def test_a_client_gets_its_answer_after_a_kill_of_the_commands_process(rig, slow
 
 
 def test_scenes_asked_for_without_end_hold_up_nobody(rig, slow_compiler):
-    """Each request supersedes the previous one; after more of them than the daemon's limit, other clients are
-    answered."""
+    """Each request supersedes the previous one; after more of them than the limit, other clients are answered."""
     request = {"command_id": "x", "method": "set_scene", "params": {"scene": "sphere"}}
     with running(rig()) as (daemon, control, _), zmq.Context() as context, context.socket(zmq.DEALER) as asking:
         asking.linger, asking.rcvtimeo = 0, 10_000
@@ -773,8 +762,7 @@ def test_the_compiler_exits_when_its_input_is_closed():
 
 
 def test_command_endpoints_in_use_off_and_ipc(rig, tmp_path):
-    """An endpoint in use is an error, `off` opens none, and ipc follows the telemetry endpoint with access for the user
-    only."""
+    """An endpoint in use is an error, `off` opens none, and ipc follows the telemetry endpoint with mode 600."""
     in_use = pytest.raises(AddressInUse, match=r"\[commands\] endpoint .* is in use: stop process ")
     with running(rig()) as (daemon, _, _), in_use:
         Daemon(rig(**{"commands.endpoint": daemon.commands_endpoint}), pressed_scene())
@@ -913,7 +901,7 @@ def test_bad_messages_change_nothing(rig, cases):
         assert control.describe()["scene"] == before
         assert unchanged(kept.since(first))
     # Of 90 000 messages a leak of 200 bytes for each would be 18 MB. With few messages the allocator reserves some MB
-    # whatever their number; a leak of 5 kB for each would be as much.
+    # for any number of them; a leak of 5 kB for each would be as much.
     assert grown_mb < cases(9, 18), grown_mb
 
 

@@ -267,8 +267,7 @@ def test_device_failure_is_named_and_force_is_zero(fault, error, faulty):
 
 
 def test_stalled_servo_is_stopped_and_zeroed(faulty):
-    """When the device's exchange hangs, the supervisor writes zero to the device from its thread and raises
-    SafetyStop."""
+    """If the device's exchange hangs, the supervisor writes zero to the device and raises SafetyStop."""
     with Daemon(faulty_rig(fault="stall", at=200, stall_us=900_000), load_scene("paper-plane")) as running:
         running.start()
         with pytest.raises(SafetyStop, match="no tick for"):
@@ -286,8 +285,7 @@ def test_a_stall_does_not_end_a_run_without_a_hand(faulty):
 
 
 def test_a_signal_to_any_thread_does_not_end_it():
-    """The system may deliver a signal to any thread of the process, so each thread gets many, those of libraries
-    too."""
+    """The system may deliver a signal to any thread, so each one gets many, including those of libraries."""
     given, number = ctypes.CDLL(None).syscall, SYS_TGKILL[os.uname().machine]
     before = signal.signal(signal.SIGUSR1, lambda *_: None)
     try:
@@ -320,8 +318,7 @@ def eventually(what, seconds=20.0):
 # test_fingers_daemon.py tests a successful stop with two devices.
 @pytest.mark.parametrize("stop_fails", [pytest.param(False, marks=pytest.mark.exhaustive), True])
 def test_a_hung_exchange_is_zeroed_by_the_supervisor(stop_fails, faulty, caplog):
-    """While a read hangs, the device gets zero, and the daemon ends without waiting for the read, even if the driver's
-    stop fails."""
+    """While a read hangs, the device gets zero and the daemon ends without it, even if the driver's stop fails."""
     rig = faulty_rig(fault="hang", at=700, stop_fails=stop_fails)
     running = Daemon(rig, load_scene("paper-plane"))
     try:
@@ -339,8 +336,7 @@ def test_a_hung_exchange_is_zeroed_by_the_supervisor(stop_fails, faulty, caplog)
 
 
 def test_a_failed_stop_is_reported_and_everything_is_closed(faulty, caplog):
-    """If stop raises each time, telemetry, servo and device are still closed; one error warns that the device may still
-    push."""
+    """If stop always fails, telemetry, servo and device are closed; one error warns that the device may still push."""
     running = Daemon(faulty_rig(stop_fails=True), load_scene("paper-plane"), 300)
     running.start()
     with (

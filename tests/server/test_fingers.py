@@ -43,8 +43,7 @@ CLOCKED = [AT.timestamp, AT.servo_late, AT.servo_exec, AT.servo_missed, AT.servo
 
 
 def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.LoopEnd, np.ndarray]:
-    """Run a servo with two devices to its end, with changed limits of both guards; return its records (n, fingers,
-    RECORD_SIZE), too."""
+    """Run a servo with two devices and changed guard limits; return its end and records (n, fingers, RECORD_SIZE)."""
     tuning = make_tuning(two_fingers(), GUARD)
     tuning = tuning._replace(guards=tuple(guard._replace(**limits) for guard in tuning.guards))
     servo = s.Servo(devices, tuning, 1000.0, ticks)
@@ -202,8 +201,7 @@ def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed: 
 
 @pytest.mark.parametrize(("fault", "bit"), [("jump", POSE_JUMPED), ("frozen", POSE_FROZEN)])
 def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, undisturbed: np.ndarray) -> None:
-    """A jump, or a pose that repeats under force, zeroes only that finger; the other finger's records equal those
-    without it."""
+    """A jump, or a pose that repeats under force, zeroes only that finger; the other finger's records are unchanged."""
     devices = two(fault=fault, at=300, count=100)
     ended, records = run(*devices, ticks=600, speed_max=10.0, turn_max=100.0, frozen=0.0505)
     assert ended.ending == s.FINISHED
@@ -244,8 +242,7 @@ def test_time_is_nominal_if_all_devices_have_a_nominal_clock(both: bool) -> None
 
 @pytest.mark.plain
 def test_motion_during_refused_poses_causes_no_force_peak() -> None:
-    """After NaN poses on a table that tilts about x, f_N = K d + B v with the table's present velocity at the
-    finger."""
+    """After NaN poses on a table that tilts about x, f_N = K d + B v with the table's present velocity."""
     turn, hertz, y, period = 0.05, 2.0, 0.02, 0.001
     tilts = {"kind": "sinusoid", "rotation_rad": turn, "axis": [1.0, 0.0, 0.0], "frequency_hz": hertz}
     material = {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 2.0}
@@ -338,8 +335,7 @@ print(*servo_loop.inspect_llvm().values())
 
 @pytest.mark.exhaustive  # test_kept_kernels.py examines the loop of one device, which is compiled anyway
 def test_a_loop_of_two_devices_calls_no_allocator(tmp_path: Path) -> None:
-    """The freshly compiled loop calls no allocator, reference count or interpreter, and calls read and write of each
-    device."""
+    """The compiled loop calls no allocator, reference count or interpreter, and read and write of each device."""
     environment = os.environ | {
         "SOFTFINGER_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).resolve().parents[1])
     }  # fmt: skip

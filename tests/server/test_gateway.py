@@ -1,5 +1,4 @@
-"""Daemon open to other machines by key, as authorized and other clients see it; and forwarding by a separate
-program."""
+"""Daemon open to other machines by key, for authorized and other clients; and forwarding by a program."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ def test_the_smallest_wrench_with_a_direction_is_clamped_along_it():
 
 
 def test_the_torque_alone_may_be_slew_limited():
-    """50 N m/s are 0.05 N m per tick: 0.3 N m are approached in steps along the direction, reported as slew limited."""
+    """50 N m/s are 0.05 N m per tick: a step to 0.3 N m gives that in the first tick, along its direction."""
     after, bits = compiled(LIMITS, ENGAGED, (0.0, 0.0, 0.0), (0.0, 0.18, 0.24), DT)
     assert bits == g.SLEW_LIMITED
     np.testing.assert_allclose(after.torque, (0.0, 0.03, 0.04), rtol=1e-14)  # 0.05 N m along (0, 3, 4) / 5
@@ -112,7 +112,7 @@ def test_without_a_ramp_the_force_is_complete_at_once():
 
 
 def test_slew_limits_each_tick_along_the_way():
-    """A step to 10 N is approached by force_slew * dt per tick in a straight line."""
+    """A step to 10 N gives force_slew * dt in the first tick, along its direction."""
     after, bits = compiled(LIMITS, ENGAGED, (6.0, 0.0, 8.0), (0.0, 0.0, 0.0), DT)
     assert bits == g.SLEW_LIMITED
     np.testing.assert_allclose(after.force, (1.2, 0.0, 1.6), rtol=1e-14)  # 2 N along (3, 0, 4) / 5

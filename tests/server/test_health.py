@@ -33,10 +33,7 @@ GOOD, NO_POSE, NO_FORCE = (RAMPING, 0.0, T), (POSE_REFUSED | RAMPING, 0.0, T), (
 def test_half_a_second_without_a_force_is_a_fault(tick, fault):
     """Unusable poses or forces in a row end the run after NO_FORCE_MAX_S, not earlier."""
     _, found, count, _ = after([tick] * 2000)
-    assert (found, abs(count - h.NO_FORCE_MAX_S / T) <= 2) == (
-        fault,
-        True,
-    )  # 500 additions, and above the limit, not at it
+    assert (found, abs(count - h.NO_FORCE_MAX_S / T) <= 2) == (fault, True)  # 500 additions; above the limit
 
 
 def test_frequent_bad_poses_are_a_fault_and_occasional_ones_are_not():
@@ -56,8 +53,7 @@ def test_jumps_that_leave_nothing_to_render_are_a_fault():
 
 
 def test_gaps_of_every_length_end_the_run_when_the_fault_model_says():
-    """Gaps with one tick between them end the run after the time in the fault model, more than 1 s and less than 1.3
-    s."""
+    """Gaps with one tick between them end the run after the time in the fault model, between 1 and 1.3 s."""
     shortest, longest = stall_range_s()
     assert 1.0 < shortest < longest < 1.3
     for gap in (h.GAP_MIN_S, 0.0337, 0.0611, 0.0977, 0.1533, 0.1999, 0.24, h.GAP_MAX_S):

@@ -209,8 +209,7 @@ def answer(process: subprocess.Popen[str]) -> Any:
 
 @contextmanager
 def publishing(endpoint: str, period_s: float = 0.01) -> Iterator[tuple[subprocess.Popen[str], list[Any]]]:
-    """Run a process that publishes ten ticks a period until it is stopped; yield it, and its endpoint, ring and
-    publisher's process id."""
+    """Run a process that publishes ten ticks a period; yield it with its endpoint, ring and publisher's pid."""
     words = [sys.executable, "-W", "error", "-c", SERVER, endpoint, str(Path(__file__).parents[1]), str(period_s)]
     with Program(
         [*words, str(BACKLOG)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -286,8 +285,7 @@ OVER_IPC = ("thousands of topics", "connections that say nothing", "connect and 
 
 @pytest.mark.parametrize("names", TOGETHER.values(), ids=TOGETHER)
 def test_groups_of_malicious_peers_do_not_affect_the_daemon(names: tuple[str, ...]) -> None:
-    """During and after attacks the daemon's memory stays bounded, its ticks have no gap, a subscriber is served again,
-    and it ends quickly."""
+    """During and after attacks, memory is bounded, no tick is missing, and a subscriber is served again."""
     attacked(names, "tcp://127.0.0.1:*", SECONDS)
 
 
@@ -361,8 +359,7 @@ def eventually(what: Callable[[], bool]) -> bool:
 
 
 def test_unfinished_handshakes_are_disconnected() -> None:
-    """A peer that stops before, in or after its greeting is disconnected; one that has finished the handshake may
-    subscribe later."""
+    """A peer that does not finish its handshake is disconnected; one that has finished may subscribe later."""
     with Publisher("tcp://127.0.0.1:*") as publisher, ExitStack() as peers:
         address = "127.0.0.1", int(publisher.endpoint.rpartition(":")[2])
         patient = peers.enter_context(socket.create_connection(address))
@@ -419,8 +416,8 @@ def served(endpoint: str) -> bool:
 
 @pytest.mark.parametrize("transport", ["tcp", pytest.param("ipc", marks=pytest.mark.exhaustive)])
 def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Path) -> None:
-    """With 40 connections that never read and a suspended subscriber, memory stays bounded, losses are counted, and the
-    end does not wait for them."""
+    """40 connections that never read and a suspended subscriber: memory is bounded, losses are counted, close is not
+    delayed."""
     with publishing(endpoint_of(transport, tmp_path), period_s=0.002) as (process, (bound, _, pid)):
         words = [sys.executable, "-c", STOPPED, bound]
         never_read = [sys.executable, "-c", PEER + ATTACKS["subscribers who never read"], bound, "60"]

@@ -113,8 +113,7 @@ def ticks_of(times: np.ndarray, seen: Seen) -> np.ndarray:
 
 
 def check_end(name: str, at: int, seen: Seen, withholds: bool = False) -> None:
-    """Check ending, events, and that the recording has every tick. `withholds`: the driver gives zero without reads,
-    earlier than the guard."""
+    """Check ending, events and recorded ticks; `withholds`: the driver gives zero before the guard does."""
     case = CASES[name]
     if case.ends is None:
         assert seen.error is None, seen.error
@@ -129,8 +128,7 @@ def check_end(name: str, at: int, seen: Seen, withholds: bool = False) -> None:
 
 
 def check_limits(forces: np.ndarray) -> np.ndarray:
-    """Check that no wrench exceeds the guard's limit, none changes by more than a tick's slew, and the last one is
-    zero; return their norms."""
+    """Check the guard's limit, the slew of each tick, and the last zero; return the norms of the forces."""
     norms: np.ndarray = np.linalg.norm(forces, axis=1)
     assert norms.max() <= FORCE_MAX_N
     assert norms[-1] == 0.0
@@ -165,8 +163,7 @@ def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: st
 
 
 def test_wrenches_that_are_not_taken_count_from_the_last_one_that_was(tmp_path: Path) -> None:
-    """Wrenches are ignored twice for more than half of IGNORED_WRENCH_MAX_S, with one accepted between: the run
-    continues."""
+    """Wrenches are ignored twice, with one accepted between: the run continues."""
     held = HELD * 3 // 4
     faults = [{"kind": "held", "at_tick": at, "ticks": held} for at in (50, 50 + held + 1)]
     with FAR_ENDS["replay"](tmp_path) as far:

@@ -40,8 +40,7 @@ def test_a_scene_without_a_grasp_is_refused(scene: str, why: str) -> None:
 
 @pytest.mark.exhaustive
 def test_a_script_lifts_the_box() -> None:
-    """After a squeeze and a lift the box is at its goal, level, pressed from both sides; a second run gives the same
-    bits."""
+    """After a squeeze and a lift the box is at its goal, level, pressed from both sides; a second run is identical."""
     env = gymnasium.make(lift_environment.NAME).unwrapped
     squeeze, up, hold = led((1, 0, 0), (-1, 0, 0)), led((0, 0, 1), (0, 0, 1)), led((0, 0, 0), (0, 0, 0))
     ends = []
@@ -63,8 +62,7 @@ def test_a_script_lifts_the_box() -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_continues_the_lift(duplicate: Callable[[Any], Any]) -> None:
-    """A deep copy or a pickled copy, made with the box in the grasp, continues with the same bits in separate
-    memory."""
+    """A deep copy or a pickled copy with the box in the grasp continues with the same bits in separate memory."""
     env = lift_environment.Lift(step_ticks=10)
     env.reset(seed=0)
     for _ in range(16):

@@ -76,8 +76,7 @@ def test_one_displaced_pose_is_not_too_fast():
 
 
 def test_the_force_comes_back_once_the_handle_is_slow_for_a_time():
-    """With automatic arming the force returns along the ramp after SLOW_S below half of the limit; motion restarts the
-    time."""
+    """With automatic arming the force ramps up after SLOW_S below half of the limit; motion restarts the time."""
     guard, passed = limited(speed=2.0, slow_s=lim.SLOW_S, ramp=0.5), INITIAL_OUTPUT
     for _ in range(100):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
@@ -124,8 +123,7 @@ def test_a_tick_without_a_pose_ends_no_wait(slow_s):
 
 
 def test_heat_follows_a_first_order_model():
-    """Under F the heat is (F / F_c)^2 (1 - r^n), r = tau / (tau + T); without force or pose it falls by the factor
-    r."""
+    """Under F the heat is (F / F_c)^2 (1 - r^n), r = tau / (tau + T); without force or pose it falls by r."""
     guard, passed = limited(continuous=4.0, heat_s=2.0), INITIAL_OUTPUT
     ratio = 2.0 / (2.0 + T)
     for n in range(1, 1001):
@@ -178,7 +176,7 @@ def test_a_tick_of_zero_length_keeps_the_velocity():
 
 
 def test_a_torque_fades_with_the_force():
-    """Half of the excess energy halves the limits of force and torque."""
+    """At 1.5 times the energy limit, the limits of force and torque are halved."""
     guard = limited(energy=0.2)
     passed = INITIAL_OUTPUT._replace(
         limit_state=lim.INITIAL_LIMITS._replace(energy_given=0.3 * (lim.FORGET_S + T) / lim.FORGET_S)
@@ -391,7 +389,7 @@ def test_no_limit_is_exceeded(steps):
 
 
 def test_recorded_devices_are_not_limited():
-    """Recorded devices have none of these limits; with arming by button the speed limit waits for it."""
+    """Recorded devices have none of these limits; with arming by button the speed limit waits for the arming."""
     rig = schema.Guard(continuous_force_n=3.0, workspace=schema.Workspace(size_m=(0.1, 0.08, 0.06)))
     limits = guard_limits(rig, ARM).limits
     wall = lim.Workspace(NONE, (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
@@ -430,7 +428,7 @@ def test_a_scene_that_is_replaced_does_not_cool_the_motors():
 
 
 def test_a_shipped_recording_reaches_no_limit():
-    """The shipped recording on the shipped plane, with all limits of an omega.6, reaches no limit."""
+    """The shipped recording on the shipped plane stays within an omega.6's limits of speed, energy and workspace."""
     tuning = make_tuning(load_scene("paper-plane"), load_rig("omega-6").guard, [ARM])
     records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 250.0), 250.0)
     assert not (records[:, AT.servo_guard].astype(int) & (g.TOO_FAST | g.ENERGY_SPENT | g.WORKSPACE_EDGE)).any()
@@ -445,8 +443,7 @@ RECORDED = {
 }
 """Recordings for scenes of several fingers."""
 ALONE = ("press-roll-spin-drag", "roll-follow", "tap")
-"""Recordings for one finger, except those of intentions of a simulated hand, which are deep in the objects open
-loop."""
+"""Recordings for one finger, except intentions of a simulated hand, which are deep in the objects open loop."""
 
 
 def fits(name):

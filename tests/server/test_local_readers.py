@@ -115,8 +115,7 @@ def test_readers_in_c_get_every_tick_and_count_gaps(program):
 
 
 def test_describe_returns_the_ring_of_ticks():
-    """`describe` has the ring's name and columns. Every tick of a run arrives, then the end is reported, and the file
-    is removed."""
+    """`describe` has the ring's name and columns; every tick of a run arrives, followed by the end."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     taken = []
     with Daemon(rig, load_scene("paper-plane"), 500) as daemon:
@@ -137,8 +136,7 @@ def test_describe_returns_the_ring_of_ticks():
 
 
 def test_program_on_the_page_runs():
-    """The program in docs/protocol.md, with the endpoint inserted, prints complete ticks and exits with 0 after the
-    daemon's end."""
+    """The program in docs/protocol.md prints complete ticks and exits with 0 after the daemon's end."""
     (program,) = [each for each in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL) if "Local" in each]
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:

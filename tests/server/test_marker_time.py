@@ -102,9 +102,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
                 client.mark("the last")
                 while published[-1].get("label") != "the last":
                     published.append(next(events).data)
-                while (
-                    client.get_state().sequence < published[-1]["tick"] + 10
-                ):  # so that there are ticks after the last mark
+                while client.get_state().sequence < published[-1]["tick"] + 10:  # ticks after the last mark
                     pass
                 client.record_stop()
                 found = None if lsl is None else json.loads(lsl[1].communicate(timeout=WAIT_S)[0])

@@ -1,5 +1,4 @@
-"""`softfinger materials`: the list, an entry with its sources, its figure, and the rows of `check` for named
-materials."""
+"""`softfinger materials`: the list, an entry with its sources, its figure, and the rows of `check`."""
 
 from __future__ import annotations
 
@@ -105,9 +104,7 @@ def test_the_drawn_band_of_moduli_follows_hertz() -> None:
         assert radius**2 == pytest.approx(0.01 * feel_figure.hertz_depth(load, young, 0.01), rel=1e-12)
 
 
-def test_check_separates_values_of_the_library_and_the_scene(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_prints_the_origin_of_values(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each named table has a row with its entry and the values that the file overrides."""
     file = tmp_path / "scene.toml"
     file.write_text(SCENE)

@@ -67,8 +67,7 @@ def test_a_histogram_counts_as_prometheus_does() -> None:
 
 @pytest.mark.parametrize("batch", [1, 300, 5000])
 def test_figures_are_those_of_the_records(batch: int) -> None:
-    """For two fingers and batches of any size, counts of ticks, modes, forces, guard, devices and lateness equal direct
-    sums."""
+    """Counts of ticks, modes, forces, guard, devices and lateness equal direct sums, for batches of any size."""
     count, random = 2 * ROWS + 77, np.random.default_rng(5)
     fingers = [synthetic(count, seed=seed) for seed in (1, 2)]
     for rows in fingers:
@@ -133,8 +132,7 @@ def daemon() -> Iterator[Daemon]:
 
 
 def test_a_running_daemon_is_scraped(daemon: Daemon) -> None:
-    """Tick counts grow between scrapes, read by Prometheus' parser; an idle client blocks neither the next one nor the
-    servo."""
+    """Tick counts grow between scrapes, read by Prometheus' parser; an idle client blocks neither scrapes nor servo."""
     host, port = daemon.metrics_endpoint.removeprefix("http://").split(":")
     with socket.create_connection((host, int(port))):
         until, found = time.monotonic() + 60.0, scraped(daemon)
