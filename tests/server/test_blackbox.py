@@ -106,7 +106,7 @@ def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_the_folder_is_bounded(tmp_path: Path) -> None:
-    """The oldest recordings are deleted to stay below FILES_MAX and BYTES_MAX; a shared writable folder is refused."""
+    """Above FILES_MAX or BYTES_MAX the oldest recordings are deleted; a folder writable by others is refused."""
     place = tmp_path / "boxes"
     prepare_folder(place)
     assert place.stat().st_mode & 0o777 == 0o700

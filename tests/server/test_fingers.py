@@ -335,7 +335,7 @@ print(*servo_loop.inspect_llvm().values())
 
 @pytest.mark.exhaustive  # test_kept_kernels.py examines the loop of one device, which is compiled anyway
 def test_a_loop_of_two_devices_calls_no_allocator(tmp_path: Path) -> None:
-    """The compiled loop calls no allocator, reference count or interpreter, and read and write of each device."""
+    """The compiled loop calls read and write of each device, but no allocator, reference count or interpreter."""
     environment = os.environ | {
         "SOFTFINGER_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).resolve().parents[1])
     }  # fmt: skip

@@ -416,8 +416,7 @@ def served(endpoint: str) -> bool:
 
 @pytest.mark.parametrize("transport", ["tcp", pytest.param("ipc", marks=pytest.mark.exhaustive)])
 def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Path) -> None:
-    """40 connections that never read and a suspended subscriber: memory is bounded, losses are counted, close is not
-    delayed."""
+    """With 40 connections that never read and a suspended subscriber, memory is bounded and losses are counted."""
     with publishing(endpoint_of(transport, tmp_path), period_s=0.002) as (process, (bound, _, pid)):
         words = [sys.executable, "-c", STOPPED, bound]
         never_read = [sys.executable, "-c", PEER + ATTACKS["subscribers who never read"], bound, "60"]
