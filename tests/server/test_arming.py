@@ -1,7 +1,7 @@
-"""Who arms, on a daemon whose device counts as one that a hand holds: the program, a command, a button.
+"""Arming by the program, by command and by button, on a daemon whose device counts as held by a hand.
 
-A replay is pressed into a plane and dragged; faults are injected between it and the loop, which makes it such a device,
-and press a button. Its log has each wrench that it was given. One scene, so one loop is compiled, of 20 s.
+A replay pushes a fingertip into a plane and drags it. Injected faults make the device count as held by a hand and press
+its button. The device logs each wrench. All tests use one scene, so one loop is compiled (20 s).
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ WAIT_S = 60.0
 TOUCH_N = 0.1
 RAMP_S = 0.02
 NOTHING = {"kind": "stale", "at_tick": 10}
-"""A fault that is none."""
+"""Fault without effect."""
 
 
 def pressed(path: Path, fast_at_s: float | None = None) -> str:
-    """A recording of 3 s, 1 mm deep in the plane; from a time on 0.2 m aside at 4 m/s, and at rest there."""
+    """Write a recording of 3 s, 1 mm deep in the plane; from `fast_at_s` on it moves 0.2 m aside at 4 m/s and stops."""
     times = np.arange(0.0, 3.005, 0.01)
     x = np.zeros_like(times) if fast_at_s is None else np.clip(4.0 * (times - fast_at_s), 0.0, 0.2)
     rest = np.tile([0.0, 0.009, 1.0, 0.0, 0.0, 0.0], (len(times), 1))
@@ -42,8 +42,8 @@ def pressed(path: Path, fast_at_s: float | None = None) -> str:
 
 
 class Run:
-    """A daemon's run to the end of its ticks: forces (n,) N that the device was given, states with their causes, names
-    of the guard's events, and the state as `describe` had it."""
+    """Run of a daemon to its last tick. `forces` (n,) N that the device received, `states` with their causes, names of
+    the guard's events in `guard`, and `state` as `describe` returned it."""
 
     def __init__(
         self,
@@ -81,21 +81,21 @@ class Run:
 
 
 def test_automatic_arming_gives_force_from_the_first_tick(tmp_path: Path) -> None:
-    """Nobody does anything: ready, armed, and force along the ramp."""
+    """Without any action the daemon becomes ready and armed, and the force follows the ramp."""
     run = Run(tmp_path, pressed(tmp_path / "p.csv"), "automatic")
     assert [name for name, _ in run.states[:2]] == ["ready", "armed"] and run.state == "armed"
     assert run.forces[1] > 0.0 and run.forces[100] > TOUCH_N
 
 
 def test_a_button_that_was_held_before_arms_nothing(tmp_path: Path) -> None:
-    """A button that is down in the first tick and for 1 s gives no force, nor does its release."""
+    """A button that is down from the first tick for 1 s gives no force, and neither does its release."""
     held = {"kind": "bounce", "buttons": 1, "at_tick": 0, "ticks": 1000, "every_ticks": 1}
     run = Run(tmp_path, pressed(tmp_path / "p.csv"), "button", held)
     assert not run.forces.any() and run.state == "ready"
 
 
 def test_a_button_arms(tmp_path: Path) -> None:
-    """Until a button is pressed at tick 800 every wrench is zero; then the force fades in."""
+    """Every wrench is zero until a button is pressed at tick 800; then the force fades in."""
     press = {"kind": "bounce", "buttons": 1, "at_tick": 800, "ticks": 50}
     run = Run(tmp_path, pressed(tmp_path / "p.csv"), "button", press)
     assert not run.forces[:800].any()
@@ -103,8 +103,8 @@ def test_a_button_arms(tmp_path: Path) -> None:
     assert [name for name, _ in run.states[:2]] == ["ready", "armed"]
 
 
-def test_a_command_arms_where_the_rig_asks_for_one(tmp_path: Path) -> None:
-    """Neither time nor a button gives force, `arm` does; `describe` has the state meanwhile."""
+def test_a_command_arms_if_the_rig_requires_one(tmp_path: Path) -> None:
+    """Only `arm` gives force: neither time nor a button does. `describe` returns the state throughout."""
     seen: list[str] = []
     armed_at: list[int] = []
 
@@ -123,12 +123,12 @@ def test_a_command_arms_where_the_rig_asks_for_one(tmp_path: Path) -> None:
 
 
 def test_a_handle_that_is_too_fast_gets_its_force_back_by_itself(tmp_path: Path) -> None:
-    """At 4 m/s from tick 500 on for 50 ms: zero before it has stopped, for SLOW_S; faulted, and then armed again."""
+    """A hand at 4 m/s for 50 ms gets zero force for at least SLOW_S; the daemon is faulted and then arms again."""
     run = Run(tmp_path, pressed(tmp_path / "p.csv", 0.5), "automatic")
     assert run.forces[495] > TOUCH_N
     off = np.flatnonzero(run.forces[500:] == 0.0) + 500
     assert off[0] < 550
-    # The count goes by ticks, and may begin while the handle still slows down.
+    # SLOW_S is counted in ticks and may start while the handle still slows down.
     back = off[0] + np.flatnonzero(run.forces[off[0] :] > 0.0)[0]
     assert back - off[0] >= round(1000.0 * SLOW_S)
     assert run.forces[2000] > TOUCH_N
@@ -137,7 +137,7 @@ def test_a_handle_that_is_too_fast_gets_its_force_back_by_itself(tmp_path: Path)
 
 
 def test_a_handle_that_is_too_fast_waits_for_whoever_arms(tmp_path: Path) -> None:
-    """With arming by command the same leaves no force until `arm`, however long the handle is slow."""
+    """With arming by command, a hand that was too fast gets no force until `arm`, even after it has slowed down."""
     armed_at: list[int] = []
 
     def during(control: Control, tick: int) -> None:

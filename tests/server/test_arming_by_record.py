@@ -1,5 +1,7 @@
-"""Who arms, from the records alone: what arming asks of the rendering for each batch of ticks. `test_arming.py` has the
-same with a daemon and its device."""
+"""Arming computed from records only: calls that `Arming` makes for each batch of ticks.
+
+`test_arming.py` tests the same with a daemon and its device.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ pytestmark = pytest.mark.plain
 
 
 class Asked:
-    """What is asked of the rendering, in order; `armed_at` is the tick from which on it is armed."""
+    """Rendering that records the calls of `Arming` in order; `armed_at` is the first armed tick."""
 
     def __init__(self, arm: str, fingers: int = 1, armed_at: int = 0) -> None:
         self.rig = SimpleNamespace(guard=SimpleNamespace(arm=arm))
@@ -38,7 +40,7 @@ class Asked:
 
 
 def batch(*ticks: tuple[int, list[tuple[float, float]]]) -> np.ndarray:
-    """Records of ticks: number, and guard's bits and buttons of each finger."""
+    """Return records of ticks, given the tick number and the guard's bits and buttons of each finger."""
     out = np.zeros((len(ticks), len(ticks[0][1]) * RECORD_SIZE))
     for row, (tick, fingers) in zip(out, ticks, strict=True):
         for place, (bits, buttons) in enumerate(fingers):
@@ -48,15 +50,15 @@ def batch(*ticks: tuple[int, list[tuple[float, float]]]) -> np.ndarray:
 
 
 def taken(asked: Asked, *batches: np.ndarray) -> list[Any]:
-    """What is asked for the batches, one after the other; without what is asked each time."""
+    """Return the calls made for the batches, without the `update_state` of each batch."""
     arming = Arming(cast(Any, asked), States())
     for records in batches:
         arming.take(records, 0)
     return [act for act in asked.acts if act != "update_state"]
 
 
-def test_each_batch_is_followed_and_the_first_makes_ready() -> None:
-    """The state leaves `starting`, and goes by what keeps the force off."""
+def test_the_first_batch_makes_ready() -> None:
+    """The first batch ends the state `starting`: the daemon becomes ready."""
     asked, states = Asked("command"), States()
     arming = Arming(cast(Any, asked), states)
     assert arming.sink.name == "arming"
@@ -65,23 +67,23 @@ def test_each_batch_is_followed_and_the_first_makes_ready() -> None:
 
 
 @pytest.mark.parametrize("fingers", [1, 2])
-def test_automatic_tells_whether_the_last_tick_was_too_fast(fingers: int) -> None:
-    """Of any finger; of the last tick of the batch; nothing is disarmed."""
+def test_automatic_arming_reports_if_the_last_tick_was_too_fast(fingers: int) -> None:
+    """The last tick of a batch decides, for any finger; automatic arming never disarms."""
     slow, fast = [(RAMPING, 0.0)] * fingers, [(0.0, 0.0)] * (fingers - 1) + [(TOO_FAST | RAMPING, 0.0)]
     assert taken(Asked("automatic", fingers), batch((1, slow), (2, fast))) == [(FAST, True)]
     assert taken(Asked("automatic", fingers), batch((1, fast), (2, slow))) == [(FAST, False)]
 
 
 def test_a_disarmed_guard_is_not_too_fast() -> None:
-    """It gives no force anyway; nor does a tick from before it was armed count, and that of arming does."""
+    """TOO_FAST does not count in a disarmed guard nor in a tick before the arming one."""
     assert taken(Asked("automatic"), batch((1, [(TOO_FAST | DISARMED, 0)]))) == [(FAST, False)]
     assert taken(Asked("automatic", armed_at=8), batch((7, [(TOO_FAST, 0)]))) == [(FAST, False)]
     assert taken(Asked("automatic", armed_at=8), batch((8, [(TOO_FAST, 0)]))) == [(FAST, True)]
 
 
 @pytest.mark.parametrize("arm", ["command", "button"])
-def test_where_a_person_arms_too_fast_disarms(arm: str) -> None:
-    """In whichever tick of the batch it was, and tells no fault that goes by itself."""
+def test_too_fast_disarms_with_arming_by_command_or_button(arm: str) -> None:
+    """TOO_FAST in any tick of the batch disarms; no temporary fault is reported."""
     assert taken(Asked(arm), batch((1, [(TOO_FAST, 0)]), (2, [(0, 0)]))) == [("disarm", FAST)]
     assert taken(Asked(arm), batch((1, [(0, 0)]))) == []
 
@@ -89,8 +91,8 @@ def test_where_a_person_arms_too_fast_disarms(arm: str) -> None:
 ARMED = [("arm", UNARMED, FAST)]
 
 
-def test_a_press_arms_where_the_rig_has_that() -> None:
-    """Once for the batch in which a button goes down, and not by command."""
+def test_a_press_arms_if_the_rig_arms_by_button() -> None:
+    """A press arms once per batch with arming by button, and never with arming by command."""
     press = batch((1, [(0, 0)]), (2, [(0, 1)]), (3, [(0, 1)]))
     assert taken(Asked("button"), press) == ARMED
     assert taken(Asked("command"), press) == []
@@ -99,26 +101,26 @@ def test_a_press_arms_where_the_rig_has_that() -> None:
 @pytest.mark.parametrize(
     ("words", "armed"),
     [
-        ([1.0, 1.0, 0.0], False),  # held from the start, and its release
+        ([1.0, 1.0, 0.0], False),  # down from the start, then released
         ([0.0, 0.0], False),
         ([1.0, 0.0, 1.0], True),  # pressed again
-        ([1.0, 3.0], True),  # a second one beside it
+        ([1.0, 3.0], True),  # a second button pressed
         ([3.0, 1.0], False),
         ([0.0, np.nan], False),
         ([0.0, np.inf], False),
         ([0.0, -1.0], False),
-        ([0.0, 2.0**53], False),  # no word of buttons, which are whole numbers that a float64 has
+        ([0.0, 2.0**53], False),  # invalid: above 2**52 a float64 cannot represent every integer
         ([0.0, 2.0**52], True),
     ],
 )
-def test_what_is_a_press(words: list[float], armed: bool) -> None:
-    """A button that was up in the tick before, in one batch and over several."""
+def test_a_press_is_a_button_that_was_up(words: list[float], armed: bool) -> None:
+    """A press is a button that was up in the previous tick, within one batch and across batches."""
     ticks = [(number, [(0.0, word)]) for number, word in enumerate(words)]
     assert taken(Asked("button"), batch(*ticks)) == (ARMED if armed else [])
     assert taken(Asked("button"), *[batch(tick) for tick in ticks]) == (ARMED if armed else [])
 
 
 def test_any_finger_may_press() -> None:
-    """Buttons of all count; one that takes over from another is a press."""
+    """Buttons of all fingers are combined: a new button on any finger arms, the same one on another finger does not."""
     assert taken(Asked("button", 2), batch((1, [(0, 0), (0, 0)]), (2, [(0, 0), (0, 2)]))) == ARMED
     assert taken(Asked("button", 2), batch((1, [(0, 1), (0, 0)]), (2, [(0, 0), (0, 1)]))) == []

@@ -1,4 +1,4 @@
-"""The black box: what it keeps, how much room it takes, and the file that a fault's event names."""
+"""Black box: its contents, its size limits, and the file named in the event of a fault."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ WAIT_S = 60.0
 
 
 def records(first: int, count: int) -> np.ndarray:
-    """Ticks with numbers from `first` on, of now."""
+    """Return `count` records with tick numbers from `first` and the current time."""
     made = np.zeros((count, RECORD_SIZE))
     made[:, AT.tick] = np.arange(first, first + count)
     made[:, AT.timestamp] = time.time()
@@ -45,8 +45,8 @@ def ticks_in(path: Path) -> list[int]:
 
 @pytest.mark.plain
 @pytest.mark.parametrize("batches", [(5,), (250, 250), (999, 999, 7), (2500,), (1000,), (1,) * 30])
-def test_the_newest_ticks_are_kept_in_their_order(batches: tuple[int, ...], tmp_path: Path) -> None:
-    """However they come, the file has the last ten seconds of them at 100 Hz."""
+def test_the_last_ticks_are_written_in_order(batches: tuple[int, ...], tmp_path: Path) -> None:
+    """For any batch sizes, the file contains the last ten seconds of ticks (at 100 Hz) in order."""
     box, first = BlackBox([""], [], 100.0), 0
     for count in batches:
         box.take(records(first, count))
@@ -57,7 +57,7 @@ def test_the_newest_ticks_are_kept_in_their_order(batches: tuple[int, ...], tmp_
 
 @pytest.mark.plain
 def test_old_events_take_no_memory() -> None:
-    """Of a thousand events, each older than what is kept when the next one comes, one is left."""
+    """Events older than the history are dropped: after a thousand of them, memory is below that of ten."""
     box, old = BlackBox([""], [], 100.0), time.time() - HISTORY_S - 60.0
     tracemalloc.start()
     try:
@@ -66,12 +66,12 @@ def test_old_events_take_no_memory() -> None:
         held, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert held < 10 * 10_000  # bytes: of ten names, where a thousand would take a hundred times as much
+    assert held < 10 * 10_000  # bytes of ten names; a thousand would need a hundred times as much
 
 
 @pytest.mark.plain
-def test_old_events_and_lines_are_left_out(tmp_path: Path) -> None:
-    """What is older than ten seconds is not in the file; a foreign reader finds the rest by topic and time."""
+def test_old_events_and_log_lines_are_not_written(tmp_path: Path) -> None:
+    """Events and log lines older than ten seconds are not written; a foreign reader finds the newer ones."""
     box, now = BlackBox([""], [], 100.0), time.time()
     box.take(records(0, 3))
     for age in (HISTORY_S + 5.0, 1.0):
@@ -90,24 +90,23 @@ def test_old_events_and_lines_are_left_out(tmp_path: Path) -> None:
         ]
     assert [message.name for topic, message in found if topic == "event"] == ["1 s ago"]
     ((level, name, text),) = [(m.level, m.name, m.message) for topic, m in found if topic == "log"]
-    assert (level, name, text) == (4, "softfinger.test", "1 s ago")  # 4: ERROR of Foxglove
+    assert (level, name, text) == (4, "softfinger.test", "1 s ago")  # 4: ERROR in Foxglove's schema
 
 
 @pytest.mark.plain
-def test_a_file_that_cannot_be_written_leaves_none(tmp_path: Path) -> None:
-    """Where the folder is away the error is the system's, and where writing fails no part of a file stays."""
+def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
+    """A missing folder raises the system's error, and a failed write leaves no partial file."""
     box = BlackBox([""], [], 100.0)
     with pytest.raises(FileNotFoundError):
         box.write(tmp_path / "away" / "box.mcap", {})
     with pytest.raises(TypeError):
-        box.write(tmp_path / "box.mcap", {"scene_name": object()})  # no JSON
+        box.write(tmp_path / "box.mcap", {"scene_name": object()})  # not JSON
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.plain
 def test_the_folder_is_bounded(tmp_path: Path) -> None:
-    """The oldest files make room, by number and by size; others' files stay; a folder that others may write to is
-    refused."""
+    """Above FILES_MAX or BYTES_MAX the oldest recordings are deleted; a folder writable by others is refused."""
     place = tmp_path / "boxes"
     prepare_folder(place)
     assert place.stat().st_mode & 0o777 == 0o700
@@ -138,14 +137,14 @@ def running(faults: list[dict[str, Any]] | None = None) -> Iterator[Daemon]:
 
 
 def named_in(path: Path) -> dict[str, dict[str, Any]]:
-    """Faults among the events of a file, by name."""
+    """Return the fault events of a file, by name."""
     events = [part.event for part in read_contents(path) if isinstance(part, Event)]
     return {event["name"]: event for event in events if event["kind"] == "fault"}
 
 
 @pytest.mark.real_time
-def test_what_ends_a_run_leaves_a_file_that_its_event_names() -> None:
-    """A device that is lost: the file has every tick of the run, the event with the error's words, and the log."""
+def test_a_lost_device_writes_a_file_named_in_its_event() -> None:
+    """After a lost device, the file has every tick of the run and an event with the error and the file's path."""
     with pytest.raises(DeviceLost) as lost, running([{"kind": "disconnect", "at_tick": 700}]) as daemon:
         daemon.wait(WAIT_S)
     path = files(blackbox.folder())[-1]
@@ -157,12 +156,13 @@ def test_what_ends_a_run_leaves_a_file_that_its_event_names() -> None:
 
 
 @pytest.mark.real_time
-def test_a_publisher_that_is_killed_leaves_a_file_too(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """The daemon continues. The file is named after the event, and has it and the ticks before and after the kill."""
-    monkeypatch.setenv("SOFTFINGER_BLACKBOX_DIR", str(tmp_path))  # another daemon of this process may have left a file
+def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The daemon continues. The file has the event and the ticks before and after the kill."""
+    # Another daemon of this process may have written a file.
+    monkeypatch.setenv("SOFTFINGER_BLACKBOX_DIR", str(tmp_path))
     with running() as daemon:
         with subscribe(daemon.publisher.endpoint, timeout_s=WAIT_S) as samples:
-            next(iter(samples))  # one that is killed before it is ready is not started again
+            next(iter(samples))  # a publisher killed before it is ready is not restarted
         killed_at = daemon.servo.ticks
         os.kill(daemon.publisher.pids["telemetry"], signal.SIGKILL)
         until = time.monotonic() + WAIT_S
@@ -178,8 +178,10 @@ def test_a_publisher_that_is_killed_leaves_a_file_too(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.real_time
-def test_without_a_folder_a_run_goes_on(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    """Where no file can be made the end is the same, and a line says why there is none."""
+def test_the_error_is_the_same_without_a_folder(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """If the folder cannot be created, the run ends with the same error and the log names the reason."""
     monkeypatch.setenv("SOFTFINGER_BLACKBOX_DIR", "/proc/nowhere")
     with pytest.raises(DeviceLost), running([{"kind": "disconnect", "at_tick": 50}]) as daemon:
         daemon.wait(WAIT_S)

@@ -1,4 +1,4 @@
-"""What Foxglove and Rerun are given, read back with their own means; without them, one line says what to install."""
+"""Data sent to Foxglove and Rerun, read back with their libraries; without a library, one line names the package."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ WHY = "not installed by `make setup`: it is bigger than this program"
 
 @pytest.fixture
 def pressed() -> Records:
-    """A tick with a force."""
+    """Return a tick with a force."""
     records = Records(run())
     return records[np.argmax(records["force"][:, 2])]
 
@@ -43,7 +43,7 @@ def forced(record: Records, force: Any) -> Records:
 
 
 def arrow_of(data: bytes) -> tuple[Any, np.ndarray]:
-    """The arrow of a SceneUpdate, and where it points: Foxglove's arrows are drawn along x."""
+    """Return the arrow of a SceneUpdate and its direction: Foxglove draws arrows along x."""
     (entity,) = message_class(SCENE).FromString(data).entities
     (arrow,) = entity.arrows
     w, x, y, z = (getattr(arrow.pose.orientation, axis) for axis in "wxyz")
@@ -53,7 +53,7 @@ def arrow_of(data: bytes) -> tuple[Any, np.ndarray]:
 
 @pytest.mark.parametrize("way", [(0, 0, 1), (0, -1, 0), (1, 0, 0), (-1, 0, 0), (-0.6, 0.0, 0.8), (0.36, -0.48, 0.8)])
 def test_the_arrow_of_a_force(way: tuple[float, ...], pressed: Records) -> None:
-    """It points along the force, and is as long as 20 mm for each newton; without a force it is taken away."""
+    """The arrow points along the force with 20 mm per newton; without a force it is deleted."""
     arrow, points = arrow_of(picture.force_message(forced(pressed, 1.5 * np.array(way)), 0, ""))
     np.testing.assert_allclose(points, way, atol=1e-9)  # rounding
     assert arrow.shaft_length + arrow.head_length == pytest.approx(0.03, rel=1e-12)
@@ -67,14 +67,14 @@ def test_the_arrow_of_a_force(way: tuple[float, ...], pressed: Records) -> None:
 def test_a_missing_library_is_named(
     viewer: str, library: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With the extra that brings it."""
+    """The error names the extra that installs the library."""
     monkeypatch.setitem(sys.modules, library, None)
     assert main(["bridge", viewer]) == ConfigError.exit_code
     assert f"pip install 'softfinger[{viewer}]'" in capsys.readouterr().err
 
 
-def test_what_does_not_go_together_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    """Before anything is opened."""
+def test_invalid_options_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """Conflicting or invalid options are refused before anything is opened."""
     assert main(["bridge", "foxglove", "trial.mcap"]) == ConfigError.exit_code
     assert "Foxglove opens a recording (.mcap) itself" in capsys.readouterr().err
     assert main(["bridge", "rerun", "--duration", "0"]) == ConfigError.exit_code
@@ -84,7 +84,7 @@ def test_what_does_not_go_together_is_refused(capsys: pytest.CaptureFixture[str]
 
 
 def columns(file: Path) -> dict[str, list[Any]]:
-    """Chunks of a file of Rerun's by entity, as tables."""
+    """Return the chunks of a Rerun file by entity, as tables."""
     chunk = pytest.importorskip("rerun.chunk", reason=WHY)
     found: dict[str, list[Any]] = {}
     for part in chunk.RrdReader(str(file)).stream():
@@ -93,13 +93,13 @@ def columns(file: Path) -> dict[str, list[Any]]:
 
 
 def values(batches: list[Any], ending: str) -> np.ndarray:
-    """All rows of the column with this ending, flat."""
+    """Return all rows of the column with this ending, flat."""
     named = [(batch, name) for batch in batches for name in batch.schema.names if name.endswith(ending)]
     return np.array([row for batch, name in named for row in batch.column(name).to_pylist()])
 
 
-def test_rerun_has_a_recording_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every tick's force, the arrow in the same place and of the same way, the scene and the events."""
+def test_rerun_shows_every_tick_of_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The Rerun file has every tick's force, equal force arrows, the scene and the events."""
     pytest.importorskip("rerun", reason=WHY)
     mark = event("mark", "mark", 100, message="now")
     trial, out = recorded(tmp_path / "trial.mcap", run(), [mark]), tmp_path / "trial.rrd"
@@ -113,22 +113,22 @@ def test_rerun_has_a_recording_whole(tmp_path: Path, capsys: pytest.CaptureFixtu
     np.testing.assert_array_equal(ticks, records["tick"])
     shown, _ = picture.select_displayed(run(), np.nan)
     arrows = values(found["/world/force"], "Arrows3D:vectors")[:, 0]
-    # Rerun keeps what is drawn in single precision.
+    # Rerun stores geometry in single precision.
     np.testing.assert_allclose(arrows, 0.02 * records[shown]["force"], rtol=1e-6, atol=1e-9)
     turns = values(found["/world/fingertip"], "Transform3D:quaternion")[:, 0]
     np.testing.assert_allclose(turns[:, [3, 0, 1, 2]], records[shown]["probe.orientation"], atol=1e-6)
 
 
 @pytest.mark.parametrize("words", [("--save", "no/such/folder/x.rrd"), ("--connect", "nowhere")])
-def test_what_rerun_cannot_open_is_named(words: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
-    """In one line, with what it says itself."""
+def test_rerun_errors_are_reported_in_one_line(words: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    """One line with Rerun's own message."""
     pytest.importorskip("rerun", reason=WHY)
     assert main(["bridge", "rerun", *words]) == ConfigError.exit_code
     assert f"{' '.join(words)}: Rerun says: " in capsys.readouterr().err
 
 
-def test_rerun_has_a_daemon_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
-    """Half a second of it: all ticks, and the scene that the daemon describes."""
+def test_rerun_shows_a_running_daemon(tmp_path: Path, endpoints: tuple[str, str]) -> None:
+    """Half a second of a running daemon gives more than 100 ticks in order and the scene the daemon describes."""
     pytest.importorskip("rerun", reason=WHY)
     out = tmp_path / "live.rrd"
     words = ["--endpoint", endpoints[0], "--commands", endpoints[1], "--timeout", "60"]
@@ -143,7 +143,7 @@ def test_rerun_has_a_daemon_live(tmp_path: Path, endpoints: tuple[str, str]) -> 
 
 
 def test_foxglove_has_the_topics_of_a_recording() -> None:
-    """A viewer that connects finds ticks, frames, poses, forces and the scene, each with its messages' type."""
+    """A viewer finds topics of ticks, frames, poses, forces and the scene, each with its message type."""
     pytest.importorskip("foxglove", reason=WHY)
     records, server = run(), foxglove.Server(0)
     try:
@@ -168,7 +168,7 @@ def test_foxglove_has_the_topics_of_a_recording() -> None:
 
 @contextmanager
 def sent_again_and_again(shown: foxglove.FoxgloveSink, records: np.ndarray) -> Iterator[None]:
-    """From another thread: a subscription takes effect a while after it was asked for."""
+    """Send from another thread repeatedly, because a subscription takes effect with a delay."""
     over = threading.Event()
 
     def send() -> None:
@@ -186,8 +186,8 @@ def sent_again_and_again(shown: foxglove.FoxgloveSink, records: np.ndarray) -> I
         thread.join()
 
 
-def test_a_port_that_is_taken() -> None:
-    """Is said, with what to do."""
+def test_a_port_in_use_raises_an_error_with_advice() -> None:
+    """The error suggests `--port 0`."""
     pytest.importorskip("foxglove", reason=WHY)
     first = foxglove.Server(0)
     try:
@@ -197,8 +197,8 @@ def test_a_port_that_is_taken() -> None:
         first.close()
 
 
-def test_fingers_are_told_apart(tmp_path: Path) -> None:
-    """Each has frames, a force and plots by its name."""
+def test_each_finger_has_named_entities(tmp_path: Path) -> None:
+    """Each finger has a force and plots under its name."""
     pytest.importorskip("rerun", reason=WHY)
     stream = rerun.stream(tmp_path / "two.rrd")
     scene = load_scene("pinch")
@@ -216,7 +216,7 @@ def test_fingers_are_told_apart(tmp_path: Path) -> None:
 
 
 def lifted(path: Path) -> tuple[Path, dict[str, Any]]:
-    """A recording of one tick on `lift-a-box`, with the box 0.1 m up and turned by 180 degrees about z."""
+    """Write a recording of one tick on `lift-a-box`, with the box 0.1 m up and turned by 180 degrees about z."""
     box = {"name": "box", "position": [0.0, 0.0, 0.12], "orientation": [0.0, 0.0, 0.0, 1.0]}
     world = {"schema": 1, "timestamp": 1.7e9, "tick": 7, "bodies": [box | {"velocity": [0.0] * 3, "rate": [0.0] * 3}]}
     row = np.zeros((1, RECORD_SIZE))
@@ -231,7 +231,7 @@ def lifted(path: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: Path) -> None:
-    """The message comes back as it was; the frame is where the body is; the box is drawn in it, the floor is not."""
+    """The message is read back unchanged, the body's frame has its pose, and only the box is drawn in that frame."""
     path, world = lifted(tmp_path / "lift.mcap")
     assert [part.world for part in read_contents(path) if isinstance(part, World)] == [world]
     frames, entities = {}, {}
@@ -249,12 +249,12 @@ def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: P
 
 
 def test_rerun_moves_objects_with_their_body(tmp_path: Path) -> None:
-    """The box is drawn below its body, which is where it was recorded."""
+    """The box is drawn below its body's entity, which has the recorded position."""
     pytest.importorskip("rerun", reason=WHY)
     path, _ = lifted(tmp_path / "lift.mcap")
     assert main(["bridge", "rerun", str(path), "--save", str(tmp_path / "lift.rrd")]) == 0
     found = columns(tmp_path / "lift.rrd")
     place = values(found["/world/bodies/box"], "Transform3D:translation")
-    np.testing.assert_allclose(place.reshape(-1), [0.0, 0.0, 0.12], rtol=1e-6)  # in single precision
+    np.testing.assert_allclose(place.reshape(-1), [0.0, 0.0, 0.12], rtol=1e-6)  # single precision
     assert any(name.startswith("/world/bodies/box/box/") for name in found)
     assert any(name.startswith("/world/objects/floor/") for name in found)

@@ -1,4 +1,4 @@
-"""`check`: what a file of a scene or rig means, what is wrong with it, and what a scene costs."""
+"""`check`: meaning and errors of scene and rig files, and the cost of a scene."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from softfinger.server.verbs.check import examine_file
 
 
 @pytest.mark.plain
-def test_check_tells_what_is_modelled_and_what_is_left_out() -> None:
-    """`check` of shipped files says kind and content and returns 0."""
+def test_check_prints_modelled_and_omitted_effects() -> None:
     done = called("check", "paper-plane", "frictionless-plane", "replay")
     assert done.returncode == 0, done.stderr
     out = done.stdout
@@ -29,8 +28,8 @@ def test_check_tells_what_is_modelled_and_what_is_left_out() -> None:
 
 
 @pytest.mark.plain
-def test_check_tells_forms_laws_and_motions(tmp_path: Path) -> None:
-    """An ellipsoid that is turned, a law of the normal force, an object that moves: a row each."""
+def test_check_prints_shapes_laws_and_motions(tmp_path: Path) -> None:
+    """A turned ellipsoid, a normal force law and a moving object print one row each."""
     file = tmp_path / "turned.toml"
     file.write_text("""
         [fingertip]
@@ -52,7 +51,7 @@ def test_check_tells_forms_laws_and_motions(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
-    """One faulty file does not hide another, options of the driver are checked, and the exit code is 2."""
+    """All faulty files are reported, driver options are checked, and the exit code is 2."""
     files = {
         "scene": "[fingertip]\nradius_m = 0\n",
         "rig": '[device]\ndriver = "replay"\nrecording = "x"\nlop = true\n',
@@ -80,12 +79,12 @@ def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.plain
-def test_check_tells_what_a_participant_meets(tmp_path: Path) -> None:
-    """Conditions, trials and time of an experiment; each of its faults, and those of its scenes."""
+def test_check_prints_the_trials_of_an_experiment(tmp_path: Path) -> None:
+    """`check` prints conditions, trials and duration of an experiment, and each error of it and of its scene."""
     done = called("check", "curvature-by-rolling", "stiffness-discrimination")
     assert done.returncode == 0, done.stderr
     assert re.search(r"conditions +rolls; slides\n +trials +102, 2 of them practice; questplus", done.stdout)
-    # 82 trials of two touches, each of 2 s behind a gap of 0.3 s.
+    # 82 trials of two touches, each of 2 s after a gap of 0.3 s.
     assert re.search(r"lasts +6 min and the answers, a break after each 40 trials", done.stdout)
     file = tmp_path / "mine.toml"
     file.write_text("""
@@ -113,7 +112,7 @@ def test_check_tells_what_a_participant_meets(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_check_as_json() -> None:
-    """`check --json` gives kind, errors and the whole content with its defaults."""
+    """`check --json` prints kind, errors and the full content with defaults."""
     done = called("check", "--json", "plane-at-60mm", "nothing-like-it")
     assert done.returncode == 2, done.stderr
     good, bad = json.loads(done.stdout)
@@ -123,8 +122,8 @@ def test_check_as_json() -> None:
     assert bad["errors"][0].startswith("no scene, rig or experiment is named 'nothing-like-it'")
 
 
-def test_a_scene_is_explained_by_measured_costs() -> None:
-    """Cost of a tick and of the bare contact, and the damping that a device needs; of a scene, and of no rig."""
+def test_explain_prints_measured_costs() -> None:
+    """`--explain` prints the cost of a tick and of the contact, and the damping a device needs, for scenes only."""
     done = called("check", "--explain", "frictionless-plane", "replay")
     assert done.returncode == 0, done.stderr
     for said in (r"cost of a tick.*\d+ ns", r"bare contact.*\d+ ns", r"1000 N/m; passive at 1000 Hz .* more than 0\.5"):
@@ -132,8 +131,8 @@ def test_a_scene_is_explained_by_measured_costs() -> None:
 
 
 @pytest.mark.plain
-def test_check_tells_how_geoms_are_taken(tmp_path: Path) -> None:
-    """A height field as a map, and ten meshes that are touched."""
+def test_check_prints_how_geoms_are_used(tmp_path: Path) -> None:
+    """A height field is shown as a map, and ten meshes count as touched geoms."""
     trimesh.creation.box((20.0, 20.0, 20.0)).export(tmp_path / "cube.stl")
     geom = '<body pos="{k} 0 1"><freejoint/><geom name="geom {k}" type="mesh" mesh="cube"/></body>'
     (tmp_path / "cubes.xml").write_text(
@@ -151,8 +150,8 @@ def test_check_tells_how_geoms_are_taken(tmp_path: Path) -> None:
 
 
 @pytest.mark.plain
-def test_a_fault_does_not_hide_those_of_other_parts(tmp_path: Path) -> None:
-    """Files of objects, the model of a world, devices and recordings are checked in the same pass as the keys."""
+def test_an_error_does_not_hide_errors_of_other_parts(tmp_path: Path) -> None:
+    """Object files, the world's model, devices and recordings are checked in the same pass as the keys."""
     files = {
         "scene": """
             fingertip = { radius_m = -1 }
@@ -186,8 +185,8 @@ def test_a_fault_does_not_hide_those_of_other_parts(tmp_path: Path) -> None:
 
 
 @pytest.mark.plain
-def test_check_names_every_file_that_cannot_be_used(tmp_path: Path) -> None:
-    """Not the first one alone."""
+def test_check_reports_every_unusable_file(tmp_path: Path) -> None:
+    """Both unusable files are reported, not only the first one."""
     objects = [
         f'[[object]]\nname = "{name}"\nshape = "mesh"\nfile = "{name}.stl"\nmaterial = "wood"\n'
         for name in ("one", "two")

@@ -1,4 +1,4 @@
-"""`check` of a rig and a scene: where the soft wall is among the objects, in words, as text and as a figure."""
+"""`check` of a rig and a scene: position of the soft wall among the objects, in words, as text and as a figure."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ pytestmark = pytest.mark.plain
 SPHERE = Workspace(radius_m=0.04, center_m=(0.01, 0.0, 0.02))
 BOX = Workspace(size_m=(0.1, 0.06, 0.08))
 STEP_M = 1e-3
-"""Points on a drawn sphere are so close, and its chords so near to it."""
+"""Spacing of the points on a drawn sphere, and the error of its chords."""
 
 
 def scene(**ball: object) -> Scene:
-    """A sphere of 10 mm radius somewhere."""
+    """Return a scene with a sphere of 10 mm radius."""
     table = {"name": "ball", "shape": "sphere", "radius_m": 0.01, **ball}
     return build(Scene, paper_mapping(table=table, material={"torsion": None}), "test scene")
 
@@ -37,8 +37,8 @@ def scene(**ball: object) -> Scene:
         ((0.08, 0.0, 0.02), "outside: its nearest point is 20 mm behind the wall"),  # 70 mm away, less 40 and 10
     ],
 )
-def test_what_the_wall_keeps_away_is_said(place: tuple[float, float, float], said: str) -> None:
-    """Of a sphere in a sphere, whose distances are sums."""
+def test_objects_are_described_relative_to_the_wall(place: tuple[float, float, float], said: str) -> None:
+    """Distances of a sphere in a spherical workspace equal sums of distance and radii."""
     objects = workspace.place_objects(SPHERE, scene(position_m=list(place)))
     assert workspace.rows(SPHERE, objects) == [("1 'ball'", said)]
     away = workspace.signed_distance(SPHERE, objects[0].points)
@@ -47,14 +47,14 @@ def test_what_the_wall_keeps_away_is_said(place: tuple[float, float, float], sai
     assert away.min() == pytest.approx(abs(apart - 0.01) - 0.04, abs=STEP_M) or apart < 0.01
 
 
-def test_beyond_a_box() -> None:
-    """Inside the nearest face counts, outside the nearest point of the box: at a corner by Pythagoras."""
+def test_signed_distance_of_a_box() -> None:
+    """Inside a box the nearest face counts, outside the nearest point of the box (at a corner by Pythagoras)."""
     points = np.array([[0.0, 0.0, 0.0], [0.06, 0.0, 0.0], [0.08, 0.07, 0.0], [0.045, 0.0, 0.0]])
     assert workspace.signed_distance(BOX, points) == pytest.approx([-0.03, 0.01, 0.05, -0.005])
 
 
-def test_text_has_the_wall_and_the_objects_to_scale() -> None:
-    """The middle line of a sphere is as wide as the sphere, and a ball at its edge stands there, in both views."""
+def test_text_draws_wall_and_objects_to_scale() -> None:
+    """In both views the middle line of the sphere has its width, and a ball at its edge is drawn there."""
     turned = scene(position_m=[0.01, 0.03, 0.02], orientation_wxyz=[0.0, 1.0, 0.0, 0.0])
     lines = workspace.text(SPHERE, workspace.place_objects(SPHERE, turned))
     assert lines[0].startswith("from the front: x to the right, z up; 100 mm wide")
@@ -69,7 +69,7 @@ def test_text_has_the_wall_and_the_objects_to_scale() -> None:
 
 
 def test_the_command_line_draws_each_rig_in_each_scene(tmp_path: Path) -> None:
-    """After the files' own lines; a plane is a line; with --plot a figure of one pair."""
+    """`check` of a rig and a scene draws the soft wall and the plane; `--plot` writes a figure."""
     picture = tmp_path / "wall.svg"
     done = called("check", "falcon", "paper-plane", "--plot", str(picture))
     assert done.returncode == 0, done.stderr
@@ -81,9 +81,9 @@ def test_the_command_line_draws_each_rig_in_each_scene(tmp_path: Path) -> None:
     assert "the soft wall of" not in called("check", "falcon").stdout
 
 
-def test_the_way_of_a_handle_is_where_its_arc_or_plane_meets_the_inside() -> None:
-    """Of a plane the circle in which it cuts a sphere, by Pythagoras, and none where it passes by; of an arc places at
-    the handle's length from its joint."""
+def test_reachable_curve_is_the_arc_or_plane_inside_the_workspace() -> None:
+    """A plane cuts the spherical workspace in a circle (radius by Pythagoras) or misses it. The points of an arc have
+    the handle's length as distance from its joint."""
     normal, up = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     for away, radius in ((0.0, 0.04), (0.024, 0.032), (0.05, None)):
         point = np.array([0.3, away, -0.2])  # anywhere in the plane
@@ -102,7 +102,7 @@ def test_the_way_of_a_handle_is_where_its_arc_or_plane_meets_the_inside() -> Non
 
 
 def test_the_plane_of_a_device_is_drawn() -> None:
-    """That of a 2DIY is a circle from the front and a line from the right, through the middle of its workspace."""
+    """The plane of a 2DIY is a circle from the front and a line from the right, through the middle of its workspace."""
     done = called("check", "haply-2diy", "paper-plane")
     assert "edge of the plane in which the handle moves; other forces are shown, not displayed" in done.stdout
     begins = 2 + workspace.COLUMNS + 3
@@ -115,8 +115,8 @@ def test_the_plane_of_a_device_is_drawn() -> None:
     assert all(line[:begins].count(workspace.CURVE_MARK) >= 2 for line in views)
 
 
-def test_a_plot_of_nothing_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A rig without a wall, or without a scene: one error that says what to name."""
+def test_a_plot_without_a_wall_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A rig without a soft wall gives one error that asks for one rig and one scene."""
     done = called("check", "simulated", "paper-plane", "--plot", str(tmp_path / "wall.png"))
     assert done.returncode == ConfigError.exit_code
     assert "there are 0 and 1: name one of each" in done.stderr + caplog.text

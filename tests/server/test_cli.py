@@ -1,7 +1,7 @@
-"""The command line: exit codes, what is printed where, and that bad input gives one clear error.
+"""Command line: exit codes, output streams, and one clear error for invalid input.
 
-`called` is a verb in this process; `run` starts a program, for what only a process of its own shows: its standard
-streams and its log, how it ends, and that a second one does the same.
+`called` runs a verb in this process. `run` starts a program, for properties that only a process shows: standard
+streams, log, exit, and equal results of two processes.
 """
 
 import json
@@ -22,7 +22,7 @@ from softfinger.server.recording.results import read_results
 
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 FREE = ["--endpoint", "tcp://127.0.0.1:*"]
-"""Of `run`: ports that nobody else has."""
+"""Option for `run`: a free port."""
 SIMULATE = ["simulate", "--scene", "paper-plane", "--poses", "tap"]
 
 
@@ -31,7 +31,6 @@ def run(*words, timeout=300):
 
 
 def test_version():
-    """`--version` prints the installed version."""
     assert run("--version").stdout == f"softfinger {version('softfinger')}\n"
 
 
@@ -45,8 +44,8 @@ print(early, os.environ["OPENBLAS_NUM_THREADS"], gc.isenabled(), gc.get_freeze_c
 """
 
 
-def test_a_start_leaves_the_garbage_collector_on():
-    """It is off while modules are imported, and on when a verb runs; numpy comes after its number of threads is set."""
+def test_garbage_collection_is_on_when_a_verb_runs():
+    """Garbage collection is off during imports and on in a verb; numpy is imported after its thread count is set."""
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     done = subprocess.run([sys.executable, "-c", BEGIN], capture_output=True, text=True, timeout=300, env=environment)
     assert done.stdout.splitlines()[-1:] == ["False 1 True True"], done.stderr
@@ -54,13 +53,12 @@ def test_a_start_leaves_the_garbage_collector_on():
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_has_help(verb):
-    """Each verb explains itself."""
     done = called(verb, "--help")
     assert done.returncode == 0 and f"softfinger {verb}" in done.stdout and len(done.stdout) > 150
 
 
 def test_unknown_verb_lists_the_verbs():
-    """A verb that does not exist is a usage error that names those that do."""
+    """An unknown verb is a usage error that lists the verbs."""
     done = called("fly")
     assert done.returncode == 2 and "simulate" in done.stderr
 
@@ -76,23 +74,23 @@ def test_unknown_verb_lists_the_verbs():
         ("check paper-plane --qxz", "unrecognized arguments: --qxz\n"),
     ],
 )
-def test_a_near_name_is_offered_for_a_misspelt_one(line, said):
-    """A verb, a kind and an option that are misspelt are named with the one that is meant, if any is near."""
+def test_a_similar_name_is_suggested(line, said):
+    """The error for a misspelt verb, kind or option suggests a similar name, if there is one."""
     done = called(*line.split())
     assert done.returncode == 2 and said in done.stderr and done.stdout == ""
 
 
 @pytest.mark.parametrize("line", ["{} scenes", "scenes {}", "bench step {}", "bench {} step"])
 @pytest.mark.parametrize("flag", ["-v", "--verbose", "-q", "--quiet"])
-def test_how_much_is_logged_is_said_before_or_behind_a_verb(line, flag):
-    """Both understand the same flags, and what stands before a verb is not undone by it."""
+def test_verbosity_flags_work_before_and_after_a_verb(line, flag):
+    """The flags work before and after a verb, and the verb does not reset a flag given before it."""
     args = make_parser().parse_args(line.format(flag).split())
     verbose = flag in ("-v", "--verbose")
     assert (args.verbose, args.quiet) == (verbose, not verbose)
 
 
 def test_quiet_leaves_warnings_and_results(tmp_path):
-    """With -q standard error has no line of the log or of progress; errors are as ever."""
+    """With -q standard error has no log or progress lines; errors are still printed."""
     words = ["run", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off", "--realtime", "off", "--duration", "0.1"]
     done = run(*words, "-q")
     assert done.returncode == 0 and done.stderr == ""
@@ -101,14 +99,14 @@ def test_quiet_leaves_warnings_and_results(tmp_path):
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
-def test_completion_knows_every_verb(shell):
-    """The completion script names every verb and the options of `run`."""
+def test_completion_lists_every_verb(shell):
+    """The completion script has every verb and the options of `run`."""
     script = called("--print-completion", shell).stdout
     assert all(verb in script for verb in VERBS) and "--realtime" in script
 
 
-def test_completion_offers_what_is_shipped(tmp_path):
-    """bash completes the names of scenes, and a file beside, of materials, of experiments and of recordings."""
+def test_completion_lists_shipped_names(tmp_path):
+    """bash completes names of scenes (with files in the working directory), materials, experiments and recordings."""
     (tmp_path / "spherical.toml").touch()
     script = called("--print-completion", "bash").stdout
     asked = {
@@ -137,13 +135,13 @@ for words in [["--help"], *([verb, "--help"] for verb in VERBS)]:
 
 
 def test_help_imports_no_compiler():
-    """The list of verbs and the options of every verb are shown without numpy, numba and what else a verb runs with."""
+    """Help of all verbs is printed without importing numpy, numba, scipy, rich or zmq."""
     done = subprocess.run([sys.executable, "-c", HELP], capture_output=True, text=True, timeout=300, check=True)
     assert done.stdout.splitlines() == ["--help set()", *(f"{verb} --help set()" for verb in VERBS)]
 
 
 def test_run_for_a_duration_logs_plain_lines():
-    """Off a terminal `run` logs what it uses, every real-time setting, and a clean end; nothing on stdout."""
+    """Without a terminal `run` logs its settings and a clean end as plain lines, and prints nothing on stdout."""
     done = run("run", "--duration", "0.2", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "auto")
     assert done.returncode == 0 and done.stdout == ""
     for piece in (
@@ -159,7 +157,7 @@ def test_run_for_a_duration_logs_plain_lines():
 
 
 def test_bad_config_reports_all_errors_at_once(tmp_path):
-    """Several faults in one rig come out together: file, key, value, range, suggestion; exit code 2."""
+    """All errors of a rig are reported together with file, key, value, range and suggestion; exit code 2."""
     rig = tmp_path / "bench.toml"
     rig.write_text(
         '[device]\ndriver = "replay"\nrecording = "tap"\n'
@@ -187,7 +185,7 @@ def test_bad_config_reports_all_errors_at_once(tmp_path):
     ],
 )  # fmt: skip
 def test_bad_words_give_one_clear_error(words, code, pieces):
-    """A wrong value on the command line says what, where and what is allowed, without a traceback."""
+    """The error for a wrong value has the option, the value and the allowed ones, without a traceback."""
     done = called(*words)
     assert done.returncode == code, done.stderr
     assert all(piece in done.stderr for piece in pieces), done.stderr
@@ -195,7 +193,7 @@ def test_bad_words_give_one_clear_error(words, code, pieces):
 
 
 def test_endpoint_in_use_has_its_own_exit_code():
-    """A second daemon on the same endpoint says so and ends with code 7."""
+    """A second daemon on the same endpoint exits with code 7 and an error with the port."""
     with zmq.Context() as context, context.socket(zmq.PUB) as socket:
         port = socket.bind_to_random_port("tcp://127.0.0.1")
         done = run("run", "--endpoint", f"tcp://127.0.0.1:{port}", "--duration", "1")
@@ -204,7 +202,7 @@ def test_endpoint_in_use_has_its_own_exit_code():
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
 def test_simulate_writes_every_format(ending, tmp_path):
-    """The same run reads back from every results format, column by column the same."""
+    """Every results format is read back with the same ticks."""
     out = tmp_path / f"out{ending}"
     done = called(*SIMULATE, "--out", str(out))
     assert done.returncode == 0 and "3 touch" in done.stdout and "3 release" in done.stdout
@@ -224,8 +222,8 @@ print(code, int(peak.split()[1]) // 1024)
 
 @pytest.mark.exhaustive  # ten minutes of ticks, written three times
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
-def test_a_long_run_is_not_kept_in_memory(ending, tmp_path):
-    """600 000 ticks, 450 MB of records, in a process of at most 250 MB."""
+def test_a_long_run_needs_bounded_memory(ending, tmp_path):
+    """600 000 ticks (450 MB of records) are written by a process of at most 250 MB."""
     t = np.arange(60_001) * 0.01
     poses = np.column_stack(
         [t, 0.01 * np.sin(t), 0.0 * t, 0.0095 + 0.001 * np.sin(7.0 * t), 1.0 + 0.0 * t, *[0.0 * t] * 3]
@@ -242,8 +240,8 @@ def test_a_long_run_is_not_kept_in_memory(ending, tmp_path):
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
-def test_a_shipped_recording_is_named(ending, tmp_path):
-    """`info`, `export` and `replay` find it by its name; what `export` writes of its poses is replayed."""
+def test_a_shipped_recording_is_found_by_name(ending, tmp_path):
+    """`info`, `export` and `replay` find a shipped recording by name; its exported poses give the same results."""
     done = called("info", "tap")
     assert done.returncode == 0 and "229 poses, 0 to 228, 2.280 s" in done.stdout
     assert "x 0 to 0, y 0 to 0, z " in done.stdout and "unknown" not in done.stdout
@@ -263,7 +261,7 @@ def test_a_shipped_recording_is_named(ending, tmp_path):
 
 
 def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):
-    """Two runs give the same bytes; another rate gives another number of ticks."""
+    """Two runs give the same bytes; four times the rate gives four times the ticks."""
     for program, name in ((run, "a.csv"), (called, "b.csv")):
         assert program(*SIMULATE, "--out", str(tmp_path / name)).returncode == 0
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
@@ -273,7 +271,7 @@ def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):
 
 
 def test_output_into_a_closed_pipe_is_no_error():
-    """`softfinger schema | head -1` ends quietly."""
+    """`softfinger schema` into a closed pipe exits with 0 and prints no error."""
     reader, writer = os.pipe()
     process = subprocess.Popen([*COMMAND, "schema", "telemetry"], stdout=writer, stderr=subprocess.PIPE, text=True)
     os.close(writer)
@@ -300,7 +298,7 @@ LONG = "x" * 300
     ],
 )
 def test_streams_and_names_that_cannot_be_used(line, code, said):
-    """A closed or full output, a reader that has left and a name too long: one line says so, or nothing needs to."""
+    """A closed or full output, a closed pipe and a name that is too long give at most one error line."""
     words = ["bash", "-c", f"set -o pipefail; {shlex.join(COMMAND)} {line}"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == code, done.stderr
@@ -309,7 +307,7 @@ def test_streams_and_names_that_cannot_be_used(line, code, said):
 
 
 def test_closed_streams_do_not_become_a_device(tmp_path):
-    """With the standard streams closed, no file that the program opens is taken for one of them."""
+    """With closed standard streams, files that the program opens get descriptors above 2."""
     code = (
         "import os, sys\nfor fd in (0, 1, 2): os.close(fd)\nsys.stdout = sys.stderr = None\n"
         "from softfinger.server.cli import open_streams\nopen_streams()\n"
@@ -322,8 +320,8 @@ def test_closed_streams_do_not_become_a_device(tmp_path):
 
 
 @pytest.mark.parametrize("words", [["check", "paper-plane"], ["run"]])
-def test_too_few_files_are_said(words):
-    """Where a process may open eight files, one line says how many it needs; ZeroMQ would abort."""
+def test_a_low_limit_of_open_files_is_reported(words):
+    """With a limit of eight open files, one line reports how many are needed; ZeroMQ would abort."""
     command = f"ulimit -n 8; exec {shlex.join([*COMMAND, *words])}"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 11, done.stderr
@@ -332,13 +330,13 @@ def test_too_few_files_are_said(words):
 
 @pytest.mark.plain
 def test_bench_of_the_step_prints_json(tmp_path, monkeypatch):
-    """The step without each part of the scene, and one feature: every number is there, and a figure of them."""
+    """The bench of the step prints JSON with the cost of each variant of the scene and of one feature, and a figure."""
     from softfinger.tools.bench import step
 
     monkeypatch.setattr(step, "ROUNDS", 2)
     poses = step.touching_poses
     monkeypatch.setattr(step, "touching_poses", lambda scene: poses(scene, 50))
-    monkeypatch.setattr(step, "reference_ns", lambda: 100.0)  # a chain of operations that only a compiler makes short
+    monkeypatch.setattr(step, "reference_ns", lambda: 100.0)  # the reference chain is fast only when compiled
     plot = tmp_path / "plot.png"
     done = called("bench", "step", "--json", "--plot", str(plot), "--blocks", "2", "--features", "torsion linear")
     assert done.returncode == 0, done.stderr
@@ -347,7 +345,7 @@ def test_bench_of_the_step_prints_json(tmp_path, monkeypatch):
 
 
 def assert_step(result):
-    """Of a shipped scene, it without each part, and a feature: a cost for each, and all in contact."""
+    """Check the costs of a shipped scene, its variants without one part each, and one feature; all in contact."""
     assert len(result["variants"]) == 5 and {"ns_per_step", "cpu_ns_per_step"} <= result["variants"][0].keys()
     assert all(row["in_contact"] == 1.0 for row in result["variants"])
     (feature,) = result["features"]
@@ -358,9 +356,9 @@ def assert_step(result):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", [pytest.param("step", marks=pytest.mark.exhaustive), "loop", "telemetry"])
 def test_bench_prints_json(kind, tmp_path):
-    """Every measurement can be read by a machine and drawn; the numbers are those of real runs."""
+    """Each bench prints JSON with numbers of real runs and draws a figure."""
     words = {
-        "step": ["--blocks", "3", "--features", "torsion linear"],  # compiled for the variants already
+        "step": ["--blocks", "3", "--features", "torsion linear"],  # already compiled for the variants
         "loop": ["--seconds", "0.3", "--realtime", "off"],
         "telemetry": ["--seconds", "0.5", "--subscribers", "2"],
     }[kind]
@@ -371,7 +369,7 @@ def test_bench_prints_json(kind, tmp_path):
     assert plot.read_bytes().startswith(b"\x89PNG")
     if kind == "step":
         assert_step(result)
-        assert all(row["ns_per_step"] > 0 for row in result["variants"])  # a kernel as plain Python has no clock
+        assert all(row["ns_per_step"] > 0 for row in result["variants"])  # a kernel run as plain Python has no clock
     elif kind == "loop":
         assert result["servo"]["ticks"] == 299 and set(result["servo"]["late"]["blocks"]) == {
             "p50",
@@ -388,13 +386,13 @@ def test_bench_prints_json(kind, tmp_path):
     [("out.txt", "a figure is .png or .svg by its file name"), ("no/such/out.png", "there is no folder no/such")],
 )
 def test_plot_is_refused_before_the_work(plot, why):
-    """A figure that could not be saved is refused on the command line, with what is wrong and what to do."""
+    """A figure that cannot be saved is refused on the command line with the reason."""
     done = called("bench", "loop", "--seconds", "600", "--plot", plot)
     assert done.returncode == 2 and f"--plot: {plot}: {why}" in done.stderr
 
 
 def test_run_is_drawn(tmp_path):
-    """`simulate --plot` draws the run: an SVG with every curve and mode named, and the same twice."""
+    """`simulate --plot` writes an SVG with every curve and mode named; two runs give equal files."""
     drawn = []
     for name in ("one.svg", "two.svg"):
         done = called(*SIMULATE, "--out", str(tmp_path / "out.csv"), "--plot", str(tmp_path / name))
@@ -404,8 +402,8 @@ def test_run_is_drawn(tmp_path):
     assert all(f">{word}</text>" in drawn[0] for word in ("penetration", "norm", "torsion", "rolling", "time [s]"))
 
 
-def test_bench_refuses_a_feature_there_is_not():
-    """A pattern that no feature matches is answered with the names there are, before anything is compiled."""
+def test_bench_refuses_an_unknown_feature():
+    """The error for a pattern without a matching feature lists the features, before anything is compiled."""
     done = called("bench", "step", "--features", "tosion*")
     assert done.returncode == 2
     assert "--features 'tosion*': no feature has such a name" in done.stderr and "torsion linear" in done.stderr

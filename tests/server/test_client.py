@@ -1,4 +1,4 @@
-"""The client against a real publisher, and against peers that send what they should not."""
+"""Client against a real publisher, and against peers that send invalid messages."""
 
 import copy
 import gc
@@ -27,7 +27,7 @@ def publisher():
 
 
 def joined(publisher, topics=("contact",), timeout_s=30.0):
-    """A subscription that is known to receive: a late one misses what was published before it."""
+    """Return a subscription that already receives; a late one would miss earlier messages."""
     subscription = subscribe(publisher.endpoint, (*topics, "event"), timeout_s)
     while (sample := subscription.receive(0.02)) is None or sample.topic != "event":
         publisher.event("test", "joined")
@@ -38,7 +38,7 @@ def joined(publisher, topics=("contact",), timeout_s=30.0):
 
 
 def test_iterator_gives_typed_samples_in_order(publisher):
-    """Each sample has the record's values as attributes and as items, ints as int, vectors as tuples."""
+    """Each sample has the record's values as attributes and items, integers as int and vectors as tuples."""
     records = synthetic(300)
     with joined(publisher) as samples:
         publisher.publish(records)
@@ -48,7 +48,7 @@ def test_iterator_gives_typed_samples_in_order(publisher):
             for field in FIELDS:
                 expected = tuple(record[field.at : field.at + field.size].tolist())
                 place, _, key = field.name.partition(".")
-                if place.startswith("contacts"):  # a list with a message for each patch
+                if place.startswith("contacts"):  # list with a message for each patch
                     value = getattr(sample["contacts"][int(place.removeprefix("contacts"))], key)
                 else:
                     value = sample[field.name]
@@ -58,7 +58,7 @@ def test_iterator_gives_typed_samples_in_order(publisher):
 
 
 def test_other_topics_and_plain_maps(publisher):
-    """Events and health come through the same iterator, and as_map gives back what was sent."""
+    """Events and health arrive in the same iterator, and as_map returns the sent map."""
     with joined(publisher, ("contact", "health")) as samples:
         publisher.publish(synthetic(1001))
         publisher.event("fault", "device lost", message="unplugged", detail={"code": -1})
@@ -75,7 +75,6 @@ def test_other_topics_and_plain_maps(publisher):
 
 
 def test_unknown_key_is_an_error_of_the_usual_type(publisher):
-    """A wrong key raises KeyError as an item and AttributeError as an attribute."""
     with joined(publisher) as samples:
         publisher.publish(synthetic(1))
         sample = next(samples)
@@ -86,7 +85,6 @@ def test_unknown_key_is_an_error_of_the_usual_type(publisher):
 
 
 def test_sample_can_be_copied(publisher):
-    """A sample is plain data: its attribute access does not get in the way of a deep copy."""
     with joined(publisher) as samples:
         publisher.publish(synthetic(1))
         sample = next(samples)
@@ -94,7 +92,7 @@ def test_sample_can_be_copied(publisher):
 
 
 def test_lost_counts_the_gap_before_a_sample(publisher):
-    """Ticks 10 to 14 and 20 are left out: the samples behind them say 5 and 1, all others 0."""
+    """Without ticks 10 to 14 and 20, the next samples have `lost` 5 and 1, all others 0."""
     records = synthetic(30)
     kept = np.delete(records, [10, 11, 12, 13, 14, 20], axis=0)
     with joined(publisher) as samples:
@@ -104,7 +102,7 @@ def test_lost_counts_the_gap_before_a_sample(publisher):
 
 
 def test_lost_counts_published_ticks_only():
-    """With every = 5 a step of 5 is no loss and a step of 20 is three messages."""
+    """With every = 5, a step of 5 ticks is no loss and a step of 20 counts as three lost messages."""
     records = synthetic(101)
     with Publisher("tcp://127.0.0.1:*", every=5) as publisher, joined(publisher) as samples:
         publisher.publish(records[:41])
@@ -113,18 +111,17 @@ def test_lost_counts_published_ticks_only():
     assert [(s.tick, s.lost) for s in got if s.lost] == [(60, 3)]
 
 
-def test_server_that_starts_again_is_no_loss(publisher):
-    """A tick that goes back to 0 counts nothing as lost."""
+def test_a_restarted_server_counts_no_losses(publisher):
+    """A tick that restarts at 0 counts no losses."""
     with joined(publisher) as samples:
         publisher.publish(synthetic(5, first_tick=1000))
         publisher.publish(synthetic(5))
         assert [next(samples).lost for _ in range(10)] == [0] * 10
 
 
-def test_stalled_client_is_told_exactly_what_it_lost(tmp_path):
-    """What a client that stops reading gets, plus what `lost` tells, is what was published; the publisher counts that
-    it was too slow."""
-    count = 60_000  # more than the publisher, the kernel and the client together keep
+def test_lost_counts_all_messages_a_stalled_client_missed(tmp_path):
+    """For a client that stops reading, received messages plus the sum of `lost` equal the published ones."""
+    count = 60_000  # more than publisher, kernel and client buffer together
     with (
         Publisher(f"ipc://{tmp_path}/telemetry", backlog=1000) as publisher,
         joined(publisher) as samples,
@@ -135,9 +132,9 @@ def test_stalled_client_is_told_exactly_what_it_lost(tmp_path):
             put(records, "tick", first + np.arange(len(records)))
             publisher.publish(records)
             publisher.event("test", "so far")
-            next(events)  # it has sent all of these
+            next(events)  # all messages so far have been sent
         got = [next(samples)]
-        while (sample := samples.receive(1.0)) is not None:  # until all that waited for it is read: then it gets more
+        while (sample := samples.receive(1.0)) is not None:  # until the backlog is read; then new messages arrive
             got.append(sample)
         publisher.publish(synthetic(1, first_tick=count))
         got.append(next(samples))
@@ -149,8 +146,8 @@ def test_stalled_client_is_told_exactly_what_it_lost(tmp_path):
     assert len(got) + sum(s.lost for s in got) == count + 1
 
 
-def test_silence_is_named_with_endpoint_and_remedy(publisher):
-    """If nothing comes within the time-out, iteration raises with where it listened and what to do."""
+def test_missing_telemetry_raises_with_endpoint_and_remedy(publisher):
+    """If no message arrives within the time-out, iteration raises an error with the endpoint and a remedy."""
     with (
         subscribe(publisher.endpoint, timeout_s=0.05) as samples,
         pytest.raises(NoTelemetry, match=rf"no telemetry from {publisher.endpoint} within 0\.05 s: .*softfinger run"),
@@ -158,8 +155,8 @@ def test_silence_is_named_with_endpoint_and_remedy(publisher):
         next(samples)
 
 
-def test_receive_returns_none_when_nothing_comes(publisher):
-    """receive with a time-out of zero does not wait and does not raise, nor does one after a call that waited long."""
+def test_receive_returns_none_without_a_message(publisher):
+    """receive with a time-out of zero neither waits nor raises, also after a call with a long time-out."""
     with subscribe(publisher.endpoint) as samples:
         assert samples.receive(0.0) is None
     with joined(publisher) as samples:
@@ -171,12 +168,12 @@ def test_receive_returns_none_when_nothing_comes(publisher):
 
 
 class Rung(Exception):
-    """A signal came."""
+    """Raised by the signal handler."""
 
 
 @pytest.mark.parametrize("wait_s", [None, 60.0])
 def test_a_signal_ends_the_wait(publisher, wait_s):
-    """What the handler of a signal raises, as Ctrl-C does, comes out of a receive that waits; the next one works."""
+    """An exception of a signal handler (as by Ctrl-C) propagates from a waiting receive; the next receive works."""
 
     def ring(number, frame):
         raise Rung
@@ -195,15 +192,15 @@ def test_a_signal_ends_the_wait(publisher, wait_s):
 
 
 def test_closed_subscription_ends_the_loop(publisher):
-    """Iterating after close ends at once instead of raising a socket error."""
+    """Iteration after close ends without a socket error."""
     samples = subscribe(publisher.endpoint)
     samples.close()
     samples.close()
     assert list(samples) == []
 
 
-def test_loop_left_by_break_leaks_no_socket(publisher):
-    """A subscription that goes out of use closes its socket; the unclosed-socket warning would fail this."""
+def test_a_deleted_subscription_closes_its_socket(publisher):
+    """A deleted subscription closes its socket; a warning of an unclosed socket would fail this test."""
     samples = joined(publisher)
     publisher.publish(synthetic(2))
     for _ in samples:
@@ -214,14 +211,14 @@ def test_loop_left_by_break_leaks_no_socket(publisher):
 
 @pytest.mark.parametrize("endpoint", ["", "5555", "tcp://", "tcp:/127.0.0.1:5555", "carrier://pigeon"])
 def test_malformed_endpoint_is_refused(endpoint):
-    """An endpoint that ZeroMQ cannot use is a ConfigError with an example."""
+    """The ConfigError for an invalid endpoint has an example."""
     with pytest.raises(ConfigError, match=r"cannot connect to endpoint .*tcp://127\.0\.0\.1:5555"):
         subscribe(endpoint)
 
 
 @pytest.mark.parametrize("topics", [(), ("contact", "contacts")])
 def test_unknown_topics_are_refused(topics):
-    """A topic that is never sent is refused with the list of those that are."""
+    """The error for an unknown topic lists the topics."""
     with pytest.raises(ConfigError, match="choose from contact, event, health"):
         subscribe(topics=topics)
 
@@ -263,8 +260,8 @@ def without(key):
         ([b"health", msgpack.packb({"schema": 1, "timestamp": 1.0, "tick": 1})], "rate"),
     ],
 )
-def test_hostile_message_is_a_protocol_error_and_the_next_is_read(frames, says):
-    """Garbage from a peer raises ProtocolError saying what is wrong, and reading goes on behind it."""
+def test_an_invalid_message_raises_and_the_next_is_read(frames, says):
+    """An invalid message raises ProtocolError with the reason, and the next message is read."""
     with zmq.Context() as context, context.socket(zmq.XPUB) as peer:
         peer.linger = 0
         port = peer.bind_to_random_port("tcp://127.0.0.1")
@@ -278,8 +275,8 @@ def test_hostile_message_is_a_protocol_error_and_the_next_is_read(frames, says):
             assert next(samples).tick == 77
 
 
-def test_other_encoders_and_new_keys_are_understood():
-    """Whole numbers sent as integers and keys of a later server are no reason to refuse a message."""
+def test_integers_and_unknown_keys_are_accepted():
+    """Integers for floats and unknown keys of a later server are accepted."""
     message = GOOD | {"dt": 1, "force": [0, 0, 2], "colour": {"red": [1, 2]}}
     with zmq.Context() as context, context.socket(zmq.XPUB) as peer:
         peer.linger = 0
@@ -293,15 +290,15 @@ def test_other_encoders_and_new_keys_are_understood():
 
 
 def filled(publisher, window):
-    """Publish tick 0 until the window receives: a window hears contact messages only."""
+    """Publish tick 0 until the window receives it: a window subscribes to contact messages only."""
     while not window.update(0.02):
         publisher.publish(synthetic(1))
     while window.update(0.05):
         pass
 
 
-def test_window_shows_what_has_arrived(publisher):
-    """Before it is full the window holds all ticks, each field with its shape and type."""
+def test_window_has_all_ticks_until_it_is_full(publisher):
+    """Before it is full, the window has all ticks, each field with its shape and type."""
     records = synthetic(40)
     with Window(publisher.endpoint, 100) as window:
         assert len(window) == 0
@@ -319,8 +316,8 @@ def test_window_shows_what_has_arrived(publisher):
         assert window.lost == 0
 
 
-def test_window_keeps_the_newest_in_order(publisher):
-    """After many times its length the window holds exactly the last ticks, at every step on the way."""
+def test_window_has_the_last_ticks_in_order(publisher):
+    """After each batch the window has exactly the last 64 ticks in order."""
     records = synthetic(1000)
     with Window(publisher.endpoint, 64) as window:
         filled(publisher, window)
@@ -337,8 +334,8 @@ def test_window_keeps_the_newest_in_order(publisher):
         assert last == 999
 
 
-def test_window_counts_losses_and_starts_anew_with_the_server(publisher):
-    """Gaps add up in `lost`; a tick that goes back empties the window of the run before."""
+def test_window_counts_losses_and_resets_with_the_server(publisher):
+    """Gaps add up in `lost`; a tick that restarts at 0 empties the window."""
     records = synthetic(50)
     with Window(publisher.endpoint, 100) as window:
         filled(publisher, window)
@@ -353,8 +350,8 @@ def test_window_counts_losses_and_starts_anew_with_the_server(publisher):
         assert window["tick"].tolist() == [0, 1, 2]
 
 
-def test_window_refuses_what_it_cannot_show(publisher):
-    """An unknown field is a KeyError with the names there are, a length below one a ConfigError."""
+def test_window_refuses_unknown_fields_and_lengths_below_one(publisher):
+    """The KeyError of an unknown field lists the fields; a length below one is a ConfigError."""
     with Window(publisher.endpoint, 1) as window, pytest.raises(KeyError, match=r"choose from timestamp, tick"):
         window["colour"]
     with pytest.raises(ConfigError, match="0 samples"):

@@ -1,4 +1,4 @@
-"""Scene and simulated device in one loop: the daemon's bits, the linear sampled system, and the figures kept."""
+"""Scene and simulated device in one loop, compared with the daemon, a linear sampled system, and records."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ POSITION = slice(AT.probe_position, AT.probe_position + 3)
 
 
 def ice(stiffness: float = 1000.0, damping: float = 0.0, time_constant: float = 0.0) -> Tuning:
-    """A frictionless plane, and a guard that limits nothing."""
+    """Return a frictionless plane with a guard that never limits."""
     material = {"stiffness_n_per_m": stiffness, "damping_ns_per_m": damping, "friction": None, "torsion": None}
     mapping = paper_mapping(material=material, rolling=None, probe={"velocity_time_constant_s": time_constant})
     return Tuning(build_scene(build(Scene, mapping, "test scene")), (OPEN_GUARD,))
@@ -57,7 +57,7 @@ def resting_at(z: float) -> np.ndarray:
 
 
 def test_servo_and_closed_loop_are_bit_identical() -> None:
-    """The forces that a servo writes to the device are those of the offline loop to the last bit, and end with zero."""
+    """Forces that a servo writes to the device equal those of the offline loop bit by bit; the last ones are zero."""
     ticks = 3000
     options = Options(preset="omega.6", delay_ticks=2, sway_m=(0.0, 0.0, 1e-4), sway_hz=7.0)
     with open_device(options, 1000.0) as device:
@@ -76,7 +76,7 @@ def test_servo_and_closed_loop_are_bit_identical() -> None:
 
 
 def test_simulate_verb_runs_the_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`simulate --device simulated` writes the records of the rig's device; a recording played once ends the run."""
+    """`simulate --device simulated` writes the records of the rig's device; a recording without loop ends the run."""
     words = ["simulate", "--scene", "paper-plane", "--device", "simulated", "--out", str(tmp_path / "out.npz")]
     assert cli.main([*words, "--duration", "2"]) == 0
     assert "2000 ticks at 1000 Hz" in capsys.readouterr().out
@@ -99,17 +99,17 @@ def test_simulate_verb_runs_the_device(tmp_path: Path, capsys: pytest.CaptureFix
         (["--poses", "tap", "--duration", "1"], "--duration needs --device"),
     ],
 )
-def test_simulate_verb_says_what_cannot_be(
+def test_simulate_verb_refuses_invalid_options(
     words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A device that is not computed, and a duration for poses, are refused with the way out."""
+    """A device without simulation, and a duration for poses, are refused with advice."""
     assert cli.main(["simulate", "--scene", "paper-plane", "--out", str(tmp_path / "o.csv"), *words]) == 2
     assert message in capsys.readouterr().err
 
 
 @pytest.mark.exhaustive
 def test_bench_measures_every_plant(capsys: pytest.CaptureFixture[str]) -> None:
-    """Each plant presses, and its cost, rate and ratio are numbers that belong together."""
+    """Each plant is in contact, and its cost, rate and ratio are consistent."""
     assert cli.main(["bench", "closed-loop", "--blocks", "3", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert [row["plant"] for row in result["plants"]] == list(bench_closed_loop.HANDLES)
@@ -123,7 +123,7 @@ def test_bench_measures_every_plant(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize("delay", [0, 1, 2])
 @pytest.mark.parametrize("damping", [0.0, 2.0])
 def test_pressed_wall_is_the_linear_sampled_system(delay: int, damping: float) -> None:
-    """m x'' + b x' = F, F = -K x[k-d] - B (x[k-d] - x[k-d-1]) / T held over a tick: the same x at every tick."""
+    """m x'' + b x' = F, F = -K x[k-d] - B (x[k-d] - x[k-d-1]) / T constant over a tick: the same x at every tick."""
     m, b, k, period, count = 0.2, 1.0, 1000.0, 0.001, 18
     tuning = ice(k, damping)
     plant = make_plant(period, Handle((m,) * 3, (b,) * 3, delay=delay))
@@ -138,13 +138,13 @@ def test_pressed_wall_is_the_linear_sampled_system(delay: int, damping: float) -
         expected.append(x[0])
         under_way.append(-k * x[0] - damping * (x[0] - seen) / period)
         seen, x = x[0], a @ x + g[:, 0] * under_way.pop(0)
-    assert min(expected) < -0.001 and max(expected) < 0.0  # pressed all the time, and moving
-    # Places are of 10 mm and forces of 2 N: a few roundings of 1e-18 m in each of 18 ticks.
+    assert min(expected) < -0.001 and max(expected) < 0.0  # always in contact, and moving
+    # Positions are of 10 mm and forces of 2 N: a few roundings of 1e-18 m in each of 18 ticks.
     np.testing.assert_allclose(records[:, POSITION][:, 2] - 0.01, expected, atol=1e-15)
 
 
 def figures_of(tunings: Packed, plant: Any, state: Any, pose: np.ndarray, ticks: int, bound: float) -> np.ndarray:
-    """Return FIGURES of each of `tunings`, of a device that starts at `pose` (7,)."""
+    """Return FIGURES of each of `tunings` for a device that starts at `pose` (7,)."""
     figures = np.zeros((len(tunings.values), len(FIGURES)))
     drive = PlantInputs(ALOFT, pose, np.zeros(DELAY_LINE_SIZE))
     tables = (Packed(plant, flatten(plant)[None]), Packed(state, flatten(state)[None]))
@@ -153,7 +153,7 @@ def figures_of(tunings: Packed, plant: Any, state: Any, pose: np.ndarray, ticks:
 
 
 def test_figures_are_those_of_the_records() -> None:
-    """The loop without records goes the same way: ticks, excursion, force and work, all to rounding."""
+    """Ticks, excursion, force and work of the loop without records equal those from records, up to rounding."""
     tuning, ticks = ice(2000.0, 1.0, 0.002), 2000
     plant = make_plant(0.001, Handle((0.2,) * 3, (1.0,) * 3), Impedance(mass=0.1, damping=2.0, stiffness=300.0))
     pose = resting_at(0.008)
@@ -170,8 +170,8 @@ def test_figures_are_those_of_the_records() -> None:
     assert end["energy"] == pytest.approx(np.sum(force * np.diff(x, axis=0)), rel=1e-12)
 
 
-def test_many_cases_are_each_on_its_own() -> None:
-    """Rows of parameters: a soft wall stays, one far too stiff for the rate leaves its bound, in any order."""
+def test_cases_do_not_affect_each_other() -> None:
+    """Rows are independent of their order: soft walls stay within the bound, one too stiff for the rate leaves it."""
     stiffness = np.array([500.0, 40000.0, 1000.0, 40000.0, 500.0])
     tuning = ice()
     plant = make_plant(0.001, Handle((0.1,) * 3, (1.0,) * 3), Impedance(damping=1.0, stiffness=100.0))

@@ -1,4 +1,4 @@
-"""Commands to a real daemon over real sockets: what each does to the force, and what it leaves alone."""
+"""Commands to a real daemon over real sockets: their effect on the force, and on nothing else."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ pytestmark = pytest.mark.real_time
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 RAMP_S, SLEW = 0.05, 200.0
 WAIT_S = 120.0
-"""A generous bound: a compile, on a machine that does much else."""
+"""Generous bound: a compilation on a busy machine."""
 ROUNDING = 1e-12
-"""Relative: a force is the result of some ten operations on numbers of one size."""
+"""Relative; a force results from about ten operations on numbers of similar size."""
 
 
 STIFFNESS = "object.lid.top.material.stiffness_n_per_m"
@@ -67,7 +67,7 @@ PUSH = "effect.0.force_n"
 
 
 class Driver:
-    """Opens devices that press for ever."""
+    """Open devices that always press."""
 
     Options = Options
 
@@ -76,7 +76,7 @@ class Driver:
 
 
 class Kept:
-    """A sink that keeps every record."""
+    """Sink that stores every record."""
 
     def __init__(self) -> None:
         self.rows: list[np.ndarray] = []
@@ -87,7 +87,7 @@ class Kept:
         return rows[rows[:, AT.tick] >= tick]
 
     def whole(self) -> bool:
-        """Whether the hand feels what the scene says, unchanged by the guard."""
+        """Return True if the guard passes the scene's force unchanged."""
         return self.force_n > 0.0 and self.rows[-1][-1, AT.servo_guard] == 0.0
 
     @property
@@ -108,7 +108,7 @@ def eventually(what, seconds=WAIT_S):
 
 @pytest.fixture
 def rig(monkeypatch):
-    """Makes rigs of a device that presses; the slew limit is such that a step of its force in one tick is above it."""
+    """Return a function that makes rigs of a pressing device, whose full force in one tick exceeds the slew limit."""
     load = registry.load
     monkeypatch.setattr(registry, "load", lambda name: Driver() if name == "faulty" else load(name))
     quiet = {
@@ -120,7 +120,7 @@ def rig(monkeypatch):
 
 @contextlib.contextmanager
 def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, Kept]]:
-    """A daemon that presses with full force, a client, and what was recorded."""
+    """Run a daemon that presses with full force; yield it, a client, and the sink of records."""
     kept = Kept()
     with Daemon(rig, scene or pressed_scene(), sinks=[kept.sink], scene_name="pressed") as daemon:
         daemon.start()
@@ -133,7 +133,7 @@ def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, 
 
 @contextlib.contextmanager
 def events(daemon: Daemon) -> Iterator[Any]:
-    """Returns the next event of a kind."""
+    """Yield a function that returns the next event of a kind."""
     with zmq.Context() as context, context.socket(zmq.SUB) as subscriber:
         subscriber.linger, subscriber.rcvtimeo = 0, 60_000
         subscriber.subscribe("event")
@@ -149,22 +149,20 @@ def events(daemon: Daemon) -> Iterator[Any]:
 
 
 def largest_rise(rows: np.ndarray) -> float:
-    """Return the largest rise of the force from tick to tick, except where a stall made the guard start from zero.
-
-    A fall may be faster: the switch takes the force off within MAX_OFF_S.
-    """
+    """Return the largest rise of the force from tick to tick, except where a stall made the guard start from zero. A
+    fall may be faster: the switch takes the force off within MAX_OFF_S."""
     rises = np.diff(np.linalg.norm(rows[:, AT.force : AT.force + 3], axis=1))
     return float(rises[rows[1:, AT.dt] <= PAUSE_MAX_S].max())
 
 
 def unchanged(rows: np.ndarray) -> bool:
-    """Whether the scene gave the same force in every tick, and the hand felt it; but where the guard began anew."""
+    """Return True if contact force and device force are constant, ignoring ticks in which the guard was active."""
     felt = rows[rows[:, AT.servo_guard] == 0.0, AT.force + 2]
     return len(felt) > 0 and np.ptp(felt) == 0.0 and np.ptp(rows[:, AT.contact_normal_force]) == 0.0
 
 
 def test_every_method_answers(rig):
-    """One of each, in a row, with what it says in return and the event that tells of it."""
+    """Each method in a row returns its answer and sends its event."""
     with running(rig()) as (daemon, control, kept), events(daemon) as following:
         state = control.get_state()
         assert state.active_field == "pressed" and state.position[2] == 0.009
@@ -204,8 +202,8 @@ def test_every_method_answers(rig):
         assert daemon.wait(60.0)
 
 
-def test_a_parameter_that_changes_in_contact_is_on_its_way_for_as_long_as_is_said(rig):
-    """The answer and `describe` have what was set and how long it takes; `get_state` has the force as it is felt."""
+def test_a_parameter_changes_along_its_ramp(rig):
+    """The answer and `describe` have the target value and the ramp time; the rendered force follows the ramp."""
     with running(rig(**{"commands.ramp_s": 0.1})) as (daemon, control, kept):
         first = daemon.servo.ticks
         changed = control.set_params({STIFFNESS: 500.0})
@@ -216,11 +214,11 @@ def test_a_parameter_that_changes_in_contact_is_on_its_way_for_as_long_as_is_sai
         assert control.get_state().force[2] == pytest.approx(500.0 * DEPTH_M + 1.0, rel=ROUNDING)
     assert normal[0] == pytest.approx(1000.0 * DEPTH_M, rel=ROUNDING)
     assert normal[-1] == pytest.approx(500.0 * DEPTH_M, rel=ROUNDING)
-    assert np.abs(np.diff(normal)).max() <= 500.0 * DEPTH_M / 100 * (1.0 + 1e-9)  # of differences that are 1 in 200
+    assert np.abs(np.diff(normal)).max() <= 500.0 * DEPTH_M / 100 * (1.0 + 1e-9)  # differences of about 1 in 200
 
 
-def test_what_every_command_tells_is_recorded(rig, tmp_path):
-    """Each method in a row while a recording runs: it goes on, and what is read back is what subscribers were told."""
+def test_events_of_every_command_are_recorded(rig, tmp_path):
+    """Every method is called during a recording; the recorded events equal those sent to subscribers."""
     told = []
     with (
         running(rig(**{"recording.directory": str(tmp_path)})) as (daemon, control, _),
@@ -230,7 +228,7 @@ def test_what_every_command_tells_is_recorded(rig, tmp_path):
         control.record_start("all.mcap")
 
         def zeroed() -> bool:
-            with contextlib.suppress(CommandRefused):  # while the force is on its way off
+            with contextlib.suppress(CommandRefused):  # while the force is fading out
                 control.zero((0.0, 0.0, 0.001))
                 return True
             return False
@@ -268,10 +266,10 @@ def test_what_every_command_tells_is_recorded(rig, tmp_path):
     assert stopped.error == "" and stopped.dropped == 0
     assert eventually(lambda: summary(tmp_path / "all.mcap")["whole"])
     found = [part.event for part in read_contents(tmp_path / "all.mcap") if isinstance(part, Event)]
-    own = {"schema", "timestamp", "tick"}  # when each of the two was written
+    own = {"schema", "timestamp", "tick"}  # time of writing differs
 
     def essence(events):
-        """What commands tell, sorted: a file has marks by themselves. Contacts and the guard each tells from ticks."""
+        """Return the events of commands without time and order; contact and guard events follow from ticks."""
         kinds, recording = ("command", "mark", "lifecycle"), ("record_start", "record_stop")
         kept = [each for each in events if each["kind"] in kinds and each["name"] not in recording]
         return sorted(json.dumps({key: each[key] for key in sorted(each.keys() - own)}) for each in kept)
@@ -280,9 +278,9 @@ def test_what_every_command_tells_is_recorded(rig, tmp_path):
     assert essence(found) == essence(told)
 
 
-def test_who_names_a_daemon_by_its_telemetry_commands_that_one(rig, tmp_path):
-    """Or none: where one daemon's commands would be beside its telemetry, there are another's, and it is not them that
-    are obeyed. Whose commands are in their place needs no second address."""
+def test_a_telemetry_endpoint_selects_the_daemon_to_command(rig, tmp_path):
+    """A client given only a telemetry endpoint refuses to command another daemon whose commands are at the default
+    endpoint next to it. With the default endpoint, no second address is needed."""
 
     def on(telemetry: str, commands: str | None = None) -> Any:
         own = {} if commands is None else {"commands.endpoint": f"ipc://{tmp_path}/{commands}"}
@@ -304,8 +302,8 @@ def test_who_names_a_daemon_by_its_telemetry_commands_that_one(rig, tmp_path):
 
 
 def test_several_fingers_are_commanded_together(rig):
-    """F_z = k d + f of each finger: what is set for the scene or for one, armed or driven; what would change whose
-    device is whose is refused."""
+    """F_z = k d + f of each finger, for parameters of the scene or of one finger, armed and driven. Changes of the
+    assignment of devices to fingers are refused."""
     device, scene = {"driver": "faulty"}, pressed_by_two()
     swapped = describe(scene)
     swapped["finger"].reverse()
@@ -385,8 +383,8 @@ REFUSED = [
 ]  # fmt: skip
 
 
-def test_what_cannot_be_done_is_said_by_name_and_changes_nothing(rig):
-    """Each error has its name and what is wrong; scene, force and arming are what they were."""
+def test_refused_commands_name_the_error_and_change_nothing(rig):
+    """Each refused request has a named error with the reason; scene, force and arming stay the same."""
     with running(rig()) as (daemon, control, kept):
         before, first = control.describe(), daemon.servo.ticks
         for method, params, name, words in REFUSED:
@@ -399,10 +397,9 @@ def test_what_cannot_be_done_is_said_by_name_and_changes_nothing(rig):
         assert unchanged(kept.since(first))
 
 
-@pytest.mark.exhaustive  # a scene type of its own; test_parameters.py has the same without a loop
+@pytest.mark.exhaustive  # compiles a scene type; test_parameters.py has the same without a loop
 def test_the_law_of_the_normal_force_and_the_patch_are_parameters(rig):
-    """f = K d (delta / d)^p and a = c (f / 1 N)^gamma with the numbers of the moment; with other parts it is another
-    model, which is said."""
+    """f = K d (delta / d)^p and a = c (f / 1 N)^gamma use the current parameters; changes of the model are refused."""
     patch = {"shear_modulus_pa": 45e3, "radius_m": 0.004, "exponent": 0.25}
     described = describe(pressed_scene(normal={"exponent": 1.5, "depth_m": 4.0 * DEPTH_M}))
     described["fingertip"]["patch"] = patch
@@ -430,8 +427,8 @@ def test_the_law_of_the_normal_force_and_the_patch_are_parameters(rig):
 
 
 def test_parameters_set_together_are_never_torn(rig):
-    """Two parameters whose forces add up to the same: k d + f is the same in every tick while both change, every other
-    tick, and each pair is seen in many ticks. A client may ask once a tick."""
+    """k d + f is the same in every tick while both change every other tick, and each pair is active for many ticks. A
+    client may send one request per tick."""
     pairs = [(1000.0, 1.0), (500.0, 1.5), (250.0, 1.75), (1500.0, 0.5)]
     with running(rig()) as (daemon, control, kept):
         first, asked = daemon.servo.ticks, 400
@@ -449,8 +446,8 @@ def test_parameters_set_together_are_never_torn(rig):
     assert np.count_nonzero(np.diff(normal)) > 0.5 * asked > 100
 
 
-def test_scenes_back_and_forth_are_never_a_step_of_force(rig):
-    """Eight times, pressed: no force changes faster than the slew limit, and what was set stays with its scene."""
+def test_changes_of_scene_cause_no_step_of_force(rig):
+    """In eight changes of scene in contact, no force changes faster than the slew limit."""
     own = {"fingertip": {"radius_m": 0.01}, "object": [{"name": "a", "shape": "plane",
            "material": {"stiffness_n_per_m": 700.0}}]}  # fmt: skip
     with running(rig(), load_scene("frictionless-plane")) as (daemon, control, kept):
@@ -464,15 +461,15 @@ def test_scenes_back_and_forth_are_never_a_step_of_force(rig):
             assert not begun[0, AT.force : AT.force + 3].any() and begun[1, AT.tick] == done.tick
         rows = kept.since(first)
     assert (np.diff(rows[:, AT.tick]) == 1.0).all()
-    assert largest_rise(rows[:-3]) <= SLEW / 1000.0 * (1.0 + ROUNDING)  # but the last zero, of a stop in contact
+    assert largest_rise(rows[:-3]) <= SLEW / 1000.0 * (1.0 + ROUNDING)  # without the last zero, of a stop in contact
 
 
-def test_disarm_fades_to_zero_and_arm_fades_in_anew(rig):
-    """Along the slew limit to exactly zero, which stays; then along the ramp from zero; a new scene stays without."""
+def test_disarm_fades_out_and_arm_fades_in(rig):
+    """After disarm the force falls to zero within the slew limit and stays there; after arm it follows the ramp."""
     with running(rig()) as (daemon, control, kept):
         first = daemon.servo.ticks
         assert control.disarm().armed is False
-        assert eventually(lambda: kept.rows[-1][-1, AT.servo_guard] == 64)  # `disarmed`, the guard's own word
+        assert eventually(lambda: kept.rows[-1][-1, AT.servo_guard] == 64)  # the guard's bit `disarmed`
         silent = daemon.servo.ticks
         control.set_params({STIFFNESS: 2000.0})
         tick = control.set_scene("frictionless-plane").tick
@@ -484,12 +481,12 @@ def test_disarm_fades_to_zero_and_arm_fades_in_anew(rig):
         rows = kept.since(first)
         assert largest_rise(rows) <= SLEW / 1000.0 * (1.0 + ROUNDING)
         fading = rows[(rows[:, AT.tick] >= armed) & (rows[:, AT.force + 2] > 0.0) & (rows[:, AT.force + 2] < 0.999)]
-        # The ramp, in as many ticks as it has; one of them is the full force.
+        # The ramp's ticks; the last one has the full force.
         assert len(fading) >= RAMP_S * 1000.0 - 1
 
 
-def test_arming_at_once_is_no_step_either(rig):
-    """Disarm and arm, faster than the force can fade: never above the slew limit, and armed at last."""
+def test_disarm_and_arm_cause_no_step_of_force(rig):
+    """With disarm and arm faster than the force can fade, rises stay below the slew limit, and the daemon is armed."""
     with running(rig()) as (daemon, control, kept):
         first = daemon.servo.ticks
         for _ in range(20):
@@ -500,8 +497,8 @@ def test_arming_at_once_is_no_step_either(rig):
 
 
 def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
-    """No command for so long: the force fades out, with an event; the next heartbeat, and no other, brings it back;
-    what was disarmed by command stays so."""
+    """Without a command for the time-out the force fades out and an event is sent; the next heartbeat restores it.
+    After `disarm` a heartbeat does not."""
     with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept), events(daemon) as following:
         assert control.heartbeat().timeout_ms == 500
         lost = following("command")
@@ -532,7 +529,7 @@ def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
 
 
 def test_a_heartbeat_brings_back_no_force_that_was_taken_off_by_command(rig):
-    """Disarmed, and then without a sign of life: the next one takes back the second reason alone, `arm` both."""
+    """After disarm and a missed heartbeat, a heartbeat clears only its cause; `arm` clears both."""
     with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept), events(daemon) as following:
         control.heartbeat()
         control.disarm()
@@ -548,7 +545,7 @@ def test_a_heartbeat_brings_back_no_force_that_was_taken_off_by_command(rig):
 
 
 def test_what_is_no_request_is_no_sign_of_life():
-    """What is malformed, of no method, or one too many keeps no force on; a request that is none of these does."""
+    """Malformed requests, unknown methods and requests above the limit do not count as a heartbeat; valid ones do."""
     reasons: set[str] = set()
     rendering = SimpleNamespace(
         rig=load_rig("replay", {"commands.heartbeat_s": 10.0}),
@@ -564,7 +561,7 @@ def test_what_is_no_request_is_no_sign_of_life():
     given = [(b"\xc1", False), (None, False), (other, False), (good, True), (good, False)]
     alive = []
     for body, too_much in given:
-        commands = Commands("ipc:///nowhere", rendering, doing, "none")  # nothing was ever heard
+        commands = Commands("ipc:///nowhere", rendering, doing, "none")  # no request received so far
         reasons.clear()
         assert commands._receive(b"client", body, too_much) is not None
         commands._check_heartbeat()
@@ -573,7 +570,7 @@ def test_what_is_no_request_is_no_sign_of_life():
 
 
 def test_a_client_of_hapticores_protocol_works_unchanged(rig):
-    """State with exactly its keys, heartbeats beside commands, an error for a method that is not there, stop."""
+    """The state has exactly Hapticore's keys; heartbeats, unknown methods and stop are answered by its protocol."""
     with running(rig(**{"commands.heartbeat_s": 1.0})) as (daemon, _, kept):
         client = Client(daemon.commands_endpoint)
         try:
@@ -586,14 +583,13 @@ def test_a_client_of_hapticores_protocol_works_unchanged(rig):
             assert client.command("stop").result == {"shutting_down": True}
             assert daemon.wait(60.0)
         finally:
-            client._shutdown.set()  # before the daemon is closed: nobody answers then
+            client._shutdown.set()  # before the daemon is closed and no longer answers
             client.close()
         assert kept.force_n >= 0.0
 
 
-def test_two_clients_and_one_that_leaves(rig):
-    """Each gets its own answers; answers to one that has gone are dropped, and another who waits is answered
-    meanwhile."""
+def test_each_client_gets_its_answers(rig):
+    """Each client gets its answers; answers to a closed client are dropped, and a waiting client is answered."""
     with running(rig()) as (daemon, control, _):
         for number in range(50):
             with Control(daemon.commands_endpoint) as other:
@@ -608,7 +604,7 @@ def test_two_clients_and_one_that_leaves(rig):
 
 
 def test_an_answer_that_comes_too_late_is_not_that_of_the_next_request():
-    """A server that answers the first request once it has the second: each client call gets its own answer, or none."""
+    """The server answers the first request after the second one: each call gets the answer to its request, or none."""
     with zmq.Context() as context, context.socket(zmq.ROUTER) as server:
         server.linger, server.rcvtimeo = 0, 10_000
         port = server.bind_to_random_port("tcp://127.0.0.1")
@@ -630,7 +626,7 @@ def test_an_answer_that_comes_too_late_is_not_that_of_the_next_request():
 
 
 def test_asyncio_client(rig):
-    """Requests side by side: heartbeats are answered while a scene is on its way."""
+    """Concurrent requests: heartbeats are answered while a scene is being loaded."""
 
     async def talk(endpoint: str) -> None:
         async with AsyncControl(endpoint, WAIT_S) as control:
@@ -658,7 +654,7 @@ def test_asyncio_client(rig):
 
 @pytest.fixture
 def slow_compiler(monkeypatch, tmp_path):
-    """A compiler that says that it began, and takes for ever."""
+    """Compiler that reports its start and never finishes."""
     program = tmp_path / "slow.py"
     program.write_text(
         "import os, sys, time\nsys.stdin.readline()\n"
@@ -678,9 +674,8 @@ def alive(pid: int) -> bool:
     return Path(f"/proc/{pid}").exists()
 
 
-def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
-    """Heartbeat, disarm and others are answered while one compiles; a later scene ends that compiler, and so does the
-    daemon's end."""
+def test_a_compilation_does_not_block_other_requests(rig, slow_compiler):
+    """Heartbeat and disarm are answered during a compilation, which ends with a later scene or with the daemon."""
     with (
         running(rig()) as (daemon, control, kept),
         Control(daemon.commands_endpoint) as first,
@@ -712,8 +707,8 @@ def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
         assert len(ends) == 2 and isinstance(ends[1], CommandRefused)
 
 
-def test_an_answer_finds_its_client_after_the_commands_process_was_killed(rig, slow_compiler):
-    """It connects again under its own name; libzmq tries every tenth of a second."""
+def test_a_client_gets_its_answer_after_a_kill_of_the_commands_process(rig, slow_compiler):
+    """The client reconnects under the same name; libzmq tries every 0.1 s."""
     with (
         running(rig()) as (daemon, control, _),
         Control(daemon.commands_endpoint, WAIT_S) as first,
@@ -727,14 +722,14 @@ def test_an_answer_finds_its_client_after_the_commands_process_was_killed(rig, s
         assert control.heartbeat().timeout_ms == 0
         time.sleep(1.0)
         control.timeout_s = 1.0
-        with pytest.raises(NoAnswer):  # the compiler takes for ever
+        with pytest.raises(NoAnswer):  # the compiler never finishes
             control.set_scene("cylinder")
         with pytest.raises(CommandRefused, match=r"^superseded: "):
             answer.result()
 
 
 def test_scenes_asked_for_without_end_hold_up_nobody(rig, slow_compiler):
-    """Each supersedes the one before; after more of them than the daemon has at a time, others are answered."""
+    """Each request supersedes the previous one; after more of them than the limit, other clients are answered."""
     request = {"command_id": "x", "method": "set_scene", "params": {"scene": "sphere"}}
     with running(rig()) as (daemon, control, _), zmq.Context() as context, context.socket(zmq.DEALER) as asking:
         asking.linger, asking.rcvtimeo = 0, 10_000
@@ -748,7 +743,7 @@ def test_scenes_asked_for_without_end_hold_up_nobody(rig, slow_compiler):
 
 
 def test_a_compiler_that_fails_is_told(rig, monkeypatch):
-    """The error says where to look, and the old scene goes on."""
+    """The error reports the failed compilation, and the previous scene stays active."""
     popen, failing = subprocess.Popen, [sys.executable, "-c", "raise SystemExit('no room')"]
     monkeypatch.setattr(compilation.Servo, "has_compiled", staticmethod(lambda tuning: False))
     with running(rig()) as (_, control, kept):
@@ -758,16 +753,16 @@ def test_a_compiler_that_fails_is_told(rig, monkeypatch):
         assert control.get_state().active_field == "pressed" and kept.force_n > 1.9
 
 
-def test_the_compiler_leaves_with_the_daemon():
-    """Its input ends with the daemon, and it does not go on for nobody; long before it could have compiled anything."""
+def test_the_compiler_exits_when_its_input_is_closed():
+    """The compiler exits when its input is closed, before it could have compiled anything."""
     words = [sys.executable, "-P", "-m", "softfinger.server.services.compilation"]
     given = json.dumps(describe(pressed_scene())) + "\n"
     done = subprocess.run(words, input=given, capture_output=True, text=True, timeout=280, check=False)
     assert done.returncode == 1 and "Traceback" not in done.stderr
 
 
-def test_a_second_daemon_and_none_at_all(rig, tmp_path):
-    """The endpoint of another daemon is in use; off is off; ipc follows the telemetry's, for this user alone."""
+def test_command_endpoints_in_use_off_and_ipc(rig, tmp_path):
+    """An endpoint in use is an error, `off` opens none, and ipc follows the telemetry endpoint with mode 600."""
     in_use = pytest.raises(AddressInUse, match=r"\[commands\] endpoint .* is in use: stop process ")
     with running(rig()) as (daemon, _, _), in_use:
         Daemon(rig(**{"commands.endpoint": daemon.commands_endpoint}), pressed_scene())
@@ -786,7 +781,7 @@ def test_a_second_daemon_and_none_at_all(rig, tmp_path):
 
 
 def test_a_flood_gets_busy_and_others_are_answered(rig):
-    """One client sends without waiting: it is told to slow down, and another is answered all the while."""
+    """A client that sends without waiting gets `busy`, and another client is answered throughout."""
     with running(rig()) as (daemon, control, _), zmq.Context() as context, context.socket(zmq.DEALER) as flood:
         flood.linger = 0
         flood.connect(daemon.commands_endpoint)
@@ -807,7 +802,7 @@ def test_a_flood_gets_busy_and_others_are_answered(rig):
             while daemon.servo.ticks < first + 1000 or answered <= 10:
                 control.heartbeat()
                 answered += 1
-                gc.collect()  # which Python does not do while a test keeps time: helpers/stalls.py
+                gc.collect()  # Python does not collect during timed tests: helpers/stalls.py
                 time.sleep(0.002)
         finally:
             stop.set()
@@ -822,7 +817,7 @@ def test_a_flood_gets_busy_and_others_are_answered(rig):
 
 
 QUIET = {"telemetry.every": 1000}
-"""The publisher keeps its newest messages, which are 40 MB after as many seconds."""
+"""Publish few messages: the publisher buffers the latest ones, 40 MB after 40 s."""
 
 
 def resident_mb() -> float:
@@ -835,7 +830,7 @@ def deep(levels: int, inner: bytes = b"\x90") -> bytes:
 
 
 def request_bytes(random: np.random.Generator) -> list[bytes]:
-    """The frames of a message that is no good request, of one kind or another."""
+    """Return the frames of a random invalid request."""
     kind = random.integers(9)
     noise = random.bytes(int(random.integers(0, 60)))
     good = {"command_id": "f", "method": "set_params", "params": {STIFFNESS: -1.0}}
@@ -844,7 +839,7 @@ def request_bytes(random: np.random.Generator) -> list[bytes]:
             return [b"", noise]
         case 1:
             return [b"", deep(int(random.integers(1, 3000)))]
-        case 2:  # claims of sizes up to 4 GiB
+        case 2:  # claimed sizes up to 4 GiB
             return [b"", bytes(random.choice([0xDD, 0xDF, 0xDB, 0xC6, 0xC9]).astype(np.uint8).tobytes()) + b"\xff" * 4]
         case 3:
             return [noise] * int(random.integers(1, 5))
@@ -865,12 +860,12 @@ def request_bytes(random: np.random.Generator) -> list[bytes]:
 
 @pytest.mark.scaled
 def test_bad_messages_change_nothing(rig, cases):
-    """Noise, depth, claims, wrong frames, wrong types, 2 000 or 100 000 of them: the force is the same in every tick,
-    memory does not grow, every message has an answer, and a good client is answered in between."""
+    """2 000 or 100 000 messages of noise, deep nesting, false sizes, wrong frames and wrong types: the force is the
+    same in every tick, memory does not grow, every message is answered, and so is a valid client."""
     clients, each = cases(4, 20), cases(500, 5000)
     with running(rig(**QUIET)) as (daemon, control, kept), zmq.Context() as context:
         before, first = control.describe()["scene"], daemon.servo.ticks
-        # The clients are in this process, with what their threads keep: measured once they are all at work.
+        # The clients' threads are in this process; measure once all of them run.
         at_work = threading.Barrier(clients + 1)
         failures: list[str] = []
 
@@ -905,21 +900,21 @@ def test_bad_messages_change_nothing(rig, cases):
         assert not failures, failures[:3]
         assert control.describe()["scene"] == before
         assert unchanged(kept.since(first))
-    # Of 90 000 messages a leak of 200 bytes for each would be 18 MB. Few messages leave in memory what the allocator
-    # takes at once for what they need together: some MB, of whatever number; a leak of 5 kB for each would be as much.
+    # Of 90 000 messages a leak of 200 bytes for each would be 18 MB. With few messages the allocator reserves some MB
+    # for any number of them; a leak of 5 kB for each would be as much.
     assert grown_mb < cases(9, 18), grown_mb
 
 
 RAW_S = 0.4
 
 
-def test_raw_peers_take_neither_memory_nor_ticks(rig):
-    """Bytes below ZeroMQ, from 45 connections at a time: old and new clients are answered meanwhile and afterwards, the
-    daemon's memory is bounded, and every tick is there."""
+def test_raw_peers_do_not_affect_memory_or_ticks(rig):
+    """Raw bytes from 45 connections at a time: old and new clients are answered during and after them, memory is
+    bounded, and every tick is recorded."""
     with running(rig(**QUIET, **{"commands.endpoint": "tcp://127.0.0.1:*"})) as (daemon, control, kept):
         wanted = control.describe()["rig"]
         first, memory_mb, recorded_mb = daemon.servo.ticks, resident_mb(), kept.megabytes
-        # Another process: in this one they would take the time of the daemon's threads and of the clients.
+        # In a separate process, because they would use the CPU time of the daemon's threads and of the clients.
         words = [sys.executable, raw_peers.__file__, daemon.commands_endpoint, str(RAW_S)]
         with Program(words, stdout=subprocess.PIPE) as peers:
             assert peers.stdout.readline() == b"at work\n"
@@ -928,18 +923,18 @@ def test_raw_peers_take_neither_memory_nor_ticks(rig):
                 with Control(daemon.commands_endpoint, WAIT_S) as other:
                     assert other.describe()["rig"] == wanted == control.describe()["rig"]
                 answered += 1
-                gc.collect()  # which Python does not do while a test keeps time: helpers/stalls.py
+                gc.collect()  # Python does not collect during timed tests: helpers/stalls.py
         assert peers.returncode == 0 and answered > 0
         with Control(daemon.commands_endpoint) as other:
             assert other.describe()["rig"] == wanted == control.describe()["rig"]
         grown_mb = resident_mb() - memory_mb - (kept.megabytes - recorded_mb)
         assert unchanged(kept.since(first))
-    # For each peer a frame, an answer of 40 KB and what was read at once.
+    # For each peer a frame, an answer of 40 KB and the bytes of one read.
     assert grown_mb < 40.0, grown_mb
 
 
-def test_a_daemon_of_its_own_ends_by_stop(tmp_path):
-    """`run` names its endpoint, `ctl` commands it from the shell, and `stop` ends it in order."""
+def test_stop_ends_a_daemon_process(tmp_path):
+    """`run` prints its endpoint, `ctl` commands it from the shell, and `stop` ends it with exit code 0."""
     words = [
         *COMMAND,
         "run",

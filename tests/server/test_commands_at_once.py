@@ -1,4 +1,4 @@
-"""What takes the force off waits for nobody: for no request of another client, and not for Python."""
+"""Commands that switch the force off do not wait for requests of other clients or for the Python interpreter."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from softfinger.server.wire.control import AsyncControl, Control
 
 WAIT_S = 120.0
 BEFORE = 48
-"""Requests that wait before the one in question; each takes a millisecond or two to answer."""
+"""Requests queued before the one under test; each takes 1 to 2 ms to answer."""
 
 
 class Driver:
-    """Opens devices that press for ever."""
+    """Open devices that always press."""
 
     Options = Options
 
@@ -45,7 +45,7 @@ class Driver:
 
 @contextmanager
 def running(monkeypatch: pytest.MonkeyPatch, folder: Path, **changes: Any) -> Iterator[tuple[Daemon, FaultyDevice]]:
-    """A daemon whose device is given force; it takes it off within two ticks."""
+    """Run a daemon whose device gets force; the slew limit lets it fall to zero within two ticks."""
     load = registry.load
     monkeypatch.setattr(registry, "load", lambda name: Driver() if name == "faulty" else load(name))
     rig = load_rig("replay", {
@@ -69,13 +69,13 @@ def eventually(what: Callable[[], bool]) -> bool:
 
 
 def forced(device: FaultyDevice) -> bool:
-    """Whether the last wrench that the device was given is a force."""
+    """Return True if the last wrench of the device is a force."""
     wrenches = device.wrenches
     return len(wrenches) > 0 and bool(wrenches[-1].any())
 
 
 class Asking:
-    """A client that sends without waiting for answers."""
+    """Client that sends without waiting for answers."""
 
     def __init__(self, endpoint: str) -> None:
         self._socket = zmq.Context.instance().socket(zmq.DEALER)
@@ -87,7 +87,7 @@ class Asking:
         self._socket.send_multipart([b"", msgpack.packb(request)])
 
     def answers(self, wait_s: float = 0.0) -> Iterator[str]:
-        """Ids of the answers that have come, or come within a time of each other."""
+        """Yield the ids of answers until none arrives for `wait_s`."""
         while self._socket.poll(1000.0 * wait_s):
             yield msgpack.unpackb(self._socket.recv_multipart()[1])["command_id"]
 
@@ -96,7 +96,7 @@ class Asking:
 
 
 def many_bodies(folder: Path) -> str:
-    """A model that takes MuJoCo tenths of a second, with more geoms than a scene may have."""
+    """Write a model that MuJoCo loads in tenths of a second, with more geoms than a scene may have."""
     body = '<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>'
     path = folder / "many.xml"
     path.write_text(
@@ -107,7 +107,7 @@ def many_bodies(folder: Path) -> str:
 
 
 def requests_of_all(folder: Path) -> dict[str, Any]:
-    """Parameters of each method that another client sends: large ones where there are any."""
+    """Return parameters of each method that another client sends, large ones where possible."""
     long = "x" * 2 * SHORT
     rubber = {"stiffness_n_per_m": 1000.0}
     return {
@@ -132,8 +132,8 @@ def requests_of_all(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.real_time
 def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path):
-    """Of each method: the device is given zero before that request has its answer, whatever waits before it. So it is
-    while more requests wait than one client may have at a time, which `stop` overtakes as well."""
+    """For each method, the device gets zero before that request is answered, whatever is queued before it. `stop`
+    overtakes as many requests as one client may queue."""
     asked = requests_of_all(tmp_path)
     assert set(asked) == METHODS.keys() - AT_ONCE
     with running(monkeypatch, tmp_path) as (daemon, device):
@@ -145,7 +145,7 @@ def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path)
                 for number in range(BEFORE):
                     other.send("describe", {}, f"before {number}")
                 other.send(method, params, "last")
-                answered = [next(other.answers(WAIT_S))]  # so that all have come
+                answered = [next(other.answers(WAIT_S))]  # so that all have arrived
                 assert control.disarm().armed is False
                 assert eventually(lambda: not forced(device)), method
                 answered += other.answers()
@@ -168,9 +168,9 @@ def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path)
 
 @pytest.mark.real_time
 @pytest.mark.parametrize("client", ["blocking", "asyncio"])
-def test_a_disarm_that_is_lost_is_sent_again(client, monkeypatch, tmp_path):
-    """The process receives it and is killed before it reads it. The device is given zero from the next one
-    on, and the client has its answer."""
+def test_a_lost_disarm_is_sent_again(client, monkeypatch, tmp_path):
+    """The commands process receives the request and is killed before it reads it. The client sends it again: the device
+    gets zero and the client an answer."""
 
     async def disarm_in_task() -> Any:
         async with AsyncControl(endpoint, WAIT_S) as control:
@@ -198,7 +198,7 @@ def test_a_disarm_that_is_lost_is_sent_again(client, monkeypatch, tmp_path):
 
 @pytest.mark.real_time
 def test_subscribers_do_not_delay_disarm(monkeypatch, tmp_path):
-    """The device is given zero, and the client an answer, while the process of telemetry does nothing at all."""
+    """The device gets zero and the client an answer while the telemetry process is stopped."""
     with running(monkeypatch, tmp_path) as (daemon, device), Control(str(daemon.commands_endpoint), WAIT_S) as control:
         assert eventually(lambda: forced(device))
         os.kill(daemon.publisher.pids["telemetry"], signal.SIGSTOP)
@@ -210,20 +210,20 @@ def test_subscribers_do_not_delay_disarm(monkeypatch, tmp_path):
 
 
 HOLD = ctypes.PyDLL(None).usleep
-"""Holds the interpreter's lock for so many us: no thread of Python does anything."""
+"""Sleep for a number of us with the GIL, so that no Python thread runs."""
 
 
 def ticks_without(device: FaultyDevice) -> int:
-    """How many of the last wrenches that the device was given are zero."""
+    """Count the zero wrenches after the last force."""
     wrenches = device.wrenches
     return len(wrenches) - 1 - int(np.flatnonzero(wrenches.any(axis=1))[-1])
 
 
 @pytest.mark.real_time
 def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
-    """The interpreter is held for 1 s: the device is given zero from the heartbeat's end on, 0.3 s, or from a `disarm`
-    that comes then. Of the ticks that are due, half may be missed; Python alone could only have begun by the end. One
-    heartbeat brings back the first, and `arm` the second."""
+    """While the GIL is blocked for 1 s, the device gets zero after the heartbeat's 0.3 s, or after a `disarm` sent
+    before. Half of the due ticks may be missed; Python could start only at the end. A heartbeat restores the force in
+    the first case, `arm` in the second."""
     with running(monkeypatch, tmp_path, **{"commands.heartbeat_s": 0.3}) as (daemon, device):
         endpoint = str(daemon.commands_endpoint)
         with Control(endpoint, WAIT_S) as control:
@@ -247,7 +247,7 @@ def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
             HOLD(1_000_000)
             assert ticks_without(device) > 450
             assert next(other.answers(WAIT_S)) == "off" and not forced(device)
-            other.send("disarm", {"now": True}, "declined")  # which takes the force off until it is declined
+            other.send("disarm", {"now": True}, "declined")  # switches the force off until it is declined
             assert next(other.answers(WAIT_S)) == "declined"
             other.close()
             assert control.describe()["armed"] is False
@@ -257,7 +257,7 @@ def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
 
 @pytest.mark.plain
 def test_which_requests_take_the_force_off():
-    """By their method alone, in a map of any other keys; nothing else does, whatever it is."""
+    """Only the method decides, in a map with any other keys; no other bytes switch the force off."""
 
     def request(**keys: Any) -> bytes:
         return bytes(msgpack.packb(keys))

@@ -1,4 +1,4 @@
-"""The daemon as its users run it: a process of its own, plain ZeroMQ clients, signals."""
+"""Daemon as users run it: a separate process, plain ZeroMQ clients, signals."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ SYS_TGKILL = {"x86_64": 234, "aarch64": 131}
 
 @contextmanager
 def daemon(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """`softfinger run` on an endpoint of its own, killed in the end if it still runs."""
-    with TemporaryDirectory(prefix="daemon") as folder:  # no port: another program may take one meanwhile
+    """Run `softfinger run` on a private endpoint; kill it at the end."""
+    with TemporaryDirectory(prefix="daemon") as folder:  # no port, because another program may use one
         endpoint = f"ipc://{folder}/t"
         process = subprocess.Popen([*COMMAND, "run", "--endpoint", endpoint, *words], stderr=subprocess.PIPE, text=True)
         try:
@@ -72,7 +72,7 @@ def saved_forces(path: Path) -> np.ndarray:
 
 @pytest.mark.exhaustive
 def test_two_replays_and_simulate_are_bit_identical(tmp_path):
-    """Two daemons and the offline run command the same forces to the last bit, and end with zero."""
+    """Two daemons and the offline run command equal forces bit by bit, and zero at the end."""
     files = [tmp_path / name for name in ("a.npz", "b.npz")]
     words = ["--recording", "tap", "--once", "--realtime", "off"]
     with (
@@ -106,8 +106,8 @@ def test_signal_stops_in_order_with_zero_force(number, tmp_path):
 
 
 def test_plain_client_gets_every_tick_all_modes_and_every_transition():
-    """pyzmq and msgpack alone receive consecutive ticks from the shipped recording, in all three modes; and each mode
-    change that simulate finds on the same poses as an event with tick, cause and forces."""
+    """With pyzmq and msgpack only, a client receives consecutive ticks of the shipped recording in all three modes, and
+    an event with tick, cause and forces for each mode change that simulate finds for the same poses."""
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 250.0), 250.0)
     expected = [int(row[AT.tick]) for row in records if row[AT.contact_cause]]
@@ -132,8 +132,8 @@ def test_plain_client_gets_every_tick_all_modes_and_every_transition():
     assert all(len(event["force"]) == 3 and event["normal_force"] >= 0.0 for event in seen)
 
 
-def test_stopped_is_told_however_late_the_close():
-    """The last event leaves even when the publisher thread ended long before the daemon is closed."""
+def test_stopped_is_sent_after_a_late_close():
+    """The last event is sent even if the thread of records ended long before the daemon is closed."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with (
         Daemon(rig, load_scene("paper-plane"), 2000) as running,
@@ -152,12 +152,11 @@ def test_stopped_is_told_however_late_the_close():
 
 
 class Failure(Exception):
-    """What a sink raises."""
+    """Raised by a sink."""
 
 
 def test_every_sink_takes_every_record_and_one_that_fails_is_left_out():
-    """A second sink gets the publisher's records, all and in order; a third that raises is dropped with an event, and
-    the run goes on without it."""
+    """A second sink gets all records in order. One that raises is dropped with an event, and the run continues."""
     ticks, fragile = [], []
 
     def breaks(records, drops):
@@ -186,8 +185,8 @@ def test_every_sink_takes_every_record_and_one_that_fails_is_left_out():
     assert (dropped["name"], dropped["sink"], dropped["message"]) == ("sink", "fragile", "no space left")
 
 
-def test_a_vital_sink_ends_the_run_and_the_others_still_get_the_rest():
-    """The error is the sink's own, and what another sink has holds every tick up to the end."""
+def test_a_failing_vital_sink_ends_the_run():
+    """The run ends with the sink's error, and another sink gets every tick up to the end."""
     ticks = []
 
     def breaks(records, drops):
@@ -207,8 +206,8 @@ def test_a_vital_sink_ends_the_run_and_the_others_still_get_the_rest():
         assert ticks == list(range(running.servo.ticks)) and len(ticks) > 200
 
 
-def test_a_reader_that_takes_too_long_is_left_behind_unhurt(monkeypatch, caplog):
-    """The end waits for it no longer than for any other thread, and what it reads stays open until it has done."""
+def test_close_does_not_wait_for_a_slow_sink(monkeypatch, caplog):
+    """Closing does not wait for a slow sink, and its records stay readable until it finishes."""
     monkeypatch.setattr(base, "JOIN_S", 0.01)
     began, let_go, ticks = threading.Event(), threading.Event(), []
 
@@ -229,7 +228,7 @@ def test_a_reader_that_takes_too_long_is_left_behind_unhurt(monkeypatch, caplog)
 
 
 class FaultyDriver:
-    """A driver module as the registry gives it, for a device that breaks."""
+    """Driver module of a device that fails."""
 
     Options = Options
 
@@ -259,7 +258,7 @@ def faulty_rig(realtime="off", **options):
     [("lost", DeviceLost), ("timeout", DeviceTimeout), ("protocol", DeviceLost), ("write_lost", DeviceLost)],
 )
 def test_device_failure_is_named_and_force_is_zero(fault, error, faulty):
-    """Each way a device fails gives its own error, after the device was told zero."""
+    """Each kind of device failure raises a specific error, after the device got zero."""
     with Daemon(faulty_rig(fault=fault, at=200), load_scene("paper-plane"), 1000) as running:
         running.start()
         with pytest.raises(error, match="faulty"):
@@ -268,7 +267,7 @@ def test_device_failure_is_named_and_force_is_zero(fault, error, faulty):
 
 
 def test_stalled_servo_is_stopped_and_zeroed(faulty):
-    """When the device's exchange hangs, the supervisor zeroes the device from outside and says so."""
+    """If the device's exchange hangs, the supervisor writes zero to the device and raises SafetyStop."""
     with Daemon(faulty_rig(fault="stall", at=200, stall_us=900_000), load_scene("paper-plane")) as running:
         running.start()
         with pytest.raises(SafetyStop, match="no tick for"):
@@ -276,8 +275,8 @@ def test_stalled_servo_is_stopped_and_zeroed(faulty):
     assert not faulty.device.wrenches[-1].any()
 
 
-def test_a_stall_that_leaves_no_force_in_a_hand_ends_nothing(faulty):
-    """Where reads are computed, as of a recording, a machine that stands still for a while costs time and no run."""
+def test_a_stall_does_not_end_a_run_without_a_hand(faulty):
+    """If reads are computed, as for a recording, a stall of the machine does not end the run."""
     rig = faulty_rig(fault="stall", at=200, stall_us=900_000, own_clock=True)
     with Daemon(rig, load_scene("paper-plane"), 400) as running:
         running.start()
@@ -285,8 +284,8 @@ def test_a_stall_that_leaves_no_force_in_a_hand_ends_nothing(faulty):
         assert running.servo.ticks == 400
 
 
-def test_a_signal_ends_no_thread_whichever_the_system_gives_it_to():
-    """A signal for the process goes to any of its threads: each is given many, of those of libraries too."""
+def test_a_signal_to_any_thread_does_not_end_it():
+    """The system may deliver a signal to any thread, so each one gets many, including those of libraries."""
     given, number = ctypes.CDLL(None).syscall, SYS_TGKILL[os.uname().machine]
     before = signal.signal(signal.SIGUSR1, lambda *_: None)
     try:
@@ -309,18 +308,17 @@ def test_a_signal_ends_no_thread_whichever_the_system_gives_it_to():
 
 
 def eventually(what, seconds=20.0):
-    """Whether something becomes true within so many seconds."""
+    """Wait until a condition is true; return its last value."""
     until = time.monotonic() + seconds
     while not (done := what()) and time.monotonic() < until:
         time.sleep(0.01)
     return done
 
 
-# Where the stop does not fail: test_fingers_daemon.py has it with two devices.
+# test_fingers_daemon.py tests a successful stop with two devices.
 @pytest.mark.parametrize("stop_fails", [pytest.param(False, marks=pytest.mark.exhaustive), True])
-def test_a_hung_exchange_is_zeroed_from_outside_and_given_up(stop_fails, faulty, caplog):
-    """A read that does not return: the hand is without force while it still hangs, and the daemon ends without it,
-    also where the driver's own stop fails."""
+def test_a_hung_exchange_is_zeroed_by_the_supervisor(stop_fails, faulty, caplog):
+    """While a read hangs, the device gets zero and the daemon ends without it, even if the driver's stop fails."""
     rig = faulty_rig(fault="hang", at=700, stop_fails=stop_fails)
     running = Daemon(rig, load_scene("paper-plane"))
     try:
@@ -333,13 +331,12 @@ def test_a_hung_exchange_is_zeroed_from_outside_and_given_up(stop_fails, faulty,
         assert running.servo.running  # still in the read
         assert ("could not be stopped (OSError: the port has gone)" in caplog.text) == stop_fails
     finally:
-        faulty.device.release()  # the memory that it reads must outlive the read
+        faulty.device.release()  # the memory it reads must outlive the read
         assert eventually(lambda: not running.servo.running)
 
 
-def test_a_stop_that_fails_is_told_and_skips_nothing(faulty, caplog):
-    """Telemetry is closed, the servo released and the device closed although stop raises each time; the error says that
-    the device may still push, and comes once."""
+def test_a_failed_stop_is_reported_and_everything_is_closed(faulty, caplog):
+    """If stop always fails, telemetry, servo and device are closed; one error warns that the device may still push."""
     running = Daemon(faulty_rig(stop_fails=True), load_scene("paper-plane"), 300)
     running.start()
     with (
@@ -355,7 +352,7 @@ def test_a_stop_that_fails_is_told_and_skips_nothing(faulty, caplog):
 
 
 def test_a_device_that_refuses_to_be_armed_ends_the_daemon(faulty):
-    """The error of arming is what the daemon ends with, after the device was stopped."""
+    """The daemon ends with the error of arming, after the device was stopped."""
     with Daemon(faulty_rig(refuses_to_arm=True), load_scene("paper-plane")) as running:
         running.start()
         with pytest.raises(DeviceError, match="force button"):
@@ -364,8 +361,8 @@ def test_a_device_that_refuses_to_be_armed_ends_the_daemon(faulty):
     assert DeviceError.exit_code == 4
 
 
-def test_the_device_is_armed_when_everything_slow_is_done(faulty):
-    """Settings are reported, the services run, before the device is armed."""
+def test_the_device_is_armed_after_all_services_run(faulty):
+    """Settings are reported and all services run before the device is armed."""
     seen = []
 
     def report(settings):
@@ -378,8 +375,8 @@ def test_the_device_is_armed_when_everything_slow_is_done(faulty):
     assert faulty.device.acts[0][0] == "arm" and faulty.device.acts[0][2] == 0
 
 
-def test_a_pose_that_stays_unusable_ends_the_run_as_a_fault_of_the_device(faulty):
-    """Poses of NaN for good: zero force and an error of the device, not a run that ends well."""
+def test_unusable_poses_end_the_run_with_a_device_error(faulty):
+    """With NaN poses the device gets zero force and the run ends with an error of the device."""
     with Daemon(faulty_rig(fault="nan", at=200, count=100_000), load_scene("paper-plane"), 5000) as running:
         running.start()
         with pytest.raises(DeviceError, match=r"faulty: no usable pose for 0\.5 s"):
@@ -388,8 +385,8 @@ def test_a_pose_that_stays_unusable_ends_the_run_as_a_fault_of_the_device(faulty
 
 
 def test_repeated_stalls_end_the_run(faulty):
-    """Reads that hang for 0.24 s, each too short for the supervisor: a safety stop that says where the time went, by
-    the read that the fault model says."""
+    """Reads that hang for 0.24 s, each too short for the supervisor, end with a SafetyStop that names the device's
+    exchange, after the number of reads given by the fault model."""
     hang_s = 0.24
     rig = faulty_rig(fault="stall", at=200, count=20, stall_us=round(1e6 * hang_s))
     with Daemon(rig, load_scene("paper-plane"), 5000) as running:
@@ -419,7 +416,7 @@ def cpu_seconds(pid: int) -> float:
 
 
 def granted_fifo() -> bool:
-    """Whether this process may use SCHED_FIFO, asked in a thread that ends with the answer."""
+    """Return True if this process may use SCHED_FIFO; tested in a thread that ends afterwards."""
     asked = []
     thread = threading.Thread(target=lambda: asked.append(raise_priority("any", threading.get_native_id(), 80).ok))
     thread.start()
@@ -429,8 +426,8 @@ def granted_fifo() -> bool:
 
 @pytest.mark.skipif(not granted_fifo(), reason="needs the right to SCHED_FIFO")
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs a processor for the hog alone")
-def test_a_real_time_hog_does_not_keep_the_supervisor_from_zeroing(faulty):
-    """Beside a process of the servo's own priority that never sleeps, on its processor, the supervisor is in time."""
+def test_a_real_time_hog_does_not_delay_the_supervisor(faulty):
+    """The supervisor reacts in time although a process with the servo's priority never sleeps on its processor."""
     rig = faulty_rig(fault="hang", at=700, realtime="auto")
     cpu, told = max(os.sched_getaffinity(0)), []
     hog = subprocess.Popen([sys.executable, "-c", HOG, str(cpu), str(rig.servo.priority)], stdin=subprocess.PIPE)
@@ -440,7 +437,7 @@ def test_a_real_time_hog_does_not_keep_the_supervisor_from_zeroing(faulty):
             os.sched_setaffinity(running.supervisor.native_id, {cpu})
             assert eventually(lambda: running.servo.ticks == 700)
             started_s = cpu_seconds(hog.pid)
-            hog.stdin.close()  # it begins
+            hog.stdin.close()  # it starts
             assert eventually(lambda: len(faulty.device.wrenches) == 701)
             hogged_s = cpu_seconds(hog.pid) - started_s
             with pytest.raises(SafetyStop, match="no tick for"):
@@ -455,8 +452,8 @@ def test_a_real_time_hog_does_not_keep_the_supervisor_from_zeroing(faulty):
     assert hogged_s < 0.9
 
 
-def test_real_time_off_leaves_the_supervisor_alone(faulty):
-    """With `off` the supervisor's scheduler is not touched, nor said to be."""
+def test_real_time_off_does_not_change_the_supervisor(faulty):
+    """With `off` the supervisor's scheduler is neither changed nor reported."""
     told = []
     with Daemon(faulty_rig(), load_scene("paper-plane"), 300, told.extend) as running:
         running.start()
@@ -467,18 +464,18 @@ def test_real_time_off_leaves_the_supervisor_alone(faulty):
 
 
 def test_failing_publisher_stops_the_servo(faulty):
-    """If telemetry cannot be published, the servo stops with zero force instead of running unseen."""
+    """If telemetry cannot be published, the servo stops with zero force."""
     with Daemon(faulty_rig(), load_scene("paper-plane")) as running:
         running.start()
-        running.publisher._link.failed = True  # as when the thread that looks after the publisher has broken
+        running.publisher._link.failed = True  # as if the thread of the publisher had failed
         with pytest.raises(SafetyStop, match="telemetry"):
             running.wait(60.0)
     assert not faulty.device.wrenches[-1].any()
 
 
 def test_failing_relay_stops_the_servo(faulty, monkeypatch):
-    """If the thread that hands ticks on fails, so that nobody has records any more, the servo stops with zero force."""
-    monkeypatch.setattr(Rings, "feeds", lambda self: iter([None]))  # nothing that it could take records from
+    """If the thread that distributes records fails, the servo stops with zero force."""
+    monkeypatch.setattr(Rings, "feeds", lambda self: iter([None]))  # no source of records
     with Daemon(faulty_rig(), load_scene("paper-plane")) as running:
         running.start()
         with pytest.raises(SafetyStop, match="records cannot be taken"):
@@ -502,14 +499,14 @@ print(once() == once() == once())
 """
 
 
-def test_nothing_is_left_behind():
-    """After a daemon has closed, its threads and file descriptors are gone; asked of a process without others."""
+def test_threads_and_descriptors_are_closed():
+    """After a daemon has closed, its threads and file descriptors are gone; counted in a separate process."""
     done = subprocess.run([sys.executable, "-c", LEFT_BEHIND], capture_output=True, text=True, timeout=300)
     assert done.stdout == "True\n", done.stderr
 
 
 def test_required_realtime_that_is_refused_does_not_start(tmp_path):
-    """Without the right to real time, `--realtime require` ends with its exit code and what to do, at zero force."""
+    """Without the right to real time, `--realtime require` exits with its code and a remedy, at zero force."""
     forces = tmp_path / "forces.csv"
     code = (
         "import ctypes, resource, sys\n"

@@ -1,4 +1,4 @@
-"""The topic `deformation`: sent when a load changes, recorded as sent, and multiplied by the client."""
+"""Topic `deformation`: sent when a load changes, recorded as sent, and multiplied by the client."""
 
 from pathlib import Path
 from typing import Any
@@ -33,12 +33,12 @@ def pressed(count: int) -> Any:
     put(held, "contacts0.force", FORCE)
     put(held, "contacts0.point", (0.003, 0.002, -0.0005))
     put(held, "contact.displacement", (0.0, 0.0, -0.0005))
-    put(held[200:], "contacts0.force", (0.1, -0.2, 1.5 + 1e-5))  # below what is published
+    put(held[200:], "contacts0.force", (0.1, -0.2, 1.5 + 1e-5))  # below the published resolution
     return rows
 
 
 def test_loads_are_sent_when_they_change_and_recorded_as_they_are_sent(tmp_path: Path) -> None:
-    """A load at rest is sent once; one that changes in every tick 60 times a second."""
+    """A constant load is sent once, a load that changes in every tick 60 times a second."""
     keys = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off", "servo.realtime": "off"}
     path, found = tmp_path / "a.mcap", []
     with (
@@ -50,7 +50,7 @@ def test_loads_are_sent_when_they_change_and_recorded_as_they_are_sent(tmp_path:
             socket.subscribe(topic)
         socket.connect(daemon.publisher.endpoint)
         join(daemon.publisher, socket)
-        # Not started: the ticks of a hand are these, in batches as they come.
+        # The daemon is not started; these ticks arrive in batches as from a hand.
         for batch in np.array_split(pressed(600), 60):
             daemon.deformation.sink.take(batch, 0)
         daemon.publisher.event("test", "end")
@@ -66,7 +66,7 @@ def test_loads_are_sent_when_they_change_and_recorded_as_they_are_sent(tmp_path:
         rows[:, AT.contacts0_force] = np.linspace(1.0, 2.0, len(rows))
         for row in rows:
             changing.sink.take(row[None], 0)
-        with zmq.Context.instance().socket(zmq.SUB) as late:  # one that comes later gets the newest
+        with zmq.Context.instance().socket(zmq.SUB) as late:  # a late subscriber gets the last message
             late.subscribe(DEFORMATION)
             late.connect(daemon.publisher.endpoint)
             assert late.poll(60_000)

@@ -1,4 +1,4 @@
-"""What a device says while it works: told once, and again when it changes or comes back."""
+"""Warnings of a device: published once, and again when they change or reappear."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.plain
 
 
 def test_each_warning_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    """A warning is an event and a line of the log when it begins, when its words change and when it comes back."""
+    """A warning is an event and a log line when it appears, when its text changes and when it reappears."""
     said, told = [""], []
     device: Any = SimpleNamespace(info=SimpleNamespace(name="arm"), warning=lambda: said[0])
 
@@ -28,8 +28,8 @@ def test_each_warning_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
     assert caplog.text.count("arm: hot") == 3
 
 
-def test_a_failing_look_ends_no_run() -> None:
-    """What fails in it is an event; nobody is asked any more."""
+def test_a_failing_check_is_published() -> None:
+    """An exception in the check is published as an event, and no further warnings are published."""
     told = []
     DeviceWarnings(list, lambda *_, message: told.append(message)).failed(ValueError("broken"))
     assert told == ["warnings of devices are no longer published: broken"]

@@ -1,4 +1,4 @@
-"""The environment of Gymnasium: its own checker, and its contact beside the engine's on the same poses."""
+"""Environment of Gymnasium: Gymnasium's checker, and its contact compared with the engine's for the same poses."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from softfinger.server.bridges.environment import Touch
 pytestmark = pytest.mark.plain
 
 HOME = (0.0, 0.0, 0.0105)
-"""Half a millimetre above the paper's plane."""
+"""0.5 mm above the plane for the fingertip."""
 
 
 def played(env: Touch, actions: np.ndarray) -> Records:
-    """Every tick of an episode, from its beginning."""
+    """Return the records of every tick of an episode."""
     _, info = env.reset(seed=0)
     parts = [info["records"], *(env.step(action)[4]["records"] for action in actions)]
     return Records(np.concatenate(parts))
@@ -36,8 +36,8 @@ def played(env: Touch, actions: np.ndarray) -> Records:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("scene", ["paper-plane", "sphere"])
-def test_gymnasium_takes_it(scene: str) -> None:
-    """The checker finds nothing to warn of, as warnings are errors here: spaces, seeds, types of what is returned."""
+def test_gymnasium_checker_accepts_the_environment(scene: str) -> None:
+    """The checker gives no warning (warnings are errors here) on spaces, seeds and returned types."""
     env = gymnasium.make(environment.NAME, scene=scene)
     check_env(env.unwrapped)
     steps = env.unwrapped.setup.episode_steps
@@ -46,8 +46,8 @@ def test_gymnasium_takes_it(scene: str) -> None:
     assert cut == [False] * (steps - 1) + [True]
 
 
-def test_the_contact_is_the_engines() -> None:
-    """A press, a drag and a turn: of the poses that came of it, the engine makes the same contact to the bit."""
+def test_contact_equals_that_of_the_engine() -> None:
+    """For a press, a drag and a turn, the engine computes the same contact from the resulting poses, bit by bit."""
     actions = np.zeros((60, 6))
     actions[:20, 2], actions[20:40, 0], actions[40:, 4:] = -0.06, 0.08, 0.5
     records = played(Touch("paper-plane", home_m=HOME), actions)
@@ -63,17 +63,17 @@ def test_the_contact_is_the_engines() -> None:
     np.testing.assert_allclose(np.diff(records["timestamp"]), 0.001, rtol=1e-9)  # rounding of a sum of seconds
 
 
-def test_the_hand_gives_way() -> None:
-    """Spring of the hand against that of the plane, 1000 N/m each: of 1 mm of intended depth half is left."""
+def test_hand_and_plane_share_the_depth() -> None:
+    """Springs of hand and plane have 1000 N/m each: half of 1 mm of intended depth remains."""
     actions = np.zeros((150, 6))
     actions[:30, 2] = -0.05  # 1.5 mm down, 0.5 mm of them in the air
     records = played(Touch("paper-plane", home_m=HOME), actions)
-    # The friction of the omega.6, 0.1 N on an axis or less, holds the handle wherever it lies within.
+    # The friction of the omega.6, at most 0.1 N on an axis, stops the handle anywhere within this range.
     assert records["force"][-1, 2] == pytest.approx(0.5, abs=0.11)
 
 
 def test_the_goal_stays_within_reach() -> None:
-    """However long it is led away, along each axis; and an action out of range is the nearest within."""
+    """The goal is clamped to the reach on each axis; an action out of range is clamped to the range."""
     env = Touch("paper-plane", home_m=HOME, reach_m=0.01)
     env.reset()
     for _ in range(30):
@@ -82,8 +82,8 @@ def test_the_goal_stays_within_reach() -> None:
 
 
 @pytest.mark.parametrize("action", [[np.nan] * 6, [0.0] * 5, [[0.0] * 6], "up", [np.inf] * 6])
-def test_an_action_that_is_none_is_refused(action: Any) -> None:
-    """In one line, and the episode goes on as if it had not been given."""
+def test_an_invalid_action_is_refused(action: Any) -> None:
+    """The error is one line, and the episode continues with finite poses."""
     env = Touch("paper-plane", home_m=HOME)
     env.reset()
     with pytest.raises(PoseError, match=r"action .*must be 6 finite numbers"):
@@ -92,7 +92,7 @@ def test_an_action_that_is_none_is_refused(action: Any) -> None:
 
 
 def test_the_goal_turns_about_the_worlds_axes() -> None:
-    """A second of 1 rad/s about z, then about x: the rotation vectors' product."""
+    """One second of 1 rad/s about z, then about x: the goal is the product of the rotations about world axes."""
     env = Touch("frictionless-plane", turn_rad_per_s=1.0)
     env.reset()
     for axis in (5, 3):
@@ -104,8 +104,8 @@ def test_the_goal_turns_about_the_worlds_axes() -> None:
     np.testing.assert_allclose(seen["goal.orientation"], expected, atol=1e-9)  # rounding of 100 products
 
 
-def test_another_task() -> None:
-    """A subclass has its own reward and end, from the records of a step."""
+def test_a_subclass_defines_reward_and_end() -> None:
+    """A subclass defines reward and end of an episode from the records of a step."""
 
     class Reach(Touch):
         def reward(self, records: Records) -> float:
@@ -124,23 +124,20 @@ def test_another_task() -> None:
 
 
 def test_a_scene_of_two_fingers_is_refused() -> None:
-    """There is one hand."""
     with pytest.raises(ConfigError, match="fingers of the scene: 2"):
         Touch("pinch")
 
 
-def test_its_docstrings_examples_run() -> None:
-    """As they stand."""
+def test_docstring_examples_run() -> None:
     found = doctest.testmod(environment)
     assert found.attempted and not found.failed
 
 
-def test_the_program_of_the_docs_runs() -> None:
-    """As it stands on the page."""
+def test_the_example_of_the_docs_runs() -> None:
     page = (Path(__file__).parents[2] / "docs" / "operate" / "bridges.md").read_text()
     (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     exec(program, names := {})
-    assert names["reward"] == -0.5  # in the air, 0.5 N are wanted
+    assert names["reward"] == -0.5  # in the air; 0.5 N are the target
 
 
 WITHOUT_GYMNASIUM = """
@@ -157,7 +154,7 @@ for name in ("environment", "lift_environment"):
 
 
 def test_without_gymnasium() -> None:
-    """One line says what to install."""
+    """The error names the extra to install."""
     command = [sys.executable, "-c", WITHOUT_GYMNASIUM]
     environ = os.environ | {"NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run(command, env=environ, capture_output=True, text=True, check=True)

@@ -1,7 +1,7 @@
 """Random commands and faults at two boards: every frame that reaches a board obeys the limits of the guard.
 
-A daemon runs in a process of its own; both boards and all clients are here. SOFTFINGER_WRITES is the number of frames
-that `make test-all` sends.
+The daemon runs in a separate process; both boards and all clients are in this one. SOFTFINGER_WRITES is the number of
+frames that `make test-all` sends.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ RUNS = 8
 FORCE_MAX_N, SLEW_N, HEARTBEAT_S = 3.0, 0.3, 1.0
 """Limits of the rig; SLEW_N is per tick."""
 OFF_STEP_N = FORCE_MAX_N / (1000.0 * MAX_OFF_S)
-"""Change per tick while the switch takes the force off."""
+"""Change per tick while the switch fades the force out."""
 ROUNDING_N = 0.5e-3 * 3**0.5
-"""A frame has whole mN of each component."""
+"""A frame has integer mN for each component."""
 LATE_FRAMES = 3
-"""Ticks that may begin without having read a command that stops the force, after its answer."""
+"""Ticks that may start without having read a command that stops the force, after its answer."""
 WAIT_S = 120.0
 SPOILT = (b"     nan", b"     inf", b"   1e999", b"  80.000", b" -80.000", b"\0\xff\n\n\n\n\n\n")
 NAMES = ("thumb", "index")
@@ -76,7 +76,7 @@ timeout_s = 2.0
 
 
 class Hand:
-    """A hand that sways about a height which a test changes; at 0 m the fingertip is as deep as its radius."""
+    """Hand that sways about a height set by a test; at 0 m the fingertip is as deep as its radius."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -89,7 +89,7 @@ class Hand:
 
 
 class Forceless:
-    """Frames of one board in which no force may come: from the answer to a command to the next that allows it."""
+    """Frame ranges of one board without force: from the answer to a command until force is allowed again."""
 
     def __init__(self, cable: Cable) -> None:
         self.cable = cable
@@ -97,7 +97,7 @@ class Forceless:
         self.spans: list[tuple[int, int]] = []
 
     def begin(self) -> None:
-        """Allow no force beyond the frames that were written before now."""
+        """Allow no force after the frames written so far."""
         if self.since is None:
             frames = ceil((self.cable.sent_to() - self.cable.board.wakes) / FRAME_BYTES)
             self.since = frames + LATE_FRAMES + ceil(1000.0 * MAX_OFF_S)
@@ -110,7 +110,7 @@ class Forceless:
 
 
 class Session:
-    """A daemon with two boards, and what a random client does to them."""
+    """Daemon with two boards, and a random client."""
 
     def __init__(self, folder: Path, seed: int) -> None:
         self.folder, self.draw = folder, random.Random(seed)
@@ -118,7 +118,7 @@ class Session:
         self.cables = [Cable(Board(hand)) for hand in self.hands]
         self.forceless = [Forceless(cable) for cable in self.cables]
         self.resumed: list[list[int]] = [[], []]
-        """First frames after a pause longer than a force is carried over."""
+        """First frames after a pause longer than the guard carries a force over."""
         self.starts = 0
         self.answered: dict[str, int] = {}
         devices = "".join(
@@ -141,7 +141,7 @@ class Session:
             cable.pull()
 
     def start(self) -> Program:
-        """Start a daemon and wait until both boards hear it."""
+        """Start a daemon and wait until both boards receive frames."""
         self.starts += 1
         before = self.writes()
         words = ["-q", "run", "--rig", str(self.folder / "rig.toml"), "--scene", str(self.folder / "scene.toml")]
@@ -157,7 +157,7 @@ class Session:
         return Control(f"ipc://{self.folder}/commands", timeout_s=10.0)
 
     def call(self, method: str, *args: Any, **keys: Any) -> bool:
-        """Send a command; returns whether it was done, not refused."""
+        """Send a command; return True if it was done, False if refused."""
         with self.control() as control:
             try:
                 getattr(control, method)(*args, **keys)
@@ -166,7 +166,7 @@ class Session:
         self.answered[method] = self.answered.get(method, 0) + 1
         return True
 
-    # What takes the force off.
+    # Actions that end the force.
 
     def disarm(self) -> None:
         self.call("disarm")
@@ -249,7 +249,7 @@ class Session:
             self.call("record_stop")
 
     def flood(self, number: int = 50) -> None:
-        """Send scenes of many objects, broken messages and noise, and wait for no answer."""
+        """Send messages of random bytes without waiting for answers."""
         socket = zmq.Context.instance().socket(zmq.DEALER)
         socket.linger = 0
         socket.connect(f"ipc://{self.folder}/commands")
@@ -279,9 +279,9 @@ class Session:
         cable.spoil = bytes
 
     def suspend(self) -> None:
-        """Suspend the daemon for longer than a force is carried over."""
+        """Suspend the daemon for longer than the guard carries a force over."""
         self.daemon.send_signal(signal.SIGSTOP)
-        time.sleep(0.3)  # the boards hear everything that was written
+        time.sleep(0.3)  # the boards receive everything written before
         firsts = [len(cable.board.sent) for cable in self.cables]
         self.daemon.send_signal(signal.SIGCONT)
         for found, first in zip(self.resumed, firsts, strict=True):
@@ -314,13 +314,14 @@ def actions(draw: random.Random) -> Iterator[str]:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("run", range(RUNS))
 def test_no_frame_exceeds_the_limits(run: int, tmp_path: Path) -> None:
-    """Norm, change per tick, zero after a stop: at the boards, whatever clients, lines and signals do."""
+    """At the boards, norm and change per tick are within the limits and forces are zero after a stop, for random
+    commands, line faults and signals."""
     seed = (int(os.environ.get("SOFTFINGER_FUZZ_SEED", "0")) or int.from_bytes(os.urandom(4))) + run
     with Session(tmp_path, seed) as session:
         for name in actions(session.draw):
             try:
                 getattr(session, name)()
-            except HapticError:  # the daemon has ended, or its endpoint is not there yet
+            except HapticError:  # the daemon has ended, or its endpoint does not exist yet
                 if session.daemon.poll() is None and name not in ENDS:
                     continue
             if session.daemon.poll() is not None:
@@ -342,15 +343,15 @@ def test_no_frame_exceeds_the_limits(run: int, tmp_path: Path) -> None:
         limited = np.mean(sizes > 0.99 * FORCE_MAX_N)
         print(f"{len(forces)} frames, {np.mean(~zero):.0%} with force, {limited:.1%} at the limit")
         assert not cable.board.faults
-        assert np.mean(~zero) > 0.1 and sizes.max() > 0.99 * FORCE_MAX_N  # else this shows nothing
+        assert np.mean(~zero) > 0.1 and sizes.max() > 0.99 * FORCE_MAX_N  # otherwise the test would show nothing
         assert sizes.max() <= FORCE_MAX_N + ROUNDING_N
         falls = np.diff(sizes, prepend=0.0) <= 2.0 * ROUNDING_N
         limit = np.where(falls, OFF_STEP_N, SLEW_N)
-        # What comes up from zero again may follow any force.
+        # A force that starts from zero may follow any force.
         fast = (steps > limit + 2.0 * ROUNDING_N) & (sizes > SLEW_N + ROUNDING_N)
         assert not fast.any(), [forces[max(k - 2, 0) : k + 2] for k in np.flatnonzero(fast)[:3]]
         late = [np.flatnonzero(~zero[first:last]).max(initial=-1) + 1 for first, last in forceless.spans]
         assert max(late) == 0, late
         assert len(forceless.spans) > 5
-        # A tick that was suspended between its computation and its write still sends the old force.
+        # A tick suspended between computation and write still sends the previous force.
         assert all(sizes[first + 1] <= SLEW_N + ROUNDING_N for first in resumed if first + 1 < len(sizes))

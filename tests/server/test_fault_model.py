@@ -1,4 +1,4 @@
-"""The fault model: every row has a test that injects it, and every event that tells a fault has a row."""
+"""Fault model: every row has a test that injects it, and every published fault has a row."""
 
 import ast
 import importlib
@@ -26,19 +26,19 @@ pytestmark = pytest.mark.plain
 
 ROOT = Path(__file__).parents[2]
 ORDINARY = {"force_clamped", "torque_clamped", "slew_limited", "disarmed"}
-"""What the guard does to a force of every day, or by command."""
+"""Guard bits of normal operation or of a command."""
 TURN = 5
-"""Ticks that a thread of a far end may wait for its turn of the scheduler."""
+"""Ticks that a thread of a far end may wait for the scheduler."""
 
 
 def functions(file):
-    """Names of a file's functions."""
+    """Return the names of a file's functions."""
     tree = ast.parse((ROOT / file).read_text("utf-8"))
     return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
 
 
 def faults_told():
-    """Names of events of kind `fault` in the program, wherever one is published."""
+    """Return the names of all events of kind `fault` that the server publishes."""
     names = set()
     for path in sorted((ROOT / "server").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
@@ -52,8 +52,8 @@ def faults_told():
     return names
 
 
-def test_each_row_is_injected_by_a_test_that_there_is():
-    """Each hazard names at least one test, and each test is in its file."""
+def test_each_row_has_an_existing_test():
+    """Each hazard names at least one test, and each test exists in its file."""
     for hazard in HAZARDS:
         assert hazard.tests, hazard.name
         for test in hazard.tests:
@@ -61,8 +61,8 @@ def test_each_row_is_injected_by_a_test_that_there_is():
             assert name in functions(file), test
 
 
-def test_each_fault_that_is_told_has_a_row():
-    """Every event of kind `fault`, every bit of the guard but what is ordinary, and nothing that does not exist."""
+def test_each_published_fault_has_a_row():
+    """Rows cover every event of kind `fault` and every guard bit except the ordinary ones, and name no other event."""
     rows = {event for hazard in HAZARDS for event in hazard.events}
     faults = {f"fault {name}" for name in faults_told()}
     assert len(faults) >= 9
@@ -74,9 +74,9 @@ def test_each_fault_that_is_told_has_a_row():
     assert f"state {DaemonState.FAULTED}" == FAILED
 
 
-def test_each_row_was_seen_to_fit_what_it_says():
-    """Of what `make faults-seen` has written each case passed, and none that noted a reaction took longer than its row
-    allows, a far end's handover and its thread's turn beside."""
+def test_measured_reactions_are_within_their_rows():
+    """In the results of `make faults-seen` every case passed, and no reaction took longer than its row allows, plus the
+    handover and TURN of a far end."""
     seen = json.loads(SEEN_IN.read_text("utf-8"))
     assert all(each["passed"] == each["of"] for each in seen if "test" in each)
     by_name = {hazard.name: hazard for hazard in HAZARDS}
@@ -116,14 +116,14 @@ SET_BY = {
     "memory of the daemon in swap": [(swapping, "PERIOD_S")],
     "commands that cannot be taken": [(SafetyStop, "exit_code")],
 }
-"""The constants that set the numbers of a row; keys of rigs have their defaults in the reference of rigs."""
+"""Constants that set the numbers of a row; defaults of rig keys are in the reference of rigs."""
 
 
 @pytest.mark.parametrize(("name", "owner", "constant"), [
     (name, owner, constant) for name, constants in SET_BY.items() for owner, constant in constants
 ])  # fmt: skip
-def test_a_number_of_a_row_is_that_of_its_constant(name, owner, constant, monkeypatch):
-    """Another value of the constant makes another row."""
+def test_numbers_of_a_row_follow_its_constants(name, owner, constant, monkeypatch):
+    """Changing the constant changes the row."""
     row = {hazard.name: tuple(hazard) for hazard in HAZARDS}[name]
     value = getattr(owner, constant)
     monkeypatch.setattr(owner, constant, 1.5 * value if isinstance(value, float) else 2 * value)
@@ -136,11 +136,11 @@ def test_a_number_of_a_row_is_that_of_its_constant(name, owner, constant, monkey
 
 
 BY_HAND = {"0 ticks", "0 ticks, 1 of a write"}
-"""Reactions that no constant sets: the same tick, which tests see at every driver."""
+"""Reactions without a constant: within the same tick, which tests check for every driver."""
 
 
-def test_no_number_of_a_row_is_written_by_hand():
-    """Of the texts from which rows are made none has a figure but those that no constant sets."""
+def test_rows_contain_no_literal_numbers():
+    """No text that makes up a row contains a number, except reactions without a constant."""
     (rows,) = [
         node.value
         for node in ast.parse((ROOT / "tools/pages/hazards.py").read_text("utf-8")).body
@@ -158,18 +158,18 @@ def test_no_number_of_a_row_is_written_by_hand():
     assert by_hand - {".0%", ".1f", ".2f"} == BY_HAND
 
 
-def test_what_tests_may_take_is_what_their_rig_says():
-    """The rig of the injected faults waits FROZEN_S for a pose that stands still; a fifth more is the tests'."""
+def test_the_time_for_frozen_poses_follows_the_tests_rig():
+    """The rig of the injected faults waits FROZEN_S for a constant pose; the tests allow a fifth more."""
     (frozen,) = [hazard for hazard in HAZARDS if hazard.name == "a pose that does not change under a force"]
     assert frozen.within == round(1.2 * FROZEN_S / hazards.TICK_S)
 
 
-def test_rows_are_told_apart():
-    """No two hazards have one name, and none leaves a field empty but its events."""
+def test_hazards_have_unique_names_and_no_empty_fields():
+    """Names of hazards are unique, and no field except the events is empty."""
     assert len({hazard.name for hazard in HAZARDS}) == len(HAZARDS)
     assert all(all(hazard[:5]) for hazard in HAZARDS)
 
 
 def test_advice_is_for_events_of_the_guard():
-    """What to do is said of every guard event that tells a fault, and of no other."""
+    """Every guard event that reports a fault has advice, and no other event has."""
     assert set(ADVICE) == {*GUARD_NAMES} - ORDINARY - {"ramping"}

@@ -1,4 +1,4 @@
-"""Several fingers in one servo: each with its own guard and contact, and zero for all on every shutdown path."""
+"""Several fingers in one servo: separate guards and contacts, and zero for all on every shutdown path."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ from softfinger.server.recording.results import read_results
 
 GUARD = load_rig("replay", {"guard.ramp_s": 0.01}).guard
 CLOCKED = [AT.timestamp, AT.servo_late, AT.servo_exec, AT.servo_missed, AT.servo_busy]
-"""Columns that tell of the machine."""
+"""Columns that depend on the machine."""
 
 
 def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.LoopEnd, np.ndarray]:
-    """A servo over two devices to its end, with limits of both guards, and its records (n, fingers, RECORD_SIZE)."""
+    """Run a servo with two devices and changed guard limits; return its end and records (n, fingers, RECORD_SIZE)."""
     tuning = make_tuning(two_fingers(), GUARD)
     tuning = tuning._replace(guards=tuple(guard._replace(**limits) for guard in tuning.guards))
     servo = s.Servo(devices, tuning, 1000.0, ticks)
@@ -58,17 +58,17 @@ def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.Loo
 
 
 def two(**of_index: Any) -> tuple[FaultyDevice, FaultyDevice]:
-    """Two devices that press, the second with a fault; both keep their own clock."""
+    """Return two devices that press, the second with a fault; both have a nominal clock."""
     return FaultyDevice(Options(own_clock=True)), FaultyDevice(Options(own_clock=True, **of_index))
 
 
 def told(records: np.ndarray) -> np.ndarray:
-    """Records without what tells of the machine."""
+    """Return records without the columns that depend on the machine."""
     return np.delete(records, CLOCKED, axis=-1)
 
 
-def test_two_replays_are_what_simulate_makes_of_their_recordings() -> None:
-    """Tick by tick to the bit, until the shorter of the recordings ends; then both are at zero."""
+def test_two_replays_equal_simulate() -> None:
+    """Records equal those of simulate bit by bit until the shorter recording ends; then both devices get zero."""
     recordings = ("press-roll-spin-drag", "tap")
     devices = [Replay(ReplayOptions(recording=name, loop=False), 1000.0) for name in recordings]
     ended, records = run(*devices)
@@ -94,7 +94,7 @@ def test_two_replays_are_what_simulate_makes_of_their_recordings() -> None:
     ],
 )
 def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, status: int) -> None:
-    """Whichever it is: force was on both, the last wrench of both is zero, and it is known whose device it was."""
+    """After a failure of either device the last wrench of both is zero, and the error names the finger."""
     devices = [FaultyDevice(Options(fault=fault if k == place else "none", at=300)) for k in range(2)]
     ended, _ = run(*devices, ticks=400)
     assert (ended.ending, ended.status, ended.finger) == (ending, status, place)
@@ -106,7 +106,7 @@ def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, 
 
 
 def test_devices_are_armed_in_order_right_before_the_first_tick() -> None:
-    """Both by the servo's thread, neither read before both are."""
+    """The servo's thread arms both devices, and reads neither before."""
     devices = two()
     run(*devices, ticks=20)
     threads = {thread for device in devices for act, thread, _ in device.acts if act == "arm"}
@@ -114,8 +114,8 @@ def test_devices_are_armed_in_order_right_before_the_first_tick() -> None:
     assert [device.acts[0][::2] for device in devices] == [("arm", 0)] * 2
 
 
-def test_a_second_device_that_refuses_to_be_armed_leaves_the_first_at_zero() -> None:
-    """No tick is run; what was armed is stopped, and the error is the other device's own."""
+def test_a_refused_arming_leaves_the_first_device_at_zero() -> None:
+    """No tick is run, the first device is stopped, and the run ends with the error of the second."""
     first, second = two(refuses_to_arm=True)
     ended, records = run(first, second, ticks=100)
     assert ended.ending == s.CRASHED and "force button" in str(ended.error) and len(records) == 0
@@ -123,8 +123,8 @@ def test_a_second_device_that_refuses_to_be_armed_leaves_the_first_at_zero() -> 
 
 
 @pytest.mark.parametrize("place", [0, 1])
-def test_a_stop_that_fails_keeps_no_other_device_from_its_zero(place: int) -> None:
-    """Both last wrenches are zero, both were told to stop, and the error is told."""
+def test_a_failed_stop_does_not_prevent_zero_on_the_other_device(place: int) -> None:
+    """Both devices get zero and a stop, and the run ends with the error."""
     devices = [FaultyDevice(Options(stop_fails=k == place)) for k in range(2)]
     ended, _ = run(*devices, ticks=200)
     assert ended.ending == s.CRASHED and "could not be stopped" in str(ended.error)
@@ -134,7 +134,7 @@ def test_a_stop_that_fails_keeps_no_other_device_from_its_zero(place: int) -> No
 
 
 def test_a_signal_stops_every_open_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a signal does to devices that nobody runs: each is stopped though the one before fails, which is told."""
+    """stop_all stops every open device, although the first two fail, and returns their errors."""
     devices = [FaultyDevice(Options(stop_fails=True)), FaultyDevice(Options(stop_fails=True)), FaultyDevice(Options())]
     monkeypatch.setattr(open_devices, "devices", devices)
     assert [str(error) for error in open_devices.stop_all()] == ["the port has gone"] * 2
@@ -143,10 +143,10 @@ def test_a_signal_stops_every_open_device(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.parametrize("act", ["stop", "close"])
 @pytest.mark.parametrize("place", [0, 1])
-def test_a_device_that_hangs_keeps_no_other_from_its_zero(
+def test_a_hanging_device_does_not_prevent_the_stop_of_the_other(
     place: int, act: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is given up after a while, by name; the other one has stopped."""
+    """The call ends after a time-out with an error that names the device; the other device has been stopped."""
     monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", 0.5)
     go_on = threading.Event()
 
@@ -161,19 +161,20 @@ def test_a_device_that_hangs_keeps_no_other_from_its_zero(
     with pytest.raises(DeviceError, match=rf"^faulty could not {said[act]} \(it has not come back.*switch it off"):
         what[act](devices)
     assert [each for each, *_ in devices[1 - place].acts][-1] == "stop"
-    assert len(devices[place].wrenches) == (act == "stop")  # a plain write, for want of a stop
+    assert len(devices[place].wrenches) == (act == "stop")  # a plain write of zero instead of the stop
     go_on.set()
 
 
 @pytest.fixture(scope="module")
 def undisturbed() -> np.ndarray:
-    """Records of two fingers that press all the time."""
+    """Return records of two fingers that always press."""
     return run(*two(), ticks=600)[1]
 
 
 @pytest.mark.parametrize("fault", ["nan", "withheld_read", "withheld_write", "held"])
-def test_what_one_device_says_acts_on_its_finger_alone(fault: Any, undisturbed: np.ndarray) -> None:
-    """A refused pose, a force withheld or not taken: the other finger has the bits that it has undisturbed."""
+def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed: np.ndarray) -> None:
+    """A refused pose, a withheld or an ignored wrench changes only the finger of the device; the other finger's records
+    equal those without the fault, bit by bit."""
     devices = two(fault=fault, at=300, count=20)
     ended, records = run(*devices, ticks=600)
     assert ended.ending == s.FINISHED
@@ -190,19 +191,17 @@ def test_what_one_device_says_acts_on_its_finger_alone(fault: Any, undisturbed: 
     if fault == "held":
         assert (index[during, force] == index[299, force]).all()
     elif fault == "withheld_read":  # the read leaves the first tick of the ramp, a tenth, to the write
-        assert index[during, force].max() <= 0.1 * undisturbed[during, 1, force].max() * (1.0 + 1e-12)  # its rounding
+        assert index[during, force].max() <= 0.1 * undisturbed[during, 1, force].max() * (1.0 + 1e-12)  # rounding
     else:
         assert not index[during, force].any()
     np.testing.assert_array_equal(devices[1].wrenches[:600], index[:, AT.force : AT.force + 6])
-    if fault != "held":  # that device has gone deeper meanwhile
+    if fault != "held":  # that device has moved deeper by then
         assert index[-1, force] == undisturbed[-1, 1, force]
 
 
 @pytest.mark.parametrize(("fault", "bit"), [("jump", POSE_JUMPED), ("frozen", POSE_FROZEN)])
-def test_a_pose_that_is_doubted_takes_the_force_off_its_finger_alone(
-    fault: Any, bit: int, undisturbed: np.ndarray
-) -> None:
-    """A jump, or a pose that repeats under force: the other finger has the bits that it has undisturbed."""
+def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, undisturbed: np.ndarray) -> None:
+    """A jump, or a pose that repeats under force, zeroes only that finger; the other finger's records are unchanged."""
     devices = two(fault=fault, at=300, count=100)
     ended, records = run(*devices, ticks=600, speed_max=10.0, turn_max=100.0, frozen=0.0505)
     assert ended.ending == s.FINISHED
@@ -212,16 +211,16 @@ def test_a_pose_that_is_doubted_takes_the_force_off_its_finger_alone(
     assert not devices[1].wrenches[doubted].any()
 
 
-def test_a_pose_that_jumps_without_end_ends_the_run_of_all_and_names_its_finger() -> None:
-    """Both at zero, and the fault is that of the second."""
+def test_repeated_jumps_end_the_run_and_name_the_finger() -> None:
+    """Both devices get zero, and the ending names the second finger."""
     devices = two(fault="jumps", at=100, count=100_000)
     ended, _ = run(*devices, ticks=3000, speed_max=10.0)
     assert (ended.ending, ended.finger) == (JUMPING, 1)
     assert not devices[0].wrenches[-1].any() and devices[0].wrenches.any()
 
 
-def test_a_pose_that_stays_unusable_ends_the_run_of_all_and_names_its_finger() -> None:
-    """Half a second of NaN on one device: both at zero, and the fault is that of the second."""
+def test_unusable_poses_end_the_run_and_name_the_finger() -> None:
+    """After half a second of NaN from one device both get zero, and the ending names the second finger."""
     devices = two(fault="nan", at=100, count=100_000)
     ended, _ = run(*devices, ticks=3000)
     assert (ended.ending, ended.finger) == (NO_POSE, 1)
@@ -229,8 +228,8 @@ def test_a_pose_that_stays_unusable_ends_the_run_of_all_and_names_its_finger() -
 
 
 @pytest.mark.parametrize("both", [True, False])
-def test_time_is_nominal_where_every_device_keeps_its_own_clock(both: bool) -> None:
-    """After a stall a tick of the wall clock is longer, for both fingers alike; one of two recordings it is not."""
+def test_time_is_nominal_if_all_devices_have_a_nominal_clock(both: bool) -> None:
+    """A stall lengthens a tick for both fingers alike, unless both devices have a nominal clock."""
     devices = [
         FaultyDevice(Options(own_clock=True, fault="stall", at=100, stall_us=5_500)),
         FaultyDevice(Options(own_clock=both)),
@@ -242,16 +241,15 @@ def test_time_is_nominal_where_every_device_keeps_its_own_clock(both: bool) -> N
 
 
 @pytest.mark.plain
-def test_the_world_goes_on_over_a_refused_pose_and_is_not_felt_as_a_blow() -> None:
-    """A table that tilts about x is met again after poses that were none: f_N = K d + B v with the velocity of the
-    table where the finger is, not of where it never was."""
+def test_motion_during_refused_poses_causes_no_force_peak() -> None:
+    """After NaN poses on a table that tilts about x, f_N = K d + B v with the table's present velocity."""
     turn, hertz, y, period = 0.05, 2.0, 0.02, 0.001
     tilts = {"kind": "sinusoid", "rotation_rad": turn, "axis": [1.0, 0.0, 0.0], "frequency_hz": hertz}
     material = {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 2.0}
     table = {"name": "table", "shape": "plane", "motion": tilts, "material": material}
     tables = {"fingertip": {"radius_m": 0.01}, "object": [table]}
     tuning = make_tuning(build(Scene, tables, "tilting"), GUARD)
-    # Half a cycle after the start it is level, and as fast as it gets.
+    # Half a cycle after the start the table is level, at its largest rate.
     back = round(0.5 / hertz / period) - 1  # the first tick is one period after the start
     poses = np.tile([0.0, y, 0.009, 1.0, 0.0, 0.0, 0.0], (back + 1, 1))
     poses[back - 20 : back, 0] = np.nan
@@ -266,8 +264,8 @@ def test_the_world_goes_on_over_a_refused_pose_and_is_not_felt_as_a_blow() -> No
     assert abs(2.0 * speed) > 0.02
 
 
-def test_a_close_that_fails_keeps_no_other_device_open() -> None:
-    """Every one is closed, and the error is told."""
+def test_a_failed_close_does_not_prevent_others() -> None:
+    """Every device is closed, and the error is raised."""
     first = FaultyDevice(Options())
     shutdown.close_all([first])
     assert [act for act, *_ in first.acts] == ["close", "stop"]
@@ -278,10 +276,8 @@ def test_a_close_that_fails_keeps_no_other_device_open() -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
-def test_simulate_takes_a_recording_and_gives_results_of_each(
-    ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Every format has both fingers under their names, to the bit; the shorter recording ends it."""
+def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every format has both fingers by name, equal bit by bit; the shorter recording ends the run."""
     (tmp_path / "scene.toml").write_text(SCENE)
     out = tmp_path / f"out{ending}"
     words = ["simulate", "--scene", str(tmp_path / "scene.toml"), "--out", str(out), "--plot", str(tmp_path / "p.png")]
@@ -313,10 +309,10 @@ def test_simulate_takes_a_recording_and_gives_results_of_each(
         (["tap", "index=tap"], "--poses index=tap: give it once, or"),
     ],
 )
-def test_simulate_says_which_recordings_it_wants(
+def test_simulate_refuses_recordings_that_do_not_match(
     poses: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A command line with too few, too many or nameless recordings, before anything is compiled."""
+    """Too few, too many or unnamed recordings are refused before anything is compiled."""
     (tmp_path / "scene.toml").write_text(SCENE)
     words = ["simulate", "--scene", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "o.csv")]
     assert cli.main([*words, *(word for each in poses for word in ("--poses", each))]) == 2
@@ -337,9 +333,9 @@ print(*servo_loop.inspect_llvm().values())
 """
 
 
-@pytest.mark.exhaustive  # test_kept_kernels.py looks at the loop of one device, which is compiled afresh anyway
-def test_a_loop_of_two_devices_calls_what_that_of_one_does(tmp_path: Path) -> None:
-    """Compiled afresh it names no allocator, no reference count, no interpreter, and calls each device's addresses."""
+@pytest.mark.exhaustive  # test_kept_kernels.py examines the loop of one device, which is compiled anyway
+def test_a_loop_of_two_devices_calls_no_allocator(tmp_path: Path) -> None:
+    """The compiled loop calls read and write of each device, but no allocator, reference count or interpreter."""
     environment = os.environ | {
         "SOFTFINGER_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).resolve().parents[1])
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Two fingers end to end: devices opened and closed together, signals, losses, and what is on the wire of each."""
+"""Two fingers end to end: opening and closing of devices, signals, losses, and the messages of each finger."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ pytestmark = pytest.mark.real_time
 
 FAULTY = {"driver": "faulty"}
 WAIT_S = 120.0
-"""A generous bound: a compile, on a machine that does much else."""
+"""Generous bound: a compilation on a busy machine."""
 END_S = 20.0
 FORCE_N = 0.5
 ZERO = (0.0, 0.0, 0.0)
@@ -56,7 +56,7 @@ def until(met: Callable[[], bool], seconds: float = WAIT_S) -> None:
 
 
 class Driver:
-    """Opens devices that press for ever, and keeps them; `refuses` from one on."""
+    """Open devices that always press, and store them; from the index `refuses` on, raise an error."""
 
     Options = Options
 
@@ -72,7 +72,7 @@ class Driver:
 
     @property
     def pressed(self) -> bool:
-        """Whether every device displays a force now."""
+        """True if every device displays a force now."""
         return all(len(device.wrenches) and device.wrenches[-1].any() for device in self.devices[-2:])
 
 
@@ -88,15 +88,15 @@ def acts(device: FaultyDevice) -> list[str]:
 
 
 def test_a_second_device_that_cannot_be_opened_closes_the_first(driver: Driver) -> None:
-    """Neither stays open, nothing is armed, and the error is that of opening."""
+    """Both devices end closed, nothing is armed, and the error is that of opening."""
     driver.refuses = 1
     with pytest.raises(DeviceNotFound, match="plug it in"):
         Daemon(two_devices(FAULTY, FAULTY), two_fingers())
     assert acts(driver.devices[0]) == ["close", "stop"]
 
 
-def test_a_read_that_hangs_is_seen_and_both_are_zeroed(driver: Driver) -> None:
-    """The supervisor zeroes the device that hangs, and the other, which the servo does not come to any more."""
+def test_a_hanging_read_zeroes_both_devices(driver: Driver) -> None:
+    """The supervisor zeroes the hanging device and the other one, which the servo no longer reaches."""
     rig = two_devices(FAULTY, FAULTY | {"fault": "hang", "at": 300})
     with Daemon(rig, two_fingers()) as running:
         try:
@@ -110,8 +110,8 @@ def test_a_read_that_hangs_is_seen_and_both_are_zeroed(driver: Driver) -> None:
             driver.devices[1].release()
 
 
-def test_a_pause_takes_the_force_off_both(driver: Driver) -> None:
-    """Ctrl-Z: zero on both until it is over, then both fade in anew."""
+def test_a_pause_zeroes_both_devices(driver: Driver) -> None:
+    """A pause (Ctrl-Z) zeroes both devices; afterwards both fade in."""
     with Daemon(two_devices(FAULTY, FAULTY), two_fingers()) as running:
         running.start()
         until(lambda: len(driver.devices) == 2 and driver.pressed)
@@ -127,8 +127,8 @@ def test_a_pause_takes_the_force_off_both(driver: Driver) -> None:
 
 
 def test_fingers_are_replaced_together(driver: Driver) -> None:
-    """The same devices stay open and armed; others are opened once both of before are closed; fingers of other names
-    are refused, since telemetry is named after them."""
+    """The same devices stay open and armed. Other devices are opened after both previous ones are closed. Other finger
+    names are refused, because telemetry topics contain them."""
     rig, kept = two_devices(FAULTY, FAULTY), list[int]()
     sink = Sink("kept", lambda records, drops: kept.extend(records[:, AT.tick].astype(int)))
     with Daemon(rig, two_fingers(), sinks=[sink]) as running:
@@ -150,8 +150,8 @@ def test_fingers_are_replaced_together(driver: Driver) -> None:
 
 
 def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> None:
-    """Both topics bring every tick in the order of the scene, what `contact` would, and none is called so; events name
-    the finger; what each was recorded as is what its device played."""
+    """Both topics have every tick in the scene's order with the keys of `contact`; no topic has that name. Events name
+    the finger, and the recording of each finger equals the poses of its device."""
     rig = two_devices(
         {"driver": "replay", "recording": "tap", "loop": False},
         {"driver": "replay", "recording": "press-roll-spin-drag", "loop": False},
@@ -206,7 +206,7 @@ def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> N
 
 
 def two_records(count: int, first: int = 0) -> np.ndarray:
-    """Rows (count, 2 x RECORD_SIZE) of a thumb that slides and an index finger that is free."""
+    """Return rows (count, 2 x RECORD_SIZE) of a sliding thumb and a free index finger."""
     thumb, index = synthetic(count, first), synthetic(count, first, seed=2)
     put(thumb, "contact.mode", 2)
     put(thumb, "servo.guard", 1)
@@ -215,8 +215,8 @@ def two_records(count: int, first: int = 0) -> np.ndarray:
     return np.concatenate([thumb, index], axis=1)
 
 
-def test_clients_tell_fingers_apart() -> None:
-    """Ticks lost are counted for each topic, a window keeps one finger, the board of `monitor` has both."""
+def test_clients_separate_the_fingers() -> None:
+    """Lost ticks are counted for each topic, a window has one finger, and the board of `monitor` has both."""
     with Publisher("tcp://127.0.0.1:*", fingers=NAMES, guard_names=("clamped",)) as publisher:
         board = monitor.Board(publisher.endpoint)
         with (
@@ -233,7 +233,7 @@ def test_clients_tell_fingers_apart() -> None:
             publisher.publish(two_records(1001))
             publisher.publish(two_records(10, 1011))
             lost, guards, seen = dict.fromkeys(NAMES, 0), [], 0
-            while seen < 2 * 1011 or not guards or board.health is None:  # which come behind their ticks
+            while seen < 2 * 1011 or not guards or board.health is None:  # these arrive after their ticks
                 sample = next(samples)
                 board.update(sample)
                 if sample.topic.startswith("finger/"):
@@ -259,8 +259,8 @@ def test_clients_tell_fingers_apart() -> None:
     assert told["contact"] is None and [each["mode"] for each in told["fingers"].values()] == ["sliding", "free"]
 
 
-def test_recording_names_the_fingers_that_there_are(tmp_path: Path) -> None:
-    """One file for two fingers, or names of others: an error that says what to give."""
+def test_recording_requires_a_file_for_each_finger(tmp_path: Path) -> None:
+    """One file for two fingers is refused with advice."""
     stop = threading.Event()
 
     def publish() -> None:
@@ -288,7 +288,7 @@ def test_recording_names_the_fingers_that_there_are(tmp_path: Path) -> None:
 
 @contextmanager
 def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[list[Board], list[Cable], subprocess.Popen[str]]]:
-    """Two boards whose hands press into the plane, and the daemon that holds against both."""
+    """Run the daemon against two boards whose hands press into the plane."""
     boards = [Board(lambda _: (*PLACE[:2], 0.006)) for _ in NAMES]
     with ExitStack() as lines:
         cables = [lines.enter_context(Cable(board)) for board in boards]
@@ -318,7 +318,7 @@ def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[list[Board], list[Ca
 
 
 def test_a_signal_zeroes_both_boards(tmp_path: Path) -> None:
-    """Asked to end, the daemon leaves neither a force."""
+    """After SIGTERM the daemon exits with 0 and both boards have zero force."""
     with pressing(tmp_path) as (boards, _, process):
         process.send_signal(signal.SIGTERM)
         said = process.communicate(timeout=END_S)[1]
@@ -329,8 +329,8 @@ def test_a_signal_zeroes_both_boards(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", [0, pytest.param(1, marks=pytest.mark.exhaustive)])
-def test_a_board_that_falls_silent_zeroes_the_other(place: int, tmp_path: Path) -> None:
-    """The run ends with the fault of that finger's device, and the other board is at zero on its own line."""
+def test_a_silent_board_zeroes_the_other(place: int, tmp_path: Path) -> None:
+    """The run ends with an error that names the silent board's finger, and the other board gets zero."""
     with pressing(tmp_path) as (boards, cables, process):
         cables[place].hush()
         said = process.communicate(timeout=END_S)[1]
@@ -339,8 +339,8 @@ def test_a_board_that_falls_silent_zeroes_the_other(place: int, tmp_path: Path) 
         until(lambda: boards[1 - place].force == ZERO, 1.0)
 
 
-def test_watchers_take_the_force_off_both_boards_of_a_killed_daemon(tmp_path: Path) -> None:
-    """`run --watcher`: killed outright, the daemon leaves two forces, and a process for each device takes it off."""
+def test_watchers_zero_both_boards_of_a_killed_daemon(tmp_path: Path) -> None:
+    """With `run --watcher` a killed daemon leaves no force: one process per device writes zero."""
     with pressing(tmp_path, "--watcher") as (boards, _, process):
         process.kill()
         said = process.communicate(timeout=END_S)[1]

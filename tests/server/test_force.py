@@ -1,4 +1,4 @@
-"""Switch of the force: reasons to keep it off, and the ticks after which a change has taken effect."""
+"""Switch of the force: reasons that inhibit it, and the ticks after which a change has taken effect."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TICKS = st.integers(0, 10_000)
 
 
 class Loop:
-    """A switch, and the ticks that a loop has done."""
+    """Switch, with the tick count of a loop."""
 
     def __init__(self, unarmed: bool = False) -> None:
         self.ticks, self.switch = 0, make_switch()
@@ -28,8 +28,8 @@ class Loop:
 
 
 @given(TICKS)
-def test_a_force_is_off_once_the_loop_has_read_the_switch_and_given_none(at: int) -> None:
-    """The tick that was under way may not have read the switch; the hands may still fade after that."""
+def test_force_is_off_after_the_loop_has_read_the_switch(at: int) -> None:
+    """A tick in progress may not have read the switch; the force may still fade after it."""
     loop = Loop()
     loop.ticks, loop.switch[IS_ACTIVE] = at, 0
     loop.force.inhibit(FAST)
@@ -43,8 +43,8 @@ def test_a_force_is_off_once_the_loop_has_read_the_switch_and_given_none(at: int
 
 
 @given(TICKS)
-def test_a_force_is_given_once_no_reason_is_left(at: int) -> None:
-    """`switched_on_tick` excludes ticks that may have begun without the force."""
+def test_force_is_on_when_no_reason_inhibits_it(at: int) -> None:
+    """`switched_on_tick` excludes ticks that may have started without the force."""
     loop = Loop(unarmed=True)
     loop.ticks = at
     assert loop.switch[IS_REQUESTED] == 0
@@ -57,12 +57,12 @@ def test_a_force_is_given_once_no_reason_is_left(at: int) -> None:
     assert loop.switch[IS_REQUESTED] == 1 and loop.force.switched_on_tick == at + SWITCH_TICKS
     loop.ticks = at + 100
     loop.force.allow(FAST)
-    assert loop.force.switched_on_tick == at + SWITCH_TICKS  # it was given already
+    assert loop.force.switched_on_tick == at + SWITCH_TICKS  # already on
 
 
 @given(TICKS)
-def test_a_suspended_force_returns_by_itself_unless_a_reason_came_meanwhile(at: int) -> None:
-    """A suspension is no reason of its own, and ends none."""
+def test_a_suspended_force_returns_unless_inhibited(at: int) -> None:
+    """A suspension is not a reason, and clears none."""
     loop = Loop()
     loop.ticks = at
     with loop.force.suspended():
@@ -84,7 +84,7 @@ def within(span: limits.Range) -> st.SearchStrategy[float]:
 def test_no_rig_delays_the_end_of_the_force(
     force: float, torque: float, force_slew: float, torque_slew: float, rate_hz: float
 ) -> None:
-    """From the limits of any rig to zero in MAX_OFF_S, to the tick, whatever the contact asks for."""
+    """From the limits of any rig the force falls to zero in MAX_OFF_S, to the tick, for any commanded wrench."""
     guard = Guard(force, torque, force_slew, torque_slew, 0.5, 1.0)
     guarded = GuardState((0.0, 0.0, force), (0.0, torque, 0.0), 1.0)
     for _ in range(ceil(MAX_OFF_S * rate_hz * (1.0 + 1e-12))):  # rounding of the product

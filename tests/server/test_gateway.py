@@ -1,4 +1,4 @@
-"""A daemon for other machines, by key, as its clients see it, and those who are none; and what is forwarded by hand."""
+"""Daemon open to other machines by key, for authorized and other clients; and forwarding by a program."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ pytestmark = pytest.mark.real_time
 
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 WAIT_S = 60.0
-"""A generous bound: a compile, on a machine that does much else."""
+"""Generous bound: a compilation on a busy machine."""
 
 
 def eventually(what, seconds=WAIT_S):
@@ -47,7 +47,7 @@ def eventually(what, seconds=WAIT_S):
 
 
 class Ring:
-    """Keys of a server, of a reader, of a commander and of a stranger, and the folders of those who may."""
+    """Keys of a server, a reader, a commander and a stranger, and the folders of authorized keys."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -81,11 +81,11 @@ def ring(tmp_path: Path) -> Ring:
 
 
 _AWAY = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
-"""After either libzmq does not try again."""
+"""libzmq does not retry after either event."""
 
 
 class Listener:
-    """A subscriber, or a client that asks, which counts what comes, and how often it was let in or turned away."""
+    """Subscriber, or client that sends a request; counts messages, accepted and rejected connections."""
 
     def __init__(self, context: zmq.Context, endpoint: str, keys: ClientKeys | None = None, asks: bool = False) -> None:
         self.socket = context.socket(zmq.DEALER if asks else zmq.SUB)
@@ -117,7 +117,7 @@ class Listener:
 
 @contextlib.contextmanager
 def serving(ring: Ring) -> Iterator[tuple[Daemon, zmq.Context]]:
-    """A daemon for other machines, and a context for its clients."""
+    """Run a daemon open to other machines; yield it and a context for clients."""
     with Daemon(load_rig(ring.rig), load_scene("paper-plane")) as daemon, zmq.Context() as context:
         try:
             daemon.start()
@@ -126,9 +126,9 @@ def serving(ring: Ring) -> Iterator[tuple[Daemon, zmq.Context]]:
             context.destroy(0)
 
 
-def test_without_a_key_nothing_is_read_and_nothing_commanded(ring: Ring) -> None:
-    """A reader reads, a commander commands; neither does the other's, nor a stranger or one without a key anything. A
-    key that is taken out of the folder is cut off, the others stay; and what the daemon says last arrives."""
+def test_clients_need_a_key_to_read_or_command(ring: Ring) -> None:
+    """A reader can only read and a commander only command; strangers and clients without a key can do neither. A key
+    removed from the folder is disconnected, others stay, and the daemon's last event arrives."""
     with serving(ring) as (daemon, context):
         telemetry, commands = daemon.public["telemetry"], daemon.public["commands"]
         assert telemetry.startswith("tcp://0.0.0.0:") and not commands.endswith(":0")
@@ -150,7 +150,7 @@ def test_without_a_key_nothing_is_read_and_nothing_commanded(ring: Ring) -> None
             who = "reader" if words[0] == "monitor" else "commander"
             whole = [*COMMAND, *words, *ring.options(who)]
             assert json.loads(subprocess.run(whole, capture_output=True, check=True, timeout=WAIT_S).stdout)
-        # A second reader, whose key is then taken away.
+        # A second reader, whose key is then removed.
         public, _ = make_pair(ring.folder / "keys", "second")
         (ring.folder / "readers" / "second.key").write_bytes(public.read_bytes())
         second = Listener(context, telemetry, ring.of("second"))
@@ -168,9 +168,9 @@ def test_without_a_key_nothing_is_read_and_nothing_commanded(ring: Ring) -> None
         assert any(event["kind"] == "mark" for event in reader.events)
 
 
-def test_keys_are_asked_for_by_the_next_publisher_too(ring: Ring) -> None:
-    """Killed, it is started again on the same ports: an event on the daemon's own stream, the reader reads on, and a
-    stranger still does not."""
+def test_a_restarted_publisher_requires_keys(ring: Ring) -> None:
+    """After a kill the publisher is restarted on the same ports: the daemon's own subscriber and the reader reconnect,
+    and a stranger is still rejected."""
     with serving(ring) as (daemon, context):
         own = Listener(context, daemon.publisher.endpoint)
         reader = Listener(context, daemon.public["telemetry"], ring.of("reader"))
@@ -185,7 +185,7 @@ def test_keys_are_asked_for_by_the_next_publisher_too(ring: Ring) -> None:
 
 
 def test_the_publisher_ends_with_a_daemon_that_is_killed(ring: Ring) -> None:
-    """SIGKILL of the daemon: the process beside it leaves by itself."""
+    """After SIGKILL of the daemon, its publisher process exits."""
     words = [*COMMAND, "run", "--rig", str(ring.rig)]
     with Program(words, stderr=subprocess.PIPE, text=True) as daemon:
         try:
@@ -200,7 +200,7 @@ def test_the_publisher_ends_with_a_daemon_that_is_killed(ring: Ring) -> None:
 
 @contextlib.contextmanager
 def forwarding(*words: str) -> Iterator[tuple[subprocess.Popen, str]]:
-    """`softfinger forward`, and the endpoint that it says first."""
+    """Run `softfinger forward`; yield it and its endpoint."""
     process = subprocess.Popen(
         [*COMMAND, "forward", "--json", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -214,7 +214,7 @@ def forwarding(*words: str) -> Iterator[tuple[subprocess.Popen, str]]:
 
 @contextlib.contextmanager
 def ticking(publisher: Publisher) -> Iterator[None]:
-    """Publishes 50 ticks at a time while the block runs."""
+    """Publish 50 ticks at a time while the block runs."""
     stop = threading.Event()
 
     def publish() -> None:
@@ -232,9 +232,9 @@ def ticking(publisher: Publisher) -> Iterator[None]:
         thread.join()
 
 
-def test_what_is_forwarded_is_what_was_published() -> None:
-    """The same frames, to two subscribers; the server sees one. At the end it says how many, and how many ticks were
-    missing among them: those that were not published."""
+def test_forwarded_messages_equal_published_ones() -> None:
+    """Two subscribers get the frames of the server, which has one subscriber. The final report has the number of
+    messages and of missing ticks, here the unpublished ones."""
     records = np.delete(synthetic(3000), [100, 101, 102, 2000], axis=0)
     with Publisher("tcp://127.0.0.1:*") as publisher, zmq.Context() as context:
         with forwarding("--from", publisher.endpoint, "--to", "tcp://127.0.0.1:*") as (process, endpoint):
@@ -243,7 +243,7 @@ def test_what_is_forwarded_is_what_was_published() -> None:
                 socket.rcvtimeo, socket.rcvhwm, socket.linger = round(WAIT_S * 1000), 0, 0
                 socket.subscribe(b"")
                 socket.connect(endpoint)
-            for socket in subscribers:  # until it is known that messages come through to each
+            for socket in subscribers:  # until each is known to receive messages
                 while not socket.poll(10):
                     publisher.event("mark", "mark", label="are you there")
             publisher.publish(records)
@@ -273,17 +273,17 @@ def test_what_is_forwarded_is_what_was_published() -> None:
         (["--to", "tcp://127.0.0.1:*", "--from", "nowhere"], "cannot connect to endpoint 'nowhere'"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_forwarded_is_said(
+def test_invalid_forwarding_options_are_refused(
     ring: Ring, words: list[str], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Exit code 2 and one sentence."""
+    """Exit code 2 and one line."""
     monkeypatch.chdir(ring.folder)
     done = called("forward", *words)
     assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr
 
 
 def test_a_key_that_floods_is_barred(ring: Ring) -> None:
-    """One that subscribes to thousands of topics is cut off and stays out; another reader goes on."""
+    """A key that subscribes to thousands of topics is disconnected and barred; another reader still gets messages."""
     other, _ = make_pair(ring.folder / "keys", "second")
     (ring.folder / "readers" / "second.key").write_bytes(other.read_bytes())
     locked = ["--keys", str(ring.folder / "keys" / "server.key_secret"), "--readers", str(ring.folder / "readers")]
@@ -324,7 +324,7 @@ print(json.dumps([info.name(), info.nominal_srate(), names, units, values, stamp
 
 
 def test_a_lab_recorder_gets_every_number(tmp_path: Path) -> None:
-    """A real inlet finds the stream, its channels by name and unit, and a tick's values as they were published."""
+    """A real LSL inlet finds the stream, its channels with name and unit, and a tick with the published values."""
     pytest.importorskip("pylsl", reason="pylsl is not installed: pip install 'softfinger[lsl]'", exc_type=ImportError)
     from softfinger.proxy.record import AT, FIELDS, columns
 

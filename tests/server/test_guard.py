@@ -1,4 +1,4 @@
-"""The guard: what it lets through is finite, bounded in norm and in change, whatever comes in."""
+"""Guard: its output is finite and bounded in norm and change, for any input."""
 
 import math
 
@@ -33,7 +33,7 @@ def norm(v):
 @pytest.mark.scaled
 @examples(150, 3000)
 def test_output_is_always_finite_bounded_and_slow(wrenches):
-    """For any sequence of wrenches, NaN and infinities among them, the output keeps every limit."""
+    """For any sequence of wrenches, including NaN and infinities, the output is within every limit."""
     before = g.INITIAL_GUARD_STATE
     for force, torque in wrenches:
         after, bits = compiled(LIMITS, before, force, torque, DT)
@@ -41,7 +41,7 @@ def test_output_is_always_finite_bounded_and_slow(wrenches):
         # One part in 1e12: the scalings round a few times.
         assert norm(after.force) <= LIMITS.force_max * (1 + 1e-12)
         assert norm(after.torque) <= LIMITS.torque_max * (1 + 1e-12)
-        if not bits & g.NOT_FINITE:  # a refused wrench goes to zero at once
+        if not bits & g.NOT_FINITE:  # a refused wrench becomes zero at once
             assert norm(np.subtract(after.force, before.force)) <= LIMITS.force_slew * DT * (1 + 1e-9)
             assert norm(np.subtract(after.torque, before.torque)) <= LIMITS.torque_slew * DT * (1 + 1e-9)
         before = after
@@ -50,7 +50,7 @@ def test_output_is_always_finite_bounded_and_slow(wrenches):
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("axis", range(6))
 def test_what_is_not_finite_becomes_zero_and_ramps_anew(bad, axis):
-    """One component that is not finite zeroes force and torque in that tick, and the ramp restarts."""
+    """A non-finite component zeroes force and torque in that tick, and the ramp restarts."""
     wrench = [1.0] * 6
     wrench[axis] = bad
     after, bits = compiled(LIMITS, ENGAGED, tuple(wrench[:3]), tuple(wrench[3:]), DT)
@@ -58,7 +58,7 @@ def test_what_is_not_finite_becomes_zero_and_ramps_anew(bad, axis):
 
 
 def test_clamp_keeps_the_direction():
-    """A force beyond the limit comes out at the limit, pointing where it pointed."""
+    """A force above the limit is clamped to it, in the same direction."""
     after, bits = compiled(OPEN, ENGAGED, (30.0, 0.0, 40.0), (0.0, 0.0, 3.0), DT)
     assert bits == g.FORCE_CLAMPED | g.TORQUE_CLAMPED
     np.testing.assert_allclose(after.force, (7.2, 0.0, 9.6), rtol=1e-14)  # 12 N along (3, 0, 4) / 5
@@ -66,21 +66,21 @@ def test_clamp_keeps_the_direction():
 
 
 def test_clamp_goes_by_the_norm():
-    """Three components of 8 N, each below the limit of 12 N, are 13.9 N together."""
+    """Three components of 8 N, each below the limit of 12 N, have a norm of 13.9 N."""
     after, bits = compiled(OPEN, ENGAGED, (8.0, -8.0, 8.0), (0.0, 0.0, 0.0), DT)
     assert bits == g.FORCE_CLAMPED
     np.testing.assert_allclose(after.force, np.array([1.0, -1.0, 1.0]) * 12.0 / math.sqrt(3.0), rtol=1e-14)
 
 
 def test_clamp_survives_forces_whose_square_overflows():
-    """A force of 1e300 N is clamped like any other."""
+    """A force of 1e300 N is clamped to the limit."""
     after, _ = compiled(OPEN, ENGAGED, (1e300, 1e300, 0.0), (0.0, 0.0, 0.0), DT)
     np.testing.assert_allclose(after.force, (12 / math.sqrt(2), 12 / math.sqrt(2), 0.0), rtol=1e-14)
 
 
 @pytest.mark.parametrize("tiny", [1e-301, 5e-324])
-def test_what_is_too_small_for_a_direction_is_zero_where_less_is_allowed(tiny):
-    """Beyond a limit of 0 it becomes zero, told as clamped; within a limit it keeps its bits."""
+def test_a_wrench_too_small_to_normalize_is_clamped_to_zero(tiny):
+    """Above a limit of 0 a tiny wrench becomes zero and is reported as clamped; within a limit it is unchanged."""
     none = OPEN._replace(force_max=0.0, torque_max=0.0)
     after, bits = compiled(none, ENGAGED, (tiny, 0.0, 0.0), (0.0, -tiny, 0.0), DT)
     assert (after.force, after.torque) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -89,22 +89,22 @@ def test_what_is_too_small_for_a_direction_is_zero_where_less_is_allowed(tiny):
     assert (after.force, after.torque, bits) == ((tiny, 0.0, 0.0), (0.0, -tiny, 0.0), 0)
 
 
-def test_the_smallest_with_a_direction_is_brought_down_along_it():
-    """1e-300 is the least that can be divided by; its limit is a tenth of it here."""
+def test_the_smallest_wrench_with_a_direction_is_clamped_along_it():
+    """1e-300 is the smallest number that can be divided by; the limit here is a tenth of it."""
     small = OPEN._replace(force_max=1e-301)
     after, bits = compiled(small, ENGAGED, (0.0, 1e-300, 0.0), (0.0, 0.0, 0.0), DT)
     assert bits == g.FORCE_CLAMPED and after.force[1] == pytest.approx(1e-301, rel=1e-14, abs=0.0)
 
 
 def test_the_torque_alone_may_be_slew_limited():
-    """50 N m/s are 0.05 N m in a tick: 0.3 N m are reached in six, along the way, and told."""
+    """50 N m/s are 0.05 N m per tick: a step to 0.3 N m gives that in the first tick, along its direction."""
     after, bits = compiled(LIMITS, ENGAGED, (0.0, 0.0, 0.0), (0.0, 0.18, 0.24), DT)
     assert bits == g.SLEW_LIMITED
     np.testing.assert_allclose(after.torque, (0.0, 0.03, 0.04), rtol=1e-14)  # 0.05 N m along (0, 3, 4) / 5
 
 
-def test_without_a_ramp_the_force_is_there_at_once_and_no_larger():
-    """ramp_s = 0 means the whole force, once, from the first tick on."""
+def test_without_a_ramp_the_force_is_complete_at_once():
+    """With ramp_s = 0 the full force is output from the first tick, within the limit."""
     after, bits = compiled(OPEN, g.INITIAL_GUARD_STATE, (11.0, 0.0, 0.0), (0.0, 0.0, 0.25), DT)
     assert (after, bits) == (g.GuardState((11.0, 0.0, 0.0), (0.0, 0.0, 0.25), 1.0), 0)
     after, bits = compiled(OPEN, g.INITIAL_GUARD_STATE, (13.0, 0.0, 0.0), (0.0, 0.0, 0.0), DT)
@@ -112,7 +112,7 @@ def test_without_a_ramp_the_force_is_there_at_once_and_no_larger():
 
 
 def test_slew_limits_each_tick_along_the_way():
-    """A step to 10 N is reached in ticks of force_slew * dt, straight towards the goal."""
+    """A step to 10 N gives force_slew * dt in the first tick, along its direction."""
     after, bits = compiled(LIMITS, ENGAGED, (6.0, 0.0, 8.0), (0.0, 0.0, 0.0), DT)
     assert bits == g.SLEW_LIMITED
     np.testing.assert_allclose(after.force, (1.2, 0.0, 1.6), rtol=1e-14)  # 2 N along (3, 0, 4) / 5
@@ -120,18 +120,18 @@ def test_slew_limits_each_tick_along_the_way():
 
 @pytest.mark.parametrize("period", [0.01, 0.001, 0.000125])
 def test_slew_limit_is_a_speed(period):
-    """A tick of any nominal length gets that much of the limit: force by N/s, torque by N m/s."""
+    """The change per tick is the slew rate times the nominal period, for force and torque."""
     after, bits = compiled(
         LIMITS._replace(force_max=1e3, torque_max=1e3), ENGAGED, (1e3, 0, 0), (0, 1e3, 0), period, period
     )
     assert bits & g.SLEW_LIMITED
-    assert after.force[0] == pytest.approx(LIMITS.force_slew * period, rel=1e-12)  # roundings of a norm
+    assert after.force[0] == pytest.approx(LIMITS.force_slew * period, rel=1e-12)  # rounding of a norm
     assert after.torque[1] == pytest.approx(LIMITS.torque_slew * period, rel=1e-12)
 
 
 @pytest.mark.parametrize("pause", [0.002, 0.005, 0.02, 0.1])
 def test_a_pause_widens_neither_slew_nor_ramp(pause):
-    """After ticks that were missed the force changes, and the ramp goes on, by what one tick allows."""
+    """After missed ticks the force and the ramp change by no more than one tick allows."""
     force, torque = (10.0, 0.0, 0.0), (0.0, 0.2, 0.0)
     assert compiled(LIMITS, ENGAGED, force, torque, pause) == compiled(LIMITS, ENGAGED, force, torque, DT)
     ramping = g.GuardState((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.2)
@@ -139,8 +139,8 @@ def test_a_pause_widens_neither_slew_nor_ramp(pause):
 
 
 @pytest.mark.parametrize("pause", [0.1001, 1.0, math.inf, math.nan])
-def test_a_long_pause_means_fading_in_anew(pause):
-    """After a pause in which the hand has moved on, the force begins from zero, as after engaging."""
+def test_a_long_pause_restarts_the_ramp(pause):
+    """After a long pause the hand may have moved, so the force starts from zero as after engaging."""
     held = g.GuardState((5.0, 0.0, 0.0), (0.0, 0.1, 0.0), 1.0)
     force, torque = (5.0, 0.0, 0.0), (0.0, 0.1, 0.0)
     assert compiled(LIMITS, held, force, torque, pause) == compiled(LIMITS, g.INITIAL_GUARD_STATE, force, torque, DT)
@@ -148,14 +148,13 @@ def test_a_long_pause_means_fading_in_anew(pause):
 
 
 def test_force_within_all_limits_passes_unchanged():
-    """What needs no guarding keeps its bits."""
     force, torque = (0.1, -0.2, 0.3), (0.001, 0.002, -0.003)
     after, bits = compiled(LIMITS, ENGAGED, force, torque, DT)
     assert (after.force, after.torque, bits) == (force, torque, 0)
 
 
 def test_ramp_grows_linearly_from_engaging():
-    """After ramp_s the full force is there, half way half of it."""
+    """The force reaches half after half of ramp_s, and the full value after ramp_s."""
     before, forces = g.INITIAL_GUARD_STATE, []
     for _ in range(600):
         before, _ = compiled(LIMITS, before, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), DT)
@@ -166,7 +165,7 @@ def test_ramp_grows_linearly_from_engaging():
 
 
 def test_the_limits_do_not_grow_once_the_ramp_is_over():
-    """The ramp ends at the whole force: however long it has been engaged, the largest force is the limit's."""
+    """After the ramp the gain stays 1, so the largest force is that of the limit."""
     before = ENGAGED
     for _ in range(600):
         before, _ = compiled(LIMITS, before, (20.0, 0.0, 0.0), (0.0, 0.4, 0.0), DT)
@@ -175,7 +174,7 @@ def test_the_limits_do_not_grow_once_the_ramp_is_over():
 
 
 def test_the_moment_ramps_with_the_force():
-    """At each tick of the ramp force and moment have the same share of what they are to be."""
+    """In each tick of the ramp force and torque have the same share of their final values."""
     before = g.INITIAL_GUARD_STATE
     for n in range(1, 500):
         before, bits = compiled(LIMITS, before, (1.0, 0.0, 0.0), (0.0, 0.0, 0.1), DT)
@@ -185,9 +184,9 @@ def test_the_moment_ramps_with_the_force():
 
 
 @pytest.mark.parametrize("asked", [6.0, 100.0, 400.0, 2e4, 1e300])
-def test_the_ramp_is_as_long_on_a_stiff_wall(asked):
-    """A hand 20 mm inside of 5 kN/m is asked for 100 N, of 1 MN/m for 20 kN: what it is given rises as slowly as to
-    12 N, and force and torque that are both past their limits rise together."""
+def test_the_ramp_has_the_same_length_on_a_stiff_wall(asked):
+    """20 mm inside of 5 kN/m gives 100 N, of 1 MN/m 20 kN. The output rises as slowly as to 12 N, and a force and a
+    torque above their limits rise together."""
     before, free = g.INITIAL_GUARD_STATE, LIMITS._replace(force_slew=1e9, torque_slew=1e9)
     whole = min(asked / free.force_max, 1.0)
     for n in range(1, 501):
@@ -199,7 +198,7 @@ def test_the_ramp_is_as_long_on_a_stiff_wall(asked):
 
 
 def test_disarmed_commands_zero():
-    """Nothing passes while disarmed, and arming begins with the ramp."""
+    """While disarmed the wrench is zero and the ramp is reset."""
     off = LIMITS._replace(armed=0.0)
     after, bits = compiled(off, ENGAGED, (1.0, 0.0, 0.0), (0.0, 0.0, 0.1), DT)
     assert (after, bits) == (g.INITIAL_GUARD_STATE, g.DISARMED)
@@ -226,7 +225,7 @@ def test_every_bit_has_a_name():
 
 
 def test_plain_python_agrees_with_the_compiled_guard():
-    """The same kernel interpreted gives the same bits, so coverage and debuggers see what runs."""
+    """The interpreted kernel gives the same bits as the compiled one."""
     rng = np.random.default_rng(3)
     before = g.INITIAL_GUARD_STATE
     for _ in range(200):

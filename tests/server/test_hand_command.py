@@ -1,4 +1,4 @@
-"""The command `hand` to a real daemon: the fingertip goes there and presses, and stays when nobody asks any more."""
+"""Command `hand` sent to a real daemon: the fingertip moves, presses, and stays after the client disconnects."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def eventually(true: Callable[[], bool]) -> bool:
 
 
 def has_ticked(client: Client) -> bool:
-    """Whether there is a state to be asked for."""
+    """Return True if the daemon has a state."""
     try:
         client.get_state()
     except CommandRefused:
@@ -54,8 +54,8 @@ def client(daemon: Daemon) -> Iterator[Client]:
         yield client
 
 
-def test_it_presses_and_stays_after_the_client_has_gone(daemon: Daemon, client: Client) -> None:
-    """5 mm above the plane for the probe is 5 mm of intended depth: force, and still force for the next client."""
+def test_the_hand_presses_after_the_client_disconnects(daemon: Daemon, client: Client) -> None:
+    """A probe at 5 mm above the plane is 5 mm deep: there is force, and the next client still gets it."""
     assert client.describe()["fingers"][0]["led"] is True
     client.hand((0.0, 0.0, 0.005), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: client.get_state().force[2] > 0.5)
@@ -66,12 +66,12 @@ def test_it_presses_and_stays_after_the_client_has_gone(daemon: Daemon, client: 
         assert other.get_state().force[2] > 0.5
 
 
-def test_held_it_goes_on_pressing(client: Client) -> None:
-    """Its goal is the one that it was led to, deeper than the contact lets it come; led to that it stays."""
+def test_a_held_hand_still_presses(client: Client) -> None:
+    """The held goal is the commanded one, deeper than the contact allows; commanding it again changes nothing."""
     client.hand((0.0, 0.0, 0.005), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: client.get_state().force[2] > 1.0)
     before = client.get_state()
-    assert eventually(lambda: client.get_state().sequence > before.sequence + 500)  # 16 time constants of its way
+    assert eventually(lambda: client.get_state().sequence > before.sequence + 500)  # 16 time constants of the motion
     rests = client.get_state()
     held = client.hold()
     assert held.position_m == pytest.approx((0.0, 0.0, 0.005), abs=1e-6) and rests.position[2] > 0.0055
@@ -80,8 +80,8 @@ def test_held_it_goes_on_pressing(client: Client) -> None:
     assert client.get_state().force[2] == pytest.approx(rests.force[2], abs=1e-3)
 
 
-def test_it_is_told_when_it_begins_and_ends_and_not_between(daemon: Daemon, client: Client) -> None:
-    """A stroke of thirty requests is two events."""
+def test_events_report_only_start_and_end_of_a_lead(daemon: Daemon, client: Client) -> None:
+    """A stroke of thirty requests sends two events."""
     client.hand(release=True)
     with client.subscribe(("event",), timeout_s=WAIT_S) as events:
         assert eventually(lambda: client.mark("begin") is not None and events.receive(0.1) is not None)
@@ -107,13 +107,12 @@ def test_it_is_told_when_it_begins_and_ends_and_not_between(daemon: Daemon, clie
     ],
 )
 def test_bad_requests_move_nothing(client: Client, asked: dict[str, object], said: str) -> None:
-    """Each is declined with what is wrong."""
     with pytest.raises(CommandRefused, match=said):
         client.ask("hand", asked)
 
 
 def test_a_replay_has_no_hand_to_lead(endpoints: tuple[str, str]) -> None:
-    """Refused, with the rig that has one; for asyncio, too."""
+    """Refused with the rig to use, also for asyncio."""
 
     async def ask() -> None:
         async with AsyncControl(endpoints[1], timeout_s=WAIT_S) as control:

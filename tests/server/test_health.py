@@ -1,4 +1,4 @@
-"""The loop's own troubles: what ends a run, and what must not."""
+"""Health of the loop: conditions that end a run, and conditions that must not."""
 
 import pytest
 
@@ -16,7 +16,7 @@ def examined(health, bits, late, dt, period):
 
 
 def after(ticks, health=h.HEALTHY):
-    """Health after (bits, late, dt) of some ticks, the first fault, and the ticks and the time it took."""
+    """Return the health after ticks of (bits, late, dt), the first fault, and the ticks and time until then."""
     gone = 0.0
     for number, (bits, late, dt) in enumerate(ticks):
         health, fault = examined(health, bits, late, dt, T)
@@ -31,20 +31,20 @@ GOOD, NO_POSE, NO_FORCE = (RAMPING, 0.0, T), (POSE_REFUSED | RAMPING, 0.0, T), (
 
 @pytest.mark.parametrize(("tick", "fault"), [(NO_POSE, h.NO_POSE), (NO_FORCE, h.NO_FORCE)])
 def test_half_a_second_without_a_force_is_a_fault(tick, fault):
-    """Poses or forces that cannot be used, one after the other, end the run after NO_FORCE_MAX_S, and not before."""
+    """Unusable poses or forces in a row end the run after NO_FORCE_MAX_S, not earlier."""
     _, found, count, _ = after([tick] * 2000)
-    assert (found, abs(count - h.NO_FORCE_MAX_S / T) <= 2) == (fault, True)  # 500 additions, and above, not at
+    assert (found, abs(count - h.NO_FORCE_MAX_S / T) <= 2) == (fault, True)  # 500 additions; above the limit
 
 
-def test_what_flickers_without_end_is_a_fault_and_what_happens_at_times_is_none():
-    """Two bad poses of three end it; one of two, and 0.4 s now and then, do not."""
+def test_frequent_bad_poses_are_a_fault_and_occasional_ones_are_not():
+    """Two bad poses of three end the run; one of two, and 0.4 s of bad poses per second, do not."""
     assert after([NO_POSE, NO_POSE, GOOD] * 2000)[1] == h.NO_POSE
     assert after([NO_POSE, GOOD] * 5000)[1] == 0
     assert after(([NO_POSE] * 400 + [GOOD] * 600) * 20)[1] == 0
 
 
 def test_jumps_that_leave_nothing_to_render_are_a_fault():
-    """Five in a row, or ten a second without end; not four, nor nine a second."""
+    """Five jumps in a row, or ten per second, end the run; four in a row, or nine per second, do not."""
     jump = (POSE_JUMPED, 0.0, T)
     assert after([jump] * 5)[1:3] == (h.JUMPING, 5)
     assert after(([jump] * 4 + [GOOD] * 1000) * 5)[1] == 0
@@ -53,43 +53,41 @@ def test_jumps_that_leave_nothing_to_render_are_a_fault():
 
 
 def test_gaps_of_every_length_end_the_run_when_the_fault_model_says():
-    """Gaps, one after the other with a tick between: never within half a second, as was promised once, but in the time
-    that the table has; longer gaps than count are no sooner."""
+    """Gaps with one tick between them end the run after the time in the fault model, between 1 and 1.3 s."""
     shortest, longest = stall_range_s()
     assert 1.0 < shortest < longest < 1.3
     for gap in (h.GAP_MIN_S, 0.0337, 0.0611, 0.0977, 0.1533, 0.1999, 0.24, h.GAP_MAX_S):
         _, fault, _, gone = after([(0, 0.0, gap + T)] * 100)
         assert fault == h.STARVED
-        assert gone == pytest.approx(starved_s(gap), rel=1e-9)  # sums of so many periods
-        assert shortest - T <= gone <= longest + T  # between the lengths that `stall_range_s` looks at
+        assert gone == pytest.approx(starved_s(gap), rel=1e-9)  # sums of many periods
+        assert shortest - T <= gone <= longest + T  # the range of `stall_range_s`
     assert after([(0, 0.0, h.GAP_MIN_S - 1e-6 + T)] * 1000)[1] == 0  # shorter ones are missed ticks
 
 
 def test_repeated_stalls_are_a_fault():
-    """Reads of 0.24 s, one after the other: the loop ends within seconds, long before the twentieth."""
+    """With reads of 0.24 s, the loop ends after the fifth, within 2 s."""
     _, fault, count, gone = after([(0, 0.0, 0.241)] * 20)
     assert fault == h.STARVED
     assert count == 5
     assert gone < 2.0
 
 
-def test_stalls_of_a_host_and_one_sleep_of_the_process_are_none():
-    """20 ms five times a second without end, and a process that slept for an hour once: the run goes on."""
+def test_short_stalls_and_one_long_sleep_are_no_fault():
+    """20 ms lost five times a second, and one sleep of an hour, do not end the run."""
     assert after(([(0, 0.02, 0.021)] + [GOOD] * 180) * 300)[1] == 0
     health, fault, _, _ = after([(0, 3600.0, 3600.0)] + [GOOD] * 1000)
     assert (fault, health) == (0, h.HEALTHY)
 
 
 @pytest.mark.parametrize(("late", "woken"), [(0.24, True), (0.0, False)])
-def test_the_cause_is_where_most_was_lost(late, woken):
-    """Time lost before the thread was woken is told from time lost in the device's exchange."""
+def test_the_cause_is_where_most_time_was_lost(late, woken):
+    """`late` separates time lost before the thread was woken from time lost in the device's exchange."""
     health, fault, _, _ = after([(0, late, 0.241)] * 20)
     assert fault == h.STARVED
     assert (health.late > 0.5 * health.lost) == woken
 
 
 def test_plain_python_agrees_with_the_compiled_kernel():
-    """The same kernel interpreted gives the same numbers."""
     for tick in (GOOD, NO_POSE, NO_FORCE, (0, 0.1, 0.2)):
         some = h.Health(0.4996, 0.45, 0.2)
         assert h.examine.py_func(some, *tick, T) == examined(some, *tick, T)

@@ -1,8 +1,8 @@
-"""Peers that mean harm, each a process of its own that speaks raw bytes, against a publisher in another.
+"""Malicious peers, each a process that sends raw bytes, against a publisher in another process.
 
-What they may reach is the publisher's process, which libzmq ends where they take more than it may have. What stands
-beside the daemon, here a program that publishes ticks at 1 kHz, has another process in its place, counts that, grows by
-nothing, and its ticks in shared memory have no gap; a subscriber is served again; and the end comes in time.
+They can reach only the publisher's process, which libzmq ends if they exceed its limits. The daemon, here a program
+that publishes ticks at 1 kHz, restarts that process, counts restarts, does not grow, and has no gap in its ticks in
+shared memory. A subscriber is served again, and the program ends in time.
 """
 
 from __future__ import annotations
@@ -105,14 +105,14 @@ kept = []
 """
 
 ATTACKS = {
-    # as filed: long topics, many of them
+    # long topics, many of them
     "a megabyte of topic": """
 def step():
     with greeted() as made:
         for _ in range(200):
             made.sendall(frame(b"\\1" + os.urandom(1 << 20)))
 attack(step)""",
-    # under any limit of size: what fills is their number
+    # below any limit of size; their number fills memory
     "thousands of topics": """
 data = subscriptions(200)
 def step():
@@ -182,20 +182,20 @@ attack(step)""",
 }
 
 SECONDS = 1.0
-"""Unlimited, an attack beside others fills a hundred megabytes in this and opens all its connections."""
+"""Time in which an unlimited attack among others fills 100 MB and opens all its connections."""
 ALONE_S = 4.0
-"""An attack fills gigabytes in this where nothing stops it."""
+"""Time in which an unlimited attack fills gigabytes."""
 
 GROWN_BYTES = 32e6
-"""Of the program beside: what its interpreter and its allocator take at once, and nothing of what peers send."""
+"""Growth of the publishing program: interpreter and allocator, and nothing that peers send."""
 BACKLOG = 8192
-"""Messages that the publisher of these tests keeps for a subscriber."""
+"""Messages that the publisher of these tests buffers for a subscriber."""
 MESSAGE_BYTES = 2 * 64 + 1536
-"""Two of libzmq's messages, 64 bytes each, and what they have in common for all subscribers."""
+"""Two of libzmq's messages, 64 bytes each, and the data shared by all subscribers."""
 
 
 def memory_bytes(pid: int, field: str) -> int:
-    """A line of the system's account of a process."""
+    """Return a field of /proc/PID/status, bytes."""
     (line,) = [line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith(field)]
     return int(line.split()[1]) * 1024
 
@@ -209,8 +209,7 @@ def answer(process: subprocess.Popen[str]) -> Any:
 
 @contextmanager
 def publishing(endpoint: str, period_s: float = 0.01) -> Iterator[tuple[subprocess.Popen[str], list[Any]]]:
-    """A process that publishes ten ticks a period until it is told to end; its endpoint, its ticks in memory, and the
-    process that sends them."""
+    """Run a process that publishes ten ticks a period; yield it with its endpoint, ring and publisher's pid."""
     words = [sys.executable, "-W", "error", "-c", SERVER, endpoint, str(Path(__file__).parents[1]), str(period_s)]
     with Program(
         [*words, str(BACKLOG)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -231,7 +230,7 @@ def told_to_end(process: subprocess.Popen[str]) -> Any:
 
 
 def read_on(local: Local, healthy: Subscription, seconds: float) -> int:
-    """Read for so long: of the ticks in memory none may be missing; returns how many the subscriber did not get."""
+    """Read for `seconds`. No tick in memory may be missing; return the number of ticks the subscriber missed."""
     missing, end = 0, time.monotonic() + seconds
     before: float | None = None
     while time.monotonic() < end:
@@ -267,7 +266,7 @@ TOGETHER = {
         "connect and go",
     ),
 }
-"""Every attack, those beside each other that leave room for each other: what is promised is promised against all."""
+"""All attacks, in groups that do not block each other."""
 WITHSTOOD = (
     "a megabyte of topic",
     "a frame that claims 2**63 bytes",
@@ -277,17 +276,16 @@ WITHSTOOD = (
     "a handshake byte by byte",
     "subscribers who never read",
 )
-"""Of these libzmq itself takes no harm: a healthy subscriber misses nothing, and the publisher goes on."""
+"""Attacks that libzmq withstands: a healthy subscriber misses nothing, and the publisher is not restarted."""
 assert sorted(name for names in TOGETHER.values() for name in names) == sorted(ATTACKS)
 
-# What a peer sends is read alike from both; how connections come and go is the transport's.
+# Data of peers is read the same way for both transports; connections depend on the transport.
 OVER_IPC = ("thousands of topics", "connections that say nothing", "connect and go")
 
 
 @pytest.mark.parametrize("names", TOGETHER.values(), ids=TOGETHER)
-def test_hostile_peers_cost_the_daemon_nothing(names: tuple[str, ...]) -> None:
-    """Its memory stays as it is, its ticks have no gap, a subscriber is served again, and the end is quick, while peers
-    attack and afterwards."""
+def test_groups_of_malicious_peers_do_not_affect_the_daemon(names: tuple[str, ...]) -> None:
+    """During and after attacks, memory is bounded, no tick is missing, and a subscriber is served again."""
     attacked(names, "tcp://127.0.0.1:*", SECONDS)
 
 
@@ -295,8 +293,8 @@ def test_hostile_peers_cost_the_daemon_nothing(names: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     ("name", "transport"), [*((name, "tcp") for name in ATTACKS), *((name, "ipc") for name in OVER_IPC)]
 )
-def test_a_hostile_peer_costs_the_daemon_nothing(name: str, transport: str, tmp_path: Path) -> None:
-    """Nor does each alone, for longer, over either transport; and of most a subscriber does not notice."""
+def test_one_malicious_peer_does_not_affect_the_daemon(name: str, transport: str, tmp_path: Path) -> None:
+    """The same for each attack, longer, over either transport; most cause no losses for a subscriber."""
     found = attacked((name,), endpoint_of(transport, tmp_path), ALONE_S)
     # At its limit of files libzmq's ipc listener ends the process, where its tcp listener waits: `errno_assert` of
     # `ipc_listener_t::accept` has no EMFILE.
@@ -305,7 +303,7 @@ def test_a_hostile_peer_costs_the_daemon_nothing(name: str, transport: str, tmp_
 
 
 def attacked(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
-    """Attack a publisher for so long, in these ways; returns what it said in the end, and what a subscriber missed."""
+    """Attack a publisher for `seconds`; return its final report with the ticks a subscriber missed."""
     with publishing(endpoint) as (process, (bound, ring, pid)):
         with Subscription(bound, ("contact",)) as healthy, Local(ring) as local:
             assert healthy.receive(60.0) is not None  # the kernels may have to be compiled
@@ -317,12 +315,12 @@ def attacked(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
                     peers.append(subprocess.Popen(program, stdin=subprocess.PIPE))
                     ends.callback(peers[-1].wait)
                     ends.callback(peers[-1].kill)
-                for peer in peers:  # at once: those that have begun would slow the start of the others
+                for peer in peers:  # at once, because running attacks would slow the start of others
                     peer.stdin.close()
                 local.take(0.0)
                 missing = read_on(local, healthy, seconds)
                 assert all(peer.poll() is None for peer in peers), "an attack was over"
-                with contextlib.suppress(FileNotFoundError):  # it has ended
+                with contextlib.suppress(FileNotFoundError):  # the process has ended
                     assert memory_bytes(pid, "VmHWM") < 1.5 * MEMORY_MAX
             missing += read_on(local, healthy, 0.2)
             assert served(bound)
@@ -332,7 +330,7 @@ def attacked(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
             files = len(os.listdir(f"/proc/{process.pid}/fd"))
         found = told_to_end(process)
     assert grown < GROWN_BYTES
-    assert files < 64  # the interpreter's own and the listener
+    assert files < 64  # those of the interpreter and the listener
     return found | {"missing": missing}
 
 
@@ -342,13 +340,13 @@ SUBSCRIBE = b"\0\x08\1contact"
 
 
 CUT_S = 20.0
-"""Ten times what a handshake may take."""
+"""Ten times the allowed duration of a handshake."""
 
 
 def cut_off(peer: socket.socket) -> None:
-    """Wait until the server has closed a connection; TimeoutError where it does not."""
+    """Wait until the server has closed a connection; raises TimeoutError otherwise."""
     peer.settimeout(CUT_S)
-    with contextlib.suppress(ConnectionError):  # with bytes that nobody has read
+    with contextlib.suppress(ConnectionError):  # closed with unread bytes
         while peer.recv(1 << 16):
             pass
 
@@ -360,8 +358,8 @@ def eventually(what: Callable[[], bool]) -> bool:
     return done
 
 
-def test_who_does_not_finish_a_handshake_is_cut_off_and_who_does_may_wait() -> None:
-    """Silent, in the middle of a greeting, or after it: each for itself; one that has said that it subscribes stays."""
+def test_unfinished_handshakes_are_disconnected() -> None:
+    """A peer that does not finish its handshake is disconnected; one that has finished may subscribe later."""
     with Publisher("tcp://127.0.0.1:*") as publisher, ExitStack() as peers:
         address = "127.0.0.1", int(publisher.endpoint.rpartition(":")[2])
         patient = peers.enter_context(socket.create_connection(address))
@@ -376,8 +374,8 @@ def test_who_does_not_finish_a_handshake_is_cut_off_and_who_does_may_wait() -> N
         assert eventually(lambda: publisher.subscribers == 1)
 
 
-def test_there_are_no_more_connections_than_files() -> None:
-    """Whoever comes beyond waits in the system's queue, and comes in when another goes."""
+def test_connections_are_limited_by_open_files() -> None:
+    """Further connections wait in the system's queue and are accepted when others close."""
     with Publisher("tcp://127.0.0.1:*") as publisher, ExitStack() as peers:
         address = "127.0.0.1", int(publisher.endpoint.rpartition(":")[2])
         for _ in range(FILES_MAX):
@@ -392,7 +390,7 @@ def test_there_are_no_more_connections_than_files() -> None:
                 break
             peer.sendall(SUBSCRIBE)
         assert eventually(lambda: publisher.subscribers > FILES_MAX // 2)
-        time.sleep(0.5)  # for those that might come in, and do not
+        time.sleep(0.5)  # for those that could connect, and must not
         assert publisher.subscribers < FILES_MAX
         peers.close()
         assert eventually(lambda: publisher.subscribers == 0)
@@ -411,15 +409,14 @@ with subscribe(sys.argv[1], ("contact", "event", "health")) as samples:
 
 
 def served(endpoint: str) -> bool:
-    """Whether a new subscriber gets a message."""
+    """Return True if a new subscriber gets a message."""
     with Subscription(endpoint, ("contact",)) as late:
         return late.receive(60.0) is not None
 
 
 @pytest.mark.parametrize("transport", ["tcp", pytest.param("ipc", marks=pytest.mark.exhaustive)])
 def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Path) -> None:
-    """With 40 connections that never read and a subscriber that was stopped (SIGSTOP), while more than the backlog is
-    published: memory is bounded, that they lose something is counted, and the end does not wait for them."""
+    """With 40 connections that never read and a suspended subscriber, memory is bounded and losses are counted."""
     with publishing(endpoint_of(transport, tmp_path), period_s=0.002) as (process, (bound, _, pid)):
         words = [sys.executable, "-c", STOPPED, bound]
         never_read = [sys.executable, "-c", PEER + ATTACKS["subscribers who never read"], bound, "60"]
@@ -435,7 +432,7 @@ def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Pa
                 assert stopped.stdout.readline()
                 stopped.send_signal(signal.SIGSTOP)
                 before = memory_bytes(pid, "VmRSS")
-                for _ in range(BACKLOG + 4096):  # what is more is in the system's buffers
+                for _ in range(BACKLOG + 4096):  # more messages than that are in the system's buffers
                     assert watching.receive(60.0) is not None
                 grown = memory_bytes(pid, "VmHWM") - before
                 found = told_to_end(process)
@@ -447,12 +444,12 @@ def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Pa
 
 
 def test_the_daemon_ends_while_a_subscriber_is_stopped() -> None:
-    """SIGTERM ends `softfinger run` in order while a subscriber is stopped and another never reads."""
+    """SIGTERM ends `softfinger run` with exit code 0 while one subscriber is suspended and another never reads."""
     words = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*"]
     with Program(words, stderr=subprocess.PIPE, text=True) as daemon:
         assert daemon.stderr is not None
         bound = next(line for line in daemon.stderr if "telemetry on" in line).split("telemetry on ")[1].strip()
-        rest = threading.Thread(target=daemon.stderr.read)  # it must not wait for this process either
+        rest = threading.Thread(target=daemon.stderr.read)  # the daemon must not block on a full pipe
         rest.start()
         with (
             Program([sys.executable, "-c", STOPPED, bound], stdout=subprocess.PIPE, text=True) as stopped,
@@ -464,7 +461,7 @@ def test_the_daemon_ends_while_a_subscriber_is_stopped() -> None:
         ):
             try:
                 assert stopped.stdout is not None
-                assert stopped.stdout.readline()  # ticks come: it runs
+                assert stopped.stdout.readline()  # ticks arrive
                 stopped.send_signal(signal.SIGSTOP)
                 time.sleep(1.0)
                 daemon.terminate()

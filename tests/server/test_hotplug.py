@@ -1,4 +1,4 @@
-"""Plugging in and pulling out: noticed from the system's tables, and published by a running daemon."""
+"""Devices plugged in and unplugged: detected in the system's tables, and published by a running daemon."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ TEENSY = Attached("serial", 0x16C0, 0x0483, "Teensy", "SN42", "/dev/ttyACM0")
 OMEGA = Attached("usb", 0x1451, 0x0402, "USB device", "", "/dev/bus/usb/001/007")
 
 
-def test_changes_are_told_once(root: Path) -> None:  # noqa: F811
-    """What was there at the start is present; what comes is attached, what goes detached, each once."""
+def test_changes_are_reported_once(root: Path) -> None:  # noqa: F811
+    """Devices found at the start are present; later ones are reported as attached and detached, each once."""
     plug_usb(root, "1-1", "1451", "0402")
     seen = Hotplug(root)
     assert seen.present == [OMEGA]
@@ -51,8 +51,8 @@ def test_changes_are_told_once(root: Path) -> None:  # noqa: F811
     assert hotplug.event_fields(TEENSY)["driver"] == "serial"
 
 
-def test_a_device_is_told_when_its_ids_can_be_read(root: Path) -> None:  # noqa: F811
-    """Listed before the kernel has filled its entry in, it is reported by a later look; a hub never is."""
+def test_a_device_is_reported_when_its_ids_are_readable(root: Path) -> None:  # noqa: F811
+    """A device listed before the kernel has filled in its entry is reported later; a hub is never reported."""
     seen = Hotplug(root)
     (root / discovery.USB / "1-1").mkdir()
     plug_usb(root, "1-2", "2109", "2813", bDeviceClass="09")
@@ -61,8 +61,8 @@ def test_a_device_is_told_when_its_ids_can_be_read(root: Path) -> None:  # noqa:
     assert seen.changes() == [("attached", OMEGA)]
 
 
-def test_a_device_that_is_not_readable_at_the_start_is_told_later(root: Path) -> None:  # noqa: F811
-    """Listed when the watcher starts, but not filled in yet: neither present nor forgotten."""
+def test_a_device_not_readable_at_the_start_is_reported_later(root: Path) -> None:  # noqa: F811
+    """A device without ids when the watcher starts is not present, and is reported as attached later."""
     (root / discovery.USB / "1-1").mkdir()
     seen = Hotplug(root)
     assert seen.present == []
@@ -70,8 +70,8 @@ def test_a_device_that_is_not_readable_at_the_start_is_told_later(root: Path) ->
     assert seen.changes() == [("attached", OMEGA)]
 
 
-def test_what_comes_before_the_first_look_is_told(root: Path) -> None:  # noqa: F811
-    """Plugged in after the watcher was made and before its thread runs: attached, behind what was present."""
+def test_a_device_plugged_in_before_the_first_poll_is_reported(root: Path) -> None:  # noqa: F811
+    """A device plugged in after the watcher was made and before its thread runs is attached, after the present ones."""
     plug_usb(root, "1-1", "1451", "0402")
     seen = Hotplug(root)
     plug_hid(root, 3, "0003:0000046D:0000C626")
@@ -90,24 +90,24 @@ def test_what_comes_before_the_first_look_is_told(root: Path) -> None:  # noqa: 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, root: Path) -> Iterator[Path]:  # noqa: F811
-    """A daemon that looks at the folder, often."""
+    """Let the daemon poll a test folder at a short period."""
     monkeypatch.setattr(hotplug, "PERIOD_S", 0.02)
     monkeypatch.setattr(app, "Hotplug", lambda: Hotplug(root))
     return root
 
 
-def test_a_running_daemon_publishes_them(quick: Path) -> None:
-    """A puck plugged in and pulled out while the servo runs is two events with its name, ids, node and driver, however
-    late the watcher looks; the servo is not disturbed and the thread ends with the daemon."""
+def test_a_running_daemon_publishes_hotplug_events(quick: Path) -> None:
+    """A puck plugged in and unplugged while the servo runs gives two events with name, ids, node and driver. The servo
+    still runs, and the thread ends with the daemon."""
     events: list[dict[str, Any]] = []
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
         with subscribe(daemon.publisher.endpoint, ("event",), timeout_s=20.0) as samples:
             while samples.receive(0.01) is None:  # until the subscription has taken effect
                 daemon.publisher.event("test", "joined")
-            name = plug_hid(quick, 3, "0003:0000046D:0000C626")  # the daemon's threads have yet to start
+            name = plug_hid(quick, 3, "0003:0000046D:0000C626")  # the daemon's threads start later
             daemon.start()
-            until = time.monotonic() + 20.0  # other events keep coming
+            until = time.monotonic() + 20.0  # other events arrive, too
             for sample in samples:
                 assert time.monotonic() < until, events
                 if sample["kind"] == "device":

@@ -1,7 +1,7 @@
-"""Faults injected between every driver and the loop: what the device was given, what was told, and how it went on.
+"""Faults injected between every driver and the loop: the wrenches at the far end, the events, and the recovery.
 
-What is asserted of forces is what the device's far end has received (`helpers/far_ends.py`). One scene, so one loop is
-compiled, of 20 s.
+Forces are those that the device's far end has received (`helpers/far_ends.py`). All tests use one scene, so one loop is
+compiled (20 s).
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from softfinger.server.loop.health import NO_FORCE_MAX_S, STALL_MAX_S
 pytestmark = pytest.mark.real_time
 
 FORCE_MAX_N = 12.0
-"""Of the rig."""
+"""Limit of the rig."""
 STEP_N = 2.0
-"""The slew limit's change in a tick, at 1 kHz."""
+"""Change per tick by the slew limit, at 1 kHz."""
 TOUCH_N = 0.1
-"""Less than any of these hands presses with, once the ramp is over."""
+"""Less than the force of any of these hands after the ramp."""
 RAMP_TICKS = round(RAMP_S * RATE_HZ)
 AFTER = 150
-"""Ticks behind the fault: the ramp, and what shows that the force is there again."""
+"""Ticks after the fault: the ramp, and enough to show that the force is back."""
 FULL_N = 1.2
-"""No less than the replay presses with: 1 N, and 0.6 times that of friction."""
+"""At least the force of the replay: 1 N, and 0.6 times that of friction."""
 MOMENTS = {"first": 0, "ramp": RAMP_TICKS // 2, "contact": 100}
 
 
 class Case(NamedTuple):
-    """A fault, and what is to come of it.
+    """Fault and its expected effects.
 
     fault   without its tick
-    lasts   ticks that it lasts
-    event   told by name; empty: none is
-    zero    within how many ticks of it the device has zero, None: it keeps a force, within the guard's limits
-    ends    the error that the run ends with; None: it goes on, and the force comes back
+    lasts   duration in ticks
+    event   name of the published event; empty: none
+    zero    ticks until the device has zero; None: it keeps a force, within the guard's limits
+    ends    error that ends the run; None: the run continues and the force returns
     within  ticks until that end
     """
 
@@ -93,7 +93,7 @@ CASES = {
 
 
 def injected(driver: str, name: str, at: int, tmp_path: Path) -> tuple[Seen, FarEnd, np.ndarray]:
-    """A run with a fault at a tick; and what the far end was given, of each force the tick in which it came."""
+    """Run with a fault at a tick; return the far end, too, and its forces, each with its tick."""
     case = CASES[name]
     fault = case.fault | {"at_tick": at, "ticks": case.lasts}
     with FAR_ENDS[driver](tmp_path) as far:
@@ -103,18 +103,17 @@ def injected(driver: str, name: str, at: int, tmp_path: Path) -> tuple[Seen, Far
 
 
 def ticks_of(times: np.ndarray, seen: Seen) -> np.ndarray:
-    """In which tick a time is (n,), -1 before the first; the last one goes on behind its end."""
+    """Return the tick of each time (n,), -1 before the first; ticks are counted on after the last one."""
     rows = np.arange(len(times), dtype=float)
     if not seen.ticks:
-        return rows - 1.0  # no tick was finished: all that came is of the way out
+        return rows - 1.0  # no tick was finished: all wrenches are from the shutdown
     late = np.maximum(times - seen.times[-1], 0.0) * RATE_HZ
     found = np.searchsorted(seen.times, times, side="right") - 1.0
     return np.where(np.isnan(times), rows, found + np.floor(late))
 
 
 def check_end(name: str, at: int, seen: Seen, withholds: bool = False) -> None:
-    """How it ended, what was told, and that the recording has every tick; `withholds`: a driver that gives zero by
-    itself while nobody reads is sooner than the guard."""
+    """Check ending, events and recorded ticks; `withholds`: the driver gives zero before the guard does."""
     case = CASES[name]
     if case.ends is None:
         assert seen.error is None, seen.error
@@ -129,13 +128,12 @@ def check_end(name: str, at: int, seen: Seen, withholds: bool = False) -> None:
 
 
 def check_limits(forces: np.ndarray) -> np.ndarray:
-    """No wrench above the guard's limit, none that is more than a tick's change from the one before, the last one zero;
-    returns their norms."""
+    """Check the guard's limit, the slew of each tick, and the last zero; return the norms of the forces."""
     norms: np.ndarray = np.linalg.norm(forces, axis=1)
     assert norms.max() <= FORCE_MAX_N
     assert norms[-1] == 0.0
     steps = np.linalg.norm(np.diff(forces, axis=0, prepend=np.zeros((1, 3))), axis=1)
-    assert np.all((steps <= STEP_N * (1.0 + 1e-9)) | (norms == 0.0))  # rounding; and zero is never refused
+    assert np.all((steps <= STEP_N * (1.0 + 1e-9)) | (norms == 0.0))  # rounding; zero is always allowed
     return norms
 
 
@@ -144,9 +142,8 @@ def check_limits(forces: np.ndarray) -> np.ndarray:
 )
 @pytest.mark.parametrize("name", CASES)
 def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: str, tmp_path: Path) -> None:
-    """Of a replay, whose log has each wrench that it was given: zero within the ticks that are stated, else within the
-    guard's limits; the fault is told by name, the run ends with its error or goes on with a force that fades in, and no
-    tick of the recording is lost."""
+    """A replay gets zero within the stated ticks, or stays within the guard's limits. The event is published, the run
+    ends with its error or continues with a ramp, and the recording has every tick."""
     case, at = CASES[name], MOMENTS[moment]
     seen, _, given = injected("replay", name, at, tmp_path)
     check_end(name, at, seen)
@@ -160,13 +157,13 @@ def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: st
     if case.ends is None:
         if case.zero is not None:
             assert norms[at + case.lasts] <= FULL_N * 2.0 / RAMP_TICKS
-        assert norms[-AFTER // 2 : -2].min() > TOUCH_N  # the hand still presses, and feels it
+        assert norms[-AFTER // 2 : -2].min() > TOUCH_N  # the hand still presses
     else:
-        assert len(norms) <= seen.ticks + 2  # a tick that failed may have been written, and the zero of the stop
+        assert len(norms) <= seen.ticks + 2  # the failed tick may have been written, and the zero of the stop
 
 
 def test_wrenches_that_are_not_taken_count_from_the_last_one_that_was(tmp_path: Path) -> None:
-    """Twice for longer than half of IGNORED_WRENCH_MAX_S, one wrench that is taken in between: the run goes on."""
+    """Wrenches are ignored twice, with one accepted between: the run continues."""
     held = HELD * 3 // 4
     faults = [{"kind": "held", "at_tick": at, "ticks": held} for at in (50, 50 + held + 1)]
     with FAR_ENDS["replay"](tmp_path) as far:
@@ -185,13 +182,13 @@ EVERYWHERE = {
     "disconnect": "a device that is lost, silent, or breaks its protocol",
     "force off": "a device that removes its force",
 }
-"""What is injected into every driver, and the row of the fault model that it is of."""
+"""Faults injected into every driver, and their rows of the fault model."""
 ALWAYS = {(driver, name) for driver in FAR_ENDS for name in ("nan", "disconnect")}
 """Pairs for `make test`."""
 TURN = 5
-"""Ticks that a thread of the far end may wait for its turn of the scheduler."""
+"""Ticks that a thread of the far end may wait for the scheduler."""
 GROWS = 1.5
-"""How far the force of a hand that moves as these do grows by itself in so few ticks, times that of before."""
+"""Bound of the force's growth within a few ticks by the motion of these hands, relative to the force before."""
 
 
 @pytest.mark.parametrize(
@@ -206,8 +203,8 @@ GROWS = 1.5
 def test_on_every_driver(
     driver: str, name: str, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
-    """What the emulated device of each driver was given: zero within the ticks that are stated, and its own handover;
-    no more than before the fault in these ticks; zero as long as the fault keeps poses away; zero in the end."""
+    """The emulated device of each driver gets zero within the stated ticks plus its handover, and before that no more
+    than GROWS times the previous force. It has zero while the fault blocks poses, and at the end."""
     case, at = CASES[name], 200
     seen, far, given = injected(driver, name, at, tmp_path)
     check_end(name, at, seen, far.withholds)
@@ -241,8 +238,8 @@ def test_on_every_driver(
 
 
 def ticks_left(ticks: np.ndarray, norms: np.ndarray, at: int, at_once: bool) -> int:
-    """Ticks from `at` until the first zero at the far end; of one that is due at once, the forces that came meanwhile
-    where these are fewer: a thread that stood still counts for neither."""
+    """Return the ticks from `at` to the first zero at the far end; if zero is due at once, at most the number of forces
+    between, so that a stalled thread does not count."""
     behind = np.flatnonzero(ticks >= at)
     assert not norms[behind].all(), "the far end was given no zero"
     first = behind[np.flatnonzero(norms[behind] == 0.0)[0]]

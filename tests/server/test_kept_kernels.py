@@ -1,7 +1,7 @@
-"""A loop compiled again, once: what it may call, what is kept of it and where, and who finds it there.
+"""Freshly compiled loop: the functions it may call, its files in the kernel cache, and their reuse.
 
-It compiles the loop of a shipped scene, because the compiler's own output is examined. Kernels that the loop inlines
-are taken from the cache of the other tests.
+Compiles the loop of a shipped scene, because the compiler's output is examined. Kernels inlined by the loop are copied
+from the cache of the other tests.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MAY_CALL = {
     "frictionless-plane": {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2", "sqrt"},
     "paper-plane": {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2", "sqrt"},
 }
-"""Everything outside itself that the loop of a scene may name: clock, sleep, wake-up, and libm."""
+"""All external functions that the loop of a scene may call: clock, sleep, wake-up, and libm."""
 
 COMPILER = """
 from softfinger.server.loop.servo import servo_loop
@@ -33,17 +33,17 @@ from softfinger.server.services import compilation
 compilation.main()
 print(*servo_loop.inspect_llvm().values())
 """
-"""The process that a daemon has compile another scene, which then says what it made."""
+"""Process in which a daemon compiles another scene; prints the IR at the end."""
 
 
 LOOPS = ("servo_loop", "step_many", "tick_many")
-"""Kernels of the verbs, whose copies are compiled again."""
+"""Kernels of the verbs, which are compiled again."""
 
 SCENES = ["frictionless-plane", pytest.param("paper-plane", marks=pytest.mark.exhaustive)]
 
 
 def told_by_compiler(scene: str, cache: Path) -> str:
-    """What the daemon's compiler says, given a scene and a cache directory, and then the IR of what it compiled."""
+    """Return the output of the daemon's compiler for a scene and a cache directory, followed by the IR."""
     compiler = subprocess.Popen(
         [sys.executable, "-c", COMPILER],
         env=os.environ | {"SOFTFINGER_CACHE_DIR": str(cache)},
@@ -55,7 +55,7 @@ def told_by_compiler(scene: str, cache: Path) -> str:
         try:
             assert compiler.stdin is not None and compiler.stdout is not None
             compiler.stdin.write(json.dumps(describe(load_scene(scene))) + "\n")
-            compiler.stdin.flush()  # and left open: its end would end the compiler
+            compiler.stdin.flush()  # left open, because closing would end the compiler
             told = compiler.stdout.read()
         finally:
             compiler.stdin.close()  # type: ignore[union-attr]
@@ -65,7 +65,7 @@ def told_by_compiler(scene: str, cache: Path) -> str:
 
 @pytest.fixture(scope="module", params=SCENES)
 def fresh(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, str]:
-    """A scene, a cache directory with the loop from the daemon's compiler, and what that told."""
+    """Return a scene, a cache directory with its loop, and the compiler's output."""
     cache = tmp_path_factory.mktemp("kernels")
     if CACHE_DIR is not None and CACHE_DIR.is_dir():
         others = shutil.ignore_patterns(*(f"{name}-*" for name in LOOPS))
@@ -74,19 +74,19 @@ def fresh(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def kept(cache: Path) -> dict[str, int]:
-    """Kernels on disk by name, each with when it was written, ns."""
+    """Return the kernels on disk by name, each with its time of modification, ns."""
     return {path.name: path.stat().st_mtime_ns for path in cache.rglob("*.kernel")}
 
 
 def test_loop_calls_only_what_is_listed(fresh: tuple[str, Path, str]) -> None:
-    """The compiled loop, with all it calls, names no allocator, no reference count, no interpreter."""
+    """The compiled loop calls no allocator, no reference count and no interpreter."""
     scene, _, told = fresh
     bodies = functions(told)
     assert any("servo_loop" in name for name in bodies)
     called = {name for body in bodies.values() for name in called_in(body)}
     outside = {name for name in called if name not in bodies and not name.startswith("llvm.")}
     assert outside == MAY_CALL[scene]
-    # Beside the named ones only the device is called, through its two addresses: read, write, and the last zero.
+    # Otherwise only the device is called, through its two addresses: read, write, and the last zero.
     through_pointers = {
         name: len(re.findall(r"call [\w ]*%[\w.]+\(", body)) for name, body in bodies.items() if "call" in body
     }
@@ -94,15 +94,15 @@ def test_loop_calls_only_what_is_listed(fresh: tuple[str, Path, str]) -> None:
     assert through_pointers[next(name for name in bodies if "servo_loop" in name)] == 3
 
 
-def test_what_the_compiler_and_warmup_leave_is_all_that_is_needed(fresh: tuple[str, Path, str]) -> None:
-    """The compiler of a running daemon keeps the loop; `warmup` finds it there, adds what other verbs call, and says
-    where; a second one, and a daemon, compile nothing. No kernel of the contact is compiled for another verb again."""
+def test_compiler_and_warmup_cache_all_kernels(fresh: tuple[str, Path, str]) -> None:
+    """`warmup` reuses the loop from the compiler of a daemon, adds kernels of other verbs, and prints the cache
+    directory. A second `warmup` and a daemon compile nothing, and no contact kernel is compiled twice."""
     scene, cache, told = fresh
     before = kept(cache)
     loops = {name: written for name, written in before.items() if name.startswith("servo_loop-")}
     assert len(loops) == 1
     assert told.startswith("compiling ") and re.search(r"^compiling kernel \d+ of at most \d+$", told, re.MULTILINE)
-    assert not told_by_compiler(scene, cache).startswith("compiling ")  # what is kept is only loaded
+    assert not told_by_compiler(scene, cache).startswith("compiling ")  # loaded from the cache
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(cache)}
     words = [sys.executable, "-m", "softfinger.server.cli"]
     warm = [*words, "warmup", scene]
@@ -112,12 +112,12 @@ def test_what_the_compiler_and_warmup_leave_is_all_that_is_needed(fresh: tuple[s
     assert loops.items() <= after.items()
     have, added = ({name.rpartition("-")[0] for name in names} for names in (before, after.keys() - before.keys()))
     assert {"step_many", "tick_many"} <= added
-    assert added & have <= {"silence"}  # which each driver has one of
+    assert added & have <= {"silence"}  # each driver has one
     other, foreign = cache / "0123456789abcdef", cache / "notes"
     other.mkdir()
     foreign.mkdir()
     subprocess.run([*warm, "--prune"], env=environment, capture_output=True, text=True, check=True)
-    assert not other.exists() and foreign.exists()  # kernels of another version, and what is no such folder
+    assert not other.exists() and foreign.exists()  # kernels of another version, and an unrelated folder
     brief = ["--duration", "0.2", "--realtime", "off", "--endpoint", "tcp://127.0.0.1:*", "--commands", "off"]
     subprocess.run(
         [*words, "run", "--scene", scene, *brief], env=environment, capture_output=True, text=True, check=True
@@ -126,7 +126,7 @@ def test_what_the_compiler_and_warmup_leave_is_all_that_is_needed(fresh: tuple[s
 
 
 def test_allocating_kernel_does_not_compile() -> None:
-    """The options of every kernel leave the allocator out, so a kernel that allocates is refused by the compiler."""
+    """Kernels are compiled without the allocator, so the compiler refuses a kernel that allocates."""
     import numba
 
     from softfinger.proxy.kernels.jit.decorators import jit

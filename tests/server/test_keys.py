@@ -1,4 +1,4 @@
-"""Key files: who may read them, what is never overwritten, what is refused, and who else can read their format."""
+"""Key files: permissions, protection from overwriting, refused files, and compatibility with pyzmq."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def mode(path: Path) -> int:
 
 
 @pytest.mark.parametrize("mask", [0o000, 0o777])
-def test_the_secret_is_for_its_owner_alone(tmp_path: Path, mask: int) -> None:
-    """Mode 600 whatever the umask; what pyzmq reads of both files is one pair."""
+def test_the_secret_is_readable_by_its_owner_only(tmp_path: Path, mask: int) -> None:
+    """The secret has mode 600 for any umask; pyzmq reads one pair from both files."""
     before = os.umask(mask)
     try:
         public, secret = make_pair(tmp_path, "rig")
@@ -43,7 +43,7 @@ def test_the_secret_is_for_its_owner_alone(tmp_path: Path, mask: int) -> None:
 
 
 def test_no_key_is_overwritten(tmp_path: Path) -> None:
-    """Neither file, though the other one is missing; links are not followed."""
+    """Neither file is overwritten, even if the other is missing; links are not followed."""
     public, secret = make_pair(tmp_path, "rig")
     kept = public.read_bytes(), secret.read_bytes()
     for gone in (None, public):
@@ -61,7 +61,7 @@ def test_no_key_is_overwritten(tmp_path: Path) -> None:
 
 
 def test_the_verb_makes_pairs(tmp_path: Path) -> None:
-    """A pair for each name, as JSON too; the second time nothing, and exit code 2."""
+    """A pair is made for each name, with JSON output, too; a second call exits with code 2."""
     words = [*COMMAND, "keys", str(tmp_path / "new" / "keys"), "rig", "anna", "--json"]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     made = json.loads(done.stdout)
@@ -74,8 +74,8 @@ def test_the_verb_makes_pairs(tmp_path: Path) -> None:
     )
 
 
-def test_a_file_that_is_no_good_key_is_refused_in_one_sentence(tmp_path: Path) -> None:
-    """Open to others, missing, public, of two pairs, of another kind, a pipe."""
+def test_invalid_key_files_are_refused(tmp_path: Path) -> None:
+    """Files that are readable by others, missing, public, mixed, of another kind, or pipes are refused."""
     public, secret = make_pair(tmp_path, "rig")
     _, other = make_pair(tmp_path, "other")
     public.chmod(0o600)
@@ -100,8 +100,8 @@ def test_a_file_that_is_no_good_key_is_refused_in_one_sentence(tmp_path: Path) -
             read_pair(secret)
 
 
-def test_what_others_may_put_in_the_place_of_a_key_is_refused(tmp_path: Path) -> None:
-    """A public key, too: who writes it says which server is met. A folder as /tmp is keeps what is in it."""
+def test_keys_writable_by_other_users_are_refused(tmp_path: Path) -> None:
+    """A public key is refused, too, because its writer chooses the server. A sticky folder such as /tmp is allowed."""
     public, secret = make_pair(tmp_path, "rig")
     for path, read, right in ((public, read_public, 0o644), (secret, read_pair, 0o600)):
         for bits in (right | 0o020, right | 0o002, 0o666):
@@ -122,7 +122,7 @@ def test_what_others_may_put_in_the_place_of_a_key_is_refused(tmp_path: Path) ->
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give files away")
 def test_keys_of_another_user_are_refused(tmp_path: Path) -> None:
-    """Files and folders: the secret of somebody else is no secret, and his folder may hold another key tomorrow."""
+    """Files and folders of another user are refused: that user knows the secret and may replace files of the folder."""
     public, secret = make_pair(tmp_path, "rig")
     for path, read in ((public, read_public), (secret, read_pair), (tmp_path, lambda _: read_pair(secret))):
         os.chown(path, OTHER, OTHER)
@@ -135,7 +135,7 @@ def test_keys_of_another_user_are_refused(tmp_path: Path) -> None:
 
 
 def test_the_folder_of_those_who_may_is_looked_at_again(tmp_path: Path) -> None:
-    """Keys come and go; one that is barred stays out; a folder that others may write to lets nobody in."""
+    """Keys added or removed take effect; a revoked key stays out; a folder writable by others admits no key."""
     allowed = Allowed(tmp_path)
     public, _ = make_pair(tmp_path, "anna")
     key = read_public(public)
@@ -148,7 +148,7 @@ def test_the_folder_of_those_who_may_is_looked_at_again(tmp_path: Path) -> None:
     make_pair(tmp_path, "bob")
     assert not allowed.refresh() and allowed.callback("", read_public(tmp_path / "bob.key"))
     bob = read_public(tmp_path / "bob.key")
-    for bits in (0o775, 0o757):  # its group alone, and all others but its group
+    for bits in (0o775, 0o757):  # writable by its group, and by others
         tmp_path.chmod(bits)
         assert allowed.refresh() and not allowed.callback("", bob)
         with pytest.raises(ConfigError, match="other users may write to it"):
@@ -159,11 +159,9 @@ def test_the_folder_of_those_who_may_is_looked_at_again(tmp_path: Path) -> None:
         Allowed(tmp_path / "none")
 
 
-def test_a_key_that_was_not_whole_when_the_folder_was_read_is_let_in(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A client that is turned away does not come again: whose file has just come is looked for however lately the
-    folder was read. Where nothing has changed, strangers do not have it read each time."""
+def test_a_key_written_after_the_folder_was_read_is_admitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rejected client does not reconnect, so the folder is read again for a recently changed file, however recently
+    it was read. Otherwise an unknown key does not cause another read."""
     monkeypatch.setattr("softfinger.server.publishing.allowed.REREAD_MIN_S", 60.0)
     folder = tmp_path / "readers"
     folder.mkdir()
@@ -178,7 +176,7 @@ def test_a_key_that_was_not_whole_when_the_folder_was_read_is_let_in(
     os.utime(folder, (0.0, 0.0))
     assert allowed.refresh() and not allowed.callback("", key)
     file.write_bytes(public.read_bytes())
-    assert not allowed.callback("", key)  # read a moment ago, and no file has come since
+    assert not allowed.callback("", key)  # read a moment ago, and no newer file
 
 
 RIG = {"device": {"driver": "replay", "recording": "tap"}}
@@ -200,7 +198,7 @@ READERS = {"key": "k", "readers": "r"}
     ],
 )  # fmt: skip
 def test_what_is_open_to_the_network_needs_keys(tables: dict, fault: str) -> None:
-    """Reading and commanding each their own; without, one fault that says what to do."""
+    """Reading and commanding need separate keys; without them there is one fault with advice."""
     if fault:
         with pytest.raises(ConfigError) as caught:
             build(Rig, RIG | tables, "rig.toml")
@@ -209,8 +207,8 @@ def test_what_is_open_to_the_network_needs_keys(tables: dict, fault: str) -> Non
         assert build(Rig, RIG | tables, "rig.toml").security is not None
 
 
-def test_the_keys_are_beside_the_rigs_file(tmp_path: Path) -> None:
-    """A relative path begins in the rig's folder; an absolute one stays."""
+def test_key_paths_are_relative_to_the_rig_file(tmp_path: Path) -> None:
+    """A relative path starts at the rig's folder; an absolute path is unchanged."""
     (tmp_path / "rig.toml").write_text(
         '[device]\ndriver = "replay"\nrecording = "tap"\n[security]\nkey = "k"\nreaders = "/r"\n'
     )
@@ -218,8 +216,8 @@ def test_the_keys_are_beside_the_rigs_file(tmp_path: Path) -> None:
     assert (security.key, security.readers, security.commanders) == (str(tmp_path / "k"), "/r", None)
 
 
-def test_half_of_a_clients_keys_is_a_mistake(tmp_path: Path) -> None:
-    """Its own without the server's, or the other way round: said, and nothing is sent in the clear."""
+def test_a_client_needs_both_keys(tmp_path: Path) -> None:
+    """A client key without the server's key, or the reverse, is refused."""
     public, secret = make_pair(tmp_path, "rig")
     for words in (["--keys", str(secret)], ["--server-key", str(public)]):
         done = subprocess.run([*COMMAND, "ctl", "heartbeat", *words], capture_output=True, text=True, check=False)

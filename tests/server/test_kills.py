@@ -1,6 +1,6 @@
-"""Processes of a run killed at random moments: nothing stays, the recording can be read, the next start works.
+"""Processes of a run killed at random times: no process is left, the recording is readable, and the next start works.
 
-SOFTFINGER_KILLS says how many `make test-all` makes; each takes a start of the program with its page, 4 s.
+SOFTFINGER_KILLS is the number of kills for `make test-all`; each needs a start of the program with its page, 4 s.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ VICTIMS = {
     "commands process": b"\0softfinger.server.publishing\0commands\0",
     "daemon": b"\0run\0",
 }
-"""What the command of each has in it."""
+"""Part of the command line of each process."""
 START_S = 120.0
 """A cold start compiles."""
 END_S = 20.0
-"""A process that has lost its parent sees it within a second; a busy machine takes more."""
+"""A process notices the end of its parent within 1 s; a busy machine takes longer."""
 MOMENT_S = 4.0
-"""After the start: most of them in its imports, in the opening of the device, or in its first ticks."""
+"""Latest time of a kill after the start: most hit the imports, the opening of the device, or the first ticks."""
 
 
 def children(pid: int) -> list[int]:
-    """Of all of its threads: what is started again is started by whoever looks after it."""
+    """Return child processes of all threads: the thread that supervises a process restarts it."""
     found: list[int] = []
     for thread in Path(f"/proc/{pid}/task").glob("*/children"):
         with suppress(FileNotFoundError, ProcessLookupError):
@@ -71,7 +71,7 @@ def until(what: Callable[[], object], said: str, seconds: float) -> None:
 
 
 def gone(pid: int) -> bool:
-    """Whether a process has ended: a zombie that nobody has waited for has, too."""
+    """Return True if a process has ended, also as a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except (FileNotFoundError, ProcessLookupError):
@@ -79,7 +79,7 @@ def gone(pid: int) -> bool:
 
 
 def readable(path: Path) -> int:
-    """Ticks in a recording, which are one behind the other; none in a file that was cut before its first."""
+    """Return the number of consecutive ticks in a recording; 0 for a file that ends before its first tick."""
     try:
         parts = [part.records() for part in read_contents(path) if isinstance(part, Ticks)]
     except RecordingError:
@@ -96,7 +96,7 @@ def command(tmp_path: Path, rig: Path, *words: str) -> list[str]:
 
 
 def start_to_end(tmp_path: Path, rig: Path) -> None:
-    """A run that nobody disturbs works, and leaves no socket, not even one of a run that was killed before."""
+    """An undisturbed run exits with 0 and leaves no socket, not even one of a previous killed run."""
     words = command(tmp_path, rig, "--duration", "0.3")
     done = subprocess.run(words, capture_output=True, text=True, timeout=START_S, check=False)
     assert done.returncode == 0, done.stderr
@@ -104,8 +104,8 @@ def start_to_end(tmp_path: Path, rig: Path) -> None:
 
 
 def kill(process: subprocess.Popen[bytes], kind: str, told: Path) -> list[int]:
-    """Kill one of the processes of a run, once it is there; of a page or a publisher wait until it is told that it has
-    ended. Returns all processes that the daemon had then."""
+    """Kill one process of a run after its start; except for the daemon, wait until its end is reported. Return all
+    processes that the daemon had."""
     until(lambda: of_kind(kind, process.pid) or process.poll() is not None, f"there is no {kind}", START_S)
     begun, victim = children(process.pid), of_kind(kind, process.pid)
     assert victim is not None, told.read_text()
@@ -119,10 +119,10 @@ def kill(process: subprocess.Popen[bytes], kind: str, told: Path) -> list[int]:
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("kills", [len(VICTIMS), KILLS])
-def test_a_kill_at_any_moment_leaves_nothing_behind(kills: int, tmp_path: Path) -> None:
-    """All processes of a run by turns, at random moments: the end of one is reported. Then the daemon: no process of it
-    is left, the recording has whole ticks in a row, and the next one gets the same port, socket and folder, to the
-    last, which runs to its end and leaves no socket."""
+def test_a_kill_at_any_time_leaves_no_process(kills: int, tmp_path: Path) -> None:
+    """Kills each process in turn at random times; the end of a child is reported. After the daemon is killed no process
+    is left, and the recording has complete consecutive ticks. The next run gets the same port, socket and folder; the
+    last one ends normally and leaves no socket."""
     drawn = random.Random(7)
     board = Board(lambda _: (*PLACE[:2], 0.006))
     recorded = 0
@@ -130,7 +130,7 @@ def test_a_kill_at_any_moment_leaves_nothing_behind(kills: int, tmp_path: Path) 
         rig = tmp_path / "rig.toml"
         named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\ntimeout_s = 2.0\n'
         rig.write_text(find(RIG, Rig).read_text().replace('driver = "serial"\n', named))
-        start_to_end(tmp_path, rig)  # with its kernels compiled a start comes to its ticks before most kills
+        start_to_end(tmp_path, rig)  # with compiled kernels a run reaches its ticks before most kills
         for number, kind in zip(range(kills), itertools.cycle(VICTIMS)):
             recording, told = tmp_path / f"{number}.mcap", tmp_path / f"{number}.log"
             with told.open("wb") as log, Program(
@@ -139,7 +139,7 @@ def test_a_kill_at_any_moment_leaves_nothing_behind(kills: int, tmp_path: Path) 
                 try:
                     time.sleep(drawn.uniform(0.0, MOMENT_S))
                     begun = kill(process, kind, told)
-                    time.sleep(drawn.uniform(0.0, 0.5))  # it starts another, or ends with an error that says so
+                    time.sleep(drawn.uniform(0.0, 0.5))  # the daemon restarts the process, or ends with an error
                     begun += children(process.pid)
                 finally:
                     process.kill()

@@ -1,4 +1,4 @@
-"""Limits that look back or at the place: each against a closed form, and all of them over random wrenches."""
+"""Limits that depend on history or position: each against a closed form, and all of them for random wrenches."""
 
 import math
 from math import inf
@@ -36,16 +36,16 @@ T = 0.001
 NONE = (0.0, 0.0, 0.0)
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 ARM = DeviceInfo("arm", 3, 3, 40.0, 2.0, 5000.0, 30.0, (-0.1,) * 3, (0.1,) * 3)
-"""A device that holds a force in a hand."""
+"""Device whose force a hand holds."""
 
 
 def limited(force_max=12.0, ramp=0.0, slew=1e9, **limits):
-    """A guard with some limits, the others off."""
+    """Return a guard with some limits, the others off."""
     return g.Guard(force_max, 0.3, slew, slew, ramp, 1.0, limits=lim.UNLIMITED._replace(**limits))
 
 
 def tick(guard, passed, force=NONE, moved=NONE, mode=FREE, at=NONE, torque=NONE):
-    """One tick of a handle that has come to `at` by `moved`."""
+    """Run one tick of a handle that has moved by `moved` to `at`."""
     before = tuple(a - m for a, m in zip(at, moved, strict=True))
     motion = Motion(Pose(before, LEVEL), Pose(at, LEVEL), None)
     return output_wrench(guard, passed, motion, float(mode), force, torque, Instant(0, T, T))
@@ -53,8 +53,8 @@ def tick(guard, passed, force=NONE, moved=NONE, mode=FREE, at=NONE, torque=NONE)
 
 @pytest.mark.parametrize("speed", [2.1, 3.0, 5.0])
 def test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says(speed):
-    """A constant speed v shows as v (1 - r^n) after n ticks, r = tau / (tau + T): the force is zero from the first n
-    with that above the limit, and there before."""
+    """A constant speed v is filtered to v (1 - r^n) after n ticks, r = tau / (tau + T). The force is zero from the
+    first n above the limit on, and unchanged before."""
     guard, passed, forces = limited(speed=2.0, slow_s=0.5), INITIAL_OUTPUT, []
     for _ in range(100):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (0.0, speed * T, 0.0))
@@ -65,8 +65,8 @@ def test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says(speed):
     assert forces == [5.0] * (first - 1) + [0.0] * (100 - first + 1)
 
 
-def test_one_displaced_pose_is_no_fast_hand():
-    """The largest step that is no jump, once or there and back, counts as d / (tau + T): 0.91 m/s, and no more."""
+def test_one_displaced_pose_is_not_too_fast():
+    """The largest step that is no jump, once or back and forth, gives at most d / (tau + T) = 0.91 m/s."""
     guard, passed = limited(speed=2.0, slow_s=0.5), INITIAL_OUTPUT
     step = 10.0 * T
     for moved in (step, 0.0, -step, step, 0.0):
@@ -76,7 +76,7 @@ def test_one_displaced_pose_is_no_fast_hand():
 
 
 def test_the_force_comes_back_once_the_handle_is_slow_for_a_time():
-    """Armed automatically: after SLOW_S below half of the limit, from zero along the ramp; motion begins it anew."""
+    """With automatic arming the force ramps up after SLOW_S below half of the limit; motion restarts the time."""
     guard, passed = limited(speed=2.0, slow_s=lim.SLOW_S, ramp=0.5), INITIAL_OUTPUT
     for _ in range(100):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
@@ -94,7 +94,7 @@ def test_the_force_comes_back_once_the_handle_is_slow_for_a_time():
 
 
 def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
-    """However long the handle is slow there is no force, until it was disarmed; while it is fast, disarming is none."""
+    """A slow handle gets no force until it was disarmed; disarming has no effect while the handle is fast."""
     guard, passed = limited(speed=2.0, slow_s=inf), INITIAL_OUTPUT
     off = guard._replace(armed=0.0)
     for _ in range(100):
@@ -112,7 +112,7 @@ def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
 
 @pytest.mark.parametrize("slow_s", [lim.SLOW_S, inf])
 def test_a_tick_without_a_pose_ends_no_wait(slow_s):
-    """A handle that was too fast and gives no pose waits on: as long as before where it is to be slow for a time."""
+    """Ticks without a pose do not shorten the wait of a handle that was too fast."""
     guard, passed = limited(speed=2.0, slow_s=slow_s), INITIAL_OUTPUT
     for _ in range(100):
         passed, _ = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
@@ -122,8 +122,8 @@ def test_a_tick_without_a_pose_ends_no_wait(slow_s):
     assert bits == g.TOO_FAST
 
 
-def test_heat_is_that_of_a_body_that_warms_and_cools():
-    """Under F the heat is (F / F_c)^2 (1 - r^n), r = tau / (tau + T); without force and without pose it falls by r."""
+def test_heat_follows_a_first_order_model():
+    """Under F the heat is (F / F_c)^2 (1 - r^n), r = tau / (tau + T); without force or pose it falls by r."""
     guard, passed = limited(continuous=4.0, heat_s=2.0), INITIAL_OUTPUT
     ratio = 2.0 / (2.0 + T)
     for n in range(1, 1001):
@@ -137,9 +137,9 @@ def test_heat_is_that_of_a_body_that_warms_and_cools():
 
 
 def test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears():
-    """Twice the continuous force for long: whole until the heat is WARM, after -tau ln(1 - WARM / 4); then its square
-    follows dh/dt = (F^2 / F_c^2 - h) / tau with F^2 falling by 3 / (1 - WARM) a unit of heat, so that 1 - h falls with
-    a rate of (1 + 3 / (1 - WARM)) / tau; never by more than the rate of that."""
+    """Under twice the continuous force, the force is unchanged until the heat is WARM, after -tau ln(1 - WARM / 4).
+    Then dh/dt = (F^2 / F_c^2 - h) / tau, with F^2 falling by 3 / (1 - WARM) per unit of heat: 1 - h falls with the rate
+    (1 + 3 / (1 - WARM)) / tau, and the force changes no faster than that."""
     guard, passed, heats, forces = limited(force_max=8.0, continuous=4.0, heat_s=2.0), INITIAL_OUTPUT, [], []
     for _ in range(4000):
         passed, bits = tick(guard, passed, (0.0, 8.0, 0.0))
@@ -147,36 +147,36 @@ def test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears():
         forces.append(passed.guard_state.force[1])
     first = next(n for n, force in enumerate(forces) if force < 8.0)
     whole_s = -2.0 * math.log(1.0 - lim.WARM / 4.0)
-    assert first * T == pytest.approx(whole_s, abs=2 * T)  # a tick of delay, and steps in place of a curve
+    assert first * T == pytest.approx(whole_s, abs=2 * T)  # a tick of delay, and discrete steps
     rate = (1.0 + 3.0 / (1.0 - lim.WARM)) / 2.0
     left = (1.0 - heats[first - 1]) * np.exp(-rate * T * np.arange(1, 300))
-    # Steps in place of a curve: of first order, rate T / 2 = 0.4 % over a time of 1 / rate.
+    # Discrete steps have a first-order error, rate T / 2 = 0.4 % over a time of 1 / rate.
     np.testing.assert_allclose(1.0 - np.array(heats[first : first + 299]), left, rtol=0.03)
     assert bits & g.MOTOR_HOT and max(heats) <= 1.0
     assert forces[-1] == pytest.approx(4.0, rel=1e-9) and min(forces) >= 4.0
     assert max(-np.diff(forces)) < 8.0 * rate * T  # smoothly: below a hundredth of the slew limit
 
 
-def test_a_motor_that_bears_the_largest_force_is_never_hot():
-    """Where the continuous force is no less than the guard's, nothing is taken away, however hot it shows."""
+def test_heat_does_not_limit_a_strong_motor():
+    """If the continuous force is at least the guard's limit, heat does not reduce the force."""
     assert lim.heat_limited_force(lim.UNLIMITED._replace(continuous=8.0), 1.5, 8.0) == 8.0
     assert lim.heat_limited_force(lim.UNLIMITED, 1.5, 8.0) == 8.0
 
 
-def test_at_its_limit_a_handle_is_not_too_fast_and_at_half_of_it_slow():
-    """Both ends belong to what is allowed."""
+def test_speeds_at_the_limits_are_allowed():
+    """Speeds equal to the limits are allowed."""
     limits = lim.UNLIMITED._replace(speed=2.0, slow_s=0.5)
     assert lim.remaining_wait(limits, 0.0, 2.0, True, T) == 0.0
     assert lim.remaining_wait(limits, 0.25, 1.0, True, T) == 0.25 - T
 
 
-def test_a_tick_of_no_length_changes_no_velocity():
-    """A clock that stood still tells nothing of how fast the handle is."""
+def test_a_tick_of_zero_length_keeps_the_velocity():
+    """Without elapsed time the filtered velocity is unchanged."""
     assert lim.smooth_velocity((0.1, 0.2, 0.3), (0.001, 0.0, 0.0), 0.0) == (0.1, 0.2, 0.3)
 
 
 def test_a_torque_fades_with_the_force():
-    """Where half of the energy beyond the limit was given, both have half of their largest values."""
+    """At 1.5 times the energy limit, the limits of force and torque are halved."""
     guard = limited(energy=0.2)
     passed = INITIAL_OUTPUT._replace(
         limit_state=lim.INITIAL_LIMITS._replace(energy_given=0.3 * (lim.FORGET_S + T) / lim.FORGET_S)
@@ -188,8 +188,8 @@ def test_a_torque_fades_with_the_force():
 
 
 def test_energy_given_in_a_contact_fades_the_force():
-    """A hand pushed along with constant power P: after n ticks it was given P tau (1 - r^n), r = tau / (tau + T), and
-    from the limit E on the force has the share 2 - given / E: in the end E (1 + s) = s P tau."""
+    """Under constant power P the energy given after n ticks is P tau (1 - r^n), r = tau / (tau + T). Above the limit E
+    the force has the share s = 2 - given / E; the steady state is E (1 + s) = s P tau."""
     guard, passed = limited(energy=0.1), INITIAL_OUTPUT
     shares, ratio = [], lim.FORGET_S / (lim.FORGET_S + T)
     for n in range(8000):
@@ -209,13 +209,13 @@ def test_energy_given_in_a_contact_fades_the_force():
     ("spent", "share"), [(-1.0, 1.0), (0.0, 1.0), (1.0, 1.0), (1.25, 0.75), (2.0, 0.0), (3.0, 0.0)]
 )
 def test_the_force_fades_between_once_and_twice_the_energy(spent, share):
-    """All of it up to the energy that may be given, none from twice that on, straight between."""
+    """The full force up to the allowed energy, none from twice that on, linear between."""
     limits = lim.UNLIMITED._replace(energy=0.2)
     assert lim.energy_scale(limits, 0.2 * spent) == pytest.approx(share, abs=1e-15)  # rounding
 
 
 def test_what_the_hand_puts_in_pays_within_a_contact_and_not_after_it():
-    """Pressed in and let out again nothing was given; a surplus of friction does not pay for the next contact."""
+    """Pressing in and releasing gives no energy; a surplus from friction is reset after the contact."""
     guard, passed = limited(energy=0.1), INITIAL_OUTPUT
     for moved in [-0.001] * 100 + [0.001] * 100:
         passed, bits = tick(guard, passed, (0.0, 0.0, 4.0), (0.0, 0.0, moved), ROLLING)
@@ -228,8 +228,8 @@ def test_what_the_hand_puts_in_pays_within_a_contact_and_not_after_it():
     assert passed.limit_state.work == 0.0
 
 
-def test_free_motion_under_an_effect_gives_nothing():
-    """What a pull in free space does counts in no contact."""
+def test_free_motion_under_an_effect_gives_no_energy():
+    """Work of an effect in free space does not count."""
     guard, passed = limited(energy=0.01), INITIAL_OUTPUT
     for _ in range(1000):
         passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.001, 0.0, 0.0))
@@ -254,7 +254,7 @@ BALL = lim.Workspace((0.01, 0.0, 0.0), NONE, 0.07, 500.0, 4.0)
     ],
 )
 def test_the_soft_wall_pushes_back_by_the_depth_behind_it(wall, at, force):
-    """Stiffness times depth, straight back to the nearest point inside, up to the largest; nothing inside."""
+    """The wall's force is stiffness times depth, towards the nearest point inside, up to its maximum; zero inside."""
     found, out = lim.wall_force(wall, at)
     np.testing.assert_allclose(found, force, atol=1e-13)  # roundings of centimetres, times 500 N/m
     assert out == any(force)
@@ -263,8 +263,8 @@ def test_the_soft_wall_pushes_back_by_the_depth_behind_it(wall, at, force):
     assert bits == (g.WORKSPACE_EDGE if out else 0)
 
 
-def test_the_wall_cannot_push_past_the_guard():
-    """A wall that may push with 40 N, on top of a scene that does: together the guard's limit, along its slew limit."""
+def test_the_wall_force_is_limited_by_the_guard():
+    """A wall of up to 40 N, added to a scene's force, is clamped to the guard's limit and its slew limit."""
     wall = BALL._replace(stiffness=2000.0, force_max=40.0)
     passed, bits = tick(limited(workspace=wall, slew=2000.0), INITIAL_OUTPUT, (0.0, -40.0, 0.0), at=(0.01, 0.2, 0.0))
     assert passed.guard_state.force == pytest.approx((0.0, -2.0, 0.0))
@@ -273,8 +273,8 @@ def test_the_wall_cannot_push_past_the_guard():
 
 @pytest.mark.parametrize("energy", [0.05, inf])
 def test_an_unstable_wall_fades(energy):
-    """A light hand, a stiff wall and a delay of a tick: a bounce that grows to the guard's limit; with a limit on the
-    energy it is given less than twice of that, and the wall that it meets is weaker."""
+    """A light hand on a stiff wall with a delay of one tick bounces up to the guard's limit. With an energy limit it
+    gets less than twice that energy, and the wall's force is lower."""
     stiff = overridden(load_scene("frictionless-plane"), {"object.0.material.stiffness_n_per_m": 5000.0}, "test")
     tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
     limits = lim.UNLIMITED._replace(energy=energy)
@@ -293,7 +293,7 @@ def test_an_unstable_wall_fades(energy):
 
 
 def forgetful(works):
-    """Sums of works (J) of which what was given is forgotten as the limit forgets it, one behind each work."""
+    """Return the sums of works (J) after each work; positive sums decay as in the limit."""
     total, sums = 0.0, []
     for work in works:
         total = (total + work) * (lim.FORGET_S / (lim.FORGET_S + T) if total + work > 0.0 else 1.0)
@@ -303,14 +303,14 @@ def forgetful(works):
 
 @pytest.mark.parametrize("late", [0, 1, 4])
 @pytest.mark.parametrize("hz", [5.0, 20.0])
-def test_what_a_wall_makes_in_a_cycle_and_the_limit_counts(hz, late):
-    """A path A (1 - cos) into a wall K, so in one contact: a force that acts `late` ticks late gives the hand
-    K A^2 N sin((late + 1/2) 2 pi / N) sin(pi / N) in a cycle of N ticks, which is Colgate's pi K A^2 sin(w (late +
-    1/2) T); the limit counts the one of late = 0. It acts before the hand has been given 2 late + 1 times the limit."""
+def test_energy_of_a_wall_per_cycle_follows_colgate(hz, late):
+    """On a path A (1 - cos) into a wall K within one contact, a force `late` ticks late gives the hand K A^2 N
+    sin((late + 1/2) 2 pi / N) sin(pi / N) per cycle of N ticks, which is Colgate's pi K A^2 sin(w (late + 1/2) T). The
+    limit counts the energy of late = 0, and acts before the hand got 2 late + 1 times the limit."""
     stiffness, amplitude, count = 2000.0, 2e-3, round(1.0 / (T * hz))
     depths = amplitude * (1.0 - np.cos(2.0 * np.pi * np.arange(60 * count) / count))
     forces, moved = stiffness * depths, -np.diff(depths, prepend=0.0)
-    acting = np.concatenate([np.zeros(1 + late), forces])[: len(forces)]  # during the way to each place
+    acting = np.concatenate([np.zeros(1 + late), forces])[: len(forces)]  # during the motion to each position
     works = acting * moved
 
     def in_a_cycle(ticks):
@@ -321,21 +321,19 @@ def test_what_a_wall_makes_in_a_cycle_and_the_limit_counts(hz, late):
     assert in_a_cycle(late) == pytest.approx(continuous, rel=1.0 / count)
     energy = 4.5 * in_a_cycle(0)
     guard, passed, bits, spent = limited(force_max=40.0, energy=energy), INITIAL_OUTPUT, 0, -1
-    while not bits & g.ENERGY_SPENT:  # there are more ticks than it takes, or the path ends with an IndexError
+    while not bits & g.ENERGY_SPENT:  # there are more ticks than needed, or an IndexError is raised
         spent += 1
         passed, bits = tick(guard, passed, (0.0, 0.0, forces[spent]), (0.0, 0.0, moved[spent]), ROLLING)
-    assert spent > 4 * count  # and then some, for a part is forgotten
+    assert spent > 4 * count  # and some more, because a part is forgotten
     stored = 0.5 * stiffness * depths[spent] ** 2
     made = forgetful(works)[spent] + stored
-    assert made <= (2 * late + 1) * (passed.limit_state.energy_given + stored) * (
-        1.0 + 1e-9
-    )  # rounding, where none is late
+    assert made <= (2 * late + 1) * (passed.limit_state.energy_given + stored) * (1.0 + 1e-9)  # rounding, for late = 0
 
 
 @pytest.mark.parametrize("late", [1, 2, 4])
-def test_with_a_delay_in_the_device_the_limit_acts_before_the_energy_that_is_stated(late):
-    """The bounce on an unstable wall, on a device with a delay: the motors have given the hand no more than 2 late + 1
-    times the limit when the force begins to fade, and no more than twice that ever, forgotten as the limit forgets."""
+def test_a_delayed_device_gives_no_more_than_the_stated_energy(late):
+    """On an unstable wall with a delay in the device, the motors have given the hand at most 2 late + 1 times the limit
+    when the force starts to fade, and never more than twice that, with the limit's decay."""
     energy, stiff = 0.05, load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 5000.0})
     tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
     guard = tuning.guards[0]._replace(limits=lim.UNLIMITED._replace(energy=energy))
@@ -345,7 +343,7 @@ def test_with_a_delay_in_the_device_the_limit_acts_before_the_energy_that_is_sta
     closed = run_closed_loop(tuning._replace(guards=(guard,)), [device], 1.0 / T, 1000)
     records = np.concatenate(list(closed))[:, 0]
     forces, places = (records[:, at : at + 3] for at in (AT.force, AT.probe_position))
-    acting = np.concatenate([np.zeros((1 + late, 3)), forces])[: len(forces)]  # held from each tick to the next
+    acting = np.concatenate([np.zeros((1 + late, 3)), forces])[: len(forces)]  # constant from each tick to the next
     given = forgetful(np.sum(acting * np.diff(places, axis=0, prepend=places[:1]), axis=1))
     first = int(np.argmax(records[:, AT.servo_guard].astype(int) & g.ENERGY_SPENT != 0))
     assert first > 0 and energy < given[first] <= (2 * late + 1) * energy
@@ -353,8 +351,8 @@ def test_with_a_delay_in_the_device_the_limit_acts_before_the_energy_that_is_sta
 
 
 def slewed(size, allowed):
-    """Largest norm (N) that a force of norm `size` has after 2 N of the straight way to one of `allowed` at most: along
-    the tangent to that ball, since any other way leads inward."""
+    """Return the largest norm (N) of a force of norm `size` after 2 N of the straight path to one of at most `allowed`:
+    along the tangent to that ball, since any other path leads inward."""
     if size <= allowed:
         return allowed
     return math.sqrt(size * size - 4.0 * math.sqrt(size * size - allowed * allowed) + 4.0)
@@ -367,9 +365,9 @@ any_way = st.tuples(*[st.floats(-0.01, 0.01)] * 3)
 @given(st.lists(st.tuples(any_force, any_force, any_way, st.sampled_from([FREE, ROLLING])), min_size=1, max_size=80))
 @pytest.mark.scaled
 @examples(60, 3000)
-def test_no_limit_is_ever_passed(steps):
-    """Over any wrenches and motions: the force is finite, below the guard's and the heat's limit, zero while the
-    handle has been too fast; heat stays below 1; given is no more than twice the energy and the work of one tick."""
+def test_no_limit_is_exceeded(steps):
+    """For any wrenches and motions the force is finite, within the limits of guard and heat, and zero while the handle
+    was too fast. Heat and energy stay bounded."""
     wall = BALL._replace(force_max=40.0)
     guard = limited(speed=2.0, slow_s=0.01, continuous=3.0, heat_s=0.02, energy=0.01, workspace=wall, slew=2000.0)
     passed, at = INITIAL_OUTPUT, NONE
@@ -386,12 +384,12 @@ def test_no_limit_is_ever_passed(steps):
             assert not bits & g.TOO_FAST
         # Those ticks of the slew limit heat as well: at most six, from 12 N, each (12 / 3)^2 of 1 in 21.
         assert passed.limit_state.heat <= 1.0 + 6 * 16.0 / 21.0
-        # As for the heat: six ticks of 12 N along what this test moves a handle in one.
+        # As for the heat: six ticks of 12 N along the largest motion of this test in a tick.
         assert passed.limit_state.energy_given <= 0.02 + 7 * 12.0 * 0.01 * math.sqrt(3.0)
 
 
-def test_only_a_device_that_holds_a_force_is_limited():
-    """Recorded and simulated devices have none of these limits; arming by hand makes the speed limit wait for it."""
+def test_recorded_devices_are_not_limited():
+    """Recorded devices have none of these limits; with arming by button the speed limit waits for the arming."""
     rig = schema.Guard(continuous_force_n=3.0, workspace=schema.Workspace(size_m=(0.1, 0.08, 0.06)))
     limits = guard_limits(rig, ARM).limits
     wall = lim.Workspace(NONE, (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
@@ -402,8 +400,8 @@ def test_only_a_device_that_holds_a_force_is_limited():
         assert guard_limits(rig, recorded).limits == lim.UNLIMITED
 
 
-def test_a_workspace_goes_along_with_the_zero_of_its_device():
-    """The wall is around what the device says: with an offset on that it is offset, and back without it."""
+def test_the_workspace_moves_with_the_offset_of_its_device():
+    """The wall is relative to the device's frame: it moves with the offset of the device, and back."""
     rig = schema.Guard(workspace=schema.Workspace(radius_m=0.07, center_m=(0.0, 0.0, 0.01)))
     tuning = make_tuning(load_scene("paper-plane"), rig, [ARM])
     moved = with_offsets(tuning, ((0.5, 0.0, -0.25),))
@@ -413,13 +411,13 @@ def test_a_workspace_goes_along_with_the_zero_of_its_device():
 
 @pytest.mark.parametrize("asked", [{}, {"radius_m": 0.07, "size_m": [0.1, 0.1, 0.1]}])
 def test_a_workspace_is_a_sphere_or_a_box(asked):
-    """Neither, or both, is refused with what to give."""
+    """Neither, or both, is refused with advice."""
     with pytest.raises(ConfigError, match="radius_m"):
         build(schema.Rig, {"device": {"driver": "x"}, "guard": {"workspace": asked}}, "rig.toml")
 
 
 def test_a_scene_that_is_replaced_does_not_cool_the_motors():
-    """The next loop begins with the heat, the energy given, and the handle that was too fast, of each finger."""
+    """The next loop starts with each finger's heat, energy and wait for a slow handle."""
     tuning = make_tuning(load_scene("pinch"), schema.Guard(), [ARM, ARM])
     row = np.zeros(2 * RECORD_SIZE)
     second = row[RECORD_SIZE:]
@@ -429,8 +427,8 @@ def test_a_scene_that_is_replaced_does_not_cool_the_motors():
     assert other.limit_state == lim.LimitState(NONE, lim.SLOW_S, 0.9, 0.0, 0.2, 0.0)
 
 
-def test_a_recorded_hand_comes_to_no_limit():
-    """The shipped recording on the shipped plane, on a device with all limits of an omega.6: no bit of theirs."""
+def test_a_shipped_recording_reaches_no_limit():
+    """The shipped recording on the shipped plane stays within an omega.6's limits of speed, energy and workspace."""
     tuning = make_tuning(load_scene("paper-plane"), load_rig("omega-6").guard, [ARM])
     records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 250.0), 250.0)
     assert not (records[:, AT.servo_guard].astype(int) & (g.TOO_FAST | g.ENERGY_SPENT | g.WORKSPACE_EDGE)).any()
@@ -443,22 +441,22 @@ RECORDED = {
     "lift-a-box": ("lift-thumb", "lift-index"),
     "squeeze-a-ball": ("squeeze-thumb", "squeeze-index"),
 }
-"""Recordings that are for a scene of several fingers."""
+"""Recordings for scenes of several fingers."""
 ALONE = ("press-roll-spin-drag", "roll-follow", "tap")
-"""Those of one finger, but for what hands of a simulated device intend: played open loop it is deep in the bodies."""
+"""Recordings for one finger, except intentions of a simulated hand, which are deep in the objects open loop."""
 
 
 def fits(name):
-    """Whether there is a recording for each finger of a scene."""
+    """Return True if there is a recording for each finger of a scene."""
     scene = load_scene(name)
     return name in RECORDED or (len(scene.fingers) == 1 and scene.world is None)
 
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", [name for name in shipped(schema.Scene) if fits(name)])
-def test_no_shipped_scene_comes_to_a_limit_with_its_recordings(name):
-    """Every shipped scene under every recording that fits it, on devices with the limits of an omega.6: no bit. But for
-    the workspace: the box is lifted by more than an omega.6 reaches."""
+def test_no_shipped_scene_reaches_a_limit_with_its_recordings(name):
+    """Every shipped scene with every matching recording, with the limits of an omega.6, reaches none. The workspace is
+    not checked: the box is lifted by more than an omega.6 reaches."""
     scene = load_scene(name)
     for recordings in [RECORDED[name]] if name in RECORDED else [(each,) for each in ALONE]:
         poses = [resample(load_poses(each), 1000.0) for each in recordings]

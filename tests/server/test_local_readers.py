@@ -1,5 +1,4 @@
-"""Every tick as memory: the reader in Python and the one in C, slow readers and killed ones, and what a killed daemon
-leaves."""
+"""Ticks in shared memory: readers in Python and C, slow and killed readers, and files of a killed daemon."""
 
 import os
 import re
@@ -60,7 +59,7 @@ int main(int argc, char **argv)
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory):
-    """The reader in C, compiled with the header that is shipped, without a warning."""
+    """Compile the C reader with the shipped header and without warnings."""
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler")
@@ -72,7 +71,7 @@ def program(tmp_path_factory):
 
 
 def numbered(count, first=0):
-    """Ticks whose last column tells whether a row is whole."""
+    """Return ticks whose last column shows if a row is complete."""
     records = synthetic(count, first)
     records[:, -1] = 0.5 * records[:, AT.tick]
     return records
@@ -85,8 +84,8 @@ def opened(program, name, *more):
 
 
 def test_readers_in_c_get_every_tick_and_count_gaps(program):
-    """One that reads on gets all; one that slept through twice the ring goes on from half of it and knows what it
-    missed; one that is killed and one that is stopped change nothing for the others."""
+    """A continuous reader gets every tick. One that slept for two ring lengths continues half a ring back and counts
+    the lost ticks. A killed and a suspended reader do not affect the others."""
     count = 2 * CAPACITY_TICKS
     with Publisher("tcp://127.0.0.1:*") as publisher:
         name = publisher.ring()["name"]
@@ -100,7 +99,7 @@ def test_readers_in_c_get_every_tick_and_count_gaps(program):
                 if at == 3000:
                     killed.kill()
                 rows = 0
-                while rows < min(1000, count - at):  # which goes as fast as this one reads
+                while rows < min(1000, count - at):  # publish only as fast as this reader reads
                     rows += len(witness.take(WAIT_S))
             assert witness.lost == 0
             slow.stdin.write("\n")
@@ -115,9 +114,8 @@ def test_readers_in_c_get_every_tick_and_count_gaps(program):
     stopped.communicate()
 
 
-def test_the_daemon_says_where_its_ticks_are():
-    """By `describe`, with the columns; each tick of a run arrives, and after the last one the end is known; the name
-    is gone then."""
+def test_describe_returns_the_ring_of_ticks():
+    """`describe` has the ring's name and columns; every tick of a run arrives, followed by the end."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     taken = []
     with Daemon(rig, load_scene("paper-plane"), 500) as daemon:
@@ -138,7 +136,7 @@ def test_the_daemon_says_where_its_ticks_are():
 
 
 def test_program_on_the_page_runs():
-    """That of docs/protocol.md, with the endpoint put in, prints forces of every tick until the daemon ends."""
+    """The program in docs/protocol.md prints complete ticks and exits with 0 after the daemon's end."""
     (program,) = [each for each in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL) if "Local" in each]
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
@@ -151,8 +149,8 @@ def test_program_on_the_page_runs():
     assert process.returncode == 0
 
 
-def test_a_reader_that_sleeps_is_woken_by_the_end_and_by_a_tick():
-    """Without a time-out having to pass: it is longer than the test may take."""
+def test_a_sleeping_reader_wakes_at_a_tick_and_at_the_end():
+    """A sleeping reader wakes at a tick and at the end; its time-out is longer than the test."""
     forever_s = 1e6
     made = make_memory(16, 4)
     code = (
@@ -182,8 +180,8 @@ time.sleep(1000)
 """
 
 
-def test_what_a_killed_daemon_leaves_is_known_to_be_dead_and_cleared_away():
-    """Its readers see the end; the next daemon removes it, and not that of one that lives."""
+def test_files_of_a_killed_daemon_are_removed():
+    """Readers of a killed daemon see the end; the next daemon removes its file, and not that of a running one."""
     living = make_memory(16, 4)
     with Program([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True) as process:
         name = process.stdout.readline().strip()
@@ -202,8 +200,8 @@ def test_what_a_killed_daemon_leaves_is_known_to_be_dead_and_cleared_away():
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give files away")
-def test_what_another_user_left_is_not_cleared_away():
-    """By a daemon that runs as root and could: it is not its own, though nobody holds the lock of it."""
+def test_files_of_another_user_are_not_removed():
+    """A daemon that runs as root does not remove an unlocked file of another user."""
     theirs, own = (memory.FOLDER / f"{memory.PREFIX}{secrets.token_hex(8)}" for _ in range(2))
     try:
         for path in (theirs, own):
@@ -215,8 +213,8 @@ def test_what_another_user_left_is_not_cleared_away():
         theirs.unlink()
 
 
-def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
-    """No such name, a path, another layout, a file that is empty."""
+def test_unreadable_rings_are_refused(tmp_path, monkeypatch):
+    """An unknown name, a path, an empty file and another layout are refused."""
     monkeypatch.setattr(memory, "FOLDER", tmp_path)
     with pytest.raises(ConfigError, match="ask it for one"):
         Local("../etc/passwd")
@@ -230,8 +228,8 @@ def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
         Local("softfinger-other")
 
 
-def test_without_shared_memory_the_daemon_runs_all_the_same(tmp_path, monkeypatch, caplog):
-    """As in a container that has none: it says so, and the readers in the process have theirs."""
+def test_the_daemon_runs_without_shared_memory(tmp_path, monkeypatch, caplog):
+    """Without shared memory, as in some containers, the daemon logs it, and readers in the process get every tick."""
     monkeypatch.setattr(memory, "FOLDER", tmp_path / "none")
     with Publisher("tcp://127.0.0.1:*") as publisher:
         assert publisher.ring()["name"] == ""

@@ -1,4 +1,4 @@
-"""When a marker was: one tick and time for subscribers, recordings and Lab Streaming Layer, on the ticks' clock."""
+"""Time of a marker: the same tick and time for subscribers, recordings and Lab Streaming Layer, on the ticks' clock."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ pytestmark = pytest.mark.real_time
 WAIT_S = 120.0
 MARKS = 20
 APART_S = 10.0
-"""How far the epoch of the daemon under test is from the machine's clock, as if that had been set meanwhile."""
+"""Offset between the daemon's epoch and the machine's clock, as if the clock had been set."""
 DIGIT_S = 1e-6
-"""A time since the epoch in a double has 0.24 us; a difference of two and their sum with an offset round 4 times."""
+"""A time since the epoch in a double has a resolution of 0.24 us; two differences and a sum round four times."""
 LSL_S = 1e-3
-"""What is promised. Between LSL's clock and CLOCK_MONOTONIC there is nothing but the time between two calls."""
+"""Documented accuracy. LSL's clock and CLOCK_MONOTONIC differ only by the time between two calls."""
 INLETS = """
 import json, sys, time
 import pylsl
@@ -51,7 +51,7 @@ print(json.dumps({"ticks": seen, "markers": told, "offset": pylsl.local_clock() 
 
 
 class Told(NamedTuple):
-    """Marks as subscribers had them, and the recording of the run."""
+    """Marks received by subscribers, and the recording of the run."""
 
     published: list[dict[str, Any]]
     run: Run
@@ -60,7 +60,7 @@ class Told(NamedTuple):
 
 
 def listening(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | None:
-    """`forward --lsl` of a daemon and inlets of both its streams, each a process; None without pylsl."""
+    """Start `forward --lsl` and inlets of both its streams, each a process; return None without pylsl."""
     try:
         import pylsl  # noqa: F401
     except (ImportError, RuntimeError):
@@ -79,7 +79,7 @@ def listening(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | None
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
-    """Marks sent to a daemon whose epoch is not that of the machine's clock."""
+    """Marks sent to a daemon whose epoch differs from the machine's clock."""
     folder = tmp_path_factory.mktemp("marks")
     ends = {"telemetry.endpoint": f"ipc://{folder}/t", "commands.endpoint": f"ipc://{folder}/c"}
     rig = load_rig("simulated-hand", ends | {"servo.realtime": "off", "recording.directory": str(folder)})
@@ -94,7 +94,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
                 client.record_start("run.mcap")
                 events = client.subscribe((EVENT,), timeout_s=WAIT_S)
                 published: list[dict[str, Any]] = []
-                while not published:  # a subscription takes a moment
+                while not published:  # a subscription takes effect after a delay
                     client.mark("first")
                     published += [] if (sample := events.receive(0.1)) is None else [sample.data]
                 for number in range(MARKS):
@@ -102,7 +102,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
                 client.mark("the last")
                 while published[-1].get("label") != "the last":
                     published.append(next(events).data)
-                while client.get_state().sequence < published[-1]["tick"] + 10:  # ticks behind the last mark, too
+                while client.get_state().sequence < published[-1]["tick"] + 10:  # ticks after the last mark
                     pass
                 client.record_stop()
                 found = None if lsl is None else json.loads(lsl[1].communicate(timeout=WAIT_S)[0])
@@ -120,32 +120,27 @@ def marks(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def test_a_marker_is_between_its_tick_and_the_next(told: Told) -> None:
-    """Behind the beginning of the tick that it names, and before the end of the next one, on the same clock.
-
-    A tick is counted when it is done, so the next may have begun.
-    """
+    """A marker's time is after the start of its tick, and before the end of the next one, on the same clock. A tick is
+    counted when it ends, so the next one may have started."""
     ticks, times = told.run.first["tick"], told.run.first["timestamp"]
     assert len(marks(told.published)) == MARKS
     for event in marks(told.published):
         at = int(np.searchsorted(ticks, event["tick"]))
         assert ticks[at] == event["tick"]
-        after = times[at + 2]  # the next but one begins behind the end of the next
+        after = times[at + 2]  # this tick starts after the end of the next one
         assert times[at] <= event["timestamp"] <= after
 
 
-def test_a_recording_and_subscribers_have_the_same_marker(told: Told) -> None:
-    """To the bit."""
+def test_recording_and_subscribers_have_equal_markers(told: Told) -> None:
     recorded = marks(told.run.events)
     assert [(e["label"], e["tick"], e["timestamp"]) for e in recorded] == [
         (e["label"], e["tick"], e["timestamp"]) for e in marks(told.published)
     ]
 
 
-def test_lab_streaming_layer_has_the_time_of_the_tick(told: Told) -> None:
-    """Marker and ticks keep their distance exactly, and both are on LSL's clock where CLOCK_MONOTONIC has them.
-
-    Although the machine's clock tells another time than the daemon's epoch.
-    """
+def test_lsl_has_the_time_of_the_tick(told: Told) -> None:
+    """Marker and ticks have the same distance as in the recording, and LSL stamps agree with CLOCK_MONOTONIC. The
+    machine's clock differs from the daemon's epoch."""
     if told.lsl is None:
         pytest.skip("pylsl is not installed: pip install 'softfinger[lsl]'")
     stamps = dict(told.lsl["ticks"])

@@ -1,4 +1,4 @@
-"""`softfinger materials`: the list, an entry with its sources, and its figure; what `check` tells of a named one."""
+"""`softfinger materials`: the list, an entry with its sources, its figure, and the rows of `check`."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ material = "wood"
 """
 
 
-def test_the_list_has_a_line_for_each(capsys: pytest.CaptureFixture[str]) -> None:
-    """Its name first, then whether it is a material or a fingertip; as JSON, with what was published."""
+def test_the_list_has_a_line_for_each_entry(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each line has the name and the kind, material or fingertip; the JSON has values and published measurements."""
     assert main(["materials"]) == 0
     lines = [line.split()[:2] for line in capsys.readouterr().out.splitlines()]
     assert lines == [[name, "material"] for name in materials()] + [[name, "fingertip"] for name in fingertips()]
@@ -48,8 +48,8 @@ def test_the_list_has_a_line_for_each(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 @pytest.mark.parametrize("name", ["rubber", "finger-pad", "human-index"])
-def test_one_is_shown_with_its_sources(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every value with its unit, its range, and each paper that it names."""
+def test_an_entry_is_printed_with_its_sources(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """An entry is printed with its unit and every paper it cites."""
     assert main(["materials", name]) == 0
     out = capsys.readouterr().out
     entry = {**materials(), **fingertips()}[name]
@@ -62,7 +62,7 @@ def test_one_is_shown_with_its_sources(name: str, capsys: pytest.CaptureFixture[
 
 
 def test_an_unknown_name_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """One line, with all there are; a plot of nothing too."""
+    """The error suggests the nearest name and lists the others; a plot without a name is refused."""
     assert main(["materials", "ruber"]) == 2
     assert (
         "no material or fingertip is called 'ruber' (did you mean 'rubber'?); there are steel"
@@ -74,8 +74,8 @@ def test_an_unknown_name_is_refused_with_the_nearest(capsys: pytest.CaptureFixtu
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["aluminium", "finger-pad", "human-index-plateau"])
-def test_one_is_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """An SVG whose legend names every published point."""
+def test_an_entry_is_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The legend of the SVG names every published point."""
     pytest.importorskip("matplotlib", reason="an extra")
     file = tmp_path / "figure.svg"
     assert main(["materials", name, "--plot", str(file)]) == 0
@@ -86,7 +86,7 @@ def test_one_is_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_the_drawn_patch_is_the_one_rendered() -> None:
-    """The engine's patch radius at a load, for each fingertip pressed onto something hard."""
+    """The drawn patch radius equals the engine's at the same load, for each fingertip on steel."""
     for name in fingertips():
         scene = {"fingertip": name, "object": [{"name": "table", "shape": "plane", "material": "steel"}]}
         record = Engine(scene).run(np.array([[0.0, 0.0, 0.009, 1.0, 0.0, 0.0, 0.0]]))[0]
@@ -96,16 +96,16 @@ def test_the_drawn_patch_is_the_one_rendered() -> None:
         assert record["contact.patch_radius"] == pytest.approx(drawn[0], rel=1e-12)  # a few roundings
 
 
-def test_the_drawn_band_of_moduli_is_hertz_s() -> None:
-    """a^2 = r d of an elastic sphere: depth and radius of the patch are drawn from two formulas that agree."""
+def test_the_drawn_band_of_moduli_follows_hertz() -> None:
+    """The formulas for depth and radius of the patch satisfy a^2 = r d of an elastic sphere."""
     load = np.array([0.5, 1.0, 4.0])
     for young in (70e3, 200e3):
         radius = feel_figure.hertz_radius(load, young / 3.0, 0.01)
         assert radius**2 == pytest.approx(0.01 * feel_figure.hertz_depth(load, young, 0.01), rel=1e-12)
 
 
-def test_check_tells_the_library_s_values_from_the_scene_s(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each named table has a row: which entry, and which values are the file's own."""
+def test_check_prints_the_origin_of_values(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each named table has a row with its entry and the values that the file overrides."""
     file = tmp_path / "scene.toml"
     file.write_text(SCENE)
     assert main(["check", str(file)]) == 0

@@ -1,7 +1,7 @@
-"""The command `mesh` over a real socket: triangles of a mesh and of a height map, and what has none.
+"""Command `mesh` over a real socket: triangles of a mesh and of a height map, and refused objects.
 
-What answers is the daemon's own service, without a loop that renders these shapes, for that is what takes a minute to
-compile; `test_a_daemon_that_renders_a_mesh_answers`, for `make test-all`, has that too.
+The daemon's command service answers without a loop, because a loop for these shapes takes a minute to compile.
+`test_a_daemon_that_renders_a_mesh_answers`, for `make test-all`, uses a real loop.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ HEIGHTS = 1e-3 * np.sin(np.add.outer(np.arange(20.0), 2.0 * np.arange(30.0)))
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ball, and hills that have so many pixels that some are left out."""
+    """Return a folder with a ball, hills, and a map so large that pixels are skipped."""
     folder: Path = tmp_path_factory.mktemp("files")
     meshes.write_ply(folder / "ball.ply", BALL)
     np.save(folder / "hills.npy", HEIGHTS)
@@ -51,7 +51,7 @@ def scene_of(*objects: dict[str, Any]) -> schema.Scene:
 
 @pytest.fixture(scope="module")
 def commands(folder: Path) -> Iterator[str]:
-    """Where commands of a scene of these, and a plane, are taken."""
+    """Yield the command endpoint of a scene with these files and a plane."""
     scene = scene_of(
         {"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")},
         {"name": "hills", "shape": "heightmap", "file": str(folder / "hills.npy"), "pitch_m": 0.001, "level_m": 1.0},
@@ -75,13 +75,13 @@ def control(commands: str) -> Iterator[Control]:
 
 
 def arrays(sent: Triangles) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (n, 3), m, and triangles (m, 3)."""
+    """Return vertices (n, 3), m, and triangles (m, 3)."""
     vertices, triangles = np.frombuffer(sent.vertices, "<f4"), np.frombuffer(sent.triangles, "<u4")
     return vertices.reshape(-1, 3), triangles.reshape(-1, 3)
 
 
-def test_a_mesh_comes_as_it_is_in_its_file(control: Control, commands: str) -> None:
-    """By name, by number, and for asyncio: the same vertices and triangles, none left out."""
+def test_a_mesh_has_the_triangles_of_its_file(control: Control, commands: str) -> None:
+    """By name, by index and for asyncio, the command returns all vertices and triangles of the file."""
 
     async def ask() -> Triangles:
         async with AsyncControl(commands, timeout_s=WAIT_S) as control:
@@ -97,7 +97,7 @@ def test_a_mesh_comes_as_it_is_in_its_file(control: Control, commands: str) -> N
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_a_daemon_that_renders_a_mesh_answers(folder: Path) -> None:
-    """With the same triangles, while it renders them."""
+    """A rendering daemon returns the same triangles."""
     scene = scene_of({"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")})
     with Daemon(load_rig("replay", ENDS), scene) as running:
         running.start()
@@ -107,13 +107,13 @@ def test_a_daemon_that_renders_a_mesh_answers(folder: Path) -> None:
 
 
 def in_order(corners: np.ndarray) -> np.ndarray:
-    """Triangles (n, 3, 3) without the order in which they come."""
+    """Return triangles (n, 3, 3) in a canonical order."""
     rows = np.sort(corners.reshape(len(corners), -1), axis=1)
     return rows[np.lexsort(rows.T)]
 
 
-def test_a_height_map_comes_through_its_pixels(control: Control) -> None:
-    """A vertex for each, about the map's middle, and two triangles for each cell."""
+def test_a_height_map_has_a_vertex_for_each_pixel(control: Control) -> None:
+    """The mesh has a vertex for each pixel, about the map's middle, and two triangles for each cell."""
     sent = control.mesh("hills")
     vertices, triangles = arrays(sent)
     np.testing.assert_allclose(vertices[:, 2].reshape(HEIGHTS.shape), HEIGHTS, atol=1e-9)  # float32 of 1 mm
@@ -121,8 +121,8 @@ def test_a_height_map_comes_through_its_pixels(control: Control) -> None:
     assert len(triangles) == sent.of == 2 * 19 * 29 and triangles.max() == HEIGHTS.size - 1
 
 
-def test_a_large_one_is_sent_in_part(control: Control) -> None:
-    """Of two million triangles no more than of any mesh."""
+def test_a_large_height_map_is_reduced(control: Control) -> None:
+    """Of two million triangles at most 50 000 are sent."""
     sent = control.mesh("large")
     vertices, triangles = arrays(sent)
     assert len(triangles) <= 50_000 < sent.of == 2 * 999 * 999
@@ -138,15 +138,15 @@ def test_a_large_one_is_sent_in_part(control: Control) -> None:
         ("table", "refused: object table is a plane and no mesh: its table describes it completely"),
     ],
 )
-def test_what_has_no_triangles_is_refused_by_a_line(control: Control, asked: int | str, said: str) -> None:
-    """What was asked for, and what there is."""
+def test_objects_without_triangles_are_refused(control: Control, asked: int | str, said: str) -> None:
+    """The error names the requested object and the available ones."""
     with pytest.raises(CommandRefused) as caught:
         control.mesh(asked)
     assert str(caught.value) == said
 
 
-def test_a_map_whose_file_has_gone_is_refused_by_a_line(control: Control, folder: Path) -> None:
-    """What is rendered goes on; a mesh is remembered."""
+def test_a_map_with_a_missing_file_is_refused(control: Control, folder: Path) -> None:
+    """A height map is read again for each request; a mesh is in memory."""
     (folder / "hills.npy").unlink()
     (folder / "ball.ply").unlink()
     with pytest.raises(CommandRefused, match=r"^bad_params: object 'hills': file: .*hills\.npy: cannot be read: .*$"):

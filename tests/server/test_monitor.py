@@ -1,4 +1,4 @@
-"""`monitor` against a real publisher: in a terminal, through pipes, and with nothing to show."""
+"""`monitor` against a real publisher: in a terminal, through pipes, and without data."""
 
 import argparse
 import fcntl
@@ -46,13 +46,13 @@ except HapticError as error:
 
 @pytest.fixture
 def endpoint():
-    """A server that renders sliding at 1 kHz: 20 ticks every 20 ms, and a slip event each."""
+    """Publish sliding at 1 kHz: 20 ticks every 20 ms, each batch with a slip event."""
     stop = threading.Event()
 
     def publish(publisher):
         first = 0
         while not stop.wait(0.02):
-            if not publisher.subscribers:  # its first health comes a second of ticks, and events, after
+            if not publisher.subscribers:  # health is sent after a second of ticks, and events after it
                 continue
             records = synthetic(20, first_tick=first, start_s=time.time() - first / 1000.0)
             put(records, "contact.mode", 2)
@@ -87,7 +87,7 @@ def piped(*arguments):
 
 
 def test_once_writes_one_line_with_everything(endpoint):
-    """Without a terminal, --once waits for a health message and writes a single plain line; with --json a document."""
+    """Without a terminal, --once waits for a health message and prints one plain line, with --json one document."""
     done = called("monitor", "--endpoint", endpoint, "--once")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("\n") == 1
@@ -109,7 +109,7 @@ def test_once_writes_one_line_with_everything(endpoint):
 
 
 def test_json_writes_one_object_a_second(endpoint):
-    """--json --duration gives JSON objects, one a line, that hold the newest messages whole."""
+    """--json --duration prints JSON objects, one per line, with the complete last messages."""
     done = piped("--endpoint", endpoint, "--json", "--duration", "2.5")
     assert done.returncode == 0, done.stderr
     objects = [json.loads(line) for line in done.stdout.splitlines()]
@@ -124,8 +124,8 @@ def test_json_writes_one_object_a_second(endpoint):
     assert objects[0]["contact"]["tick"] < last["contact"]["tick"]
 
 
-def test_not_a_number_becomes_null():
-    """A nan in a message does not make the JSON unreadable."""
+def test_nan_becomes_null():
+    """NaN and infinity in a message become null, so the JSON is valid."""
     records, stop = synthetic(1), threading.Event()
     put(records, "force", [np.nan, 0.0, np.inf])
 
@@ -142,8 +142,8 @@ def test_not_a_number_becomes_null():
     assert json.loads(done.stdout)["contact"]["force"] == [None, 0.0, None]
 
 
-def test_reader_that_has_enough_ends_it_quietly(endpoint):
-    """A closed pipe (head) ends the monitor with code 0 and no traceback."""
+def test_a_closed_pipe_ends_the_monitor(endpoint):
+    """A closed pipe (head) ends the monitor with code 0 and no output on standard error."""
     with Program(command("--endpoint", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert "sliding" in process.stdout.readline()
         process.stdout.close()
@@ -151,8 +151,8 @@ def test_reader_that_has_enough_ends_it_quietly(endpoint):
         assert process.wait(30) == 0
 
 
-def test_nothing_arriving_is_said_with_endpoint_and_exit_code(tmp_path):
-    """Without a server the monitor fails after --timeout and says where it listened and what to start."""
+def test_missing_telemetry_is_reported_with_the_endpoint(tmp_path):
+    """Without a server the monitor fails after --timeout; the error has the endpoint and a remedy."""
     nowhere = f"ipc://{tmp_path}/nobody"
     done = piped("--endpoint", nowhere, "--timeout", "0.2")
     assert done.returncode == NoTelemetry.exit_code
@@ -163,9 +163,8 @@ def test_nothing_arriving_is_said_with_endpoint_and_exit_code(tmp_path):
     )
 
 
-def test_stream_that_stops_is_said_and_waited_for():
-    """After the server falls silent the lines say for how long, and the last tick stays. SIGINT is the usual way out:
-    code 0, no traceback."""
+def test_a_stopped_stream_is_reported():
+    """Without new data the lines have the time since and the last tick. SIGINT ends the monitor with code 0."""
     pipe = subprocess.PIPE
     with (
         Publisher("tcp://127.0.0.1:*") as publisher,
@@ -194,7 +193,7 @@ def test_stream_that_stops_is_said_and_waited_for():
 
 
 def in_terminal(arguments, rows=40, columns=100):
-    """Run on a pseudo-terminal; returns the exit code and all that was written to it."""
+    """Run on a pseudo-terminal; return the exit code and the output."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")}
@@ -217,7 +216,7 @@ def in_terminal(arguments, rows=40, columns=100):
 
 
 def test_terminal_shows_the_dashboard(endpoint):
-    """On a terminal: mode in colour, bars, vectors, percentiles and events, redrawn in place."""
+    """A terminal shows mode in colour, bars, vectors, percentiles and events, redrawn in place."""
     code, written = in_terminal(["--endpoint", endpoint, "--duration", "2.6"])
     assert code == 0, written
     assert re.search(r"\x1b\[1;31msliding", written)
@@ -243,14 +242,14 @@ def test_terminal_shows_the_dashboard(endpoint):
     assert all(len(line) <= 100 for line in screen.splitlines())
 
 
-def test_terminal_too_small_does_not_break(endpoint):
-    """A window of 10 x 30 characters shows what fits."""
+def test_a_small_terminal_causes_no_error(endpoint):
+    """A terminal of 10 x 30 characters causes no error."""
     code, written = in_terminal(["--endpoint", endpoint, "--duration", "0.8"], rows=10, columns=30)
     assert code == 0, written
     assert "Traceback" not in written
 
 
-def test_wire_cannot_steer_the_terminal():
+def test_escape_sequences_are_shown_as_text():
     """Escape sequences in an event are shown as text."""
     board = monitor.Board("tcp://[::1]:5555")
     sample = monitor.Sample("event", {"schema": 1, "timestamp": 0.0, "tick": 1, "kind": "\x1b[2J", "name": "x"})
@@ -260,12 +259,12 @@ def test_wire_cannot_steer_the_terminal():
 
 
 def board_with(*records, health=True):
-    """A board that has taken the messages of some ticks, as the wire brings them."""
+    """Return a board that has received the messages of some ticks from a publisher."""
     with (
         Publisher("tcp://127.0.0.1:*") as publisher,
         subscribe(publisher.endpoint, (CONTACT, EVENT, HEALTH)) as samples,
     ):
-        while samples.receive(0.02) is None:  # a subscription takes effect a while after connect
+        while samples.receive(0.02) is None:  # a subscription takes effect after a delay
             publisher.event("test", "joined")
         for some in records:
             publisher.publish(some)
@@ -276,7 +275,7 @@ def board_with(*records, health=True):
 
 
 def drawn(board, width=80, height=24):
-    """The lines of the dashboard, as a terminal of this size shows them."""
+    """Return the lines of the dashboard for a terminal of this size."""
     console = Console(width=width, height=height, force_terminal=True, color_system=None, legacy_windows=False)
     with console.capture() as capture:
         console.print(monitor.render(board, width, height))
@@ -296,8 +295,8 @@ def pressed(count=1500):
 
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (80, 40), (120, 30), (200, 60)])
-def test_what_is_shown_fits_and_is_whole(width, height):
-    """At any usual size: the newest event is there to its last key, nothing is cut off, no rounding error is shown."""
+def test_the_dashboard_fits_the_terminal(width, height):
+    """At usual sizes the last event is shown completely, no line is cut off, and no rounding error is shown."""
     lines = drawn(board_with(pressed()), width, height)
     text = "\n".join(lines)
     assert len(lines) < height and all(len(line) <= width for line in lines)
@@ -309,8 +308,8 @@ def test_what_is_shown_fits_and_is_whole(width, height):
     assert "number 0 of the scene" in text
 
 
-def test_bars_fall_when_the_server_has_gone():
-    """After the server's last word, and after silence, no bar shows a force; with new ticks they do again."""
+def test_bars_are_empty_after_the_server_stopped():
+    """After the server's last event, and after silence, no bar shows a force; with new ticks bars return."""
     board = board_with(pressed())
     assert any("█" in line for line in drawn(board))
     stopped = {"schema": 1, "timestamp": 0.0, "tick": 1500, "kind": "lifecycle", "name": "stopped", "ticks": 1500}
@@ -326,8 +325,8 @@ def test_bars_fall_when_the_server_has_gone():
 
 
 @pytest.mark.parametrize(("option", "value"), [("duration", "0"), ("duration", "nan"), ("timeout", "-1")])
-def test_times_that_are_none_are_refused(option, value):
-    """A duration or time-out that is not above zero is a ConfigError with the option's name."""
+def test_durations_that_are_not_positive_are_refused(option, value):
+    """The ConfigError of a duration or time-out that is not positive names the option."""
     parser = argparse.ArgumentParser()
     options.configure_monitor(parser)
     with pytest.raises(ConfigError, match=f"--{option} = "):
