@@ -158,7 +158,7 @@ def test_more_requests_than_the_queue_of_libzmq_all_end(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("client", [Control, AsyncControl])
-def test_a_request_says_until_when_it_counts(client: type, tmp_path: Path) -> None:
+def test_a_request_has_an_expiry_time(client: type, tmp_path: Path) -> None:
     """The daemon declines an expired request, but not one without expiry or from another boot of a machine."""
     with zmq.Context() as context, context.socket(zmq.ROUTER) as peer:
         peer.linger, peer.rcvtimeo = 0, 10_000

@@ -83,7 +83,7 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
         process_of(process, "telemetry process", other=publisher)
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
             first = next(iter(telemetry)).tick
-            assert next(sample for sample in telemetry if sample.tick > first + 1500)  # the event waits for a second
+            assert next(sample for sample in telemetry if sample.tick > first + 1500)  # the event is delayed by 1 s
         assert least() > 0.0
         said = end(process)
         assert board.force == ZERO
@@ -143,7 +143,7 @@ def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(tmp_pa
             page = process_of(process, kind, other=before)
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
             tick = next(iter(telemetry)).tick
-            assert next(sample for sample in telemetry if sample.tick > tick + 1500)  # the event waits for a second
+            assert next(sample for sample in telemetry if sample.tick > tick + 1500)  # the event is delayed by 1 s
         os.kill(page, signal.SIGTERM)
         assert "the page has ended" in line_with("to see it again: ", process.stderr)
         assert least() > 0.0

@@ -133,11 +133,8 @@ def test_work_of_a_rotating_tool_is_equal_at_both_ends():
 
 
 def cycle(fingertip, height, n, turns=1.0, **tables):
-    """Return the records and the energy (J) of a closed path in contact with sticking friction.
-
-    The hand moves 1 mm sideways, tilts by 0.18 rad about the transverse axis, moves back and tilts back, each in n
-    equal steps.
-    """
+    """Return the records and the energy (J) of a closed path in contact with sticking friction. The hand moves 1 mm
+    sideways, tilts by 0.18 rad about the transverse axis, moves back and tilts back, each in n equal steps."""
     material = {"stiffness_n_per_m": 1000.0, "friction": {"static": 5.0, "kinetic": 5.0}}
     table = {"fingertip": fingertip, "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}} | tables
     table |= {

@@ -153,7 +153,7 @@ def greeted(address: str, kind: bytes) -> socket.socket:
 
 
 def browser(address: str) -> ClientConnection:
-    """Open the page's WebSocket like the page's own script."""
+    """Open the page's WebSocket like its script."""
     where = urlsplit(address)
     return connect(
         f"ws://127.0.0.1:{where.port}{where.path}", origin=Origin(f"http://127.0.0.1:{where.port}"), compression=None,

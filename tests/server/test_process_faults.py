@@ -60,7 +60,7 @@ def publisher_of(pid: int) -> int:
 
 def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_property: Note) -> None:
     """As in a suspended machine, all processes stop for longer than the limit of a stall. The board receives no force
-    meanwhile; then the force ramps from zero, the recording lacks no tick, and the run continues."""
+    in that time; then the force ramps from zero, the recording lacks no tick, and the run continues."""
     recording = tmp_path / "slept.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
         everyone = [*children(process.pid), process.pid]
@@ -110,10 +110,8 @@ def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_p
 
 
 def clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
-    """Return the environment of a program with clocks from tests/stubs/clock.c, and a function that sets them.
-
-    The function takes the seconds by which the time of day is ahead, and the seconds of suspension.
-    """
+    """Return the environment of a program with clocks from tests/stubs/clock.c, and a function that sets them. The
+    function takes the seconds by which the time of day is ahead, and the seconds of suspension."""
     library, file = compile_stub(CLOCK, folder / "clock.so"), folder / "clocks"
     file.write_bytes(bytes(16))
 
@@ -129,7 +127,7 @@ def clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
 def test_a_machine_that_was_suspended_wakes_with_zero_force(
     slept_s: int, tmp_path: Path, record_property: Note
 ) -> None:
-    """Monotonic time and deadlines stop during a suspension, so the loop sees no gap, but the previous force is not
+    """Monotonic time and deadlines stop during a suspension, so the loop has no gap, but the previous force is not
     resumed: it ramps from zero in the tick that wakes. The recording lacks no tick."""
     recording = tmp_path / "slept.mcap"
     environment, put = clocks(tmp_path)
@@ -147,7 +145,7 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
     rows = [row for part in read_contents(recording) if isinstance(part, Ticks) for row in part.records()]
     assert [int(row[AT.tick]) for row in rows] == list(range(len(rows)))
     long = [row for row in rows if row[AT.dt] > 0.9]
-    assert len(long) == 1 and int(long[0][AT.servo_guard]) & RAMPING  # a second counts, however long it was
+    assert len(long) == 1 and int(long[0][AT.servo_guard]) & RAMPING  # a suspension counts as one second
     seen = {"driver": "serial", "fault": f"the machine is suspended for {slept_s} s", "ticks": 0}
     record_property(SEEN, seen | {"event": "guard ramping", "state": "armed", "recovery": "the ramp"})
 
@@ -230,7 +228,7 @@ def has_network() -> bool:
 
 @pytest.mark.exhaustive
 def test_a_network_that_is_lost_costs_subscribers_alone(record_property: Note) -> None:
-    """The link in a network namespace is down for a thousand ticks: sinks in the daemon miss no tick, it stays armed,
+    """The link in a network namespace is down for a thousand ticks: sinks in the daemon miss no tick, it remains armed,
     and a subscriber gets new ticks once the link is up."""
     if not has_network():
         pytest.skip("no network of its own: it needs iproute2, and root")

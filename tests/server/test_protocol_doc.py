@@ -191,7 +191,7 @@ def test_numbers_in_the_text_equal_those_of_the_code():
     assert f"newest {CAPACITY_TICKS} rows are there" in DOC and f"| 1 | layout, {memory.LAYOUT}: another" in DOC
     assert f"{BACKLOG} messages are kept" in DOC and f"where none has come for {QUIET_S:g} s" in DOC
     assert f"a frame of {SUBSCRIPTION_MAX} bytes, {HANDSHAKE_MS / 1000.0:g} s for the handshake" in DOC
-    assert f"There are some {FILES_MAX - 26} connections" in DOC  # the others are the publisher's own files
+    assert f"There are some {FILES_MAX - 26} connections" in DOC  # less files of the publisher itself
     assert MEMORY_MAX == 1 << 30 and "than 1 GiB" in DOC
     assert f"ends within {LINGER_S:g} s" in DOC and f"once in {LOG_PERIOD_S:g} s" in DOC
 

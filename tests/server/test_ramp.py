@@ -97,12 +97,12 @@ def test_a_power_law_ramps_its_force_linearly_at_every_depth():
     ramp.set_target(way, flatten(new))
     for _ in range(TICKS):
         law = gone(way, old, 1).material.normal
-        assert law.coefficient * DEPTH_M**law.exponent == pytest.approx(1.0, rel=1e-12)  # a power a tick
+        assert law.coefficient * DEPTH_M**law.exponent == pytest.approx(1.0, rel=1e-12)  # one power per tick
 
 
 @entry
 def stiffness_of(like, values, index):
-    """Of one of many objects, with its friction."""
+    """Return stiffness and static friction of one of many objects."""
     body = object_at(unpack(like, values).objects, index)
     return body.material.normal.stiffness, body.material.friction.static
 
@@ -131,8 +131,8 @@ def test_many_objects_are_ramped():
 
 
 @pytest.mark.plain
-def test_no_ticks_are_at_once():
-    """With a ramp of 0 s the next tick has what was set."""
+def test_a_ramp_without_ticks_is_immediate():
+    """With a ramp of 0 s the next tick has the new value."""
     old, new = (build_scene(scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
     way = way_from(old, 0)
     ramp.set_target(way, flatten(new))

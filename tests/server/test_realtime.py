@@ -116,10 +116,8 @@ def child(
     keep: tuple[int, ...] = (),
     limits: dict[str, int] | None = None,
 ) -> dict[str, Any]:
-    """Return the effect of the settings in a new process.
-
-    `limits` are lowered first; then `drop` gives up root, except for the capabilities in `keep`.
-    """
+    """Return the effect of the settings in a new process. `limits` are lowered first; then `drop` gives up root, except
+    for the capabilities in `keep`."""
     wish = {"mode": mode, "priority": priority, "cpu": cpu, "limits": limits or {}}
     wish |= {"drop": drop, "root": capable(SETUID), "keep": keep}
     done = subprocess.run(
@@ -150,7 +148,7 @@ raises_limits = pytest.mark.skipif(
 
 
 def test_off_changes_nothing() -> None:
-    """Mode off reports one line and leaves scheduler, slack, memory, processor and files unchanged."""
+    """Mode off reports one line and does not change scheduler, slack, memory, processor and files."""
     told = child("off", cpu=0)
     assert [s["name"] for s in told["settings"]] == ["off"]
     assert told["by_name"]["off"]["ok"]
@@ -315,8 +313,8 @@ def test_require_refuses_to_start_and_restores_everything() -> None:
 
 
 @privileged
-def test_require_is_content_with_what_is_required() -> None:
-    """Mode require starts without the latency device, which an ordinary user may not open."""
+def test_require_starts_without_optional_settings() -> None:
+    """Mode require starts without the latency device, which users may not open."""
     told = child("require", drop=True, keep=(SYS_NICE, IPC_LOCK))
     assert "error" not in told
     assert [s["name"] for s in told["settings"] if s["ok"] and s["name"] in REQUIRED] == ["sched_fifo", "mlockall"]

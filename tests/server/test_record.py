@@ -176,7 +176,7 @@ def test_a_server_that_starts_again_ends_the_recording(tmp_path: Path) -> None:
 
 
 def test_an_invalid_pose_is_left_out(tmp_path: Path) -> None:
-    """A tick with NaN leaves a gap that is reported, and the file can be replayed."""
+    """A tick with NaN is left out with a report, and the file can be replayed."""
     records = moving(100)
     put(records[30:31], "probe.position", np.nan)
     kept, file = published(tmp_path, records)

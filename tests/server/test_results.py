@@ -150,7 +150,7 @@ def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.L
 
 
 def test_unusable_requests_are_refused(tmp_path: Path) -> None:
-    """Unknown endings, wrong shapes, missing folders and non-integer counts raise errors and leave no file."""
+    """Unknown endings, wrong shapes, missing folders and NaN in an integer field raise errors and leave no file."""
     records = some_records(3)
     for name in ("o.txt", "o"):
         with pytest.raises(RecordingError, match=r"\.csv, \.npz, \.mcap"):

@@ -27,7 +27,7 @@ WAIT_S = 20.0
 
 
 class Broken:
-    """Object whose every method fails with OSError."""
+    """Object with methods that all raise OSError."""
 
     def __getattr__(self, name: str) -> Any:
         raise OSError(f"{name} is gone")
@@ -72,7 +72,7 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
     served: list[Any] = []
 
     class Failing:
-        """Force switch whose state cannot be read."""
+        """Force switch with a state that cannot be read."""
 
         def end_at(self, time_ns: int) -> None: ...
 

@@ -139,7 +139,7 @@ def test_a_device_that_refuses_arming_ends_the_run_with_its_error():
 
 
 def test_a_servo_that_is_stopped_before_it_runs_arms_nothing():
-    """A stop during compilation leaves the device unarmed."""
+    """After a stop during compilation the device is never armed."""
     device, servo = make_servo(Options(), 100)
     servo.stop()
     ended, records = finish(servo)
@@ -194,7 +194,7 @@ def test_a_pose_that_jumps_is_not_rendered(jump_m):
 
 
 def test_repeated_jumps_end_the_loop():
-    """Five jumps take more than half a second's worth; the error contains device and remedy."""
+    """The fifth jump ends the loop, as more than half a second of unusable poses would; the error has device and remedy."""
     device, servo = make_servo(Options(fault="jumps", at=700, count=100_000, own_clock=True), 2000, doubting=True)
     ended, records = finish(servo)
     assert (ended.ending, len(records)) == (JUMPING, 705)
@@ -218,7 +218,7 @@ def test_a_frozen_pose_removes_the_force_until_it_changes():
 
 @pytest.mark.parametrize("fault", ["jump", "frozen"])
 def test_recorded_or_computed_poses_may_jump_and_stand_still(fault):
-    """A device with its own clock has no hand on it, so its poses are not checked."""
+    """A device with an internal clock has no hand on it, so its poses are not checked."""
     _, servo = make_servo(Options(fault=fault, at=600, count=300, own_clock=True), 900)
     ended, records = finish(servo)
     assert ended.ending == s.FINISHED

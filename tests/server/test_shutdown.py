@@ -154,7 +154,7 @@ def test_a_watcher_discards_queued_bytes_before_its_zero() -> None:
     got = os.read(far, 1 << 16)
     while not got.endswith(b"zero!" * 3):
         got += os.read(far, 1 << 16)
-    assert len(got) <= 4096 + 3 * 5  # what the far end had, of some 16 kB
+    assert len(got) <= 4096 + 3 * 5  # bytes already at the far end, of some 16 kB
     os.close(near)
     os.close(far)
 

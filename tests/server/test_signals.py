@@ -171,7 +171,7 @@ def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.exhaustive)])
 def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path) -> None:
-    """A killed daemon cannot remove its force; its watcher, which ignores SIGTERM, writes zero. `run --watcher` refuses
+    """A killed daemon cannot remove its force; its watcher, which ignores signals, writes zero. `run --watcher` refuses
     a device that the watcher cannot reach."""
     with pressing(tmp_path, "--watcher") as (board, process):
         watcher = watcher_of(process)

@@ -100,7 +100,7 @@ def test_the_state_follows_the_reasons_for_no_force(begun, reasons, after):
 
 
 def test_an_error_that_ends_the_run_is_cleared_by_nothing():
-    """After `fail` the state is faulted until the end, whatever the reasons are."""
+    """After `fail` the state is faulted until the end, regardless of the reasons."""
     states, told = states_in(DaemonState.ARMED)
     states.fail("the device is gone")
     for reasons in (set(), {COMMANDED}, {SILENT}):

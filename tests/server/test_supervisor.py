@@ -26,7 +26,7 @@ WAIT_S = 20.0
 
 
 class Broken:
-    """Servo whose tick counter raises OSError."""
+    """Servo with a tick counter that raises OSError."""
 
     is_ticking = True
 
@@ -138,11 +138,9 @@ class Clock:
 def test_a_stall_ends_with_zero_within_the_bound_of_the_fault_model(
     turn: float, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Time from the last tick, at this share of a poll interval, to the stop of a device.
-
-    It is the rest of that interval plus STALL_POLLS intervals, each extended by the supervisor's turn. It is at least
-    STALL_POLLS intervals and, including the turn before the stop, at most STALL_MAX_S.
-    """
+    """Time from the last tick, at this share of a poll interval, to the stop of a device. It is the rest of that
+    interval plus STALL_POLLS intervals, each extended by the supervisor's turn. It is at least STALL_POLLS intervals
+    and, including the turn before the stop, at most STALL_MAX_S."""
     clock, stopped = Clock(turn), list[float]()
     monkeypatch.setattr(supervising.time, "sleep", clock.sleep)
     step = STALL_POLL_S + turn

@@ -111,7 +111,7 @@ def test_a_repeated_pose_is_frozen_only_under_a_force() -> None:
 
 
 def test_a_frozen_pose_remains_frozen_without_the_force() -> None:
-    """Freezing removes the force, which must not restore it."""
+    """The guard removes the force of a frozen pose; the missing force does not end the freeze."""
     seen = make_pose_memory()
     for _ in range(30):
         check_pose(LIMITED, seen, sample(*at(0.0)), OK, PUSH, T)

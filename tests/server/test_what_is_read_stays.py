@@ -42,7 +42,7 @@ def test_an_output_may_not_be_an_input(words: list[str], written: str, here: Pat
 
 @pytest.mark.real_time
 def test_a_recording_overwrites_no_file(endpoints: tuple[str, str], here: Path) -> None:
-    """A recording with too few poses leaves no file."""
+    """A recording with too few poses is deleted."""
     to = ["--endpoint", endpoints[0], "--timeout", "60"]
     done = called("record", "a.csv", "--duration", "0.05", *to)
     assert done.returncode == 3 and "is there already" in done.stderr and (here / "a.csv").read_text() == POSES

@@ -43,7 +43,7 @@ PRESSED_M = 1e-3
 
 @pytest.fixture
 def scene(tmp_path: Path) -> schema.Scene:
-    """A key that the fingertip of the shipped taps presses."""
+    """Scene with a key that the shipped taps press."""
     return load_scene({"fingertip": {"radius_m": 0.01}, "rolling": ROLLING, "world": key_world(tmp_path)})
 
 
@@ -219,11 +219,8 @@ SLEW = 20.0
 
 
 def test_bodies_that_fail_are_let_go_and_put_back(scene: schema.Scene, tmp_path: Path) -> None:
-    """Three failures in one run, by infinite values and by an error that would end the process.
-
-    Each is reported with MuJoCo's message, the force ramps to zero at the slew limit, ticks continue, and a reset
-    restores the contact.
-    """
+    """Three failures in one run, by infinite values and by an error that would end the process. Each is reported with
+    MuJoCo's message, the force ramps to zero at the slew limit, ticks continue, and a reset restores the contact."""
     rows: list[np.ndarray] = []
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
     given = {"commands.endpoint": f"ipc://{tmp_path}/c", "guard.force_slew_n_per_s": SLEW, "guard.ramp_s": 0.1}

@@ -138,7 +138,7 @@ def test_a_guided_hand_turns_on_its_path_and_turns_back(session: tuple[Path, Run
         for begun, end in zip(marks(run, "touch"), marks(run, "release"), strict=True)
     ]
     for begun, end in ends:
-        # A first-order lag of 30 ms leaves a tenth after 70 ms; 0.1 s or more is available.
+        # A first-order lag of 30 ms falls to a tenth within 70 ms; 0.1 s or more is available.
         assert angle[begun] == pytest.approx(0.0, abs=0.03) and angle[end] == pytest.approx(0.3, abs=0.03)
 
 
@@ -252,7 +252,7 @@ def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path
 def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsys: pytest.CaptureFixture[str]) -> None:
     """A replay of the session agrees bit for bit. Each touch starts with a command and `arm`, after which ticks are
     compared once the velocity filter has settled (40 time constants of some milliseconds): more than half of all ticks.
-    A late machine executes commands later within a touch, which leaves fewer ticks to compare."""
+    A late machine executes commands later within a touch, so fewer ticks can be compared."""
     folder, run = session
     recording = folder / "sub-01" / "sub-01_run-01_ticks.mcap"
     assert cli.main(["replay", "--tolerance", "0", "--json", str(recording)]) == 0
@@ -321,7 +321,7 @@ def held_down(terminal: int, key: bytes) -> Iterator[None]:
 
 def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path) -> None:
     """A key answers one question, Ctrl-C stops the session, and the next start accepts an answer from a client. A key
-    that is held down answers only one question, practice trials print right or wrong, and invalid answers are refused
+    that repeats answers only one question, practice trials print right or wrong, and invalid answers are refused
     and leave the question open."""
     file = tmp_path / "terminal.toml"
     file.write_text(EXPERIMENT)

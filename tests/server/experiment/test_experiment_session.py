@@ -57,7 +57,7 @@ def test_a_rehearsal_reports_each_trial() -> None:
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("name", [name for name in shipped() if name != "stiffness-and-workload"])  # has its own test
+@pytest.mark.parametrize("name", [name for name in shipped() if name != "stiffness-and-workload"])  # tested elsewhere
 def test_each_shipped_experiment_goes_from_design_to_figure(name: str, tmp_path: Path) -> None:
     """The simulated observer answers every trial; the folder then has figures, numbers and a tidy table."""
     assert cli.main(["experiment", name, "--dry-run", "--no-daemon", "--out", str(tmp_path / "out")]) == 0
@@ -135,7 +135,7 @@ def test_an_adaptive_session_resumes_at_the_same_level(tmp_path: Path) -> None:
 
 
 def test_a_finished_session_is_not_run_again(tmp_path: Path) -> None:
-    """The command returns the same rows and leaves the journal unchanged."""
+    """The command returns the same rows and does not change the journal."""
     experiment = Experiment(small())
     rows = experiment.run(tmp_path, 1, OFFLINE)
     before = (tmp_path / "sub-01" / "sub-01_journal.jsonl").read_bytes()

@@ -185,7 +185,7 @@ def test_a_session_goes_on_within_a_survey(tmp_path: Path) -> None:
 
 
 def test_without_consent_there_is_no_trial(tmp_path: Path) -> None:
-    """The session stops before any other question, and asks for consent again when it is restarted."""
+    """The session stops before any other question, and requests consent again after a restart."""
     declined = Experiment(STUDY, {"observer.answers": {"consent": "I do not agree"}})
     for _ in range(2):
         with pytest.raises(Stopped, match="did not agree"):

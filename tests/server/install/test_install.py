@@ -1,4 +1,4 @@
-"""`install` below a folder: writes, records, updates and removes its files and leaves other files unchanged."""
+"""`install` below a folder: its files are written, recorded, updated and removed; other files are not changed."""
 
 from __future__ import annotations
 

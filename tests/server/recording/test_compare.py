@@ -172,7 +172,7 @@ def test_commands_are_replayed(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_forces_withheld_by_the_driver_are_left_out(tmp_path: Path) -> None:
-    """A tick whose force the driver withheld is left out, and so are later ones until the state is known. A refused pose is
+    """A tick whose force the driver withheld is left out, like later ones until the state is known. A refused pose is
     refused again, with the same zeros and ramp."""
     records = run().copy()
     at = touches()[0] + 10

@@ -63,7 +63,7 @@ def read(path: Path) -> tuple[np.ndarray, list[dict[str, Any]], dict[str, Any], 
     return np.concatenate(ticks), events, notes, parts[-1]
 
 
-# --- what is in a file -----------------------------------------------------------------------------
+# --- contents of a file ----------------------------------------------------------------------------
 
 
 def test_other_readers_find_everything(tmp_path: Path) -> None:
@@ -198,7 +198,7 @@ def test_an_index_larger_than_memory_is_complete(tmp_path: Path) -> None:
 
 
 def test_its_poses_are_played_to_the_bit(tmp_path: Path) -> None:
-    """Each recorded pose plays in its own tick despite irregular clock readings; missing ticks do not shift the
+    """Each recorded pose plays in its tick despite irregular clock readings; missing ticks do not shift the
     others."""
     holed = np.delete(run(), [50, 51, 52], axis=0)
     path = recorded(tmp_path / "a.mcap", holed)
@@ -318,7 +318,7 @@ def test_a_kill_loses_little(seed: int, tmp_path: Path) -> None:
 
 
 class Slow:
-    """File on a disk that blocks writes while `free` is cleared."""
+    """File on a disk that blocks writes while `free` is not set."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("wb", buffering=0)

@@ -132,7 +132,7 @@ def test_without_the_token_nothing_is_served(page: Page, where: str) -> None:
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:8370", "localhost", "localhost:1", "rig.lab:1", ""])
 def test_another_host_is_refused(page: Page, host: str) -> None:
-    """As under a name that a web site gave to this machine's address."""
+    """A web site can point its host name at this machine's address."""
     assert got(page, path(page), Host=host)[0] == 403
     if host:
         assert upgraded(page, path(page), f"http://{host}", host) == 403

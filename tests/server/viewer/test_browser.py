@@ -19,7 +19,7 @@ from softfinger.server.viewer.nodes.looks import CM
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 ROLL, SPIN, SLIDE = 4300, 7000, 9000
-"""Ticks of the shipped recording: in the middle of its roll, after its spin, and in its slide."""
+"""Ticks of the shipped recording: in the middle of its roll, in its spin, and in its slide."""
 
 
 def test_roll_spin_and_slide_have_different_colours(tmp_path: Path) -> None:

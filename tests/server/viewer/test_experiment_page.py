@@ -26,11 +26,9 @@ def through_chromium() -> None:
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: None) -> None:
-    """Run consent, a survey, instructions and two blocks of two trials with a break and a survey between them.
-
-    Buttons and keys answer. Colour, image and noise are those of the condition. The page of a watcher shows the same
-    texts without buttons. The folder contains all files.
-    """
+    """Run consent, a survey, instructions and two blocks of two trials with a break and a survey between them. Buttons
+    and keys answer. Colour, image and noise are those of the condition. The page of a watcher shows the same texts
+    without buttons. The folder contains all files."""
     with session(tmp_path, STUDY) as run:
         assert run.waits("Which plate is stiffer?", "Your answers are stored without <b>your name</b>.")
         run.click("I agree")
@@ -61,7 +59,7 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
         assert eventually(lambda: run.page.locator("body[data-noise='running 0']").count())
         run.click("3")
         assert run.waits("Block 1 of 2, trial 2 of 4", "Which was stiffer?")
-        for _ in range(10):  # a key that is held down repeats and answers only once
+        for _ in range(10):  # a pressed key repeats, but answers only once
             run.page.keyboard.down("1")
         run.page.keyboard.up("1")
         run.page.keyboard.press("2")
@@ -106,7 +104,7 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_a_rating_and_an_estimate_through_the_page(tmp_path: Path, through_chromium: None) -> None:
-    """Buttons and keys give a mark of a scale; a number field refuses invalid numbers and asks again."""
+    """Buttons and keys give a mark of a scale; a number field refuses invalid numbers with a message."""
     with session(tmp_path / "scale", RATING) as run:
         run.click("begin")
         assert run.waits("1: soft, 7: hard")

@@ -44,7 +44,7 @@ STEP_N = 1000.0 * APPROACH_SPEED_M_PER_S / RATE_HZ
 
 @cache
 def played(name: str, start: tuple[float, float, float]) -> list[Step]:
-    """Steps of the contact in each frame, from a place above the plane on."""
+    """Return the contact step of each frame of a gesture that starts above the plane."""
     engine = Engine("paper-plane", rate_hz=RATE_HZ)
     here, steps = {"": Target(np.array(start), IDENTITY)}, list[Step]()
     stage = Stage(
@@ -96,7 +96,7 @@ def test_each_gesture_causes_its_motion() -> None:
 
 
 def test_a_slide_goes_towards_the_middle() -> None:
-    """A slide that starts on the right goes left, so it stays on objects in the middle of a scene."""
+    """A slide that starts on the right moves left, which keeps it on objects in the middle of a scene."""
     for x, way in ((0.03, -1.0), (0.0, 1.0)):
         points = [step.point[0] for step in played("slide", (x, 0.0, 0.02)) if step.mode != ContactMode.FREE]
         farthest = max(points, key=lambda point: abs(point - x))

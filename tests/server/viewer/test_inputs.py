@@ -94,7 +94,7 @@ def test_a_gamepad_moves_the_hand(screen: Screen, client: Client) -> None:
     screen.page.evaluate(PAD, [0.0, -1.0, 0.0, 0.0])
     assert eventually(lambda: (place(client) - start)[1] > 0.004)
     assert field.is_visible()
-    screen.page.evaluate(PAD, [0.05, -0.05, 0.0, 0.0])  # as a stick at rest
+    screen.page.evaluate(PAD, [0.05, -0.05, 0.0, 0.0])  # released stick
     assert eventually(lambda: resting(client))
     screen.page.evaluate(NO_PAD)
 

@@ -51,7 +51,7 @@ def test_a_picture_is_unchanged_by_the_wire(tmp_path: Path) -> None:
             picture.vertices.astype("<f4").tobytes(), picture.triangles.astype("<u4").tobytes(), report.triangles
         ),
     )
-    assert PICTURE_TRIANGLES * (3 * 12 + 12) < ANSWER_MAX  # each corner with its own vertex
+    assert PICTURE_TRIANGLES * (3 * 12 + 12) < ANSWER_MAX  # no shared vertices
     got = msgspec.convert(msgpack.unpackb(message)["result"], Triangles)
     mesh = decode_mesh(got.vertices, got.triangles)
     assert got.of == 72000 and mesh.faces.tolist() == picture.triangles.tolist()
@@ -69,7 +69,7 @@ def test_an_invalid_mesh_is_refused(vertices: bytes, triangles: bytes) -> None:
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    """A page that no browser has opened."""
+    """Page that no browser has opened."""
     page = Page("127.0.0.1", 8350)
     yield page
     page.close()

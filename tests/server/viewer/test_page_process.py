@@ -166,7 +166,7 @@ def test_run_without_a_page_names_the_option(caplog: pytest.LogCaptureFixture) -
 @pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_an_open_browser_reconnects_to_a_restarted_page() -> None:
-    """Without a reload it shows ticks that only the new page can know."""
+    """Without a reload it shows ticks from after the end of the old page."""
     with run_with_page() as (process, address), browser() as page:
         threading.Thread(target=process.communicate, daemon=True).start()  # reads stderr, so that it does not block
         screen = shown(page, address)
@@ -178,4 +178,4 @@ def test_an_open_browser_reconnects_to_a_restarted_page() -> None:
         assert eventually(lambda: tick() > 0)
         os.kill(child_of(process), signal.SIGKILL)
         before = tick()
-        assert eventually(lambda: tick() > before + 2000)  # more ticks than a buffer could have: two seconds
+        assert eventually(lambda: tick() > before + 2000)  # two seconds in real time

@@ -117,11 +117,11 @@ def test_marks_are_on_the_surface_of_the_fingertip() -> None:
 @given(units)
 def test_rotation_to_a_normal_maps_z_to_it(normal: np.ndarray) -> None:
     normal = normal / np.linalg.norm(normal)
-    np.testing.assert_allclose(rotate(rotation_to(normal), UP), normal, atol=2e-3)  # straight down is not divided by
+    np.testing.assert_allclose(rotate(rotation_to(normal), UP), normal, atol=2e-3)  # limited near -z
 
 
 @given(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4), st.floats(-3.0, 3.0))
-def test_angles_of_the_sliders_come_back(x: float, y: float, z: float) -> None:
+def test_angles_of_the_sliders_round_trip(x: float, y: float, z: float) -> None:
     np.testing.assert_allclose(to_angles(from_angles(x, y, z)), (x, y, z), atol=1e-9)
 
 
@@ -177,7 +177,7 @@ def beside(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
 
 
 class Frames:
-    """Scene of the page that stores nothing; the test reads the poses of the bodies."""
+    """Stub of the page's scene; the test reads the poses of the bodies."""
 
     def __getattr__(self, name: str) -> Any:
         return lambda *args, **kwargs: SimpleNamespace()
@@ -185,11 +185,9 @@ class Frames:
 
 @pytest.mark.parametrize("own_clock", [False, True])
 def test_a_moving_body_is_drawn_at_its_pose_in_the_contact(own_clock: bool) -> None:
-    """The plane oscillates under the fingertip; ticks are missed, also before the scene started, and few are shown.
-
-    The drawn pose is that of the contact step, so the contact point is on it. If a device has its own clock, a missed
-    deadline does not advance its time.
-    """
+    """The plane oscillates under the fingertip; ticks are missed, also before the scene started, and few are shown. The
+    drawn pose is that of the contact step, so the contact point is on it. If a device has its own clock, a missed
+    deadline does not advance its time."""
     way = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.004], "frequency_hz": 3.0}
     scene = build(schema.Scene, paper_mapping(table={"motion": way}), "test scene")
     engine, period, begun, missed = Engine(scene), 1e-3, 500, 70
@@ -207,7 +205,7 @@ def test_a_moving_body_is_drawn_at_its_pose_in_the_contact(own_clock: bool) -> N
 
 
 def test_an_object_on_a_body_is_drawn_in_the_frame_of_the_body() -> None:
-    """A message without the body leaves its pose unchanged."""
+    """A message without the body does not change its pose."""
     ball = {"name": "ball", "shape": "sphere", "radius_m": 0.01, "position_m": [0.0, 0.1, 0.0]}
     ball |= {"material": {"stiffness_n_per_m": 500.0}, "motion": {"kind": "body", "body": "arm"}}
     mapping = {"fingertip": {"radius_m": 0.01}, "world": {"model": "arm.xml"}, "object": [ball]}
@@ -246,11 +244,9 @@ def test_the_ground_is_the_highest_plane_below(normal: np.ndarray, height: float
 
 @given(units, st.floats(-0.9, 0.9), st.floats(0.0, 2.0 * pi))
 def test_a_plumb_line_ends_on_top_of_a_ball(axis: np.ndarray, share: float, turn: float) -> None:
-    """On a ball of 20 mm in any rotation the foot is at height sqrt(r^2 - d^2) with the normal of the ball.
-
-    Triangles have 9 degrees in each direction, so they are within 2 r (1 - cos 4.5 degrees) = 0.12 mm of the ball,
-    which is 0.28 mm of height at the slope of 0.9 r; their normals are within 2 * 4.5 degrees.
-    """
+    """On a ball of 20 mm in any rotation the foot is at height sqrt(r^2 - d^2) with the normal of the ball. Triangles
+    have 9 degrees in each direction, so they are within 2 r (1 - cos 4.5 degrees) = 0.12 mm of the ball, which is 0.28
+    mm of height at the slope of 0.9 r; their normals are within 2 * 4.5 degrees."""
     ball, centre, radius = {"shape": "sphere", "radius_m": 0.02, "name": "ball"}, np.array([0.01, -0.03, 0.05]), 0.02
     turned = axis_angle_rotation(axis, turn)
     place = {"position_m": centre.tolist(), "orientation_wxyz": list(turned)}
@@ -405,10 +401,7 @@ def test_angles_are_about_the_axes_of_the_world() -> None:
 
 def test_the_drawn_fingertip_is_the_rendered_ellipsoid() -> None:
     """The mesh is closed and faces outwards; no vertex is inside the ellipsoid, and all that point down or sideways are
-    on it.
-
-    The nail is outside everywhere.
-    """
+    on it. The nail is outside everywhere."""
     radii = np.array([0.008, 0.007, 0.012])
     mesh = finger(radii)
     assert volume(mesh) > 4 / 3 * pi * radii.prod()

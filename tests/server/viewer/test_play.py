@@ -86,11 +86,8 @@ def play(screen: Screen, name: str, found: Felt) -> None:
 
 
 def test_each_button_plays_its_gesture(screen: Screen, daemon: Daemon) -> None:
-    """A press neither rolls, spins nor slides; the other gestures each do one of these.
-
-    Between two pictures the hand moves by at most 1 mm, which is 0.5 N; the page of a busy machine may receive the
-    force some pictures late.
-    """
+    """A press neither rolls, spins nor slides; the other gestures each do one of these. Between two pictures the hand
+    moves by at most 1 mm, which is 0.5 N; the page of a busy machine may receive the force some pictures late."""
     with felt(daemon) as found:
         play(screen, "press", found)
         assert PRESS_N <= found.normal < 4.0 * PRESS_N
@@ -137,8 +134,7 @@ def test_gap_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
     """The gap equals that of the telemetry, the shadow is below the ball, and the scale grows with the force."""
 
     def is_right() -> bool:
-        """The device's friction leaves the hand some hundredths of a millimetre from its target, in either
-        direction."""
+        """Friction of the device stops the hand some hundredths of a millimetre from its target."""
         (shown,) = re.findall(r"gap (\d+\.\d) mm", screen.page.inner_text("body"))
         height = 1e3 * (client.get_state().position[2] - RADIUS_M)
         return height > 19.0 and float(shown) == pytest.approx(height, abs=0.06)
@@ -190,10 +186,8 @@ def test_light_and_dark_follow_the_browser_until_the_switch_is_used(screen: Scre
 
 
 def test_a_press_in_deep_contact_and_the_display_without_force(screen: Screen, daemon: Daemon, client: Client) -> None:
-    """With a target 20 mm inside the plane, a press starts at the proxy on the plane and lifts off.
-
-    While the force is off, the page shows no force.
-    """
+    """With a target 20 mm inside the plane, a press starts at the proxy on the plane and lifts off. While the force is
+    off, the page shows no force."""
     client.hand((0.0, 0.0, -0.02), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: client.get_state().force[2] > 5.0)
     client.ask("disarm")

@@ -1,4 +1,4 @@
-"""Taking control of a finger, in a browser, of simulated hands that lift a box: the box stays in the air."""
+"""A finger of simulated hands that lift a box, taken over in a browser: the box does not fall."""
 
 from __future__ import annotations
 

@@ -54,11 +54,9 @@ def heights(daemon: Daemon) -> Iterator[object]:
 
 @pytest.fixture(autouse=True)
 def beside(client: Client, screen: Screen) -> None:
-    """Each test starts with the box on the floor and the hands next to it.
-
-    The page may still move the hands: a gesture opens them after the box is down, and the end of a drag may arrive
-    late. So the fixture repeats until they stay longer than the page remembers its targets.
-    """
+    """Each test starts with the box on the floor and the hands next to it. The page may still move the hands: a gesture
+    opens them after the box is down, and the end of a drag may arrive late. So the fixture repeats until they stay
+    longer than the page remembers its targets."""
 
     def stay() -> bool:
         for name, x in (("thumb", -0.04), ("index", 0.04)):

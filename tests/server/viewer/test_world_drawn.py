@@ -1,4 +1,4 @@
-"""Bodies of a [world] on the page: touchable ones and others."""
+"""Bodies of a [world] on the page: with and without contacts."""
 
 from __future__ import annotations
 
