@@ -51,7 +51,8 @@ print("result")
 @pytest.mark.real_time  # a delayed reader may receive the progress line together with its removal
 @pytest.mark.parametrize("columns", [80, *(pytest.param(width, marks=pytest.mark.exhaustive) for width in (40, 132))])
 def test_log_and_progress_never_share_a_line(columns: int) -> None:
-    """Each screen line belongs either to the log or to the progress, which is removed at the end; the log is complete."""
+    """Each screen line belongs either to the log or to the progress, which is removed at the end. The log is
+    complete."""
     screen, shown = Screen(columns), set()
     with on_terminal([sys.executable, "-c", LOGGING], 24, columns) as (process, pieces):
         for piece in pieces:

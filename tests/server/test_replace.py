@@ -312,7 +312,7 @@ def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
     assert "close" in acts(driver.devices[0]) and not driver.devices[0].wrenches[-1].any()
 
 
-def test_a_stop_during_a_replacement_opens_and_arms_nothing(driver):
+def test_a_stop_during_a_replacement_arms_nothing(driver):
     """If the daemon stops while the next device is being opened, that device is closed without being armed, and `wait`
     returns."""
     first, second = scenes()

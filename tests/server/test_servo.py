@@ -194,7 +194,7 @@ def test_a_pose_that_jumps_is_not_rendered(jump_m):
 
 
 def test_repeated_jumps_end_the_loop():
-    """The fifth jump ends the loop, as more than half a second of unusable poses would; the error has device and remedy."""
+    """The fifth jump ends the loop, like half a second of unusable poses; the error contains device and remedy."""
     device, servo = make_servo(Options(fault="jumps", at=700, count=100_000, own_clock=True), 2000, doubting=True)
     ended, records = finish(servo)
     assert (ended.ending, len(records)) == (JUMPING, 705)
@@ -228,8 +228,8 @@ def test_recorded_or_computed_poses_may_jump_and_stand_still(fault):
 
 @pytest.mark.parametrize("way", ["withheld_read", "withheld_write"])
 def test_a_force_withheld_by_the_driver_ramps_up_again(way):
-    """While the driver commands zero, the record has zero; afterwards the force is the undisturbed one times the
-    ramp."""
+    """While the driver commands zero, records are flagged WITHHELD; afterwards the force is the undisturbed one times
+    the ramp."""
     _, servo = make_servo(Options(own_clock=True), 900)
     undisturbed = finish(servo)[1][:, FORCE : FORCE + 6]
     device, servo = make_servo(Options(fault=way, at=700, count=20, own_clock=True), 900)

@@ -209,8 +209,7 @@ def test_without_a_watcher_a_killed_daemon_leaves_its_force(tmp_path: Path) -> N
     ],
 )
 def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) -> None:
-    """Without a cache, compilation takes many seconds. A signal then ends any verb within a few seconds, with one
-    line."""
+    """Without a cache, compilation takes many seconds. A signal then ends any verb within END_S, with one line."""
     words = {
         "run": ["run", "--endpoint", f"ipc://{tmp_path}/t", "--realtime", "off"],
         "warmup": ["warmup"],

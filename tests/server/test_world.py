@@ -185,8 +185,7 @@ HOME = """
 
 
 def test_bodies_are_reset_by_command(scene: schema.Scene, tmp_path: Path) -> None:
-    """The key starts at the keyframe and returns to it after a reset; with the control it stays there, without it
-    rises."""
+    """The key starts at the keyframe, rises when the motor's control is set to 0, and returns with a reset."""
     text = KEY.replace("<joint", '<joint name="slide"').replace("</mujoco>", HOME)
     (tmp_path / "key.xml").write_text(text)
     at_home = overridden(scene, {"world.keyframe": "home"}, "test")

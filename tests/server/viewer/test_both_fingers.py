@@ -103,8 +103,8 @@ def test_a_slider_moves_the_target_by_its_change(led: tuple[Hand, dict[str, Targ
 
 
 def test_steps_before_the_hands_are_held_are_queued(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """Key strokes before the daemon's answer are all applied. After a refusal none is, and the next stroke asks
-    again."""
+    """Key strokes before the daemon's answer are all applied. After a refusal none is applied, and the next stroke
+    sends a new request."""
     hand, sent = led
     answers: list[tuple[str, Callable[[Target], None], Callable[[], None]]] = []
     hand._commands = hand._commands._replace(hold=lambda *asked: answers.append(asked))

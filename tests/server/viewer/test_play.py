@@ -97,7 +97,7 @@ def test_each_button_plays_its_gesture(screen: Screen, daemon: Daemon) -> None:
         assert found.rolled == pytest.approx(2.0 * ROLL_M / 0.01, rel=0.05)
         assert found.normal > 0.5 * PRESS_N and found.torsion < 1e-3
         play(screen, "slide", found)
-        # The drag of the finger and the hand's lag behind friction reduce the 50 mm by some millimetres.
+        # The drag of the finger and the lag of the hand due to friction reduce the 50 mm by some millimetres.
         assert found.slid > 0.02
         play(screen, "spin", found)
         # 70 degrees are far more than the 0.08 rad at which 1 N spins: torsion reaches friction_length times the load.

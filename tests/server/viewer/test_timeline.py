@@ -1,4 +1,4 @@
-"""Timeline and events of recordings, of a shipped one and of synthetic ticks."""
+"""Timeline and events of recordings, on synthetic ticks."""
 
 from __future__ import annotations
 
